@@ -41,8 +41,8 @@ class Sim:
     Args:
         robot: description, TOML path or shipped name.
         water: as `fishmj.water.choice` names them: by default "fitted" where this body has a fitted one; "structured", "none", a
-            fitted one by name or TOML (NAME#2: one member of it); or "ellipsoid" (MuJoCo's own fluid). `water_name` says which
-            it became.
+            fitted one by name or TOML, "#2" behind it for member 2 of its ensemble; or "ellipsoid" (MuJoCo's own fluid).
+            `water_name` says which it became.
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.

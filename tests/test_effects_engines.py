@@ -124,8 +124,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
 def test_a_fish_without_effects_has_no_columns_and_no_hooks():
     state, params = engines.at_rest(PLAIN, np.zeros((5, 3))), engines.nominal_params(PLAIN, 5)
     assert state.memory.shape == (5, 0) and params.effects.shape == (5, 0) and state.buffer.shape == (5, engines.BUFFER, 3)
-    assert extensions.Extensions.of(PLAIN).hooks(np, [], []) is None
-    assert Sim(PLAIN, water="structured").water.memory == []
+    assert extensions.Extensions.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN, water="structured").water.memory == []
     sensors, history = Sensors(PLAIN), np.random.default_rng(0).normal(size=(2, 11, 3))
     assert sensors.poses(np, params.effects, history) is history and sensors.behind == sensors.frames == 0
 

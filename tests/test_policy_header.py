@@ -4,7 +4,6 @@ import copy
 import json
 import struct
 from dataclasses import replace
-from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from hypothesis import strategies as st
 from policy_files import ROBOT, SHORT, arrays, header, stored
 
 from fishmj import console, controllers
-from fishmj.calib import WATERS, calib_folder
+from fishmj.calib import calib_folder
 from fishmj.controllers.learned import LearnedController
 from fishmj.errors import ConfigError, FishmjError, StoreError
 from fishmj.evaluate.__main__ import main as evaluate
@@ -23,6 +22,7 @@ from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.policy import Policy, structure_sha256
 from fishmj.store import write_tensors
+from fishmj.water.hydro_model import HydroModel
 
 EVIL_COMMAND = "fishmj train --out '</script><script>alert(1)</script><img src=x onerror=alert(1)>'"
 
@@ -52,8 +52,8 @@ def test_training_writes_the_whole_header():
     meta = policy_of(network, replace(preset("quick"), water="swift"), {}).meta
     assert meta["structure_sha256"] == structure_sha256(meta["structure"]) and meta["constants_sha256"] == constants_sha256(ROBOT)
     assert meta["structure"]["reference_point"] == round(geometry_of(ROBOT).reference, 6)
-    toml = next(path for folder in WATERS if (path := folder / "swift.toml").is_file())
-    assert meta["water"] == {"name": "swift", "kind": "fitted", "sha256": sha256(toml.read_bytes()).hexdigest()}
+    assert meta["water"] == {"name": "swift", "kind": "fitted", "sha256": HydroModel.load("swift").sha256}
+    assert meta["water"] == Policy.load("station").meta["water"]
     assert meta["command"] is None and meta["seed"] == 0, "called from Python"
     assert meta["structure"] == structure_of(ROBOT) and meta["observation"] == observation_of(3)
     assert (

@@ -175,7 +175,7 @@ def water_of(
         raise UnknownName("injection", injection, INJECTIONS)
     if added.active is not None and (root != "planar" or name == "ellipsoid"):
         raise ConfigError(
-            f"{robot.name}: effects act on a fish with a planar root in strips, fitted water or air, got"
+            f"{robot.name}: effects act on a fish with a planar root in structured or fitted water or none, got"
             f" root = {root!r}, water = {name!r}; take those, or a robot without [[effect]]"
         )
     way = injection or ("callback" if added.active is None else "qfrc")

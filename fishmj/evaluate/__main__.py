@@ -97,8 +97,6 @@ def main(argv: list[str]) -> int:
         noise=0.0 if args.no_noise else 1.0, duration=args.duration,
     )  # fmt: skip
     brains = controllers.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
-    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
-        console.warn(note)
     affordable(robot, trials, len(brains))
     if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
@@ -106,7 +104,7 @@ def main(argv: list[str]) -> int:
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
         work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
-        console.say(f"water: {water.said}")
+        begin(water, brains)
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for brain in brains:
@@ -114,7 +112,7 @@ def main(argv: list[str]) -> int:
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results))
             return report(results, args)
-    console.say(f"water: {water.said}")
+    begin(water, brains)
     kept = FinishedTrials(args.out, robot, trials, args.engine, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
         try:
@@ -126,6 +124,13 @@ def main(argv: list[str]) -> int:
         code = report(results, args)
     kept.end()
     return code
+
+
+def begin(water: choice.Choice, brains) -> None:
+    """Say what is judged in, and what the policies were not trained for."""
+    console.say(f"water: {water.said}")
+    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
+        console.warn(note)
 
 
 def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:

@@ -245,11 +245,11 @@ def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Fault]:
 
 def _no_water(model: str) -> Fault | None:
     """Strips alone, the shipped fitted water, a fitted one by name (`NAME-base`: without residual) or a file that is there."""
-    known, (name, _) = ["structured", "fitted", *calib.waters()], names.split_member(model)
-    if name in (*known, "surrogate") or name.removesuffix("-base") in calib.waters():
+    known, (model, _) = ["structured", "fitted", *calib.waters()], names.split_member(model)
+    if model in (*known, "surrogate") or model.removesuffix("-base") in calib.waters():
         return None
-    if name.endswith(".toml"):
-        if not (wrong := trouble(name, "")):
+    if model.endswith(".toml"):
+        if not (wrong := trouble(model, "")):
             return None
         return Fault("water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH)
     near = get_close_matches(model, known, 1, 0.5)

@@ -73,7 +73,7 @@ def environment(name: Any, course: dict, random, environment_kwargs, root: str, 
     asked = chosen(setting)
     water = choice.chosen(load_robot(asked.robot), asked.water)
     if root == "free" and water.kind == choice.LBM:
-        raise ConfigError(f"suite: water {water.kind!r} has a planar root; choose root = 'planar', or another water")
+        raise ConfigError("suite: the flow solver moves a fish with a planar root; choose root = 'planar', or another water")
     rules = TaskSpec(name, replace(asked, robot=water.robot, water=None), **course)
     options = dict(environment_kwargs or {})
     for key in ("time_limit", "control_timestep", "n_sub_steps"):

@@ -35,7 +35,7 @@ DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that 
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
 HELP = (
     "fitted: strips and learnt residual fitted to the flow solver for this body, the default where there is one; structured: the"
-    " description's own coefficients; none: air; a fitted water by name (NAME-base: its strips, NAME#2: one member) or .toml file"
+    " description's own coefficients; none: air; a fitted water by name (NAME-base: its strips alone) or .toml file"
 )
 
 
@@ -75,16 +75,9 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
         UnknownName, StoreError: no such water. ConfigError: none is fitted for this body, or one for another body or time step.
     """
     name, described = canonical(water), robot.water.get(OWN, robot.water)
-    stated, states = canonical(robot.water.get("model")), canonical(described.get("model"))
+    stated = canonical(robot.water.get("model"))
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
-    elif name == FITTED and states not in (None, *KINDS):
-        name = states
-    whole, member = split_member(name)
-    if member is not None:
-        if (of := chosen(robot, whole)).kind != FITTED:
-            raise ConfigError(f"water {name!r}: {whole!r} has no members; expected a fitted water before the '#'")
-        return _fitted(robot, f"{label(of.robot)}#{member}")
     if name == STRUCTURED:
         why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
         return Choice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
@@ -130,7 +123,12 @@ def canonical(water: "str | Path | None") -> str | None:
     if name not in _TOLD:
         _TOLD.add(name)
         console.warn(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
-    return RENAMED[name] if member is None else f"{RENAMED[name]}#{member}"
+    return _joined(RENAMED[name], member)
+
+
+def _joined(name: str, member: str | None) -> str:
+    """The inverse of `split_member`."""
+    return name if member is None else f"{name}#{member}"
 
 
 _TOLD: set[str] = set()
@@ -141,7 +139,26 @@ def model_of(robot: Robot) -> "HydroModel | None":
     name = label(robot)
     if name in (STRUCTURED, LBM, NONE):
         return None
-    return fitted_water(robot.name if name == FITTED and robot.name in calib.waters() else name)
+    return fitted_water(_own(robot, name))
+
+
+def _own(robot: Robot, name: str) -> str:
+    """`fitted` as the fitted water that the description states, else as the one of the robot's name; other names as they are.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    kind, member = split_member(name)
+    if kind != FITTED:
+        return name
+    states = canonical(robot.water.get(OWN, robot.water).get("model"))
+    if states not in (None, *KINDS):
+        return _joined(split_member(states)[0], member or split_member(states)[1])
+    if robot.name not in calib.waters():
+        raise ConfigError(
+            f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
+        )
+    return _joined(robot.name, member)
 
 
 def label(robot: Robot) -> str:
@@ -166,12 +183,7 @@ def fitted_for(robot: Robot) -> str | None:
 
 
 def _fitted(robot: Robot, name: str) -> Choice:
-    if name == FITTED:
-        if robot.name not in calib.waters():
-            raise ConfigError(
-                f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
-            )
-        name = robot.name
+    name = _own(robot, name)
     model = fitted_water(name)
     made = _with(robot, model.swimmer(robot).water._asdict(), name)
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
@@ -204,7 +216,7 @@ def fitted_water(name: str) -> "HydroModel":
     """A fitted water by name or file."""
     from fishmj.water.hydro_model import HydroModel, shipped
 
-    whole, _ = split_member(name)
-    if whole not in shipped() and whole.removesuffix("-base") not in shipped() and not whole.endswith(".toml"):
+    plain, _ = split_member(name)
+    if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
         raise UnknownName("water", name, (*KINDS, *shipped()))
     return HydroModel.load(name)

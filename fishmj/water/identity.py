@@ -19,7 +19,11 @@ def water_identity(robot: Robot) -> dict[str, str]:
     """
     name, model = label(robot), model_of(robot)
     if model is not None:
-        return {"name": model.name, "kind": "base" if model.learnt is None else "fitted", "sha256": model.sha256}
+        return {
+            "name": model.name.replace("#", "."),
+            "kind": "base" if model.learnt is None else "fitted",
+            "sha256": model.sha256,
+        }
     if name != STRUCTURED:
         return {"name": name, "kind": name}
     table = {key: value for key, value in robot.water.items() if key not in ("model", "own") and value is not None}
