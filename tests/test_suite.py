@@ -221,13 +221,13 @@ def test_the_environment_swims_as_the_batched_engine_does(path):
 
 
 def test_the_water_without_numba_is_the_same_water(monkeypatch):
-    fast = stacked(swim(load(seed=2), 5))
+    fast = stacked(swim(load(seed=2, water="structured"), 5))
     monkeypatch.setattr(fish_physics, "evaluator", lambda robot, ch: lambda *a: fish_physics.in_numpy(ch, *a))
-    np.testing.assert_allclose(stacked(swim(load(seed=2), 5)), fast, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(stacked(swim(load(seed=2, water="structured"), 5)), fast, rtol=0, atol=1e-9)
 
 
 def test_a_free_root_swims_like_a_planar_one():
-    planar, free = load(seed=7), load(seed=7, root="free")
+    planar, free = (load(seed=7, root=root, water="structured") for root in ("planar", "free"))
     one, two = stacked(swim(planar, 15)), stacked(swim(free, 15))
     np.testing.assert_allclose(two[:, :2], one[:, :2], atol=0.015)
     height, up = free.physics.data.qpos[2], free.physics.named.data.xmat["head", "zz"]
