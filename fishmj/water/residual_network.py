@@ -138,7 +138,9 @@ def wake_step(xp, net: Net, m: Motion, z: list, dt: float) -> list:
     signs = np.array(WAKE, dtype=out.dtype)[:, None]
     target, before = 0.5 * (out[:, 0] + signs * out[:, 1]), both[len(m.x) :, 0]
     # exact for constant V: stable for any learnt length and step, and of frozen motion the same wake at 4 ms as at 20 ms
-    decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / xp.exp(net.reach)[:, None])
+    # a constant's own exp is NumPy's: JAX keeps jnp.exp of one in single precision for a later program in double
+    own = np if isinstance(net.reach, np.ndarray) else xp
+    decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / own.exp(net.reach)[:, None])
     return list((target + (before - target) * decay).reshape(len(z), *shape))
 
 
