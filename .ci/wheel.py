@@ -108,6 +108,9 @@ def use(wheel: Path, there: Path) -> None:
         told = run(" ".join(command), fishmj, *command, cwd=elsewhere, expected=BAD_INPUT).strip()
         if "sdist" not in told.splitlines()[-1]:
             raise SystemExit(f"fishmj {' '.join(command)} does not say where the data is: {told}")
+    small = run("hydro_fit", fishmj, "hydro_fit", "--device", "cpu", "--budget", "10", cwd=elsewhere, expected=BAD_INPUT)
+    if "--data DIR" not in small:
+        raise SystemExit(f"the bare hydro_fit does not say where segments are expected: {small}")
     run("install fast", *install, f"{wheel}[fast]", cwd=there)
     run("demo --smoke", fishmj, "demo", "--smoke", "--out", "demo", cwd=elsewhere)
     lines = run("calibrate", fishmj, "calibrate", "servo", cwd=elsewhere).strip().splitlines()

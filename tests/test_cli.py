@@ -200,3 +200,25 @@ def test_a_description_that_lies_here_is_named_where_its_ending_was_left_out(tmp
     monkeypatch.chdir(tmp_path)
     (tmp_path / "minnow.toml").write_text("")
     assert cli.main(["evaluate", "pd", "--robot", "minnow"]) == 2 and "did you mean minnow.toml?" in capsys.readouterr().err
+
+
+def groups(main, words):
+    """(words, the group) of every command group below a verb."""
+    if isinstance(main, console.CommandGroup):
+        yield words, main
+        for name in main.commands:
+            yield from groups(main.load(name), f"{words} {name}")
+
+
+def test_the_help_of_every_group_lists_its_commands_with_a_line_each(capsys):
+    """Also of one that runs a command where none is named, as `hydro_fit` does."""
+    found = [pair for verb in cli.present() for pair in groups(cli.load(verb), verb)]
+    assert {"hydro_fit", "gap", "lbm_oracle", "campaign", "log", "calibrate"} <= {words for words, _ in found}
+    for words, group in found:
+        for asked in ("--help", "-h", "help"):
+            assert cli.main([*words.split(), asked]) == 0
+            lines = capsys.readouterr().out.splitlines()
+            for name, command in group.commands.items():
+                told = [line for line in lines if line.split(f"  {name} ", 1)[0] == "" and line.endswith(command.summary)]
+                assert len(told) == 1 and len(command.summary) > 10, (words, name, told)
+        assert not group.bare or f"Without a command: {group.bare}." in lines

@@ -7,9 +7,9 @@ from pathlib import Path
 from fishmj import console, interrupt
 from fishmj.calib import OWN, ROOTS
 from fishmj.console import Command
-from fishmj.errors import ConfigError, FishmjError, StoreError, TooMuch
+from fishmj.errors import ConfigError, DatasetError, FishmjError, StoreError
 from fishmj.hydro_fit.record import SegmentRecord
-from fishmj.hydro_fit.segment_dataset import SegmentDataset, open_dataset
+from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import sha256
 from fishmj.store.manifest import MANIFEST, SOURCES
@@ -17,6 +17,8 @@ from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
 
 DATA = OWN / "hydro"
 SHIPPED = tuple(root / "hydro" / name for name in ("swift", "tendon_fish") for root in ROOTS)  # the default fish, the second one
+FEWEST = 4  # free swims that a fit needs at least
+GAITS = ("gait", "straight", "turning")  # blocks by which a check tells speed and turning
 FRESH = "-fresh"  # of a data set's name: more test episodes, solved when the model had been made
 
 
@@ -25,26 +27,17 @@ def run(verb: str, argv: list[str]) -> int | None:
     args = options(verb).parse_args(argv)
     robot = load_robot(args.fish)
     code = console.OK
-    if verb == "all":
-        from fishmj.campaign.data import collect
-
-        folder = Path(args.data or DATA / robot.name)
-        try:
-            missing = collect.main(["--fish", args.fish, "--data", str(folder), *_passed_on(args)])
-        except TooMuch as error:
-            missing = console.FAILED_CHECK
-            console.warn(str(error))
-        if missing:
-            console.warn(f"{folder}: segments are missing or were lost; going on with what is there")
-    folder = data_of(robot, args)
-    found: dict = {}
+    folder = gathered(robot, args) if verb == "all" else data_of(robot, args)
+    found: dict = {"data": str(folder)} if verb == "all" else {}
     if verb in ("fit", "all"):
         found["fit"] = fit(robot, folder, args)
+    if verb == "all":
+        args.model = args.model or found["fit"]["place"]
     if verb == "calibrate":
         found["calibrate"] = calibrate(robot, folder, args)
     if verb in ("check", "all"):
         found["check"] = check(robot, folder, args)
-        code = code or (console.OK if found["check"]["ok"] else console.FAILED_CHECK)
+        code = console.OK if found["check"]["ok"] or found["check"]["preview"] else console.FAILED_CHECK
     if verb in ("report", "all"):
         found["report"] = str(report(robot, folder, args))
         console.say(f"report: {found['report']}")
@@ -55,16 +48,50 @@ def run(verb: str, argv: list[str]) -> int | None:
     return code
 
 
+def gathered(robot: Robot, args) -> Path:
+    """The data set that the bare verb fits to: at hand, or solved first; refused before the fit where it is too small for one.
+
+    Raises:
+        DatasetError: nothing to check the fit by. ConfigError: as `at_hand.segments_at_hand`.
+    """
+    from fishmj.campaign.data.at_hand import Request, segments_at_hand
+
+    out, place = Path(args.out or FOLDERS[0]), args.data and Path(args.data)
+    for folder in (out, place or DATA):  # hours may lie between now and the first file
+        console.out_folder(str(folder))
+    standing = standing_model(out, args.name or robot.name, robot_hash(robot))
+    grid = "" if standing is None or standing[0].preview else str(standing[0].dataset.get("grid", ""))
+    given = {"device": args.device, "ray": args.ray or "", "budget": args.budget, "quiet": args.json}
+    given |= {} if args.slip is None else {"slip": args.slip}
+    data = open_dataset(segments_at_hand(Request(robot=robot, home=DATA, folder=place, grid=grid, **given)))
+    if lost := [meta["block"] for meta in data.about.values() if "file" not in meta]:
+        blocks = ", ".join(sorted(set(lost)))
+        console.say(
+            f"{len(lost)} of {len(data.about)} segments ({blocks}) are lost (the solver stopped); the fit does without them"
+        )
+    slip = slip_of(data, args.slip)
+    if not any(
+        meta["split"] == "test" and meta["block"] in GAITS and "file" in meta and abs(meta["grid"]["slip"] - slip) < 1e-9
+        for meta in data.about.values()
+    ):
+        raise DatasetError(
+            f"{data.folder}: no test swim of a gait at slip {slip:g} to check a fit by; {_more(data)}, or fit without a check:"
+            " python -m fishmj.hydro_fit fit"
+        )
+    return data.folder
+
+
 def data_of(robot: Robot, args) -> Path:
-    """The data set that was asked for, else the fish's own, else the shipped one if it is of this fish."""
+    """The data set that was asked for, else the fish's own, the shipped one if it is of this fish, the fish's preview."""
     own = DATA / robot.name
     if args.data or (own / MANIFEST).is_file():
         return Path(args.data or own)
     for shipped in SHIPPED:
         if (shipped / MANIFEST).is_file() and open_dataset(shipped).robot["name"] == robot.name:
-            console.say(f"no data set in {own}: using the shipped {shipped}, made on a coarse grid (preview)")
+            console.say(f"no data set in {own}: using the shipped {shipped}")
             return shipped
-    return own
+    preview = DATA / f"{robot.name}{PREVIEW}"
+    return preview if (preview / MANIFEST).is_file() else own
 
 
 def options(verb: str) -> console.Parser:
@@ -77,7 +104,8 @@ def options(verb: str) -> console.Parser:
     add("--model", type=console.text, help="name or .toml of the water that is checked; default data/water/<robot>.toml")
     add("--out", type=console.out_folder, help=f"folder of what is written: {WRITTEN[verb]}")
     add("--name", type=console.name, help="of the model that is fitted; default the robot's")
-    add("--slip", type=console.number(0, 1), default=1.0, help="slip ratio of the records: 1 slides, 0 sticks")
+    slip = "slip ratio of the records: 1 slides, 0 sticks; default that of the data, of several the model's, else 1"
+    add("--slip", type=console.number(0, 1), help=slip)
     add("--seed", type=console.SEED, default=0, help="of the draws of the fit")
     add("--base", action="store_true", help="the strip model alone, without the learnt residual")
     add("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
@@ -89,15 +117,20 @@ def options(verb: str) -> console.Parser:
         add("--seeds", type=console.Listed(console.SEED), default="0", metavar="N,..", help="of learnt rows: 0,1,2")
     if verb == "all":
         add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda")
-        budget = "wall clock for collecting; by default as long as it takes"
+        budget = "wall clock for collecting; default as long as it takes, on a CPU 30 minutes; a larger one, a larger preview"
         add("--budget", type=console.number(0, 1e7), metavar="S", help=budget)
         add("--ray", type=console.text, help="address of a Ray cluster that collects; by default this machine does")
     return made
 
 
-def _passed_on(args) -> list[str]:
-    given = (("--device", args.device), ("--budget", args.budget), ("--ray", args.ray))
-    return [str(item) for key, value in given if value is not None for item in (key, value)]
+def slip_of(data: SegmentDataset, asked: float | None, model: HydroModel | None = None) -> float:
+    """The slip ratio that was asked for, else the only one of the data, else that of the model where the data have it, else 1."""
+    there = {float(meta["grid"]["slip"]) for meta in data.about.values()}
+    if asked is not None:
+        return asked
+    if len(there) == 1:
+        return there.pop()
+    return model.slip if model is not None and model.slip in there else 1.0
 
 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
@@ -120,11 +153,32 @@ def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> l
 
 
 def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[SegmentRecord], list[SegmentRecord]]:
-    """Training and validation records at one slip ratio; where none validate there, every fifth training record does."""
+    """Training and validation records at one slip ratio; where none validate there, every fifth training record does.
+
+    Raises:
+        DatasetError: fewer than `FEWEST` free swims to fit, or none to validate: no fit of them would mean anything.
+    """
+    from fishmj.hydro_fit.fit.rollout import SHORTEST, is_free
+
     train = records_of(data, robot, "train", slip)
     if data.names("val", slip=slip):
-        return train, records_of(data, robot, "val", slip)
-    return [r for k, r in enumerate(train) if k % 5 != 2], train[2::5]
+        val = records_of(data, robot, "val", slip)
+    else:
+        train, val = [r for k, r in enumerate(train) if k % 5 != 2], train[2::5]
+    swims = [sum(is_free(r) and r.seconds >= SHORTEST for r in part) for part in (train, val)]
+    if swims[0] < FEWEST or not swims[1]:
+        raise DatasetError(
+            f"{data.folder}: {swims[0]} free swims of {SHORTEST:g} s or more to fit and {swims[1]} to validate at slip {slip:g};"
+            f" expected {FEWEST} and 1 at least; {_more(data)}"
+        )
+    return train, val
+
+
+def _more(data: SegmentDataset) -> str:
+    """How a data set that is too small gets larger."""
+    if missing := data.meta.get("missing", 0):
+        return f"{missing} segments of its plan are missing: the bare python -m fishmj.hydro_fit goes on with them"
+    return "solve more segments: python -m fishmj.hydro_fit collect"
 
 
 def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
@@ -150,28 +204,36 @@ def promote(model: HydroModel, folder: Path, *, score: float, standing: float | 
     return place / path.name, False
 
 
-def standing_model(folder: Path, name: str, robot_sha256: str) -> HydroModel | None:
-    """What stands in the place, if it is for the same robot and of the present form."""
-    path = Path(folder) / f"{name}.toml"
-    if not path.is_file():
+def standing_model(folder: Path, name: str, robot_sha256: str) -> tuple[HydroModel, Path] | None:
+    """What stands in the place, with its path, if it is for the same robot and of the present form.
+
+    In the default place the shipped model stands where there is no other.
+    """
+    places = FOLDERS if Path(folder) == FOLDERS[0] else (folder,)
+    path = next((path for place in places if (path := Path(place) / f"{name}.toml").is_file()), None)
+    if path is None:
         return None
     try:
         model = HydroModel.load(path)
     except ConfigError as error:
         console.warn(f"what stands in the place cannot be compared and will be replaced: {error}")
         return None
-    return model if model.robot_sha256 == robot_sha256 else None
+    return (model, path) if model.robot_sha256 == robot_sha256 else None
 
 
 def fit(robot: Robot, folder: Path, args) -> dict:
-    """Fit, and put the model in its place if it is not worse than what stands there."""
+    """Fit, and put the model in its place if it is not worse than what stands there.
+
+    A preview never takes the place of a model that is none: it is named `<name>-preview`.
+    """
     from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
     from fishmj.water.prior import flat
 
     several()
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
-    train, val = fitted_parts(data, robot, args.slip)
+    slip = slip_of(data, args.slip)
+    train, val = fitted_parts(data, robot, slip)
     about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": train[0].meta["grid"].get("domain", "")}
     console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
     with console.Progress(1.0, f"fit {robot.name}") as bar:
@@ -182,22 +244,31 @@ def fit(robot: Robot, folder: Path, args) -> dict:
             else:
                 bar.stage(f"{stage}, compiling")
 
-        work = Path("runs") / "hydro_fit" / f"{folder.name}-{robot.name}-{args.slip:g}"
+        work = Path("runs") / "hydro_fit" / f"{folder.name}-{robot.name}-{slip:g}"
         taught = {} if args.swims is None else {"swims": args.swims}
         settings = FitSettings(seed=args.seed, residual=not args.base, **taught)
         done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
         with interrupt.keeping(done.kept_so_far):
-            model = replace(done.run(), name=args.name or robot.name)
+            model = replace(done.run(), name=args.name or robot.name, preview=data.preview)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
     for row in doubtful:
         trade = f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""
         console.say(f"{row['name']} = {row['value']:.3g} is {row['status']}{trade}: not quoted as calibrated")
     standing = standing_model(out, model.name, robot_hash(robot))
-    old = None if standing is None else done.score(flat(standing.base), standing.learnt)
+    if model.preview and standing is not None and not standing[0].preview:
+        model = replace(model, name=f"{model.name}{PREVIEW}")
+        console.say(f"{standing[1]} was fitted to a whole plan and stays; the preview is {model.name}")
+        standing = standing_model(out, model.name, robot_hash(robot))
+    if standing is not None and standing[0].preview and not model.preview:
+        console.say(f"{standing[1]} is a preview and is replaced")
+        standing = None
+    old = None if standing is None else done.score(flat(standing[0].base), standing[0].learnt)
     new = model.scores["validation"]
     path, taken = promote(model, out, score=new, standing=old)
     console.say(f"{path}: validation {new:.4g} squared tolerances" + ("" if old is None else f", standing model {old:.4g}"))
-    return {"model": str(path), "taken": taken, "validation": new, "standing": old, "seconds": done.seconds, "notes": done.notes}
+    place = path if standing is None or taken else standing[1]
+    row = {"model": str(path), "taken": taken, "place": str(place), "preview": model.preview, "validation": new, "standing": old}
+    return row | {"seconds": done.seconds, "notes": done.notes}
 
 
 def chosen(robot: Robot, args) -> HydroModel:
@@ -226,8 +297,10 @@ def repeats_of(data: SegmentDataset, slip: float) -> list[tuple[SegmentRecord, S
     return pairs
 
 
-def held_out(robot: Robot, folder: Path, args) -> tuple[list[SegmentRecord], list[tuple[SegmentRecord, SegmentRecord]]]:
-    """What a model is judged on: the test part, with that of the fresh episodes beside it unless --data asks for one set.
+def held_out(
+    robot: Robot, folder: Path, args, model: HydroModel | None = None
+) -> tuple[list[SegmentRecord], list[tuple[SegmentRecord, SegmentRecord]]]:
+    """What `model` is judged on: the test part, with that of the fresh episodes beside it unless --data asks for one set.
 
     Returns:
         the records, repeats left out, and pairs of a repeat and what it repeats.
@@ -238,8 +311,9 @@ def held_out(robot: Robot, folder: Path, args) -> tuple[list[SegmentRecord], lis
         data = open_dataset(place, test=True)
         if not data.whole:
             console.warn(f"judged on {place.name}'s first test episodes, which are installed; its other ones are {SOURCES} only")
-        records += records_of(data, robot, "test", args.slip)
-        repeats += repeats_of(data, args.slip)
+        slip = slip_of(data, args.slip, model)
+        records += records_of(data, robot, "test", slip)
+        repeats += repeats_of(data, slip)
     return records, repeats
 
 
@@ -248,7 +322,7 @@ def calibrate(robot: Robot, folder: Path, args) -> dict:
     from fishmj.hydro_fit.fit.prediction_interval import calibrated
 
     data, model = open_dataset(folder, test=True), chosen(robot, args)
-    swims = records_of(data, robot, "test", args.slip)
+    swims = records_of(data, robot, "test", slip_of(data, args.slip, model))
     made = calibrated(model, robot, swims, {"sha256": data.sha256, "folder": folder.name})
     path = made.save(Path(args.out or FOLDERS[0]))
     factors = {name: made.band[name][0] / parts[0] for name, parts in model.band.items()}
@@ -258,12 +332,15 @@ def calibrate(robot: Robot, folder: Path, args) -> dict:
 
 
 def check(robot: Robot, folder: Path, args) -> dict:
-    """Judge the model on the test part."""
+    """Judge the model on the test part; a preview's misses are told and are no failure."""
     from fishmj.hydro_fit.free_swims import judge
-    from fishmj.hydro_fit.report import check_rows
+    from fishmj.hydro_fit.report import PREVIEW_TOLERANCES, check_rows
 
-    found = judge(chosen(robot, args), robot, *held_out(robot, folder, args))
+    model = chosen(robot, args)
+    found = judge(model, robot, *held_out(robot, folder, args, model)) | {"preview": model.preview}
     console.say(console.table(check_rows(found)))
+    if model.preview:
+        console.say(f"{model.name} is a preview, {PREVIEW_TOLERANCES}")
     return found
 
 
@@ -276,9 +353,10 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
 
     several()
     data = open_dataset(folder)
-    parts = [*(records_of(data, robot, split, args.slip) for split in ("train", "val")), held_out(robot, folder, args)[0]]
-    out = Path(args.out or Path("runs") / "hydro_fit" / f"ablation-{folder.name}-{robot.name}-{args.slip:g}")
-    about = {"sha256": data.sha256, "folder": folder.name, "slip": args.slip}
+    slip = slip_of(data, args.slip)
+    parts = [*(records_of(data, robot, split, slip) for split in ("train", "val")), held_out(robot, folder, args)[0]]
+    out = Path(args.out or Path("runs") / "hydro_fit" / f"ablation-{folder.name}-{robot.name}-{slip:g}")
+    about = {"sha256": data.sha256, "folder": folder.name, "slip": slip}
     given = {"names": args.rows, "seeds": args.seeds}
     with console.Progress(1.0, f"ablation {folder.name}") as bar:
         told = lambda share, what: bar.update(share, at=what)
@@ -292,8 +370,9 @@ def report(robot: Robot, folder: Path, args) -> Path:
     """Write report.html and report.json beside the model."""
     from fishmj.hydro_fit.report import write
 
-    out = Path(args.out or FOLDERS[0]) / f"{robot.name}-report"
-    return write(out, chosen(robot, args), robot, *held_out(robot, folder, args))
+    model = chosen(robot, args)
+    out = Path(args.out or FOLDERS[0]) / f"{model.name if model.preview else robot.name}-report"
+    return write(out, model, robot, *held_out(robot, folder, args, model))
 
 
 WRITTEN = {
@@ -316,8 +395,8 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     ("report", "report.html and report.json of a model", "--out runs/water"),
     ("ablation", "what each part of the model is worth: fits without it, same held-out records",
         "--data data/hydro/swift --seeds 0,1,2"),
-    ("hybrid", "a surrogate corrected by the solver while it swims", "--wrong tail --domain laptop --episodes 1",
-        "fishmj.campaign.hybrid.hybrid_trial"),
+    ("hybrid", "MuJoCo's water corrected by the solver while it swims",
+        "--wrong stream --domain laptop --episodes 1 --seconds 10", "fishmj.studies.hybrid_trials.command"),
     ("correct", "rounds of a policy's own states, solved and refitted",
         "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.campaign.dagger.dagger"),
     ("rank", "controllers in the solver and in the fitted water, on the same trials",

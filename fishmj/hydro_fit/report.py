@@ -29,6 +29,10 @@ NAMES = {  # block -> regime
     "random": "random targets", "uneven": "gusts and shear", "chirp": "chirp", "oscillation": "oscillation",
     "flapping": "held, flapping", "static": "held",
 }  # fmt: skip
+PREVIEW_TOLERANCES = (
+    "fitted to the first part of a plan, or in a small coarse box: the tolerances are those of a whole plan;"
+    " what it misses is told and fails nothing, what it meets holds in that box"
+)
 RUNS = 6  # paths in the figure of free runs
 REST, HIGH, MOVING = 2.0, np.radians(60), 0.05  # s, rad, m/s
 
@@ -48,8 +52,8 @@ def write(
         pictures.append(("Held fish: mean force by the second, in head axes", forces_figure(points)))
     grid, turns = gait_rows(swum)
     folder.mkdir(parents=True, exist_ok=True)
-    told = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
-    told |= {"coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
+    told: dict[str, Any] = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
+    told |= {"preview": model.preview, "coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
     write_json(folder / "report.json", told)
     tables = [("Check", check_rows(found)), ("Forces without the acceleration's part", forces), ("Free runs", runs)]
     tables += [("Swimming straight", grid), ("Turning", turns), ("Coefficients", coefficients(model))]
@@ -62,8 +66,9 @@ def write(
 def about(model: HydroModel, records: Sequence[SegmentRecord]) -> str:
     """One line on where the figures come from."""
     seconds = sum(r.seconds for r in records)
+    first = f"preview, {PREVIEW_TOLERANCES}; " if model.preview else ""
     return (
-        f"robot {model.robot}, slip {model.slip:g}, step {model.dt:g} s; {len(records)} held-out records, {seconds:.0f} s;"
+        f"{first}robot {model.robot}, slip {model.slip:g}, step {model.dt:g} s; {len(records)} held-out records, {seconds:.0f} s;"
         f" synthetic (computed); data set {str(model.dataset.get('sha256', ''))[:12]}; {model.notes}"
     )
 

@@ -24,6 +24,7 @@ from fishmj.store.manifest import MANIFEST, SOURCES
 SEGMENTS, SPLIT = "segments", "split.json"
 SPLITS = ("train", "val", "test")
 INSTALLED = tuple(f"{SEGMENTS}/test-*_{end}" for end in ("s1*", "s0.json", "s0.npz"))  # as pyproject.toml has the wheel
+PREVIEW = "-preview"  # of the name of a data set that is solved for a first look, and of a model beside a better one
 SHOWN = 12  # files that a message lists by name
 
 
@@ -47,6 +48,12 @@ class SegmentDataset:
     def robot(self) -> dict:
         """name, joints and sha256 of the description; one for all segments."""
         return next(iter(self.about.values()))["robot"]
+
+    @property
+    def preview(self) -> bool:
+        """Solved in a preview's box, or not all of what was planned."""
+        cut = ", first " in str(self.meta.get("label", ""))
+        return bool(cut or self.meta.get("missing", 0) or self.meta.get("grid", {}).get("preview", False))
 
     def names(self, split: str, *, block: str | None = None, slip: float | None = None) -> list[str]:
         """Ids of the segments with arrays.

@@ -112,6 +112,7 @@ class WaterFile(_Table):
     dt: Annotated[float, Field(gt=0.0, le=0.1)]
     slip: Annotated[float, Field(ge=0.0, le=1.0)]
     notes: str = ""
+    preview: bool = False
     weights: Weights
     base: Base
     found: dict[str, Stage] = {}
@@ -152,6 +153,7 @@ class HydroModel:
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
         dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
         band: (offset, share, spread) of the error bar by channel (prediction_interval.py), `band_alone` without the residual.
+        preview: fitted to the first part of a plan, or to a coarse small box: what it is off by is not what a whole fit would be.
         scores: on the validation part. calibration: of the bands, by swims that the fit has not seen (prediction_interval.py).
     """
 
@@ -172,6 +174,7 @@ class HydroModel:
     calibration: dict = field(default_factory=dict)
     notes: str = ""
     body_sha256: str = ""
+    preview: bool = False
 
     @property
     def base_only(self) -> "HydroModel":
@@ -221,13 +224,9 @@ class HydroModel:
             arrays |= {key: value.astype(np.float32) for key, value in residual_hooks.packed(self.learnt).items()}
         weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
         table: dict[str, Any] = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
-        table |= {
-            "robot": self.robot,
-            "robot_sha256": self.robot_sha256,
-            **({"body_sha256": self.body_sha256} if self.body_sha256 else {}),
-            "dt": self.dt,
-            "slip": self.slip,
-        }
+        table |= {"preview": True} if self.preview else {}
+        table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
+        table |= {"body_sha256": self.body_sha256} if self.body_sha256 else {}
         table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
         table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
         table |= {"band": self.band, "band_alone": self.band_alone, "scores": self.scores, "found": self.found}
@@ -288,9 +287,8 @@ def _read(path: Path) -> HydroModel:
         if sha256(weights) != expected:
             raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
         arrays, _ = read_tensors(weights)
-        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")} | {
-            k: table.get(k, "") for k in ("notes", "body_sha256")
-        }
+        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")}
+        given |= {key: table.get(key, "") for key in ("notes", "body_sha256")} | {"preview": table.get("preview", False)}
         given |= {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         given |= {"base": strip_forces.Coefficients(**table["base"]), "members": arrays["members"], "alone": arrays["alone"]}
         if table["weights"]["residual"]:

@@ -102,15 +102,18 @@ def collect(
         raise ConfigError(f"collect: budget = {budget} s; expected a positive time, or none")
     left = missing(plan, folder, retry)
     about = _state_split(folder, plan, setup, adding=bool(left))
-    if budget is not None:  # whatever it is cut down to is a mixture of all blocks
-        left = deque(sorted(left, key=lambda segment: segment.sha256))
+    if budget is not None:  # whatever it is cut down to spans the states
+        wanted = {segment.id for segment in left}
+        left = deque(segment for segment in plans.spanning(plan.segments) if segment.id in wanted)
     there, before, done = len(plan.segments) - len(left), 0.0, 0
     total = sum(segment.water for segment in left)
     with console.Progress(max(total, 1e-9), "collect", unit="s", every=1e9 if quiet else None) as bar:
 
         def go_on(water: float) -> bool:
-            bar.update(before + water, segments=there + done, of=len(plan.segments))
-            return budget is None or time.perf_counter() - began < budget
+            left = float("inf") if budget is None else began + budget - time.perf_counter()
+            ends = {} if budget is None else {"ends_in": console.duration(max(left, 0.0))}
+            bar.update(before + water, segments=there + done, of=len(plan.segments), **ends)
+            return left > 0
 
         for finished in (pool or Local()).run(left, setup, go_on) if left else ():
             write_record(folder / SEGMENTS, finished.meta, finished.arrays)
@@ -297,16 +300,25 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
 
 def domain_of(args: argparse.Namespace, out: Path) -> Domain:
     """The box that was asked for, else that of the data set which is continued, else `BOX` or, for a preview, `PREVIEW_BOX`."""
-    path, dt = out / SPLIT, args.dt
-    name = args.domain or (PREVIEW_BOX if args.preview else BOX)
-    if args.domain is None and path.is_file():
-        try:
-            grid = read_json(path)["grid"]
-            name, dt = grid["domain"], dt or float(grid["dt"])
-        except (TypeError, KeyError, ValueError) as error:
-            raise DatasetError(f"{path}: {error!r}; expected a grid with domain and dt. Take another folder") from error
-    domain = preset(name)
-    return domain if dt is None else domain.changed(dt=dt)
+    if args.domain is None and (out / SPLIT).is_file():
+        domain = domain_there(out)
+    else:
+        domain = preset(args.domain or (PREVIEW_BOX if args.preview else BOX))
+    return domain if args.dt is None else domain.changed(dt=args.dt)
+
+
+def domain_there(folder: Path) -> Domain:
+    """The box and time step of a data set that is there.
+
+    Raises:
+        DatasetError: it does not say.
+    """
+    path = folder / SPLIT
+    try:
+        grid = read_json(path)["grid"]
+        return preset(grid["domain"]).changed(dt=float(grid["dt"]))
+    except (TypeError, KeyError, ValueError) as error:
+        raise DatasetError(f"{path}: {error!r}; expected a grid with domain and dt. Take another folder") from error
 
 
 def domain_of_model(asked: str | None, model: HydroModel) -> Domain:

@@ -4,6 +4,8 @@
     full(robot, scale=0.1)             the same blocks, a tenth as many episodes
     preview(robot)                     every kind of movement for a few seconds: tests and a first look on a CPU
     fresh_test(robot, seed=7)          new test episodes and their repeats, nothing else
+    full(robot).at([1.0]).first(70)    of one slip ratio, the first 70 in an order that spans the states early
+    planned("full, slip 1, first 70", robot)      the plan of this label
 
 An episode's draws depend on (seed, block, number) only: a part of a block consists of the very same episodes. Every eighth is
 for validation; test episodes are drawn apart, with turbulence from another table. A quarter of each block is run at two more slip
@@ -14,7 +16,8 @@ u of neighbouring k, in [0, 1), come from one low-discrepancy sequence, so a par
 u is used in order.
 """
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, cos, pi, radians, sin
 from typing import Any, NamedTuple
@@ -228,6 +231,10 @@ TEST = (
 )
 REPEATED = ("straight", "turning", "random", "flapping")  # the first test episode of each: how well the oracle repeats itself
 LONGEST_PREVIEW = 4.0  # s
+LEAST = (  # split, block, episodes: the least that a water is fitted to and judged by
+    ("train", "gait", 4), ("val", "gait", 1), ("test", "straight", 1), ("train", "static", 2), ("train", "random", 1),
+    ("train", "oscillation", 1), ("train", "flapping", 1), ("test", "turning", 1),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +272,10 @@ class Plan:
         kept = tuple(segment for segment in self.segments if segment.slip in slips)
         return replace(self, label=f"{self.label}, slip {', '.join(f'{s:g}' for s in sorted(set(slips)))}", segments=kept)
 
+    def first(self, count: int) -> "Plan":
+        """The first `count` segments in the order of `spanning`."""
+        return replace(self, label=f"{self.label}, first {count}", segments=tuple(spanning(self.segments)[:count]))
+
     def rows(self) -> list[dict]:
         """Blocks with their segments and seconds by split, for a table."""
         blocks = list(dict.fromkeys(segment.block for segment in self.segments))
@@ -276,6 +287,56 @@ class Plan:
             row = {"block": block, "segments": len(own), "recorded_s": sum(s.seconds for s in own), "other_slips_s": other}
             rows.append(row | {f"{split}_s": value for split, value in seconds.items()} | {"water_s": sum(s.water for s in own)})
         return rows
+
+
+def spanning(segments: Iterable[Segment]) -> list[Segment]:
+    """In an order of which every beginning spans the states.
+
+    First come `LEAST`, then of every block and split one episode, then all of them at equal shares, then repeats and other slips.
+    """
+    return [segment for _, segment in _ranked(segments)]
+
+
+def least(segments: Iterable[Segment]) -> list[Segment]:
+    """Those of `LEAST`, as far as they are there."""
+    return [segment for tier, segment in _ranked(segments) if tier == 0]
+
+
+def _ranked(segments: Iterable[Segment]) -> list[tuple[int, Segment]]:
+    """Tier (0 for `LEAST`) and segment, in order."""
+    segments = sorted(segments, key=lambda segment: segment.id)
+    slips = {segment.slip for segment in segments}
+    main = DEFAULT_SLIP if DEFAULT_SLIP in slips else max(slips, default=DEFAULT_SLIP)
+    groups: dict[tuple, list[Segment]] = {}
+    for segment in segments:
+        aside = 4 if segment.slip != main else 3 if segment.replicate_of else 0
+        groups.setdefault((aside, segment.split, segment.block), []).append(segment)
+    wanted = {(split, block): (k, count) for k, (split, block, count) in enumerate(LEAST)}
+    rows = []
+    for (aside, split, block), own in groups.items():
+        place, count = wanted.get((split, block), (len(LEAST), 0))
+        for k, segment in enumerate(own):
+            tier = aside or (0 if k < count else 1 if k == 0 else 2)
+            rows.append(((tier, k if tier == 0 else k / len(own), place, split, block, k), segment))
+    return [(key[0], segment) for key, segment in sorted(rows, key=lambda row: row[0])]
+
+
+def planned(label: str, robot: "Robot | str", seed: int = 0) -> Plan:
+    """The plan of a label, as a data set states it; its policies are those that are made for the fish.
+
+    Raises:
+        ConfigError: no such label.
+    """
+    known = re.fullmatch(r"(full|preview|scale ([\d.e+-]+)|fresh test (\d+))(?:, slip ([\d., ]+?))?(?:, first (\d+))?", label)
+    if known is None:
+        raise ConfigError(f"campaign: no plan {label!r}; expected full, preview, scale X or fresh test N, and slip S, first N")
+    kind, scale, fresh, slips, count = known.groups()
+    if fresh:
+        plan = fresh_test(robot, seed=int(fresh))
+    else:
+        plan = preview(robot, seed=seed) if kind == "preview" else full(robot, seed=seed, scale=float(scale or 1))
+    plan = plan.at([float(slip) for slip in slips.split(", ")]) if slips else plan
+    return plan.first(int(count)) if count else plan
 
 
 def full(robot: "Robot | str" = "fish", *, seed: int = 0, scale: float = 1.0, policies: Sequence[str] = ()) -> Plan:

@@ -15,9 +15,9 @@ UNASKED = 3600.0  # s of a CPU that `--device auto` begins without being asked
 Work = Iterable[tuple[Domain, float]]  # boxes, and s of water in each
 
 
-def cpu_seconds(work: Work) -> float:
-    """Wall clock on the cores of this machine."""
-    return sum(prod(box.shape) * water / box.dt for box, water in work) / (RATE * min(usable_cores(), MOST))
+def cpu_seconds(work: Work, cores: int = 0) -> float:
+    """Wall clock on so many cores, by default those of this machine."""
+    return sum(prod(box.shape) * water / box.dt for box, water in work) / (RATE * min(cores or usable_cores(), MOST))
 
 
 def agree(
