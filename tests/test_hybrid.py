@@ -238,7 +238,7 @@ def made_up(monkeypatch):
 @pytest.mark.slow
 def test_sim_swims_corrected_and_logs_it(made_up, tmp_path):
     """The fitted water with its residual, in a gusty current; twice the same, to the bit."""
-    options = HybridOptions(first=0.4, every=4.0, lead=0.2, span=2.0, wait=True, slip=0.98)
+    options = HybridOptions(first=1.0, every=4.0, lead=0.2, span=2.0, own=0.5, wait=True, slip=0.98)
     sims = [Sim("fish", water="hybrid", hybrid=options, flow=GUSTY, pose=(0, 0, np.pi)) for _ in range(2)]
     trials = [sim.run(lambda t: wave(round(t / 0.02)), 4.0) for sim in sims]
     np.testing.assert_array_equal(*(trial.tables["truth"]["x"] for trial in trials))
@@ -247,13 +247,13 @@ def test_sim_swims_corrected_and_logs_it(made_up, tmp_path):
     np.testing.assert_allclose(told["hybrid"]["stream"], MORE, atol=0.015)
     alone = Sim("fish", flow=GUSTY, pose=(0, 0, np.pi)).run(lambda t: wave(round(t / 0.02)), 4.0)
     x, y = (t.tables["truth"]["x"] for t in (trials[0], alone))
-    np.testing.assert_array_equal(x[:129], y[:129])
-    assert x[-1] - y[-1] > 0.02
+    np.testing.assert_array_equal(x[:159], y[:159])
+    assert x[-1] - y[-1] > 0.005
 
 
 @pytest.mark.slow
 def test_a_suite_swims_corrected(made_up):
-    options = HybridOptions(first=0.4, every=4.0, lead=0.2, span=2.0, wait=True)
+    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=2.0, own=0.2, wait=True)
     setting = {"water": "hybrid", "hybrid": options, "random": 1, "flow_speed": 0.2}
     env = suite.load("fish", "station_hold", task_kwargs=setting)
     env.reset()
@@ -266,7 +266,7 @@ def test_a_suite_swims_corrected(made_up):
 
 @pytest.mark.slow
 def test_evaluate_swims_corrected_and_says_what_was(made_up, tmp_path, capsys):
-    asked = "pilot --water hybrid --speeds 0.2 --los 0,90 --repeats 1 --duration 12 --every 10 --tanks 2 --log --out".split()
+    asked = "pilot --water hybrid --speeds 0.2 --los 0,90 --repeats 1 --duration 14 --every 10 --tanks 2 --log --out".split()
     assert evaluate.main([*asked, str(tmp_path)]) == 0
     told = json.loads((tmp_path / "results.json").read_text())
     rows = told["hybrid"]["pilot"]
@@ -293,7 +293,7 @@ def test_play_swims_corrected(made_up):
 @pytest.mark.oracle
 def test_the_flow_solver_agrees_with_the_water_that_was_fitted_to_it():
     """One short segment of the real solver in a gusty stream, beside MuJoCo; its fish swims within reach of MuJoCo's."""
-    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=0.6, domain="laptop", device="cpu")
+    options = HybridOptions(first=0.6, every=4.0, lead=0.2, span=0.6, domain="laptop", device="cpu", patience=1e4)
     sim = Sim("fish", water="hybrid", hybrid=options, flow=GUSTY, pose=(0, 0, np.pi))
     sim.run(lambda t: wave(round(t / 0.02)), 1.6)
     sim.hybrid.close()
@@ -352,6 +352,27 @@ def test_a_verdict_asks_for_half_where_it_is_off_and_for_no_worse_where_not(alon
     assert command.verdict(rows)["ok"] is (ok and first)
 
 
+@pytest.mark.slow
+def test_the_verb_swims_three_times_and_goes_on_where_it_was(made_up, tmp_path, monkeypatch, capsys):
+    """The solver's trials are MuJoCo's own in the faster stream: the stream alone is wrong, and the correction finds it."""
+    swum_before: list = []
+
+    def solved(brain, robot, trials, folder, **water):
+        swum_before.append(water)
+        return run_trials.run(brain, robot, trials, engines.make("batch", robot))
+
+    monkeypatch.setattr(command.run_trials, "judge_in_solver", solved)
+    asked = "--wrong stream --episodes 2 --seconds 20 --own 0.5 --device cpu --json --out".split()
+    code = command.main([*asked, str(tmp_path)])
+    found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert swum_before[0]["domain"] == "window_coarse" and made_up[0]["stream"].speed == pytest.approx(0.25)
+    assert code == (0 if found["ok"] else 1) and found["solver_share"] == pytest.approx(0.15, rel=0.05)
+    assert all(report["segments"][0]["moved"] and report["stream"][0] > 0.03 for report in found["reports"])
+    place = found["same"][1]
+    assert place["hybrid"] < place["alone"]
+    assert command.main([*asked, str(tmp_path)]) == code and len(swum_before) == 1
+
+
 def test_a_free_root_is_refused():
     with pytest.raises(ConfigError, match="planar root"):
         Sim("fish", water="hybrid", root="free")
@@ -365,7 +386,7 @@ def test_a_policy_holds_station_for_a_minute_in_turbulence(replay):
     result = run_trials.run(controllers.chosen("pilot", STRIPS), STRIPS, trials, engine)
     assert result.engine.startswith("hybrid") and result.water == "hybrid" and np.isfinite(result.distance).all()
     told = engine.hybrid.report()
-    assert [row["t"] for row in told["segments"]] == [4.0, 34.0] and told["solver_share"] == pytest.approx(0.1, rel=0.01)
+    assert [row["t"] for row in told["segments"]] == [10.0, 40.0] and told["solver_share"] == pytest.approx(0.1, rel=0.01)
     np.testing.assert_allclose(told["stream"], MORE, atol=0.015)
 
 

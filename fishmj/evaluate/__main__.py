@@ -40,7 +40,7 @@ EXAMPLES = f"""examples:
   fishmj evaluate dob                                      the decided 72 trials
   fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two, paired, with pictures
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
-  fishmj evaluate pilot --water hybrid --tanks 12 --device cuda           the water corrected by the solver while it swims
+  fishmj evaluate station --water hybrid --tanks 12 --device cuda         the water corrected by the solver while it swims
 
 {controllers.shipped_lines()}
 """
@@ -141,8 +141,8 @@ def main(argv: list[str]) -> int:
                     save(args.out, results, findings(results))
             return report(results, args)
     args.hybrid = hybrid_options(args, robot, trials, len(brains)) if water.kind == choice.HYBRID else None
-    moved_by = args.engine if args.hybrid is None else args.hybrid.label(robot)
     begin(water, brains)
+    moved_by = args.engine if args.hybrid is None else args.hybrid.label(robot)
     kept = FinishedTrials(args.out, robot, trials, moved_by, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
         try:

@@ -56,7 +56,7 @@ class HybridOptions:
         ConfigError: times that cannot be.
     """
 
-    first: float = 4.0
+    first: float = 10.0
     every: float = 30.0
     lead: float = 1.0
     span: float = 2.0

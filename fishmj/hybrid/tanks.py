@@ -66,7 +66,8 @@ class Tanks:
     def _seeded(self, segment: Segment) -> Run:
         """A tank with the fish at the begin of its lead."""
         engine = lbm.Engine(self.robot, [self.flow(segment)], **self.water)
-        run = engine.tank(0, segment.q[0], segment.params)
+        kept = None if engine.active is None else segment.start.memory[0, : len(engine.active.memory)]
+        run = engine.tank(0, segment.q[0], segment.params, kept)
         lbm.set_clock(run, segment.tick * self.robot.timing.bus_dt)
         q, v = segment.q, segment.v
         run.coupled.body.place(reference_qpos(run.coupled.body.model, q[0, :3], q[0, 3:]), v[0])

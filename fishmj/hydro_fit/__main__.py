@@ -396,7 +396,7 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     ("ablation", "what each part of the model is worth: fits without it, same held-out records",
         "--data data/hydro/swift --seeds 0,1,2"),
     ("hybrid", "MuJoCo's water corrected by the solver while it swims",
-        "--wrong stream --domain laptop --episodes 1 --seconds 10", "fishmj.studies.hybrid_trials.command"),
+        "--wrong stream --domain laptop --episodes 1 --seconds 20", "fishmj.studies.hybrid_trials.command"),
     ("correct", "rounds of a policy's own states, solved and refitted",
         "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.campaign.dagger.dagger"),
     ("rank", "controllers in the solver and in the fitted water, on the same trials",

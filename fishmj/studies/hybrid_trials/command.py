@@ -2,7 +2,7 @@
 
     python -m fishmj.hydro_fit hybrid --wrong stream --device cuda     12 trials of 60 s at 0.2 m/s in turbulence; resumable
     python -m fishmj.hydro_fit hybrid --wrong all ...                  every condition, one after the other
-    python -m fishmj.hydro_fit hybrid --domain laptop --episodes 2 --seconds 10         a preview on a CPU
+    python -m fishmj.hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
 
     none          the water as fitted                slip      the solver at slip 0.98, the water fitted at 1
     tail          a tail 10 % shorter, in the water fitted to a hull along which no water slides (NAME-noslip)
@@ -10,8 +10,9 @@
 
 Every trial is swum three times, with the same fish, noise and eddies: in MuJoCo alone, in MuJoCo corrected (the water `hybrid`),
 and in the flow solver, closed loop. Solved trials are kept in --out and serve every condition that they belong to. The trials are
-the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the last third of a trial, speed the mean over
-ground, averaged over a beat, and place how far the fish is from the solver's, mean over the trial.
+the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial; speed, over ground,
+averaged over a beat, and place, the distance from the solver's fish, are means from the end of the first segment on: before
+that nothing is corrected.
 """
 
 import contextlib
@@ -27,7 +28,8 @@ from fishmj import console, controllers, interrupt
 from fishmj.campaign.data.collect import ON_GPU
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.dynamics import planar_chain
-from fishmj.engines import Extensions, batch
+from fishmj.engines import batch
+from fishmj.errors import ConfigError
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.metrics import Result, beat_mean, difference
 from fishmj.evaluate.protocol import Trials
@@ -46,6 +48,7 @@ from fishmj.water import choice
 
 SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.98  # of the tail's length, of its added mass; m/s; slip
 WRONG = ("none", "slip", "tail", "added_mass", "stream")
+RENAMED = {"both": "tail"}  # old names
 FIRST_KIND = 2.0  # standard errors by which a figure must be off before it is asked to be mended
 MUST, TARGET, WORSE, SHARE = (
     0.5,
@@ -65,12 +68,17 @@ def options() -> console.Parser:
     add("--model", type=console.text, default="fitted", help="the water that is corrected: fitted, a name or .toml")
     noslip = "of --wrong tail: that of a hull along which no water slides; default the model's name and -noslip"
     add("--noslip", type=console.text, help=noslip)
-    add("--policy", type=console.text, default="fitted", help="controller, shipped policy, policy file or module:Name")
-    add("--wrong", choices=(*WRONG, "all"), default="none", help="what is wrong about MuJoCo's water, or about the tank")
+    add("--policy", type=console.text, default="station", help="controller, shipped policy, policy file or module:Name")
+    add(
+        "--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help="what is wrong about MuJoCo's water, or about the tank"
+    )
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
-    add("--seconds", type=console.number(8, 600), default=60.0, help="of each trial")
+    add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
     add("--every", type=console.number(3, 600), default=HybridOptions.every, help="s from segment to segment; each is 3 s")
+    add("--first", type=console.number(0, 600), default=HybridOptions.first, help="s before the first segment")
+    lead = f"s of a segment for which the fish is led along MuJoCo's path; {HybridOptions.span:g} s more are compared"
+    add("--lead", type=console.number(0, 60, above=True), default=HybridOptions.lead, help=lead)
     add("--own", type=console.number(0, 1e6, above=True), default=HybridOptions.own, help="mean square miss of a right water")
     add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
@@ -84,11 +92,18 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The verb `hybrid`; exit code 1 where the correction misses its aim."""
     args = options().parse_args(argv)
+    if args.wrong in RENAMED:
+        console.warn(f"--wrong {args.wrong} is now called {RENAMED[args.wrong]}; the old name is deprecated")
+        args.wrong = RENAMED[args.wrong]
+    if args.seconds <= (least := args.first + args.lead + HybridOptions.span):
+        raise ConfigError(
+            f"hydro_fit hybrid: --seconds {args.seconds:g}: the first segment ends at {least:g} s; take longer trials"
+        )
     conditions = [condition(name, args) for name in (WRONG if args.wrong == "all" else (args.wrong,))]
     args.tanks = args.tanks or (ON_GPU if str(device_of(args.device)).startswith("cuda") else 1)
     trials = trials_of(args)
     box, solved = conditions[0].options(args).box(conditions[0].robot), {(c.slip, c.faster) for c in conditions}
-    share = HybridOptions.lead + HybridOptions.span
+    share = args.lead + HybridOptions.span
     water = len(trials) * args.seconds * (len(solved) + len(conditions) * share / args.every)
     less = "take fewer --episodes, shorter --seconds; --domain laptop is a preview"
     solver_cost.agree("hydro_fit hybrid", args.device, [(preset(box), water)], instead=less, tanks=min(args.tanks, len(trials)))
@@ -118,7 +133,8 @@ class Condition:
         """Of the hybrid in this condition."""
         tank = Flow(speed=args.speed + self.faster) if self.faster else None
         water: dict[str, Any] = {"domain": args.domain or box_of(args), "slip": self.slip, "device": args.device, "tank": tank}
-        return HybridOptions(every=args.every, own=args.own, side_by_side=args.tanks or 1, wait=True, **water)
+        water |= {"first": args.first, "every": args.every, "lead": args.lead, "own": args.own}
+        return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water)
 
 
 def box_of(args) -> str:
@@ -186,12 +202,12 @@ def kept(one: Condition, trials: Trials, args) -> dict:
 
 def measured(one: Condition, trials: Trials, args) -> dict:
     """Swim three times, and compare."""
-    brain = controllers.chosen(args.policy, one.robot, any_command_path=True)
+    brain = controllers.chosen(args.policy, one.robot)
     hybrid = one.options(args)
     inside = batch.Engine(one.robot, threads=1)
     if one.chain != planar_chain.chain_of(one.robot):  # the same body in the water of another
         for shoal in inside.shoals:
-            shoal.evaluate = batch._jax_evaluator(one.chain, Extensions.of(one.robot))
+            shoal.evaluate = batch.evaluator_of(one.robot, one.chain, "jax")
     corrected = Engine(one.robot, trials.flows()[0], hybrid, inner=inside, replay=Replay(one.robot, one.chain))
     total = args.seconds * len(trials)
     swims: dict[str, Result] = {}
@@ -211,7 +227,8 @@ def measured(one: Condition, trials: Trials, args) -> dict:
         swims["solver"] = run_trials.judge_in_solver(brain, asked, tanks, Path(args.out), progress=seen, **box)
     wall["solver"] = time.perf_counter() - began
     reports = [corrected.hybrid.report(i) for i in range(len(trials))]
-    found = verdict({name: figures(swim, swims["solver"]) for name, swim in swims.items()})
+    since = hybrid.first + hybrid.lead + hybrid.span
+    found = verdict({name: figures(swim, swims["solver"], since) for name, swim in swims.items()})
     share = max(report["solver_share"] for report in reports)
     real = {name: args.seconds * len(trials) / seconds for name, seconds in wall.items()}
     about = {"condition": one.name, "water": choice.label(one.robot), "policy": args.policy, "n": len(trials)}
@@ -228,13 +245,13 @@ def _on_cpu() -> contextlib.AbstractContextManager:
 # ---- what they say ----
 
 
-def figures(swim: Result, solver: Result) -> dict[str, np.ndarray]:
-    """(n,) rmse m, speed m/s, and place: mean distance from the solver's fish, m; NaN where the solver stopped."""
-    last = len(swim.t) - round(len(swim.t) / 3)
-    over_ground = [beat_mean(swim.velocity[..., i], swim.robot.timing.bus_dt) for i in (0, 1)]
-    apart = np.linalg.norm(swim.pose[..., :2] - solver.pose[..., :2], axis=-1).mean(1)
+def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]:
+    """(n,) rmse m of the second half; speed m/s and place m from `since` s on; NaN where the solver stopped."""
+    late, half = swim.t >= since, swim.t >= max(since, swim.t[-1] / 2)
+    over_ground = [beat_mean(swim.velocity[..., i], swim.robot.timing.bus_dt)[:, late] for i in (0, 1)]
+    apart = np.linalg.norm(swim.pose[..., :2] - solver.pose[..., :2], axis=-1)[:, late].mean(1)
     sound = np.where(solver.left < len(solver.t), np.nan, 1.0)
-    rmse = np.sqrt((swim.distance[:, last:] ** 2).mean(1))
+    rmse = np.sqrt((swim.distance[:, half] ** 2).mean(1))
     return {"rmse": sound * rmse, "speed": sound * np.hypot(*over_ground).mean(1), "place": sound * apart}
 
 
