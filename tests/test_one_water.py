@@ -100,8 +100,14 @@ def in_suite(water, root="planar"):
     return Swum(pose, joint, rate, power, physics.swim.memory[0], float(physics.swim.attached[0]))
 
 
+def compiled(water):
+    pytest.importorskip("numba")
+    return batched(engines.make("compiled", in_water(water), threads=1, dtype="float64"), in_water(water))
+
+
 PATHS = {
     "planar": lambda water: in_jax(planar, water),
+    "compiled": compiled,
     "batch": lambda water: batched(batch.Engine(in_water(water), threads=1), in_water(water)),
     "mjx": lambda water: in_jax(mjx, water),
     "callback": in_sim,
@@ -109,7 +115,7 @@ PATHS = {
     "qfrc": lambda water: in_sim(water, injection="qfrc"),
     "suite": in_suite,
 }
-SLOW = {("mjx", "swift"), ("mjx", "swift#2"), ("planar", "swift#2"), ("batch", "swift#2")}  # each compiles a network of its own
+SLOW = {("mjx", "swift"), ("mjx", "swift#2"), ("planar", "swift#2")}  # each compiles a network of its own
 
 
 def assert_same(found, expected, atol):
@@ -129,14 +135,6 @@ def reference():
 def test_every_engine_and_every_way_into_mujoco_is_one_water(reference, name, water):
     assert_same(PATHS[name](water), reference[water], 1e-11)
     assert mujoco.get_mjcb_passive() is None
-
-
-@pytest.mark.xfail(raises=ConfigError, reason="the compiled engine refuses a learnt residual", strict=True)
-@pytest.mark.parametrize("water", WATERS)
-def test_the_compiled_engine_is_the_same_water(reference, water):
-    """Once it holds the residual this fails as expected no longer: it then belongs into PATHS."""
-    pytest.importorskip("numba")
-    assert_same(batched(engines.make("compiled", in_water(water)), in_water(water)), reference[water], 1e-8)
 
 
 def test_the_swim_has_the_learnt_force_and_a_wake_and_a_member_is_not_the_mean(reference):
