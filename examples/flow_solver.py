@@ -1,4 +1,4 @@
-"""One trial in three waters: strips, strips fitted to the flow solver, and the flow solver round the moving fish.
+"""One trial in three waters: strips, the water fitted to the flow solver, and the flow solver round the moving fish.
 
     python examples/flow_solver.py
 
@@ -17,14 +17,14 @@ fish = load_robot("fish")
 trial = evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, turbulence="none", duration=2.0)  # the target lies upstream
 solver = Engine(fish, trial.flows(), domain="laptop", device="cpu")
 waters = {
-    "strips": (fish, "batch"),
-    "fitted strips": (engines.in_water(fish, "surrogate"), "planar"),
+    "strips": (engines.in_water(fish, "structured"), "batch"),
+    "fitted water": (engines.in_water(fish), "planar"),
     "flow solver": (fish, solver),
 }
 nearer = {}
 for name, (robot, engine) in waters.items():
-    result = evaluate.run("fitted", robot, trial, engine)
+    result = evaluate.run("station", robot, trial, engine)
     nearer[name] = 100 * float(result.distance[0, 0] - result.distance[0, -1])
     print(f"{name:<14} {nearer[name]:5.1f} cm nearer after {trial.duration:.0f} s, {np.mean(result.power[0]):.1f} W")
 assert solver.stopped == [""], solver.stopped
-assert abs(nearer["fitted strips"] - nearer["flow solver"]) < abs(nearer["strips"] - nearer["flow solver"]), "the fit is nearer"
+assert abs(nearer["fitted water"] - nearer["flow solver"]) < abs(nearer["strips"] - nearer["flow solver"]), "the fit is nearer"

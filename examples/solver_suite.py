@@ -12,10 +12,10 @@ import numpy as np
 from fishmj import suite
 from fishmj.policy import Policy
 
-WATERS = {"lbm": {"solver": {"domain": "laptop", "device": "cpu"}}, "surrogate": {}}
+WATERS = {"lbm": {"solver": {"domain": "laptop", "device": "cpu"}}, "fitted": {}}
 SETTING = {"random": 2, "flow_speed": 0.2, "turbulence": "none", "randomisation": 0.0, "noise": 0.0, "seconds": 1.0}
 
-policy, found = Policy.load("fitted"), {}
+policy, found = Policy.load("station"), {}
 for water, more in WATERS.items():
     env = suite.load("fish", "station_hold", SETTING | {"water": water} | more, {"flat_observation": True})
     step = env.reset()
@@ -23,5 +23,5 @@ for water, more in WATERS.items():
         step = env.step(policy(step.observation["observations"][None])[0])
     found[water] = env.physics.reference_pose()
     print(f"{water:<10} at {np.round(found[water], 3)} (x m, y m, yaw rad) after {env.physics.time():.1f} s")
-apart = np.hypot(*(found["lbm"] - found["surrogate"])[:2])
+apart = np.hypot(*(found["lbm"] - found["fitted"])[:2])
 assert apart < 0.1, f"the fitted water puts the fish {apart:.3f} m from where the solver does"

@@ -34,10 +34,12 @@ def learn(args) -> dict:
     import shutil
 
     from fishmj import store
+    from fishmj.train.build import settled, water_for
     from fishmj.train.settings import as_dict, change, preset
     from fishmj.train.training_run import TrainingRun
 
-    folder, settings = args.out / "training", change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {}))
+    folder, settings = args.out / "training", settled(change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {})))
+    console.say(f"water: {water_for(settings).said}")
     kept = None if (args.out / FINISHED).exists() else store.Checkpoints(folder / "checkpoints").latest()
     same = kept is not None and kept.meta["settings"] == store.plain(as_dict(settings))
     if not same:
@@ -53,8 +55,9 @@ def judge(args, policy: str):
     from fishmj import controllers
     from fishmj.evaluate import run, trials
     from fishmj.mjcf import load_robot
+    from fishmj.water.choice import in_water
 
-    robot = load_robot("fish")
+    robot = in_water(load_robot("fish"))
     brain = controllers.make(policy, robot)
     brain.name = "just trained"
     subset: dict[str, Any] = {"speeds": [SPEED], "los_deg": [0, 180], "duration": 60.0} if args.smoke else {}

@@ -39,3 +39,9 @@ def nearest(text: str) -> str:
     """A name made of `text`: other characters become `_`; empty when nothing is left."""
     made = re.sub(r"[^A-Za-z0-9_.-]+", "_", text).strip("_.-")[:64]
     return made if is_name(made) else ""
+
+
+def split_member(water: str) -> tuple[str, str | None]:
+    """`NAME#2` or `file.toml#2` -> (name or file, "2"), one member of a fitted water's ensemble; without one (water, None)."""
+    whole, mark, number = water.rpartition("#")
+    return (whole, number) if mark and not number.endswith(".toml") else (water, None)  # a folder may have a # in its name

@@ -6,30 +6,36 @@ A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot of which
 activation, memory, command path (`check_header`), how it was trained. With memory m > 1 the input is the newest observation
 followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself. The header's keys:
 
-    robot         name: another name with the same structure is said, not refused
-    structure     {links, lengths, joints, servo_range}: another count, order, range, or a length off by more than 10 % is refused
-    observation   [{name, unit}, ..] in order, with the divisors `scale`
-    command_path  how commands travel between two decisions: another one is refused unless it was asked for
-    control_dt    s between two decisions: another one is refused
+    structure         {links, lengths, joints, servo_range, reference_point}, and its `structure_sha256`: another count, order or
+                      range is refused, a length or reference point that is off by more than 10 %, too
+    observation       [{name, unit}, ..] in order, with the divisors `scale`: another one is refused
+    control_dt        s between two decisions: another one is refused
+    command_path      how commands travel between two decisions: another one is refused, unless a user says to go on anyway
+    constants_sha256  of the rest of the description but its water, water {name, kind, sha256}, robot, a name: others are said
+    seed, command     of the training; the command as it was typed, null where Python called it
 
-Files written before `structure` was say less: the servo range and the joint count are read from `action` and `joints`. What a
-header does not say is not checked, and that is said.
+What an older file does not say is not compared, and that is said; its servo range and joint count are read from `action` and
+`joints`. For the shipped files that keep their bytes, headers.json beside them says it.
 """
 
+import json
 import math
 import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj import console
 from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.names import is_name
 from fishmj.plain_file import trouble
-from fishmj.store import read_tensors, write_tensors
+from fishmj.store import read_json, read_tensors, write_tensors
 
 SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"
@@ -38,14 +44,46 @@ _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda x:
 CLOSE = 0.10  # of a link's length, what calibrations change
 SAME = 1e-3  # of ranges and times: rounding
 MOST = 1000  # links, observations: beyond them it is no fish
-KEYS = {"links": str, "lengths": float, "joints": str, "servo_range": float}
+LONGEST = 4000  # characters of a training command
+KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files have no last one
+SHIPPED = {  # one line each, as `--help` lists them; docs/guide/controllers.md has their figures
+    "station": "PPO, trained in the water fitted to the flow solver",
+    "station-sac": "SAC with the paper's budget, trained in the same water",
+    "pilot": "PPO, trained in an earlier fit of that water; steered episodes that the present one is fitted to",
+    "paper": "PPO, trained in the structured water",
+    "paper-sac": "SAC with the paper's budget, trained in the structured water",
+}
+FORMER = {"fitted": "station", "fitted-sac": "station-sac"}  # names of shipped policies, old -> new
+ALSO = "headers.json"  # beside the shipped files
+HASHED = {  # what differs by its hash -> what that may be
+    "structure": "lengths or reference point off by less than 10 %",
+    "constants": "other masses, sections, servo, timing or effects",
+}
 
 
 class PolicyFit(NamedTuple):
-    """Whether a policy may steer a robot: reasons to refuse it, and what is worth a line."""
+    """Whether a policy may steer a robot.
+
+    Attributes:
+        refused: reasons to refuse it. differs: what is not as in training -> (there, here), short words each.
+        lacks: what its header does not say.
+    """
 
     refused: tuple[str, ...]
-    notes: tuple[str, ...]
+    differs: dict[str, tuple[str, str]]
+    lacks: tuple[str, ...]
+
+    @property
+    def said(self) -> str:
+        """What differs in one clause, "" where nothing does."""
+        return "; ".join(HASHED.get(key, f"{key} {there}, here {here}") for key, (there, here) in self.differs.items())
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One line for what differs and one for what the header does not say, where there is something."""
+        differs = (f"not as trained: {self.said}",) if self.differs else ()
+        lacks = (f"its header does not say {', '.join(self.lacks)}; that is not compared",) if self.lacks else ()
+        return differs + lacks
 
 
 def check_header(meta: Any, where: str) -> None:
@@ -60,8 +98,18 @@ def check_header(meta: Any, where: str) -> None:
         raise ConfigError(f"{where}: control_dt {shown(control_dt)}; expected seconds, above 0 to 100")
     if joints is not None and not (isinstance(joints, int) and not isinstance(joints, bool) and 1 <= joints <= MOST):
         raise ConfigError(f"{where}: joints {shown(joints)}; expected how many there are, 1 to {MOST}")
-    if meta.get("structure") is not None:
-        _check_structure(meta["structure"], where)
+    for key in ("structure_sha256", "constants_sha256"):
+        if meta.get(key) is not None and not _is_digest(meta[key]):
+            raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 64 hex digits")
+    if (structure := meta.get("structure")) is not None:
+        _check_structure(structure, where)
+        if meta.get("structure_sha256") not in (None, structure_sha256(structure)):
+            raise ConfigError(f"{where}: structure and structure_sha256 do not belong together; train or export it again")
+    if meta.get("water") is not None:
+        _check_water(meta["water"], where)
+    command = meta.get("command")
+    if command is not None and not (isinstance(command, str) and len(command) <= LONGEST and command.isprintable()):
+        raise ConfigError(f"{where}: command {shown(command)}; expected one line of at most {LONGEST} printable characters")
     if meta.get("observation") is not None:
         _check_observation(meta["observation"], len(meta["scale"]), where)
 
@@ -92,43 +140,75 @@ class PolicyBody(NamedTuple):
 
     name: str
     structure: dict
+    constants_sha256: str
+    water: dict  # {name, kind} and, where there is one, sha256
     observation: list[dict]
     command_path: str
     control_dt: float  # s
 
 
-def fit(meta: dict, robot: PolicyBody, *, any_path: bool, known: dict) -> PolicyFit:
-    """Whether the policy with this header may steer a robot.
+def structure_sha256(structure: dict) -> str:
+    """Hex digest of a structure as a header holds it."""
+    return sha256(json.dumps(structure, sort_keys=True).encode()).hexdigest()
+
+
+def one_line(command: str) -> str:
+    """A typed command as a header can hold it: printable, and not too long."""
+    return "".join(c if c.isprintable() else "?" for c in command)[:LONGEST]
+
+
+def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFit:
+    """Whether the policy with this header, which was checked, may steer a robot.
 
     Args:
-        any_path: the robot's command path was asked for. known: structures by robot name, for headers that name a robot and
-            do not say what it is.
+        anyway: another command path than it was trained on is no reason to refuse it. known: structures by robot name, for
+            headers that name a robot and do not say what it is.
     """
-    refused, notes = [], []
-    theirs = structure_in(meta)
-    name = meta.get("robot")
-    if name is None:
-        notes.append("its header does not say which robot it is for")
-    elif "links" not in theirs and name in known:
+    refused: list[str] = []
+    differs: dict[str, tuple[str, str]] = {}
+    said, name, theirs = meta.get("structure_sha256"), meta.get("robot"), structure_in(meta)
+    if name in known and not said:
         theirs = known[name] | theirs
+    ours = structure_sha256(robot.structure)
     refused += _differences(theirs, robot.structure)
+    if said and "links" not in theirs and said != ours:
+        refused.append(f"made for structure {said[:12]}, the robot's is {ours[:12]}")
     if isinstance(seen := meta.get("observation"), list) and seen != robot.observation:
         a, b = (", ".join(f"{row['name']} [{row['unit']}]" for row in rows)[:200] for rows in (seen, robot.observation))
         refused.append(f"sees {a}; the robot gives {b}")
-    if not refused and "links" not in theirs:
-        notes.append("its header does not say which links it is for; the number of joints fits")
-    if not refused and name is not None and name != robot.name:
-        notes.append(f"made for robot {name}, steers {robot.name}: the same joints, lengths and servo range")
     wanted, path = meta.get("command_path"), robot.command_path
-    if wanted is None:
-        notes.append(f"its header does not say its command path; it steers on {path}")
-    elif wanted != path and any_path:
-        notes.append(f"trained on command path {wanted}, steers on {path} as asked")
-    elif wanted != path:
-        refused.append(f"trained on command path {wanted}, the robot's is {path}: --command-path {wanted}, or --any-command-path")
+    if wanted not in (None, path) and not anyway:
+        refused.append(f"trained on command path {wanted}, the robot's is {path}: steer on {wanted}, or add --anyway")
     if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
         refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s")
-    return PolicyFit(tuple(refused), tuple(notes))
+    for key, there, here in (("robot", name, robot.name), ("command path", wanted, path)):
+        if there not in (None, here):
+            differs[key] = there, here
+    if "reference_point" in theirs:
+        rounded = structure_sha256(theirs | {"servo_range": robot.structure["servo_range"]})  # another range is refused
+        if rounded != ours:
+            differs["structure"] = rounded[:12], ours[:12]
+    if (constants := meta.get("constants_sha256")) not in (None, robot.constants_sha256):
+        differs["constants"] = constants[:12], robot.constants_sha256[:12]
+    if meta.get("water") and (words := _waters(meta["water"], robot.water)):
+        differs["water"] = words
+    has = {
+        "robot": name, "links": "links" in theirs or said, "reference point": "reference_point" in theirs or said,
+        "constants": constants, "water": meta.get("water"), "command path": wanted,
+        "observations": isinstance(meta.get("observation"), list), "seed": meta.get("seed") is not None,
+        "training command": "command" in meta,
+    }  # fmt: skip
+    return PolicyFit(tuple(refused), differs, tuple(key for key, there in has.items() if not there))
+
+
+def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
+    """Two waters in short words where they are not the same; without a hash on both sides the name decides."""
+    a, b = theirs.get("sha256"), ours.get("sha256")
+    named = theirs["name"] == ours["name"]
+    if theirs["kind"] == ours["kind"] and (a == b if a and b else named):
+        return None
+    there, here = (f"{w['name']} ({w['kind']} {w.get('sha256', '')[:8]})" if named else w["name"] for w in (theirs, ours))
+    return there, here
 
 
 def structure_in(meta: dict) -> dict:
@@ -156,22 +236,38 @@ def _differences(theirs: dict, ours: dict) -> list[str]:
         for link, a, b in zip(ours["links"], theirs["lengths"], ours["lengths"], strict=True):
             if abs(a / b - 1) > CLOSE:
                 found.append(f"made for a {link} of {a:.3g} m, the robot's is {b:.3g} m")
+    if not found and "reference_point" in theirs and abs(theirs["reference_point"] / ours["reference_point"] - 1) > CLOSE:
+        a, b = theirs["reference_point"], ours["reference_point"]
+        found.append(f"made for a reference point {a:.3g} m behind the nose, the robot's is {b:.3g} m")
     if "servo_range" in theirs and abs(theirs["servo_range"] / ours["servo_range"] - 1) > SAME:
         found.append(f"made for servos of +-{theirs['servo_range']:.4g} rad, the robot's have +-{ours['servo_range']:.4g} rad")
     return found
 
 
 def _check_structure(table: Any, where: str) -> None:
-    if not isinstance(table, dict) or set(table) != set(KEYS):
+    if not isinstance(table, dict) or not set(KEYS[:-1]) <= set(table) <= set(KEYS):
         raise ConfigError(f"{where}: structure {shown(table)}; expected {', '.join(KEYS)}")
     names = all(_list_of(table[key], is_name) for key in ("links", "joints"))
     positive = _list_of(table["lengths"], lambda x: is_number(x) and 0 < x < 1000)
-    if not (names and positive and is_number(table["servo_range"]) and 0 < table["servo_range"] < 100):
-        raise ConfigError(f"{where}: structure {shown(table)}; expected names, positive lengths in m and a servo range in rad")
+    point = table.get("reference_point", 1.0)
+    within = lambda x, most: is_number(x) and 0 < x < most
+    if not (names and positive and within(table["servo_range"], 100) and within(point, 1000)):
+        what = "names, positive lengths in m, a servo range in rad and a reference point in m"
+        raise ConfigError(f"{where}: structure {shown(table)}; expected {what}")
     n = len(table["links"])
     if not (len(table["lengths"]) == n and len(table["joints"]) == n - 1):
         sizes = f"{n} links, {len(table['lengths'])} lengths and {len(table['joints'])} joints"
         raise ConfigError(f"{where}: structure has {sizes}; a chain of n links has n lengths and n - 1 joints")
+
+
+def _check_water(table: Any, where: str) -> None:
+    whole = isinstance(table, dict) and {"name", "kind"} <= set(table) <= {"name", "kind", "sha256"}
+    if not (whole and is_name(table["name"]) and is_name(table["kind"]) and _is_digest(table.get("sha256", "0" * 64))):
+        raise ConfigError(f"{where}: water {shown(table)}; expected {{name, kind}}, names both, and sha256 where there is one")
+
+
+def _is_digest(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value) is not None
 
 
 def _check_observation(rows: Any, count: int, where: str) -> None:
@@ -199,7 +295,13 @@ def shipped() -> list[str]:
 
 def is_policy(text: "str | Path") -> bool:
     """Whether `text` names a policy: a shipped one, a file *.safetensors, or a folder, as of a training."""
-    return str(text).endswith(".safetensors") or str(text) in shipped() or os.path.isdir(text)
+    return str(text).endswith(".safetensors") or str(text) in (*shipped(), *FORMER) or os.path.isdir(text)
+
+
+@cache
+def _renamed(old: str) -> None:
+    """Say once what a shipped policy is called now."""
+    console.warn(f"policy {old} is now called {FORMER[old]}; the old name goes with the release after this one")
 
 
 def file_of(source: "str | Path") -> Path:
@@ -208,6 +310,9 @@ def file_of(source: "str | Path") -> Path:
     Raises:
         UnknownName: no such file or name. StoreError: not a plain file, or a folder without a policy.
     """
+    if str(source) in FORMER:
+        _renamed(str(source))
+        source = FORMER[str(source)]
     path, named = Path(source), FOLDER / f"{source}.safetensors"
     if os.path.isdir(source) and path.suffix != ".safetensors" and str(source) not in shipped():
         inside = [path / name for name in OF_A_RUN if (path / name).is_file()]
@@ -246,6 +351,8 @@ class Policy:
         schema = meta.get("schema") if isinstance(meta, dict) else meta
         if schema != SCHEMA:
             raise ConfigError(f"{path}: schema {shown(schema)}, expected {SCHEMA!r}: this is not a policy file")
+        if path.resolve().parent == FOLDER:
+            meta = meta | read_json(FOLDER / ALSO).get(path.stem, {})
         layers = len(arrays) // 2
         if layers == 0 or set(arrays) != {f"{kind}{i}" for kind in "wb" for i in range(layers)}:
             raise ConfigError(f"{path}: holds {', '.join(sorted(arrays))[:200] or 'no arrays'}; expected w0, b0, w1, b1, ...")

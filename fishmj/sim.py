@@ -2,8 +2,8 @@
 
     command -> clamp, quantise -> bus (latency) -> [ servo target -> remember -> water.step ] x 5 -> record
 
-The water is one of three behind one interface (`engines.single.Water`): strips in MuJoCo's callback, the closed form with
-effects and a learnt residual, or MuJoCo alone.
+The water stands behind one interface (`engines.single.Water`): strips and learnt residual in MuJoCo's callback or as a wrench on
+every link, the closed form with effects, or MuJoCo alone.
 
     sim = Sim("fish", flow=Flow(speed=0.2, direction=np.pi))
     trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)), seconds=4.0)
@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
-from fishmj.engines.extensions import SURROGATE, Extensions, in_water
+from fishmj.engines.extensions import Extensions
 from fishmj.engines.recorder import Recorder, rescue
 from fishmj.engines.single import water_of
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
@@ -28,8 +28,9 @@ from fishmj.log import Trial
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.water import choice
 
-WATERS = ("structured", "ellipsoid", "none")
+ELLIPSOID = "ellipsoid"  # MuJoCo's own fluid, for comparison
 ENGINES = ("mujoco",)
 KEPT = 100  # physics steps remembered for a diverged run
 
@@ -39,13 +40,17 @@ class Sim:
 
     Args:
         robot: description, TOML path or shipped name.
-        water: "structured" (strip model with added mass), "surrogate" (the shipped fitted one; another by the path of its TOML),
-            "ellipsoid" (MuJoCo's own fluid) or "none".
+        water: as `fishmj.water.choice` names them: by default "fitted" where this body has a fitted one; "structured", "none", a
+            fitted one by name or TOML, "#2" behind it for member 2 of its ensemble; or "ellipsoid" (MuJoCo's own fluid).
+            `water_name` says which it became.
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
         swimmer: this fish's own constants; the nominal ones by default.
         latency: of commands, s; the robot's nominal one by default.
+        injection: how the water gets into MuJoCo: "callback" (mjcb_passive; one thread a process), "xfrc" (a wrench on every
+            link in `xfrc_applied`; any thread) or "qfrc" (the closed form in `qfrc_applied`; planar root). The swim is the same
+            to round-off. Default "qfrc" for a robot with effects, else "callback".
         rescue_folder: where the last states of a diverged run go; default, a private folder in the temporary directory.
 
     Raises:
@@ -56,25 +61,23 @@ class Sim:
         self,
         robot="fish",
         *,
-        water: str = "structured",
+        water: "str | Path | None" = None,
         flow: Flow | None = None,
         engine: str = "mujoco",
         root: str = "planar",
         pose=(0.0, 0.0, 0.0),
         swimmer: planar_chain.Swimmer | None = None,
         latency: float | None = None,
+        injection: str | None = None,
         rescue_folder: Path | None = None,
     ):
-        fitted = water == SURROGATE or str(water).endswith(".toml")
-        for kind, name, known in (("water", water, (*WATERS, *[water] * fitted)), ("engine", engine, ENGINES)):
-            if name not in known:
-                raise UnknownName(kind, name, known)
-        self.robot = mjcf.load_robot(robot)
-        self.water_name = water
+        if engine not in ENGINES:
+            raise UnknownName("engine", engine, ENGINES)
+        own_fluid = water == ELLIPSOID
+        self.robot = choice.in_water(mjcf.load_robot(robot), choice.STRUCTURED if own_fluid else water, who="Sim")
+        self.water_name = ELLIPSOID if own_fluid else choice.label(self.robot)
         self.root = root
         self.start = tuple(float(value) for value in pose)
-        if fitted:
-            self.robot, water = in_water(self.robot, water), "structured"
         self.flow = flow or Flow()
         self.rescue_folder = rescue_folder
         timing = self.robot.timing
@@ -84,12 +87,12 @@ class Sim:
         late = float(self.added.late(np, self.added.row, "command"))
         self.delay = round(((timing.command_latency if latency is None else latency) + late) / timing.physics_dt)
         self.swimmer = swimmer or planar_chain.nominal(self.robot)
-        self.model = mjcf.build(self.robot, root, ellipsoid=water == "ellipsoid")
+        self.model = mjcf.build(self.robot, root, ellipsoid=own_fluid)
         s = self.swimmer
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
-        self.water = water_of(water, self.robot, root, self.model, self.swimmer, self.added)
+        self.water = water_of(self.water_name, self.robot, root, self.model, self.swimmer, self.added, injection)
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)

@@ -160,7 +160,7 @@ def waters(fish: str) -> dict[str, bytes | str]:
             fish, (head, "k = [0.9, 0.8, 0.8] "), ("cn = [1.2, 1.2, 1.2, 2.0]", "cn = [1.2, 1.9, 2.0]")
         ),
         "edge_that_would_feed_energy": swaps(fish, ("lift_a = 0.3 ", "lift_a = 0.1 "), ("lift_b = 0.7 ", "lift_b = 0.2 ")),
-        "fitted_water_mistyped": swap(fish, 'model = "structured"', 'model = "structurd"'),
+        "fitted_water_mistyped": swap(fish, head, f'model = "structurd"\n{head}'),
         "effect_mistyped": fish + effect("colomb_friction", torque),
         "effect_in_degrees": fish + effect("gear_backlash", "parameters.half_gap = { value = 1.5, low = 1.0, high = 2.0 }"),
         "effect_twice": fish + effect("coulomb_friction", torque) + effect("coulomb_friction", torque.replace("0.081", "0.083")),
@@ -195,7 +195,7 @@ def hostile(fish: str) -> dict[str, bytes | str]:
         "brackets_without_end": swap(fish, "colour = [0.20, 0.22, 0.25]", "colour = " + 200_000 * "[" + 200_000 * "]"),
         "eighty_thousand_unknown_blocks": fish + "".join(f"\n[b{i}]" for i in range(80_000)),
         "number_of_half_a_million_digits": swap(fish, "mass = 0.744", "mass = " + 500_000 * "7"),
-        "water_that_is_a_device": swap(fish, 'model = "structured"', 'model = "/dev/zero"'),
+        "water_that_is_a_device": swap(fish, "[water]\n", '[water]\nmodel = "/dev/zero"\n'),
     }
 
 

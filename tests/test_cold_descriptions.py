@@ -76,8 +76,8 @@ def test_what_is_merely_unusual_builds_and_swims(tmp_path, kind):
         ("fin_span_in_a_mix_of_m_and_cm", "half the fish's length"),
         ("links_tail_first", "the links stand nose first"),
         ("balance_point_below_the_keel", "half its height"),
-        ("fitted_water_mistyped", "did you mean 'structured'? Known: structured, surrogate"),
-        ("water_that_is_a_device", "got '/dev/zero', expected 'structured', 'surrogate'"),
+        ("fitted_water_mistyped", "did you mean 'structured'? Known: structured, fitted"),
+        ("water_that_is_a_device", "got '/dev/zero', expected 'structured', 'fitted'"),
         ("spreadsheet_made_a_date_of_it", "got the date 2026-07-01"),
         ("saved_as_utf_16", "is UTF-16 text"),
         ("eighty_thousand_unknown_blocks", "and 81 more errors"),
@@ -134,13 +134,13 @@ def test_numbers_that_differ_are_shown_with_the_digits_in_which_they_do(tmp_path
     assert load_robot(path).links[3].length == 0.180000001
 
 
-def test_a_water_of_another_fish_is_refused_in_words_and_surrogate_is_the_robots_own(tmp_path):
+def test_a_water_of_another_fish_is_refused_in_words_and_fitted_is_the_robots_own(tmp_path):
     path = tmp_path / "my_fish.toml"
-    path.write_text(FISH.replace('model = "structured"', 'model = "tendon_fish"'))
-    with pytest.raises(ConfigError, match="fitted for 'tendon_fish' of 3 links, expected one for 4 links"):
+    path.write_text(FISH.replace("[water]\n", '[water]\nmodel = "tendon_fish"\n'))
+    with pytest.raises(ConfigError, match="fitted for robot 'tendon_fish'.* another body"):
         Sim(load_robot(path))
     for name in ("fish", "tendon_fish"):
         robot = load_robot(name)
-        sim = Sim(replace(robot, water={**robot.water, "model": "surrogate"}))
+        sim = Sim(replace(robot, water={**robot.water, "model": "fitted"}))
         sim.step(np.full(robot.n_joints, 0.2))
         assert np.isfinite(sim.data.qpos).all()

@@ -236,7 +236,7 @@ def test_the_folder_of_a_training_is_its_best_policy(tmp_path):
     run.mkdir()
     with pytest.raises(StoreError, match="quick-ppo-0: a folder without best.safetensors or last.safetensors; expected a policy"):
         controllers.chosen(run)
-    shutil.copy(FOLDER / "fitted.safetensors", run / "last.safetensors")
+    shutil.copy(FOLDER / "station.safetensors", run / "last.safetensors")
     assert "last.safetensors" in controllers.chosen(run).notes[0]
     shutil.copy(FOLDER / "paper.safetensors", run / "best.safetensors")
     for brain in (controllers.chosen(run), controllers.make(str(run))):

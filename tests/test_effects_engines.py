@@ -86,7 +86,7 @@ def test_mujoco_in_c_swims_with_effects_at_every_site_as_the_closed_form(swim):
 
 def test_mjx_swims_with_effects_as_one_fish_in_mujoco():
     robot = robot_with("coulomb_friction", "command_gain_error")
-    sim = Sim(robot, flow=FLOW, pose=POSE)
+    sim = Sim(robot, water="structured", flow=FLOW, pose=POSE)
     truth = sim.run(beat(), TICKS / 50).table("truth")
     with jax.enable_x64(True):
         state, trace = advance(mjx.Engine(robot), robot, 1)
@@ -96,7 +96,7 @@ def test_mjx_swims_with_effects_as_one_fish_in_mujoco():
 
 def test_one_fish_in_mujoco_swims_with_effects_at_every_site_as_the_closed_form(swim):
     robot, (_, trace) = swim
-    sim = Sim(robot, flow=FLOW, pose=POSE)
+    sim = Sim(robot, water="structured", flow=FLOW, pose=POSE)
     trial = sim.run(beat(), TICKS / 50)
     truth = trial.table("truth")
     np.testing.assert_allclose(np.stack([truth[k] for k in ("x", "y", "yaw")], -1), trace.pose[0], rtol=0, atol=1e-8)
@@ -106,7 +106,7 @@ def test_one_fish_in_mujoco_swims_with_effects_at_every_site_as_the_closed_form(
 
 def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
     robot, (_, trace) = swim
-    trial = Sim(robot, flow=FLOW, pose=POSE).run(beat(), TICKS / 50)
+    trial = Sim(robot, water="structured", flow=FLOW, pose=POSE).run(beat(), TICKS / 50)
     truth, pose, joint, power = (trial.table(name) for name in ("truth", "pose", "joint", "power"))
     late = lambda name: effects.get(name).parameter("delay").probe
     at = truth["t"][20:] - late("camera_latency")
@@ -124,7 +124,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
 def test_a_fish_without_effects_has_no_columns_and_no_hooks():
     state, params = engines.at_rest(PLAIN, np.zeros((5, 3))), engines.nominal_params(PLAIN, 5)
     assert state.memory.shape == (5, 0) and params.effects.shape == (5, 0) and state.buffer.shape == (5, engines.BUFFER, 3)
-    assert extensions.Extensions.of(PLAIN).hooks(np, [], []) is None and not hasattr(Sim(PLAIN).water, "memory")
+    assert extensions.Extensions.of(PLAIN).hooks(np, [], []) is None and Sim(PLAIN, water="structured").water.memory == []
     sensors, history = Sensors(PLAIN), np.random.default_rng(0).normal(size=(2, 11, 3))
     assert sensors.poses(np, params.effects, history) is history and sensors.behind == sensors.frames == 0
 
@@ -132,7 +132,7 @@ def test_a_fish_without_effects_has_no_columns_and_no_hooks():
 def test_effects_at_their_null_move_no_fish():
     """The forces reach MuJoCo in another way, through `qfrc_applied`: round-off, nothing else."""
     nothing = engines.with_effects(PLAIN, ["coulomb_friction", "tether", "command_gain_error", "wake_memory"])
-    one, two = (Sim(robot, flow=FLOW, pose=POSE).run(beat(), TICKS / 50) for robot in (nothing, PLAIN))
+    one, two = (Sim(robot, water="structured", flow=FLOW, pose=POSE).run(beat(), TICKS / 50) for robot in (nothing, PLAIN))
     for name in ("truth", "pose", "joint", "power"):
         for key, column in one.table(name).items():
             np.testing.assert_allclose(column, two.table(name)[key], rtol=0, atol=1e-8, err_msg=f"{name} {key}")

@@ -9,8 +9,9 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.evaluate import metrics
 from fishmj.evaluate.metrics import Result
 from fishmj.mjcf.description import load_robot
+from fishmj.water.choice import in_water
 
-ROBOT = load_robot("fish")
+ROBOT = in_water(load_robot("fish"), "structured")
 CALM = {"turbulence": "none", "randomisation": 0.0, "noise": 0.0}
 
 

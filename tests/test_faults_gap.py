@@ -21,7 +21,7 @@ def records(folder, count, seconds, amplitude):
     import numpy as np
 
     wave = lambda t: amplitude * np.sin(6 * t - np.arange(3))
-    return write_dataset(folder, {f"{i:02d}": Sim("fish").run(wave, seconds) for i in range(count)})
+    return write_dataset(folder, {f"{i:02d}": Sim("fish", water="structured").run(wave, seconds) for i in range(count)})
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from fishmj.mjcf.description import Timing, check_timing
 from fishmj.sim import Sim
 from fishmj.water.injection import inject
 from fishmj.water.planar_water import PlanarWater
-from fishmj.water.spatial_water import FreeWater
 
 
 def gait(t):
@@ -34,15 +33,13 @@ def gait(t):
     ],
 )
 def test_fault_01_a_force_that_is_not_a_number_is_named_and_the_last_states_are_kept(tmp_path, root, field, index, term, link):
-    sim = Sim("fish", root=root, rescue_folder=tmp_path / "rescued")
+    sim = Sim("fish", root=root, water="structured", rescue_folder=tmp_path / "rescued")
     sim.run(gait, 0.6)
     strips = sim.water.strips
     water = strips.swimmer.water
     value = getattr(water, field)
     bad = np.nan if index is None else [np.nan if i == index else v for i, v in enumerate(value)]
     strips.swimmer = strips.swimmer._replace(water=water._replace(**{field: bad}))
-    if isinstance(strips, FreeWater):
-        strips.added = [strips._added_mass(i, 1000.0) for i in range(4)]
     before = sim.data.qpos.copy()
     with pytest.raises(SimDiverged) as caught:
         sim.step(gait(0.6))
@@ -117,7 +114,7 @@ def test_fault_05_two_fish_in_one_process_each_have_their_own_water():
     """Step by step in turn: each takes the path that it takes alone."""
 
     def swim(turns):
-        fish = [Sim("fish", flow=Flow(speed=0.1 * (i + 1), direction=float(i)), root=r) for i, r in enumerate(("planar", "free"))]
+        fish = [Sim(flow=Flow(speed=0.1 * (i + 1), direction=float(i)), root=r) for i, r in enumerate(("planar", "free"))]
         for i in turns:
             fish[i].step(gait(fish[i].data.time))
         return [f.pose for f in fish]
@@ -126,7 +123,7 @@ def test_fault_05_two_fish_in_one_process_each_have_their_own_water():
     np.testing.assert_array_equal(together, apart)
 
 
-def test_fault_05_a_second_thread_is_sent_to_the_batched_engine():
+def test_fault_05_a_second_thread_is_sent_to_the_wrenches():
     robot = mjcf.load_robot("fish")
     models, said = [mjcf.build(robot), mjcf.build(robot)], []
 
@@ -141,7 +138,7 @@ def test_fault_05_a_second_thread_is_sent_to_the_batched_engine():
         thread = threading.Thread(target=other)
         thread.start()
         thread.join()
-    assert said == ["inject: the callback serves another thread; use the engine 'batch' (qfrc_applied) from threads"]
+    assert said == ["inject: the callback serves another thread; from threads take LinkWrench, Sim(injection='xfrc')"]
 
 
 def test_fault_06_steps_that_do_not_nest_name_both_numbers_and_the_nearest():
@@ -161,7 +158,7 @@ def test_fault_06_steps_that_do_not_nest_name_both_numbers_and_the_nearest():
     [
         (
             lambda: Sim("fish", water="structurd"),
-            "unknown water 'structurd'. Did you mean 'structured'? Known: ellipsoid, none, structured.",
+            "unknown water 'structurd'. Did you mean 'structured'? Known: fitted, hybrid, lbm, none, structured",
         ),
         (lambda: Sim("fish", engine="mujco"), "Did you mean 'mujoco'?"),
         (lambda: Sim("fish", root="plane"), "Did you mean 'planar'?"),

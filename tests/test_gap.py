@@ -35,7 +35,7 @@ def hidden(planted: dict, seed: int, runs=SHORT):
 
 def test_rollouts_are_those_of_mujoco(plant):
     """The compiled plant at its null is the simulator that it questions, to round-off."""
-    sim = Sim("fish")
+    sim = Sim("fish", water="structured")
     trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)) * np.clip(t - 0.5, 0.0, 1.0), 3.0)
     record = record_of(trial, plant.dt)
     seen = plant.predict([record], plant.null)[0]

@@ -1,5 +1,7 @@
 """Every way of putting the water into an engine takes the same step as the closed form."""
 
+from contextlib import nullcontext
+
 import jax
 import mujoco
 import numpy as np
@@ -11,7 +13,9 @@ from fishmj.engines import batch, mjx, planar
 from fishmj.errors import ConfigError, InjectionError, MissingExtra
 from fishmj.flow import Flow, stack
 from fishmj.mjcf.model import reference_pose, reference_qpos
+from fishmj.water.hydro_model import HydroModel
 from fishmj.water.injection import inject
+from fishmj.water.link_wrench import LinkWrench
 from fishmj.water.planar_water import PlanarWater
 from fishmj.water.spatial_water import FreeWater
 
@@ -32,8 +36,9 @@ def closed_form(robot, q, v, attached, seconds, flow, ambient):
     return np.array(rows)
 
 
+@pytest.mark.parametrize("way", ["callback", "xfrc"])
 @pytest.mark.parametrize("name", ["fish", "tendon_fish"])
-def test_callback_equals_closed_form(name):
+def test_callback_and_wrenches_equal_closed_form(name, way):
     """2 s of swimming from a random state in a random flow: the same to 1e-11 after 500 steps."""
     robot = mjcf.load_robot(name)
     model = mjcf.build(robot)
@@ -46,7 +51,7 @@ def test_callback_equals_closed_form(name):
     reference = closed_form(robot, data.qpos, data.qvel, 0.5, 2.0, [tuple(r) for r in flow], tuple(ambient))
     water.set_flow(flow, ambient)
     rows = []
-    with inject(model, water) as fish:
+    with inject(model, water) if way == "callback" else nullcontext(LinkWrench(model, water)) as fish:
         for _ in range(len(reference)):
             data.ctrl[:] = gait(data.time, n - 1)
             fish.step(data)
@@ -191,17 +196,23 @@ def test_mjx_equals_closed_form_in_single(swim):
     assert_same(mjx.Engine(robot).advance(*single), expected, 2e-4)
 
 
-def test_free_water_is_the_planar_water_in_the_plane():
+@pytest.mark.parametrize("learnt", [None, "swift"])
+def test_free_water_is_the_planar_water_in_the_plane(learnt):
     """Same pose and velocities, nothing vertical: M_a and forces agree to 1e-12, and only buoyancy pushes out of the plane."""
     robot = mjcf.load_robot("fish")
     models = mjcf.build(robot), mjcf.build(robot, "free")
     flat, free = (mujoco.MjData(m) for m in models)
-    waters = PlanarWater(robot), FreeWater(robot)
+    residual = learnt and HydroModel.load(learnt).learnt
+    waters = PlanarWater(robot, learnt=residual), FreeWater(robot, learnt=residual)
     rng = np.random.default_rng(0)
+    for water in waters:
+        water.memory = [0.3] * len(water.memory)
     inplane = [0, 1, 5, 6, 7, 8]
     for _ in range(20):
         q, v = rng.normal(size=6), rng.normal(size=6)
         flow, ambient = rng.normal(size=(4, 2)), rng.normal(size=2)
+        if learnt:  # slow and nearly straight ahead, within the residual's range
+            q[3:], v, flow = 0.2 * q[3:], 0.05 * v + [0.3 * np.cos(q[2]), 0.3 * np.sin(q[2]), 0, 0, 0, 0], 0.01 * flow
         flat.qpos[:], flat.qvel[:] = q, v
         free.qpos[:], free.qvel[:] = reference_qpos(models[1], q[:3], q[3:]), [v[0], v[1], 0, 0, 0, *v[2:]]
         results = []
@@ -210,6 +221,7 @@ def test_free_water_is_the_planar_water_in_the_plane():
             water.set_flow(flow, ambient)
             results.append(water.forces(model, data))
         (added, force), (added3, force3) = results
+        assert np.any(waters[0].instant(models[0], flat).residual) == bool(learnt)
         np.testing.assert_allclose(added3[np.ix_(inplane, inplane)], added, rtol=0, atol=1e-12)
         np.testing.assert_allclose(force3[inplane], force, rtol=0, atol=1e-11)
         assert force3[2] == pytest.approx(robot.mass * 9.81)

@@ -283,14 +283,18 @@ def test_a_saved_swim_is_not_replaced_unasked(tmp_path, capsys):
 
 def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsys):
     from argparse import Namespace
+    from dataclasses import replace
 
     from fishmj.mjcf.description import load_robot
     from fishmj.play.__main__ import controller_of
 
-    asked = Namespace(controller=None, any_command_path=False)
-    assert controller_of(asked, load_robot("fish")).name == "paper"
-    assert controller_of(asked, load_robot("tendon_fish")).name == "drift"
-    assert "made for another fish" in capsys.readouterr().err
+    asked, fish = Namespace(controller=None, anyway=False), load_robot("fish")
+    held = replace(fish, timing=replace(fish.timing, command_path="hold"))
+    assert controller_of(asked, fish).name == "station"
+    assert controller_of(asked, load_robot("tendon_fish")).name == "drift" and controller_of(asked, held).name == "drift"
+    assert capsys.readouterr().err.count("made for another fish or command path") == 2
+    asked.anyway = True
+    assert controller_of(asked, held).name == "station" and controller_of(asked, load_robot("tendon_fish")).name == "drift"
 
 
 def test_a_live_trial_says_its_target_and_what_made_it(tmp_path):

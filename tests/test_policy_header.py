@@ -9,46 +9,22 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from safetensors.numpy import save
+from policy_files import ROBOT, SHORT, arrays, header, stored
 
 from fishmj import console, controllers
+from fishmj.calib import calib_folder
 from fishmj.controllers.learned import LearnedController
 from fishmj.errors import ConfigError, FishmjError, StoreError
 from fishmj.evaluate.__main__ import main as evaluate
+from fishmj.log import read_trial
 from fishmj.mjcf.description import load_robot
-from fishmj.mjcf.identity import observation_of, structure_of
-from fishmj.policy import SCHEMA, Policy, shipped
+from fishmj.mjcf.geometry import geometry_of
+from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.policy import Policy, structure_sha256
 from fishmj.store import write_tensors
-from fishmj.store.arrays import _digest
+from fishmj.water.hydro_model import HydroModel
 
-ROBOT = load_robot("fish")
-SHORT = ["--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
-
-
-def header(**changes) -> dict:
-    """A whole header as training writes it for the fish."""
-    robot = ROBOT
-    return {
-        "schema": SCHEMA, "robot": robot.name, "joints": robot.n_joints, "structure": structure_of(robot),
-        "observation": observation_of(robot.n_joints), "action": f"joint angle over {robot.servo.range:.6f} rad",
-        "scale": [1.0] * (5 + 2 * robot.n_joints), "activation": "relu", "memory": 1, "control_dt": robot.timing.control_dt,
-        "command_path": robot.timing.command_path, "algorithm": "ppo", "seed": 0, **changes,
-    }  # fmt: skip
-
-
-def arrays() -> dict:
-    """Weights of a small policy."""
-    rng, sizes = np.random.default_rng(0), [(8, 11), (3, 8)]
-    made = {f"w{i}": rng.normal(size=size).astype(np.float32) for i, size in enumerate(sizes)}
-    return made | {f"b{i}": np.zeros(size[0], np.float32) for i, size in enumerate(sizes)}
-
-
-def stored(path, meta, some=None):
-    """A policy file with any header, NaN and all, and its right checksum."""
-    some, text, path = arrays() if some is None else some, json.dumps(meta), path / "mine.safetensors"
-    some = {name: np.array(value, order="C") for name, value in some.items()}
-    path.write_bytes(save(some, {"fishmj": text, "sha256": _digest(some, text)}))
-    return str(path)
+EVIL_COMMAND = "fishmj train --out '</script><script>alert(1)</script><img src=x onerror=alert(1)>'"
 
 
 def longer(factor: float):
@@ -56,6 +32,12 @@ def longer(factor: float):
     head = ROBOT.links[0]
     sections = tuple((s * factor, *rest) for s, *rest in head.sections)
     return replace(ROBOT, links=(replace(head, length=head.length * factor, sections=sections), *ROBOT.links[1:]))
+
+
+def heavy_head(factor: float):
+    """The fish with a heavier head: its reference point, the centre of mass, is nearer to the nose."""
+    head = ROBOT.links[0]
+    return replace(ROBOT, links=(replace(head, mass=head.mass * factor), *ROBOT.links[1:]))
 
 
 # which robot
@@ -67,7 +49,12 @@ def test_training_writes_the_whole_header():
     from fishmj.train.settings import preset
 
     network = PolicyLayers([(np.zeros((11, 4)), np.zeros(4)), (np.zeros((4, 3)), np.zeros(3))], "tanh")
-    meta = policy_of(network, preset("quick"), {}).meta
+    meta = policy_of(network, replace(preset("quick"), water="swift"), {}).meta
+    assert meta["structure_sha256"] == structure_sha256(meta["structure"]) and meta["constants_sha256"] == constants_sha256(ROBOT)
+    assert meta["structure"]["reference_point"] == round(geometry_of(ROBOT).reference, 6)
+    assert meta["water"] == {"name": "swift", "kind": "fitted", "sha256": HydroModel.load("swift").sha256}
+    assert meta["water"] == Policy.load("station").meta["water"]
+    assert meta["command"] is None and meta["seed"] == 0, "called from Python"
     assert meta["structure"] == structure_of(ROBOT) and meta["observation"] == observation_of(3)
     assert (
         meta["robot"] == "swift" and meta["command_path"] == "linear" and meta["control_dt"] == 0.2 and len(meta["scale"]) == 11
@@ -90,7 +77,10 @@ def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
     links = tuple(replace(link, mass=1.1 * link.mass) for link in longer(1.05).links)
     robot = replace(ROBOT, name="swift.v2", links=links, servo=replace(ROBOT.servo, kp=9.0))
     (note,) = controllers.make(stored(tmp_path, header()), robot).notes
-    assert "made for robot swift, steers swift.v2" in note
+    assert note == (
+        "policy mine: not as trained: robot swift, here swift.v2; lengths or reference point off by less than 10 %; "
+        "other masses, sections, servo, timing or effects"
+    )
 
 
 @pytest.mark.parametrize(
@@ -103,40 +93,49 @@ def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
             "4 links (head, body1, body2, tail), the robot has 4 links (head, body2, body1, tail)",
         ),
         (replace(ROBOT, timing=replace(ROBOT.timing, control_dt=0.1)), "decides every 0.2 s, the robot every 0.1 s"),
+        (heavy_head(4.0), "made for a reference point 0.182 m behind the nose, the robot's is 0.141 m"),
         (load_robot("tendon_fish"), "takes 11 observations and gives 3 actions; robot tendon_fish has 9 and 2"),
     ],
 )
-@pytest.mark.parametrize("name", ["mine", "paper"])
-def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, name):
+@pytest.mark.parametrize("anyway", [False, True])
+@pytest.mark.parametrize("name", ["mine", "paper", "station"])
+def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, name, anyway):
     """Of the shipped `paper`, whose header is older, the structure of the robot that it names is known."""
     source = stored(tmp_path, header()) if name == "mine" else name
     with pytest.raises(ConfigError) as caught:
-        controllers.make(source, robot)
+        controllers.make(source, robot, anyway=anyway)
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_other_observations_are_refused(tmp_path):
+def test_a_structure_that_is_only_named_by_its_hash_is_compared(tmp_path):
+    bare = header(structure=None, structure_sha256=structure_sha256(structure_of(ROBOT)))
+    assert controllers.make(stored(tmp_path, bare), ROBOT).notes == ()
+    with pytest.raises(ConfigError, match="made for structure 882f7f326eef, the robot's is"):
+        controllers.make(stored(tmp_path, bare), longer(1.01), anyway=True)
+
+
+@pytest.mark.parametrize("anyway", [False, True])
+def test_other_observations_are_refused(tmp_path, anyway):
     rows = observation_of(3)
     rows[0], rows[1] = rows[1], rows[0]
     with pytest.raises(ConfigError, match=r"sees target_y \[m\], target_x \[m\], .*; the robot gives target_x \[m\], target_y"):
-        controllers.make(stored(tmp_path, header(observation=rows)), ROBOT)
+        controllers.make(stored(tmp_path, header(observation=rows)), ROBOT, anyway=anyway)
 
 
 def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_path):
-    old = {k: v for k, v in header(robot="another").items() if k not in ("structure",)} | {"observation": "target_x .., SI"}
-    assert "does not say which links" in controllers.make(stored(tmp_path, old), ROBOT).notes[0]
+    new = ("structure", "structure_sha256", "constants_sha256", "water", "command")
+    old = {k: v for k, v in header(robot="another").items() if k not in new} | {"observation": "target_x .., SI"}
+    lacks = "links, reference point, constants, water, observations, training command"
+    _, said = controllers.make(stored(tmp_path, old), ROBOT).notes
+    assert said == f"policy mine: its header does not say {lacks}; that is not compared"
     with pytest.raises(ConfigError, match="made for servos of"):
         controllers.make(stored(tmp_path, old), replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)))
     bare = {key: old[key] for key in ("schema", "scale", "activation")}
-    notes = " ".join(controllers.make(stored(tmp_path, bare), ROBOT).notes)
-    assert all(
-        said in notes for said in ("does not say which robot", "does not say which links", "does not say its command path")
-    )
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_shipped_policies_fit_the_shipped_fish_without_a_note(name):
-    assert controllers.make(name, ROBOT).notes == ()
+    (note,) = controllers.make(stored(tmp_path, bare), ROBOT).notes
+    assert "does not say robot, links, reference point, constants, water, command path, observations, seed, training" in note
+    four = header(structure={k: v for k, v in structure_of(ROBOT).items() if k != "reference_point"}, robot="another")
+    _, note = controllers.make(stored(tmp_path, four), ROBOT).notes
+    assert "does not say reference point;" in note, "as the version before this one wrote it"
 
 
 # command path
@@ -146,20 +145,28 @@ HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
 
 def test_another_command_path_is_refused_unless_it_was_asked_for():
     with pytest.raises(
-        ConfigError, match="trained on command path linear, the robot's is hold: --command-path linear, or --any-c"
+        ConfigError, match="trained on command path linear, the robot's is hold: steer on linear, or add --anyway"
     ):
         controllers.make("paper", HELD)
-    (note,) = controllers.make("paper", HELD, any_command_path=True).notes
-    assert note == "policy paper: trained on command path linear, steers on hold as asked"
+    (note,) = controllers.make("paper", HELD, anyway=True).notes
+    assert note == "policy paper: not as trained: command path linear, here hold"
 
 
-def test_a_command_path_on_the_command_line_is_consent_and_one_line_says_so(capsys):
-    assert console.run(evaluate, ["paper", "--command-path", "hold", *SHORT]) == console.OK
-    assert capsys.readouterr().err.count("trained on command path linear, steers on hold as asked") == 1
+def test_the_former_name_of_anyway_goes_on_with_one_line(capsys):
+    assert controllers.several(["paper"], HELD, any_command_path=True)[0].notes
+    assert capsys.readouterr().err.count("any_command_path= is now anyway=") == 1
+    with pytest.raises(ConfigError, match="command path"):
+        controllers.make("paper", HELD, any_command_path=False)
+
+
+def test_a_command_path_on_the_command_line_is_no_consent(capsys):
+    assert console.run(evaluate, ["paper", "--command-path", "hold", *SHORT]) == console.BAD_INPUT
+    assert "add --anyway" in capsys.readouterr().err
+    assert console.run(evaluate, ["paper", "--command-path", "hold", "--anyway", *SHORT]) == console.OK
+    assert capsys.readouterr().err.count("not as trained: command path linear, here hold") == 1
 
 
 def test_a_description_with_another_command_path_is_no_consent(tmp_path, capsys):
-    from fishmj.calib import calib_folder
 
     text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
     head, _, rest = text.partition("[timing]\n")
@@ -169,6 +176,7 @@ def test_a_description_with_another_command_path_is_no_consent(tmp_path, capsys)
     assert console.run(evaluate, argv) == console.BAD_INPUT
     assert "the robot's is hold" in capsys.readouterr().err
     assert console.run(evaluate, [*argv, "--any-command-path"]) == console.OK
+    assert capsys.readouterr().err.count("--any-command-path is now --anyway") == 1
 
 
 # hostile files
@@ -210,6 +218,19 @@ BAD = [
     ({"observation": [3] * 11}, "observation [3"),
     ({"observation": "x" * 100_000}, "observation 'xxx"),
     ({"algorithm": "<img>"}, "algorithm '<img>'"),
+    ({"structure_sha256": "0" * 64}, "structure and structure_sha256 do not belong together"),
+    ({"structure_sha256": "<b>"}, "structure_sha256 '<b>'; expected 64 hex digits"),
+    ({"constants_sha256": ["0" * 64]}, "constants_sha256 ['000"),
+    ({"structure": structure_of(ROBOT) | {"reference_point": -1}}, "a reference point in m"),
+    ({"structure": structure_of(ROBOT) | {"more": 1}}, "expected links, lengths, joints, servo_range, reference_point"),
+    ({"water": "swift"}, "water 'swift'; expected {name, kind}"),
+    ({"water": {"name": "<b>", "kind": "fitted"}}, "water {'name': '<b>'"),
+    ({"water": {"name": "swift", "kind": "a b"}}, "'kind': 'a b'"),
+    ({"water": {"name": "swift", "kind": "fitted", "sha256": 3}}, "'sha256': 3}"),
+    ({"water": {"name": "swift", "kind": "fitted", "more": 3}}, "'more': 3}"),
+    ({"command": "a\nb"}, "command 'a\\nb'; expected one line"),
+    ({"command": "x" * 5000}, "command 'xxx"),
+    ({"command": ["fishmj"]}, "command ['fishmj']"),
 ]
 
 
@@ -221,6 +242,19 @@ def test_a_bad_key_is_one_short_line_with_the_file(tmp_path, change, said):
     text = str(caught.value)
     assert path in text and said in text and "\n" not in text and "<script>" not in text.replace(repr(change.get("robot")), "")
     assert len(text) < 400
+
+
+def test_a_hostile_command_is_text_on_every_page(tmp_path):
+    """The one key that is free text; page and log hold it as text, the terminal not at all."""
+    brain = LearnedController(replace(ROBOT, name="x"), stored(tmp_path, header(command=EVIL_COMMAND)))
+    assert brain.trained()["command"] == EVIL_COMMAND and EVIL_COMMAND not in " ".join(brain.notes)
+    argv = [stored(tmp_path, header(command=EVIL_COMMAND, water={"name": "x", "kind": "y"})), *SHORT, "--log", "--out"]
+    assert console.run(evaluate, [*argv, str(tmp_path / "out")]) == console.OK
+    for page in ("report.html", "worst.html"):
+        text = (tmp_path / "out" / page).read_text(encoding="utf-8")
+        assert "<script>alert(1)" not in text and "<img src=x" not in text
+    assert "water x, here structured" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert read_trial(tmp_path / "out" / "logs" / "mine_u0.2_los000_r0").value("policy.command") == EVIL_COMMAND
 
 
 def test_memory_null_is_no_memory(tmp_path):
@@ -322,6 +356,6 @@ def test_any_header_is_either_a_controller_or_one_line(changes, part, value):
         from fishmj.controllers.learned import body_of
         from fishmj.policy import fit
 
-        fit(policy.meta, body_of(ROBOT), any_path=False, known={})
+        assert all("\n" not in note for note in fit(policy.meta, body_of(ROBOT), anyway=False, known={}).notes)
     except FishmjError as error:
         assert "\n" not in str(error) and len(str(error)) < 1200

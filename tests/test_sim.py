@@ -43,7 +43,7 @@ def test_sim_equals_the_closed_form_engine_over_100_ticks(turbulence, path):
     params, swimmer = odd_fish(robot)
     flow = Flow(speed=0.2, direction=2.0, turbulence=turbulence, intensity=0.1, seed=4)
     commands = np.array([gait(i / 50) * 2.5 for i in range(100)])  # over the range at times
-    sim = Sim(robot, flow=flow, swimmer=swimmer, latency=13 * 0.004, pose=(0.1, -0.2, 0.5))
+    sim = Sim(robot, water="structured", flow=flow, swimmer=swimmer, latency=13 * 0.004, pose=(0.1, -0.2, 0.5))
     sim.run(commands, 2.0)
     with jax.enable_x64(True):
         state, trace = planar.Engine(robot).advance(

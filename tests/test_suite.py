@@ -234,12 +234,29 @@ def test_a_free_root_swims_like_a_planar_one():
     assert abs(height) < 0.05 and up > 0.98  # upright, at its depth, though masses were randomised
 
 
-def test_a_learnt_water_swims_on_a_planar_root_and_is_refused_on_a_free_one():
-    strips, fitted = (stacked(swim(load(seed=7, water=water), 3)) for water in ("swift-base", "swift"))
+@pytest.mark.parametrize("root", ["planar", "free"])
+def test_a_learnt_water_swims_on_both_roots(root):
+    strips, fitted = (stacked(swim(load(seed=7, water=water, root=root), 3)) for water in ("swift-base", "swift"))
     assert np.abs(fitted[-1] - strips[-1]).max() > 1e-4  # the learnt force acts
-    for water in ("swift", "surrogate", "lbm"):
-        with pytest.raises(ConfigError, match="planar root"):
-            load(root="free", water=water)
+
+
+def test_a_learnt_water_on_a_free_root_swims_as_on_a_planar_one_and_a_copy_swims_on_alike():
+    planar, free = load(seed=7, water="swift"), load(seed=7, water="swift", root="free")
+    one, two = stacked(swim(planar, 15)), stacked(swim(free, 15))
+    np.testing.assert_allclose(two[:, :2], one[:, :2], atol=0.03)  # twice as fast as in the strips' own coefficients
+    np.testing.assert_allclose(free.physics.swim.memory[:, :16], planar.physics.swim.memory[:, :16], atol=0.05)
+    assert np.abs(free.physics.swim.memory[0, :16]).max() > 0.1  # the wake
+    twin = free.physics.copy()
+    for physics in (twin, free.physics):
+        physics.set_control([0.4, -0.2, 0.3])
+        physics.step(25)
+    np.testing.assert_array_equal(twin.data.qpos, free.physics.data.qpos)
+    np.testing.assert_array_equal(twin.swim.memory, free.physics.swim.memory)
+
+
+def test_waters_that_are_not_there_are_refused():
+    with pytest.raises(ConfigError, match="planar root"):
+        load(root="free", water="lbm")
     with pytest.raises(UnknownName, match="no_such_water"):
         load(water="no_such_water")
 
@@ -266,9 +283,9 @@ def test_the_flow_solver_moves_a_fish_of_the_suite_as_it_does_a_judged_one():
 
 
 def test_environments_in_threads_do_not_meet():
-    alone = [stacked(swim(load(seed=s), 8)) for s in (0, 1, 2)]
-    envs, found = [load(seed=s) for s in (0, 1, 2)], [None] * 3
-    work = [threading.Thread(target=lambda i=i: found.__setitem__(i, stacked(swim(envs[i], 8)))) for i in range(3)]
+    made = lambda: [load(seed=0), load(seed=1), load(seed=2, root="free"), load(seed=3, root="free", water="swift")]
+    alone, envs, found = [stacked(swim(env, 6)) for env in made()], made(), [None] * 4
+    work = [threading.Thread(target=lambda i=i: found.__setitem__(i, stacked(swim(envs[i], 6)))) for i in range(4)]
     for thread in work:
         thread.start()
     for thread in work:
@@ -289,8 +306,9 @@ def test_a_copy_of_the_physics_swims_on_alike_and_apart():
     np.testing.assert_array_equal(twin.data.qpos, env.physics.data.qpos)
 
 
-def test_fault_02_a_diverged_fish_raises_dm_controls_error():
-    env = load()
+@pytest.mark.parametrize("root", ["planar", "free"])
+def test_fault_02_a_diverged_fish_raises_dm_controls_error(root):
+    env = load(root=root)
     env.reset()
     env.physics.data.qvel[:] = 1e12
     with pytest.raises(control.PhysicsError):

@@ -124,15 +124,17 @@ def test_a_run_killed_after_its_last_checkpoint_writes_its_lines_once(learner, t
 
 def test_a_folder_with_a_run_is_not_overwritten_and_other_settings_do_not_resume(learner, tmp_path):
     settings = calm_run()
-    StopAt(settings, tmp_path, 8192, learner=learner).go()
+    StopAt(settings, tmp_path, 8192, learner=learner, command="fishmj train --preset quick").go()
+    assert Policy.load(tmp_path).meta["command"] == "fishmj train --preset quick"
     with pytest.raises(ConfigError, match="already holds a run; add --resume"):
         TrainingRun(settings, tmp_path, learner=learner)
     with pytest.raises(ConfigError, match="seed = 5, the run has 0; a run goes on with its own settings"):
         TrainingRun(change(settings, seed=5), tmp_path, learner=learner, resume=True)
     with pytest.raises(ConfigError, match="nothing to resume"):
         TrainingRun(settings, tmp_path / "empty", learner=learner, resume=True)
-    longer = TrainingRun(change(settings, steps=10**9), tmp_path, learner=learner, resume=True)  # only longer: that is allowed
-    assert longer.done == 8192
+    more = {"learner": learner, "resume": True, "command": "fishmj train --resume"}
+    longer = TrainingRun(change(settings, steps=10**9), tmp_path, **more)  # only longer: that is allowed
+    assert longer.done == 8192 and longer.command == "fishmj train --preset quick", "the command that began it"
 
 
 @pytest.mark.slow
@@ -310,7 +312,7 @@ def test_a_wrong_option_is_one_line_and_exit_2(line, said, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(("water", "engine"), [("structured", "compiled"), ("swift-base", "compiled"), ("surrogate", "planar")])
+@pytest.mark.parametrize(("water", "engine"), [("structured", "compiled"), ("swift-base", "compiled"), ("fitted", "compiled")])
 def test_an_engine_that_can_hold_the_water_is_picked(water, engine):
     """Training in the fitted water was refused: the compiled engine has no learnt residual."""
     pytest.importorskip("numba")

@@ -136,7 +136,7 @@ def test_seeds_stopped_together_name_no_command_that_would_not_work(monkeypatch,
     from fishmj.train import multi_seed
     from fishmj.train.training_run import summary_of
 
-    def stopped(settings, seeds, folder):
+    def stopped(settings, seeds, folder, command):
         return [summary_of(change(settings, seed=seed), folder / f"seed-{seed}", 5, 1.0, None, True) for seed in seeds]
 
     monkeypatch.setattr(multi_seed, "train_together", stopped)

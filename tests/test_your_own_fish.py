@@ -61,9 +61,9 @@ def row(title: str) -> tuple[str, int]:
 
 
 def test_a_policy_for_the_second_fish_is_trained_in_its_own_fitted_water():
-    robot = robot_for(change(preset("quick"), robot="tendon_fish", water="surrogate"))
+    robot = robot_for(change(preset("quick"), robot="tendon_fish", water="fitted"))
     assert robot.water["ke"] == pytest.approx(HydroModel.load("tendon_fish").base.ke)
-    assert engines.in_water(load_robot("fish"), "surrogate").water["ke"] == pytest.approx(HydroModel.load("swift").base.ke)
+    assert engines.in_water(load_robot("fish"), "fitted").water["ke"] == pytest.approx(HydroModel.load("swift").base.ke)
 
 
 def test_a_mujoco_model_is_not_a_description():

@@ -13,6 +13,7 @@ A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS
 from a file.
 """
 
+import argparse
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -20,11 +21,11 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from fishmj import plugins
+from fishmj import console, plugins
 from fishmj.calib import calib_folder, read_toml
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.policy import is_policy
+from fishmj.policy import SHIPPED, is_policy
 from fishmj.policy import shipped as shipped_policies
 
 
@@ -64,11 +65,43 @@ CONTROLLERS = {
 NAMES = tuple(CONTROLLERS)
 
 
-def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False, **options: Any) -> Controller:
+class _FormerOption(argparse.Action):
+    """`--any-command-path`: does what `--anyway` does, and says so."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        console.warn(f"{option_string} is now --anyway; the old option goes with the release after this one")
+        namespace.anyway = True
+
+
+def anyway_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--anyway`, and its former name without help."""
+    about = "let policies steer on another command path than they were trained on; another structure is refused all the same"
+    parser.add_argument("--anyway", action="store_true", help=about)
+    hidden = argparse.SUPPRESS
+    parser.add_argument("--any-command-path", action=_FormerOption, nargs=0, default=hidden, dest="anyway", help=hidden)
+
+
+def shipped_lines() -> str:
+    """Every shipped policy with one line, for the help of a verb."""
+    wide = max(map(len, SHIPPED))
+    rows = [f"  {name:<{wide}}  {about}" for name, about in SHIPPED.items()]
+    return "\n".join(["shipped policies (figures: docs/guide/controllers.md):", *rows])
+
+
+def make(
+    name: "str | Path",
+    robot: "Robot | str" = "fish",
+    *,
+    anyway: bool = False,
+    water: str = "",
+    any_command_path: bool | None = None,
+    **options: Any,
+) -> Controller:
     """A controller by name, or a policy by name, file or folder. It runs no code but fishmj's, so the name may come from a file.
 
     Args:
-        any_command_path: a policy may steer on another command path than it was trained on, because that was asked for.
+        anyway: a policy may steer on another command path than it was trained on; `any_command_path` is its former name.
+        water: what a policy swims in where that is not the robot's own: `lbm`. It is compared with the water of its training.
         options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
 
     Raises:
@@ -84,14 +117,18 @@ def make(name: "str | Path", robot: "Robot | str" = "fish", *, any_command_path:
     if entry is None:
         from fishmj.controllers.learned import LearnedController
 
-        return LearnedController(robot, name, any_command_path)
+        if any_command_path is not None:
+            console.warn("any_command_path= is now anyway=; the old name goes with the release after this one")
+        return LearnedController(robot, name, anyway or bool(any_command_path), water)
     gains = gains_of(name, options) if entry.tuned else {}
     return import_module(f"fishmj.controllers.{entry.module}").build(robot, name, gains)
 
 
-def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_path: bool = False) -> Controller:
+def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> Controller:
     """A controller that the user named: as `make`, or one's own by `module:Name`, `file.py:Name` or entry point. Runs that code.
 
+    Args:
+        policy: `anyway` and `water` of `make`.
     Raises:
         OwnCodeError: it is not there, fails, or is no controller. As `make` besides.
     """
@@ -101,15 +138,15 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", *, any_command_pat
     if known or not (own or ".py" in text or ":" in text):
         if not known and (extra := plugins.listed("controller")):
             raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))
-        return make(text, robot, any_command_path=any_command_path)
+        return make(text, robot, **policy)
     from fishmj.controllers.own_controller import Own
 
     return Own(robot, plugins.load("controller", text, (*NAMES, *shipped_policies())), text)
 
 
-def several(texts, robot: "Robot | str" = "fish", *, any_command_path: bool = False) -> list[Controller]:
-    """`chosen` for a list; of two with one name (two files best.safetensors) the second gets `-2`: their files stay apart."""
-    made = [chosen(text, robot, any_command_path=any_command_path) for text in texts]
+def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Controller]:
+    """`chosen` for a list, `policy` as there; of two with one name (two best.safetensors) the second gets `-2`."""
+    made = [chosen(text, robot, **policy) for text in texts]
     names: list[str] = []
     for controller in made:
         same = [f"{controller.name[:60]}-{k}" for k in range(2, len(made) + 1)]
@@ -153,4 +190,6 @@ def gait_of(robot: Robot, name: str) -> dict:
     return {**gait, "lag": lag}
 
 
-__all__ = ["CONTROLLERS", "NAMES", "Controller", "chosen", "make", "several", "shipped_policies"]
+__all__ = [
+    "CONTROLLERS", "NAMES", "Controller", "anyway_option", "chosen", "make", "several", "shipped_lines", "shipped_policies",
+]  # fmt: skip

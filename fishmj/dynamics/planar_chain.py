@@ -67,13 +67,16 @@ def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
     """Constants of `robot`."""
     g = geometry_of(robot) if geometry is None else geometry
     line = lambda a: tuple(float(v) for v in a)
+    strips = strip_forces.strips(g, robot.density_water)
+    if robot.water.get("model") == "none":
+        strips = strips._replace(displaced=line(0.0 * g.displaced))  # a stream in air carries nothing along
     return Chain(
         n=g.n_links,
         d=line(g.joint),
         com=line(g.com[:, 0]),
         inertia=line(g.inertia[:, 2]),
         mass=line(g.mass),
-        strips=strip_forces.strips(g, robot.density_water),
+        strips=strips,
         torque=robot.servo.torque,
         dt=robot.timing.physics_dt,
         motor=robot.servo.constant,

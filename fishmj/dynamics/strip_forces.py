@@ -65,7 +65,7 @@ class Strips(NamedTuple):
 
 def coefficients(water: dict, n_links: int) -> Coefficients:
     """Read a `[water]` table. Raises ConfigError where it is incomplete or not passive."""
-    table = {key: value for key, value in water.items() if key not in ("model", "stations")}
+    table = {key: value for key, value in water.items() if key not in ("model", "stations", "own")}
     for key in ("stall_angle", "stall_width"):
         if f"{key}_deg" in table:
             table[key] = float(np.radians(table.pop(f"{key}_deg")))

@@ -13,10 +13,11 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.dynamics import planar_chain
-from fishmj.engines.extensions import Extensions, bus_rows, in_water, with_effects
+from fishmj.engines.extensions import Extensions, bus_rows, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.choice import in_water
 from fishmj.water.prior import flat as flat_water
 from fishmj.water.prior import unflat
 
@@ -63,7 +64,9 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
 
     if name not in NAMES:
         raise UnknownName("engine", name, NAMES)
-    return import_module(f"fishmj.engines.{name}").Engine(load_robot(robot), **options)
+    robot = load_robot(robot)
+    robot = in_water(robot, who=f"the engine {name}") if "model" in robot.water else robot  # stated or chosen
+    return import_module(f"fishmj.engines.{name}").Engine(robot, **options)
 
 
 def nominal_params(robot: Robot, batch: int) -> FishParams:

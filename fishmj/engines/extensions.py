@@ -10,9 +10,7 @@ of `FishState.memory` (B, M), the effects' memory first. Where nothing is added 
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import ceil
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,10 +19,9 @@ from fishmj import effects
 from fishmj.dynamics import planar_chain as chain
 from fishmj.dynamics.hooks import Effects
 from fishmj.effects.calibration import FittedEffect, activate
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
-
-STRUCTURED, SURROGATE = "structured", "surrogate"  # waters: strips alone; the shipped fitted one
+from fishmj.water.choice import residual_of
 
 
 class Commanded(Effects):
@@ -113,49 +110,3 @@ def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
         if name not in have:
             more.append(FittedEffect(name, {}))
     return replace(robot, effects=(*robot.effects, *more)) if more else robot
-
-
-def in_water(robot: Robot, water: "str | Path") -> Robot:
-    """The robot in another water: "structured" is its own, "surrogate" the one fitted for it, else a fitted one by name or file.
-
-    Raises:
-        UnknownName, StoreError: no such water. ConfigError: it was fitted for another robot or another time step.
-    """
-    if water == STRUCTURED:
-        return robot
-    from fishmj.water.hydro_model import shipped
-
-    if water == SURROGATE and robot.name in shipped():
-        water = robot.name
-    model = fitted_water(str(water))
-    kept = {key: robot.water[key] for key in ("stations",) if key in robot.water}
-    base = model.swimmer(robot).water._asdict()
-    return replace(robot, water={**base, **kept, "model": str(water)})
-
-
-def residual_of(robot: Robot):
-    """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
-    from fishmj.water.hydro_model import shipped
-
-    name = str(robot.water.get("model", STRUCTURED))
-    if name == STRUCTURED:
-        return None
-    model = fitted_water(robot.name if name == SURROGATE and robot.name in shipped() else name)
-    if (links := len(model.base.k)) != len(robot.links):
-        raise ConfigError(
-            f"robot {robot.name!r} [water] model: got {name!r}, fitted for {model.robot!r} of {links} links, expected one for"
-            f" {len(robot.links)} links; 'structured' fits every robot"
-        )
-    return model.learnt
-
-
-@lru_cache(8)
-def fitted_water(name: str):
-    """A fitted water by name or file."""
-    from fishmj.water.hydro_model import HydroModel, shipped
-
-    if name == SURROGATE:
-        if not shipped():
-            raise UnknownName("fitted water", name, [STRUCTURED])
-        name = shipped()[0]
-    return HydroModel.load(name)

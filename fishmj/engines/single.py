@@ -1,9 +1,12 @@
-"""One fish in MuJoCo, and what it swims in: three waters behind one interface.
+"""One fish in MuJoCo, and what it swims in, behind one interface.
 
-StripWater    the strips through `mjcb_passive` (water.injection): MuJoCo itself solves with M + M_a
-HookedWater   the closed form with everything that is added to it (effects, a learnt water), through `qfrc_applied`:
+StripWater    strips and learnt residual through `mjcb_passive` (water.injection): MuJoCo itself solves with M + M_a
+WrenchWater   the same as a wrench on every link through `xfrc_applied` (water.link_wrench), without a callback
+HookedWater   the closed form with everything that is added to it, effects too, through `qfrc_applied`; planar root:
               (M + h D) qacc = servo + applied     MuJoCo moves the fish, the closed form says how, as in the engine `batch`
 MujocoWater   MuJoCo's own fluid, or air
+
+The first three hold `swimmer`, whose `water` may be replaced between steps, and what the water remembers: `attached`, `memory`.
 """
 
 from collections.abc import Callable
@@ -14,12 +17,14 @@ import numpy as np
 
 from fishmj.dynamics import planar_chain
 from fishmj.engines.extensions import Extensions
-from fishmj.errors import ConfigError
+from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
 from fishmj.water.injection import Handle, checked_step, installed
+from fishmj.water.link_wrench import LinkWrench
 from fishmj.water.planar_water import PlanarWater
 from fishmj.water.spatial_water import FreeWater
 
+INJECTIONS = ("callback", "xfrc", "qfrc")  # ways of a structured or fitted water into MuJoCo
 DRY = dict(cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)  # coefficients of no water at all, besides k and cn
 
 
@@ -39,21 +44,52 @@ class Water(Protocol):
         """One physics step. Raises SimDiverged, and what the water itself raises."""
 
 
-class StripWater:
-    """Strip forces in the passive callback, which is installed during each step only."""
+def _of_strips(name: str) -> Any:
+    return property(lambda self: getattr(self.strips, name), lambda self, value: setattr(self.strips, name, value))
 
-    def __init__(self, model: mujoco.MjModel, strips: PlanarWater):
-        self.strips, self.power = strips, 0.0
-        self._handle = Handle(model, strips)
+
+class InjectedWater:
+    """Strips, and a learnt residual if there is one, put into MuJoCo.
+
+    Args:
+        strips: the water itself. advance: one physics step of MuJoCo's data in it.
+
+    Attributes:
+        swimmer, attached, memory: of `strips`, to read and to replace between steps.
+    """
+
+    swimmer, attached, memory = _of_strips("swimmer"), _of_strips("attached"), _of_strips("memory")
+
+    def __init__(self, strips: PlanarWater, advance: Callable[[mujoco.MjData], None]):
+        self.strips, self.power, self._advance = strips, 0.0, advance
 
     def set_flow(self, flow, ambient) -> None:
         self.strips.set_flow(flow, ambient)
 
     def step(self, data: mujoco.MjData) -> None:
         rates = data.qvel[-data.ctrl.size :].copy()
-        with installed(self._handle) as fish:
-            fish.step(data)
+        self._advance(data)
         self.power = drive_power(self.strips.swimmer, rates, data)
+
+
+class StripWater(InjectedWater):
+    """Through the passive callback, which is installed during each step only."""
+
+    def __init__(self, model: mujoco.MjModel, strips: PlanarWater):
+        handle = Handle(model, strips)
+
+        def advance(data: mujoco.MjData) -> None:
+            with installed(handle) as fish:
+                fish.step(data)
+
+        super().__init__(strips, advance)
+
+
+class WrenchWater(InjectedWater):
+    """Through a wrench on every link; any thread."""
+
+    def __init__(self, model: mujoco.MjModel, strips: PlanarWater):
+        super().__init__(strips, LinkWrench(model, strips).step)
 
 
 class MujocoWater:
@@ -118,24 +154,43 @@ class HookedWater(SingleFish):
 
 
 def water_of(
-    name: str, robot: Robot, root: str, model: mujoco.MjModel, swimmer: planar_chain.Swimmer, added: Extensions
+    name: str,
+    robot: Robot,
+    root: str,
+    model: mujoco.MjModel,
+    swimmer: planar_chain.Swimmer,
+    added: Extensions,
+    injection: str | None = None,
 ) -> Water:
-    """The water `name`: "structured", "ellipsoid" or "none".
+    """The water `name`: "ellipsoid", "none", else the strips and the learnt force that the robot's water has.
+
+    Args:
+        injection: one of `INJECTIONS`; None: "qfrc" for a robot with effects, else "callback".
 
     Raises:
-        ConfigError: effects or a learnt water with a free root or in MuJoCo's own fluid.
+        UnknownName: no such way in. ConfigError: one that cannot be; effects with a free root or in MuJoCo's own fluid.
     """
-    if added.active is not None or (added.learnt is not None and name == "structured"):
-        if root != "planar" or name == "ellipsoid":
-            raise ConfigError(
-                f"{robot.name}: effects and a learnt water act on a fish with a planar root in structured water or none, got"
-                f" root = {root!r}, water = {name!r}; take those, or a robot without [[effect]]"
-            )
-        return HookedWater(robot, added, swimmer, wet=name == "structured")
-    if name == "structured":
-        strips = {"planar": PlanarWater, "free": FreeWater}[root]
-        return StripWater(model, strips(robot, swimmer))
-    return MujocoWater(model, swimmer, wind=name == "ellipsoid")
+    wet = name not in ("none", "ellipsoid")
+    if injection is not None and injection not in INJECTIONS:
+        raise UnknownName("injection", injection, INJECTIONS)
+    if added.active is not None and (root != "planar" or name == "ellipsoid"):
+        raise ConfigError(
+            f"{robot.name}: effects act on a fish with a planar root in structured or fitted water or none, got"
+            f" root = {root!r}, water = {name!r}; take those, or a robot without [[effect]]"
+        )
+    way = injection or ("callback" if added.active is None else "qfrc")
+    if added.active is not None and way != "qfrc":
+        raise ConfigError(f"{robot.name}: effects act in the closed form, got injection = {way!r}; take 'qfrc', or no [[effect]]")
+    if injection is not None and not wet:
+        raise ConfigError(f"{robot.name}: water = {name!r} has nothing to inject; leave injection = {injection!r} out")
+    if way == "qfrc":
+        if root != "planar":
+            raise ConfigError(f"{robot.name}: injection = 'qfrc' is the closed form of a planar root; take 'callback' or 'xfrc'")
+        return HookedWater(robot, added, swimmer, wet=wet)
+    if not wet:
+        return MujocoWater(model, swimmer, wind=name == "ellipsoid")
+    strips = {"planar": PlanarWater, "free": FreeWater}[root](robot, swimmer, learnt=added.learnt)
+    return {"callback": StripWater, "xfrc": WrenchWater}[way](model, strips)
 
 
 def drive_power(swimmer: planar_chain.Swimmer, rates, data: mujoco.MjData) -> float:

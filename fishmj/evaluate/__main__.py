@@ -7,24 +7,25 @@ from pathlib import Path
 
 from fishmj import console, controllers, cost, engines, interrupt
 from fishmj.engines import own_effects
-from fishmj.errors import ConfigError, FishmjError, MissingExtra, UnknownName
+from fishmj.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result, compare, summary
-from fishmj.evaluate.report import REST, STARRED, by_condition, condition, overall, paired, save, unbounded, write
+from fishmj.evaluate.report import REST, STARRED, by_condition, condition, not_as_trained, overall, paired, save, unbounded, write
 from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
-from fishmj.water.hydro_model import shipped
+from fishmj.water import choice
 
-WATERS = ("structured", "surrogate", "lbm")
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm
 FALLBACKS = ("compiled", "planar")
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
-EXAMPLES = """examples:
+EXAMPLES = f"""examples:
   fishmj evaluate dob                                      the decided 72 trials
-  fishmj evaluate paper dob --turbulence gust --out runs/gust --plots     two, paired, with pictures
+  fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two, paired, with pictures
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
+
+{controllers.shipped_lines()}
 """
 
 
@@ -36,9 +37,7 @@ def options() -> console.Parser:
     brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
-    water = "structured: the description's own coefficients; surrogate: the shipped water fitted for this robot; a fitted one by"
-    water += " name (NAME-base: without its residual) or TOML file; lbm: the flow solver itself, hours without a GPU"
-    add("--water", type=console.text, default="structured", help=water)
+    add("--water", type=console.text, help=f"{choice.HELP}; lbm: the flow solver itself, hours without a GPU")
     add("--domain", choices=NAMES, default="paper", help="box of water of --water lbm; laptop is a preview")
     add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in --water lbm: 1 slides, 0 sticks")
     add("--device", type=console.device, default="auto", help="of --water lbm: auto, cpu, cuda or cuda:N")
@@ -57,9 +56,9 @@ def options() -> console.Parser:
     add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
     add("--seed", type=console.SEED, default=0, help="of all draws")
     add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
-    path = "servo commands between two decisions, as of train; default the robot's. Policies trained on another steer too"
+    path = "servo commands between two decisions, as of train; default the robot's. Policies of another need --anyway"
     add("--command-path", choices=COMMAND_PATHS, help=path)
-    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, not on theirs")
+    controllers.anyway_option(parser)
     own_effects.option(parser)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
@@ -78,13 +77,12 @@ def main(argv: list[str]) -> int:
     if unused and args.water != "lbm":
         raise ConfigError(f"evaluate: {', '.join(unused)}: of --water lbm only; leave it out, or add --water lbm")
     joined = own_effects.join(args.effects)
-    if args.water.removesuffix("-base") not in (*WATERS, *shipped()) and not args.water.endswith(".toml"):
-        raise UnknownName("water", args.water, (*WATERS, *shipped()))
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
     if args.plots and find_spec("matplotlib") is None:
         raise MissingExtra("matplotlib", "all", "evaluate --plots")
-    robot = load_robot(args.robot) if args.water == "lbm" else engines.in_water(load_robot(args.robot), args.water)
+    water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM), "evaluate")
+    robot = water.robot
     for effect in joined:
         if effect.name not in {fitted.name for fitted in robot.effects}:
             console.warn(
@@ -98,17 +96,15 @@ def main(argv: list[str]) -> int:
         intensity=args.intensity, heading=args.heading, randomisation=0.0 if args.no_randomisation else 1.0,
         noise=0.0 if args.no_noise else 1.0, duration=args.duration,
     )  # fmt: skip
-    asked = args.any_command_path or args.command_path is not None
-    brains = controllers.several(args.controllers, robot, any_command_path=asked)  # a wrong name fails before anything runs
-    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
-        console.warn(note)
+    brains = controllers.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
     affordable(robot, trials, len(brains))
-    if args.water == "lbm":
+    if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
         work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
+        begin(water, brains)
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for brain in brains:
@@ -116,6 +112,7 @@ def main(argv: list[str]) -> int:
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results))
             return report(results, args)
+    begin(water, brains)
     kept = FinishedTrials(args.out, robot, trials, args.engine, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
         try:
@@ -127,6 +124,13 @@ def main(argv: list[str]) -> int:
         code = report(results, args)
     kept.end()
     return code
+
+
+def begin(water: choice.Choice, brains) -> None:
+    """Say what is judged in, and what the policies were not trained for."""
+    console.say(f"water: {water.said}")
+    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
+        console.warn(note)
 
 
 def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
@@ -209,7 +213,7 @@ def report(results: list[Result], args) -> int:
     summaries = found["results"]
     if args.out is not None:
         save(args.out, results, found)
-    console.say("", condition(results[0]), "value (95 % bootstrap interval over trials)", "")
+    console.say("", condition(results[0]), *not_as_trained(summaries), "value (95 % bootstrap interval over trials)", "")
     console.say(console.table(overall(summaries)), "")
     console.say(console.table(overall(summaries, ("arrival", *REST))), *unbounded(summaries))
     for s in summaries:

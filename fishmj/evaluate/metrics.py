@@ -31,6 +31,7 @@ from fishmj.errors import ConfigError
 from fishmj.evaluate.protocol import Trials
 from fishmj.mjcf.description import Robot
 from fishmj.units import G, wrap
+from fishmj.water.choice import LBM, label
 
 BEAT = 1.0  # s, averaging window
 RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
@@ -70,11 +71,12 @@ class Result(NamedTuple):
     action: np.ndarray | None  # (n, K, J) of policies
     distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
+    policy: dict | None = None  # of a policy: how it was trained, and what is different here (`LearnedController.trained`)
 
     @property
     def water(self) -> str:
-        """`lbm` for the flow solver, else the robot's model: `structured`, `surrogate` or the file of a fitted one."""
-        return "lbm" if self.engine.startswith("tanks") else str(self.robot.water.get("model", "structured"))
+        """`lbm` for the flow solver, else as `fishmj.water.choice.label`."""
+        return LBM if self.engine.startswith(("tanks", "lbm")) else label(self.robot)
 
 
 def arrival_tick(result: Result) -> np.ndarray:
@@ -228,13 +230,15 @@ def summary(result: Result) -> dict:
     """Every key over all trials, by speed and by direction; plain numbers, ready for JSON.
 
     Returns:
-        {"controller", "n", "overall": {key: {value, low, high, n, why, unit}}, "by_speed": {"0.1": ..}, "by_los": {"45": ..}}
+        {"controller", "policy", "n", "overall": {key: {value, low, high, n, why, unit}}, "by_speed": {"0.1": ..},
+        "by_los": {"45": ..}, "left_domain"}; policy as in `Result`
     """
     found = figures(result)
     trials = result.trials
     degrees = np.round(np.degrees(trials.los)).astype(int)
     return {
         "controller": result.controller,
+        "policy": result.policy,
         "n": len(trials),
         "overall": gather(found),
         "by_speed": {f"{u:g}": gather(found, trials.speed == u) for u in np.unique(trials.speed)},

@@ -90,6 +90,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "engine": r.engine,
         "controller": r.controller,
         "policy_sha256": r.policy_sha256,
+        **({"policy": r.policy} if r.policy else {}),
         "target": r.target[i].tolist(),
         "seed": int(item.seed[0]),
         "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
@@ -157,8 +158,18 @@ def condition(result: Result) -> str:
 
 
 def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
-    """One row a controller: value and 95 % interval over trials."""
-    return [{"controller": s["controller"], **{SHORT[k][0]: cell(k, s["overall"][k]) for k in keys}} for s in summaries]
+    """One row a controller: value and 95 % interval over trials; what is not as in training where that holds of a policy."""
+    rows: list[dict] = [{"controller": s["controller"]} for s in summaries]
+    if not_as_trained(summaries):
+        for row, s in zip(rows, summaries, strict=True):
+            row["not as trained"] = ", ".join((s["policy"] or {}).get("differs", ())) or "-"
+    return [row | {SHORT[k][0]: cell(k, s["overall"][k]) for k in keys} for row, s in zip(rows, summaries, strict=True)]
+
+
+def not_as_trained(summaries: list[dict]) -> list[str]:
+    """A line for each policy that is judged with another robot, other constants, another water or another command path."""
+    told = [(s["controller"], s["policy"]["said"]) for s in summaries if s["policy"]]
+    return [f"{name} is not judged as trained: {said}" for name, said in told if said]
 
 
 def cell(key: str, e: dict, interval: bool = True) -> str:
@@ -316,7 +327,7 @@ def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], repl
     """The report as one HTML text; its one reference is `replay`, the page of the worst trial beside it, where there is one."""
     first, summaries, told = results[0], found["results"], baseline(results)
     named = f"{', '.join(s['controller'] for s in summaries)}: station holding"
-    notes = [found["condition"]]
+    notes = [found["condition"], *not_as_trained(summaries)]
     if told is None:
         notes.append(f"Judged alone. Name {BASELINE} (no control) or another controller behind it, and it is compared with that.")
     elif np.isfinite(figures(first)["rmse_after_arrival"]).all():

@@ -16,6 +16,7 @@ import numpy as np
 
 from fishmj import console, controllers, interrupt, store
 from fishmj.calib import calib_folder
+from fishmj.controllers.learned import LearnedController
 from fishmj.errors import ConfigError, SimDiverged, StoreError
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result
@@ -25,6 +26,8 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import package_sha256
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
+from fishmj.water.choice import in_water
+from fishmj.water.identity import water_identity
 
 KEPT = "lbm"  # folder of finished trials in the flow solver
 OF_A_TRIAL = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
@@ -52,7 +55,7 @@ def run(
     Raises:
         SimDiverged: names the trial.
     """
-    robot = load_robot(robot)
+    robot = in_water(load_robot(robot)) if isinstance(engine, str) else load_robot(robot)
     trials = protocol.trials(seed=seed) if trials is None else trials
     controller = controllers.make(controller, robot) if isinstance(controller, str) else controller
     loop = ControlLoop(robot, engine)
@@ -84,12 +87,14 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     left = np.where(out.any(1), out.argmax(1), pose.shape[1])
     distance = np.linalg.norm(pose[:, :, :2] - target[:, None], axis=-1)
     tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
+    name = type(engine).__module__.rpartition(".")[2]
     return Result(
         controller=controller.name,
         policy_sha256=getattr(controller, "sha256", ""),
+        policy=trained(controller, "lbm" if name == "lbm" else ""),
         robot=robot,
         trials=trials,
-        engine=type(engine).__module__.rpartition(".")[2],
+        engine=name,
         t=np.arange(pose.shape[1]) * robot.timing.bus_dt,
         target=target,
         pose=pose,
@@ -155,7 +160,7 @@ class FinishedTrials:
             return None
         console.warn(f"{brain.name} was judged before under the same conditions: taken from {path}")
         known: dict[str, Any] = {"controller": brain.name, "policy_sha256": getattr(brain, "sha256", ""), "engine": self.engine}
-        return Result(robot=self.robot, trials=self.trials, **known, **given)
+        return Result(robot=self.robot, trials=self.trials, policy=trained(brain), **known, **given)
 
     def keep(self, brain, result: Result) -> Result:
         """Add a finished controller: its arrays."""
@@ -187,7 +192,7 @@ class FinishedTrials:
         what = {
             "controller": [brain.name, getattr(brain, "sha256", "")],
             "robot": repr(self.robot),
-            "water": water_of(self.robot),
+            "water": water_identity(self.robot),
             "trials": asdict(self.trials),
             "engine": self.engine,
             "code": package_sha256(),
@@ -196,10 +201,9 @@ class FinishedTrials:
         return self.folder / "judged" / f"{brain.name}_{mark}.npz"
 
 
-def water_of(robot: Robot) -> list[str]:
-    """Hashes of the files of a fitted water."""
-    path = Path(str(robot.water.get("model", "")))
-    return [store.sha256(file) for file in sorted(path.parent.glob(f"{path.stem}*")) if path.is_file() and file.is_file()]
+def trained(controller, water: str = "") -> dict | None:
+    """How a policy was trained, and what is different here; None for what is no policy. water: as of `LearnedController`."""
+    return controller.trained(water) if isinstance(controller, LearnedController) else None
 
 
 class Variation(NamedTuple):
@@ -287,6 +291,7 @@ def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -
         trials=trials,
         engine=engine,
         policy_sha256=getattr(brain, "sha256", ""),
+        policy=trained(brain, "lbm"),
         t=rows[0]["t"],
         target=target,
         **join,

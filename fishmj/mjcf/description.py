@@ -183,6 +183,7 @@ def checked(robot: Robot) -> Robot:
             raise DescriptionError([f"{where} {name}: got {str(parts)[:60]}, expected a tuple of {kind.__name__}"])
     if not isinstance(robot.servo, Servo) or not isinstance(robot.timing, Timing) or not isinstance(robot.water, Mapping):
         raise DescriptionError([f"{where}: expected servo, a Servo, timing, a Timing, and water, a dict"])
+    chosen = ("own", "model") if "own" in robot.water else ()  # by water.choice, which no file states
     table = {
         "name": robot.name,
         "title": robot.title,
@@ -191,7 +192,7 @@ def checked(robot: Robot) -> Robot:
         "fin": [_plain(vars(fin)) for fin in robot.fins],
         "servo": _plain(vars(robot.servo)),
         "timing": _plain(vars(robot.timing)),
-        "water": _plain(robot.water),
+        "water": _plain({key: value for key, value in robot.water.items() if key not in chosen}),
     }
     notes = _examined(table, where)
     water, assumed = _water(robot.water, robot.links, where)
@@ -259,8 +260,7 @@ def _defaults(block: str, default: "Servo | Timing", given: Mapping[str, Any], w
 def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tuple[dict, list[str]]:
     """The water table with the prior's values in the place of those that are left out, and what to tell."""
     missing = [key for key in WATER_NEEDS if key not in given and f"{key}_deg" not in given]
-    water = dict(given) if "model" in given or not missing else {"model": "structured", **given}
-    water.setdefault("model", "structured")
+    water = dict(given)
     if not missing:
         return water, []
     from fishmj.mjcf.priors import water_prior

@@ -164,7 +164,7 @@ class WaterBlock(TomlTable):
     """Start values of the strip model (docs/methods/water.md); what is left out comes from the shape of the sections."""
 
     model: Text | None = text(
-        "'structured': strips alone; or a fitted water: 'surrogate', a name or a .toml file",
+        "these strips ('structured'), 'fitted', or a fitted water by name or .toml; default: fitted if there is one",
         default=None,
         most=500,
         least=1,

@@ -1,7 +1,8 @@
 """Which robot a log, a result or a policy is of.
 
 A log says its name, its number of joints, and a sum that changes with every number of it. A policy says the structure that it
-must find again. Masses, gains, water and effects are left out there: a calibrated fish is the same structure.
+must find again. Masses, gains, water and effects are left out there: a calibrated fish is the same structure. They have a sum of
+their own, all but the water.
 """
 
 import json
@@ -9,12 +10,16 @@ from dataclasses import asdict
 from hashlib import sha256
 
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.geometry import geometry_of
 from fishmj.store import plain
 
 
 def robot_sha256(robot: Robot) -> str:
     """Hex digest of everything that a description says: links, servo, timing, water, effects. Equal for equal descriptions."""
-    return sha256(json.dumps(plain(asdict(robot)), sort_keys=True, default=str).encode()).hexdigest()
+    table = asdict(robot)
+    water = table["water"].get("own", table["water"])  # as described, whatever water was chosen (water.choice)
+    table["water"] = {"model": "structured", **water}
+    return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
 
 
 def identity(robot: Robot) -> dict:
@@ -23,13 +28,34 @@ def identity(robot: Robot) -> dict:
 
 
 def structure_of(robot: Robot) -> dict:
-    """Links and joints in order, as the header of a policy holds them: {"links", "lengths" m, "joints", "servo_range" rad}."""
+    """Links and joints in order, as the header of a policy holds them.
+
+    Returns:
+        {"links", "lengths" m, "joints", "servo_range" rad, "reference_point" m behind the nose, to a micrometre}
+    """
     return {
         "links": [link.name for link in robot.links],
         "lengths": [float(link.length) for link in robot.links],
         "joints": [f"j{i}" for i in range(1, len(robot.links))],
         "servo_range": float(robot.servo.range),
+        "reference_point": round(geometry_of(robot).reference, 6),
     }
+
+
+def constants_sha256(robot: Robot) -> str:
+    """Hex digest of what a description says besides structure, command path, water and words.
+
+    It covers masses and sections of links and fins, servo, times, water's density, and effects but those at their null.
+    """
+    table = {
+        "links": [[link.mass, link.com, link.sections, link.fin_from] for link in robot.links],
+        "fins": [asdict(fin) for fin in robot.fins],
+        "servo": {key: value for key, value in asdict(robot.servo).items() if key != "range"},
+        "timing": {key: value for key, value in asdict(robot.timing).items() if key != "command_path"},
+        "density_water": robot.density_water,
+        "effects": [[effect.name, effect.parameters] for effect in robot.effects if effect.parameters],
+    }
+    return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
 
 
 def observation_of(joints: int) -> list[dict]:

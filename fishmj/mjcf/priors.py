@@ -58,7 +58,7 @@ def water_prior(links: Sequence[Link]) -> dict:
     share = [plate_share(link, turns=i > 0) for i, link in enumerate(links)]
     k = [round(20 * (K_BODY + p * (K_PLATE - K_BODY))) / 20 for p in share]
     cn = [round(CN_BODY + p * (CN_PLATE - CN_BODY), 1) for p in share]
-    return {"model": "structured", "k": k, "cn": cn, **CONSTANT}
+    return {"k": k, "cn": cn, **CONSTANT}
 
 
 def plate_share(link: Link, *, turns: bool = True) -> float:

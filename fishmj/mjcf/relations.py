@@ -245,8 +245,8 @@ def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Fault]:
 
 def _no_water(model: str) -> Fault | None:
     """Strips alone, the shipped fitted water, a fitted one by name (`NAME-base`: without residual) or a file that is there."""
-    known = ["structured", "surrogate", *calib.waters()]
-    if model in known or model.removesuffix("-base") in calib.waters():
+    known, (model, _) = ["structured", "fitted", *calib.waters()], names.split_member(model)
+    if model in (*known, "surrogate") or model.removesuffix("-base") in calib.waters():
         return None
     if model.endswith(".toml"):
         if not (wrong := trouble(model, "")):
@@ -257,7 +257,7 @@ def _no_water(model: str) -> Fault | None:
     return Fault("water", None, "model", shown(model), _WATER, f"{todo}Known: {', '.join(known)}".strip())
 
 
-_WATER = "'structured', 'surrogate', or a fitted water by name or .toml file"
+_WATER = "'structured', 'fitted', or a fitted water by name or .toml file"
 _PATH = "a path counts from the folder in which the command runs"
 
 

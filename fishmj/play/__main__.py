@@ -20,9 +20,10 @@ from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.play.live_session import Keyboard, LiveSession, press
 from fishmj.replay.live_view import LOCAL, LiveView, check_host
+from fishmj.water import choice
 
 FRAME = 0.04  # s between two pictures
-BEST = "paper"  # of the shipped controllers
+BEST = "station"  # of the shipped controllers
 LATE = 0.2  # s behind real time from which on pictures are skipped
 KEYS = """keys: up, down   current faster, slower            w a s d   target up, left, down, right in the tank
       left, right  turn the current by 15 deg      space     pause        c  next controller
@@ -32,6 +33,8 @@ EXAMPLES = f"""examples:
   fishmj play --controller drift --speed 0.3    what the current does to a fish that does nothing
   fishmj play --turbulence gust --intensity 0.1 --save runs/mine
   fishmj replay runs/mine                       what you just did, as a page
+
+{controllers.shipped_lines()}
 
 {KEYS}"""
 
@@ -51,7 +54,10 @@ def swim(session: LiveSession, view, keys: Keyboard, seconds: float | None, stat
         for key in keys.read():
             if key == "q":
                 return
+            before = session.controller
             press(session, key, choices)
+            if session.controller is not before:
+                say_notes(session.controller)
             if key == "r":
                 view.clear_trail()
             paused ^= key == " "
@@ -96,8 +102,9 @@ def options() -> console.Parser:
     steered = "controller, shipped policy, policy file, folder of a training, or your own as module:Name; default"
     steered += f" {BEST} where it fits the robot, else drift"
     add("--controller", type=console.text, help=steered)
-    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
+    controllers.anyway_option(parser)
     add("--robot", type=console.text, default="fish", help="description, name or TOML")
+    add("--water", type=console.text, help=choice.HELP)
     add("--engine", default="batch", choices=engines.NAMES, help="what moves the fish")
     add("--speed", type=console.number(0, 1), default=0.2, metavar="M/S", help="of the current at the start")
     add("--direction", type=console.number(-360, 360), default=180.0, metavar="DEG", help="the water moves towards it")
@@ -117,12 +124,19 @@ def options() -> console.Parser:
 def controller_of(args, robot: Robot) -> controllers.Controller:
     """The controller asked for; where none was, the best shipped one that can steer this robot."""
     if args.controller is not None:
-        return controllers.chosen(args.controller, robot, any_command_path=args.any_command_path)
+        return controllers.chosen(args.controller, robot, anyway=args.anyway)
     try:
-        return controllers.chosen(BEST, robot, any_command_path=True)
+        return controllers.chosen(BEST, robot, anyway=args.anyway)
     except ConfigError:
-        console.warn(f"the policy {BEST} is made for another fish: {robot.name} drifts; choose another with --controller")
+        why = f"the policy {BEST} is made for another fish or command path"
+        console.warn(f"{why}: {robot.name} drifts; choose another with --controller, or add --anyway for another path")
         return controllers.chosen("drift", robot)
+
+
+def say_notes(controller: controllers.Controller) -> None:
+    """What is worth a line about a policy: where it was trained, where that is not here."""
+    for note in getattr(controller, "notes", ()):
+        console.warn(note)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -135,8 +149,11 @@ def main(argv: list[str] | None = None) -> int:
     direction = float(np.radians(args.direction))
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
     check_host(args.host)
-    robot = load_robot(args.robot)
+    water = choice.chosen(load_robot(args.robot), args.water)
+    robot = water.within(choice.SELF_MADE, "play").robot
     controller = controller_of(args, robot)
+    console.say(f"water: {water.said}")
+    say_notes(controller)
     session = LiveSession(controller, robot, flow, args.engine)
     alone = args.headless_seconds is not None
     with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fishmj import controllers, engines
 from fishmj.controllers import Controller
+from fishmj.controllers.learned import LearnedController
 from fishmj.dynamics.planar_chain import chain_of
 from fishmj.engines.planar import link_centres
 from fishmj.errors import ConfigError, FishmjError
@@ -21,6 +22,7 @@ from fishmj.source import made_by
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
 from fishmj.units import wrap
+from fishmj.water.choice import NONE, in_water, label
 
 FASTEST = 0.5  # m/s
 SENSED = 4  # stream of random numbers of what is logged, beside that of the observations
@@ -57,8 +59,9 @@ class LiveSession:
         flow: Flow | None = None,
         engine="batch",
         noise: float = 1.0,
+        water=None,
     ):
-        self.robot = load_robot(robot)
+        self.robot = in_water(load_robot(robot), water, who="play") if isinstance(engine, str) else load_robot(robot)
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
         self.loop = ControlLoop(self.robot, engine)
         self.engine_name = type(self.loop.engine).__module__.rpartition(".")[2]
@@ -178,13 +181,14 @@ class LiveSession:
             "schema": SCHEMA,
             "origin": "synthetic",
             **identity(self.robot),
-            "medium": "water",
+            "medium": "air" if label(self.robot) == NONE else "water",
             "flow": {**vars(self.flow), "known": steady},
-            "water": str(self.robot.water.get("model", "structured")),
+            "water": label(self.robot),
             "root": "planar",
             "engine": self.engine_name,
             "controller": names[-1],
             "policy_sha256": str(getattr(self.controller, "sha256", "")),
+            **({"policy": self.controller.trained()} if isinstance(self.controller, LearnedController) else {}),
             "target": self.chunks[-1].target.tolist(),
             "excitation": "station holding" if still and steady else "live",
             **logged_meta(self.robot, tables, self._nominal.params, self._nominal.camera, self._start, self.noise),

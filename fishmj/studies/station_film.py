@@ -29,7 +29,7 @@ from fishmj.mjcf.skin import skin
 from fishmj.replay.scene import ARRIVAL, colours, read_wake, track
 from fishmj.store import write_bytes
 
-POLICY, SPEED, SECONDS = "fitted", 0.2, 10.0  # m/s, s of the trial
+POLICY, SPEED, SECONDS = "station", 0.2, 10.0  # m/s, s of the trial
 BOX = replace(preset("laptop"), shape=(128, 56, 30))
 EVERY, START = 0.08, 1.6  # s between two frames; s of the trial at which the picture begins
 SIZE, WIDTH, AHEAD = (720, 400), 1.45, 0.45  # pixels; m across the picture; m of water in front of the target

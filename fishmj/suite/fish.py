@@ -19,9 +19,7 @@ from dm_control.suite import base
 from dm_control.utils import containers
 from dm_env import specs
 
-from fishmj import engines
 from fishmj.engines import Trace
-from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
 from fishmj.suite.physics import Physics
@@ -29,10 +27,10 @@ from fishmj.suite.solver_physics import SolverPhysics
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import EpisodeDraw, SensorWindow, TaskOptions, TaskSpec
 from fishmj.tasks.reference import StepTruth, options_of
+from fishmj.water import choice
 
 SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
-LBM = "lbm"  # the water that is solved
 
 
 @SUITE.add("benchmarking")
@@ -65,33 +63,24 @@ def own(task_class, random=None, environment_kwargs=None, root="planar", **setti
 def environment(name: Any, course: dict, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
     """One dm_control environment.
 
-    `setting` may hold `water`, "structured" unless given (`engines.in_water`), or "lbm" for the flow solver, whose options
-    (domain, slip, device, finer) are in `solver`.
+    `setting` may hold `water`, as `fishmj.water.choice` names it; "lbm" is the flow solver, whose options (domain, slip, device,
+    finer) are in `solver`.
 
     Raises:
         ConfigError, UnknownName: an option that does not exist or cannot be.
     """
-    water, solver = setting.pop("water", STRUCTURED), setting.pop("solver", {})
-    rules = TaskSpec(name, in_water(chosen(setting), water, root), **course)
+    solver = setting.pop("solver", {})
+    asked = chosen(setting)
+    water = choice.chosen(load_robot(asked.robot), asked.water)
+    if root == "free" and water.kind == choice.LBM:
+        raise ConfigError("suite: the flow solver moves a fish with a planar root; choose root = 'planar', or another water")
+    rules = TaskSpec(name, replace(asked, robot=water.robot, water=None), **course)
     options = dict(environment_kwargs or {})
     for key in ("time_limit", "control_timestep", "n_sub_steps"):
         if key in options:
             raise ConfigError(f"suite: environment_kwargs has {key!r}; set `seconds` or `control_dt` in task_kwargs instead")
-    physics = SolverPhysics.in_tank(rules, solver) if water == LBM else Physics.of(rules.robot, root)
+    physics = SolverPhysics.in_tank(rules, solver) if water.kind == choice.LBM else Physics.of(rules.robot, root)
     return control.Environment(physics, FishTask(rules, random), control_timestep=rules.dt, **options)
-
-
-def in_water(setting: TaskOptions, water: str, root: str) -> TaskOptions:
-    """The setting with its robot in the water asked for.
-
-    Raises:
-        ConfigError: a water that only a planar root has. UnknownName: no such water.
-    """
-    if water != LBM:
-        setting = replace(setting, robot=engines.in_water(load_robot(setting.robot), water))
-    if root == "free" and (water == LBM or engines.Extensions.of(setting.robot).learnt is not None):
-        raise ConfigError(f"suite: water = {water!r} acts on a fish with a planar root; choose root = 'planar', or another water")
-    return setting
 
 
 def chosen(setting: dict) -> TaskOptions:

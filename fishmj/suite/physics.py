@@ -1,8 +1,10 @@
 """The fish in its water as a dm_control `Physics`: bus commands in, poses out.
 
-    planar root   Q_water - M_a a goes into qfrc_applied before each mj_step: the same step as the callback, and nothing that
-                  the process shares, so any number of environments and threads may run side by side
-    free root     the passive callback of `water.injection`, installed during `step` only; one thread
+    planar root   Q_water - M_a a goes into qfrc_applied before each mj_step
+    free root     the water's wrench on every link goes into xfrc_applied (`water.link_wrench`)
+
+Both are the callback's step to round-off and share nothing in the process: any number of environments and threads may run side
+by side.
 
 A `Physics` carries more than MuJoCo's state: commands under way, tail attachment, the flow. `copy` takes all of it along;
 `get_state` and `set_state` mean MuJoCo's part only.
@@ -23,7 +25,7 @@ from fishmj.calib import constant
 from fishmj.dynamics import planar_chain as chain
 from fishmj.engines import FishParams
 from fishmj.engines.planar import arrived, link_centres, quantise
-from fishmj.engines.single import StripWater
+from fishmj.engines.single import WrenchWater
 from fishmj.errors import ConfigError, MissingExtra, SimDiverged
 from fishmj.flow import Current, Flow, sample
 from fishmj.mjcf.description import Robot
@@ -125,7 +127,7 @@ class Physics(dm_mujoco.Physics):
             raise ConfigError(
                 "suite: effects act on a fish with a planar root; choose root = 'planar', or a robot without [[effect]]"
             )
-        physics.free_water = FreeWater(robot) if free else None
+        physics.free_water = FreeWater(robot, learnt=engines.Extensions.of(robot).learnt) if free else None
         model = physics.model
         physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
         rest, (steps, keep) = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.ticks_per(robot)
@@ -247,17 +249,18 @@ class Physics(dm_mujoco.Physics):
         self._remember(attached, float(power[0]))
 
     def _step_free(self, strips: FreeWater) -> None:
-        water = StripWater(self.model.ptr, strips)
-        data = self.data.ptr
+        water = WrenchWater(self.model.ptr, strips)
+        s, data = self.swim, self.data.ptr
         data.ctrl[:] = self._command()[0]
-        flow, ambient = self.swim.water
+        flow, ambient = s.water
         water.set_flow(flow[0], ambient[0])
-        strips.attached = float(self.swim.attached[0])
+        water.attached, water.memory = float(s.attached[0]), s.memory[0].tolist()
         try:
             water.step(data)
         except SimDiverged as error:
             raise control.PhysicsError(str(error)) from error
-        self._remember(np.array([strips.attached]), water.power)
+        s.memory = np.array([water.memory], float)
+        self._remember(np.array([water.attached]), water.power)
 
     def _remember(self, attached, power: float) -> None:
         s = self.swim
@@ -295,7 +298,9 @@ class Physics(dm_mujoco.Physics):
         new.free_water = None
         new._nominal = self._nominal
         if self.free_water is not None:
-            new.free_water = FreeWater(self.swim.robot)  # its attachment is set before every step
+            new.free_water = FreeWater(
+                self.swim.robot, learnt=self.free_water.learnt
+            )  # what it remembers is set before every step
             new.free_water.swimmer, new.free_water.geometry = self.free_water.swimmer, self.free_water.geometry
         return new
 

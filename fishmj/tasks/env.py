@@ -23,6 +23,7 @@ from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import slide
 from fishmj.tasks.reference import StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
+from fishmj.water.choice import in_water
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,9 +81,15 @@ class EnvState(NamedTuple):
 
 
 class StationHold:
-    """The batched environment. `reset` and `step` are pure; jit them or call them inside a scan."""
+    """The batched environment. `reset` and `step` are pure; jit them or call them inside a scan.
 
-    def __init__(self, robot: Robot, engine="planar", options: Options = Options(), **reward):  # noqa: B008  (frozen)
+    Args:
+        engine: a name, or an engine of this very robot. water: for an engine by name, as `fishmj.water.choice` names it.
+    """
+
+    def __init__(self, robot: Robot, engine="planar", options: Options = Options(), *, water=None, **reward):  # noqa: B008  (frozen)
+        if isinstance(engine, str):  # else the engine's fish is in its water already
+            robot = in_water(robot, water, who="the environment in JAX")
         self.robot = robot = engines.with_effects(robot, options.effects)
         self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
         if getattr(self.engine, "robot", robot).effects != robot.effects:

@@ -29,6 +29,7 @@ from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import EpisodeStart, StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
+from fishmj.water.choice import in_water, label
 
 WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward
 # beyond these it is a slip of the pen
@@ -79,6 +80,11 @@ class ControlLoop:
         self.robot = robot
         self.sensors = Sensors(robot)
         self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
+        theirs, ours = label(getattr(self.engine, "robot", robot)), label(robot)
+        if theirs != ours:
+            raise ConfigError(
+                f"the engine's fish swims in water {theirs!r}, the task's in {ours!r}; make the engine of the same robot"
+            )
         self.ticks = engines.ticks_per(robot)[1]
 
     def start(self, pose, scenario) -> None:
@@ -114,6 +120,7 @@ class TaskOptions:
     """What a user may change about a task; None keeps the robot's or the task's own value."""
 
     robot: Any = "fish"  # Robot, TOML path or shipped name
+    water: Any = None  # of fishmj.water.choice; None: fitted where the robot has one
     control_dt: float | None = None  # s
     command_path: str | None = None  # linear, hold or move_time
     turbulence: str = "default"
@@ -142,7 +149,7 @@ class TaskOptions:
 
     def fish(self) -> Robot:
         """The robot with this setting's timing."""
-        robot = load_robot(self.robot)
+        robot = in_water(load_robot(self.robot), self.water, who="this environment")
         wanted = {k: v for k in ("control_dt", "command_path") if (v := getattr(self, k)) is not None}
         timing = replace(robot.timing, **wanted)
         check_timing(timing, "task")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import ConfigError
+from fishmj.water import choice
 
 CRITICS = ("plain", "privileged")
 LOOKS = 10  # assessments in an algorithm's own budget of steps
@@ -75,9 +76,7 @@ def options() -> console.Parser:
     way += " move_time: linear, and the servo interpolates too (default: linear)"
     add("--command-path", choices=COMMAND_PATHS, help=way)
     add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: fish)")
-    water = "structured: the description's own coefficients; surrogate: the shipped one fitted to the flow solver for this robot;"
-    water += " or a fitted one by name or TOML file (default: structured)"
-    add("--water", type=console.text, help=water)
+    add("--water", type=console.text, help=choice.HELP)
     hide = f"observation groups set to zero, for ablations: {', '.join(GROUPS)} (default: none)"
     add("--hide", type=console.Listed(console.OneOf(GROUPS)), metavar="NAME,..", help=hide)
     drawn = "effects of the catalogue drawn in typical sizes for each episode (default: none)"
@@ -205,9 +204,10 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
 def main(argv: list[str]) -> int:
     """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
+    from fishmj.policy import one_line
     from fishmj.store import Checkpoints
     from fishmj.train import training_cost
-    from fishmj.train.build import referred
+    from fishmj.train.build import referred, settled, water_for
     from fishmj.train.settings import ALGORITHMS, as_dict, change, of_run, same
 
     if args.seeds and args.seed is not None:
@@ -223,26 +223,28 @@ def main(argv: list[str]) -> int:
         for seed, folder in folders.items():
             if folder in there:
                 same(folder, change(settings, seed=seed), as_dict(there[folder]))
+    water, settings = water_for(settings).said, settled(settings)
     training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
+    console.say(f"water: {water}")
     if args.force and not args.resume:
         for folder in dict.fromkeys(folders.values()):
             shutil.rmtree(folder, ignore_errors=True)
     results = []
-    learner = None
+    learner, typed = None, one_line(shlex.join(["fishmj", "train", *argv]))
     if args.together:
         from fishmj.train.multi_seed import train_together
 
-        results, seeds = train_together(settings, seeds, folders[seeds[0]]), []
+        results, seeds = train_together(settings, seeds, folders[seeds[0]], typed), []
     for seed in seeds:
         one, folder = change(settings, seed=seed), folders[seed]
         resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
         if train := one.algo in ALGORITHMS and ALGORITHMS[one.algo].train:
-            results.append(referred(train)(one, folder, resume=resume))
+            results.append(referred(train)(one, folder, resume=resume, command=typed))
         else:
             from fishmj.train.training_run import TrainingRun, learner_of
 
             learner = learner or learner_of(one)
-            results.append(TrainingRun(one, folder, resume=resume, learner=learner).go())
+            results.append(TrainingRun(one, folder, resume=resume, learner=learner, command=typed).go())
         if results[-1]["stopped"]:
             break
     for r in results:

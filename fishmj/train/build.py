@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 
 from fishmj import plugins
-from fishmj.engines import in_water, with_effects
-from fishmj.engines.extensions import residual_of
+from fishmj.engines import with_effects
 from fishmj.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
-from fishmj.mjcf.identity import observation_of, structure_of
-from fishmj.policy import Policy
+from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.policy import Policy, structure_sha256
 from fishmj.tasks.station_hold import visible
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.networks import scale
 from fishmj.train.settings import ALGORITHMS, Settings
+from fishmj.water.choice import SELF_MADE, Choice, chosen, residual_of
+from fishmj.water.identity import water_identity
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
@@ -46,8 +47,19 @@ def robot_for(settings: Settings):
     """The robot in the run's water, with its command path and the effects that it draws. Raises UnknownName, ConfigError."""
     if settings.command_path not in COMMAND_PATHS:
         raise UnknownName("command path", settings.command_path, COMMAND_PATHS)
-    robot = with_effects(in_water(load_robot(settings.robot), settings.water), settings.task.get("effects", ()))
+    robot = with_effects(water_for(settings).robot, settings.task.get("effects", ()))
     return replace(robot, timing=replace(robot.timing, command_path=settings.command_path))
+
+
+def water_for(settings: Settings) -> Choice:
+    """The water of a run. Raises ConfigError: one that needs the flow solver; and as `choice.chosen`."""
+    water = None if settings.water == "auto" else settings.water
+    return chosen(load_robot(settings.robot), water).within(SELF_MADE, "training")
+
+
+def settled(settings: Settings) -> Settings:
+    """The settings with their water by name, whatever is fitted later."""
+    return replace(settings, water=water_for(settings).kind) if settings.water == "auto" else settings
 
 
 def environment(settings: Settings, box: str = "train"):
@@ -109,10 +121,14 @@ def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
     seen = visible(joints, settings.task.get("hide", ()))
     seen = seen + ([True] * joints + seen) * (memory - 1)
     layers[0] = (layers[0][0] * np.asarray(seen, np.float32), layers[0][1])  # what training hid stays hidden on the robot
+    structure = structure_of(robot)
     header = {
         "robot": robot.name,
         "joints": joints,
-        "structure": structure_of(robot),
+        "structure": structure,
+        "structure_sha256": structure_sha256(structure),
+        "constants_sha256": constants_sha256(robot),
+        "water": water_identity(robot),
         "observation": observation_of(joints),
         "action": f"joint angle over {robot.servo.range:.6f} rad",
         "scale": scale(joints).tolist(),
@@ -122,6 +138,7 @@ def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
         "command_path": settings.command_path,
         "algorithm": settings.algo if settings.algo in ALGORITHMS else plugins.name_of(settings.algo),
         "seed": settings.seed,
+        "command": None,  # called from Python
         "origin": "synthetic",  # trained in simulation only
         **meta,
     }

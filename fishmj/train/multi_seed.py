@@ -17,14 +17,14 @@ from fishmj.train.settings import Settings, as_dict, change
 from fishmj.train.training_run import MAX_DIVERGED, MetricsLog, export, is_better, learner_of, stop_on_signal, summary_of
 
 
-def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[dict]:
-    """Train one policy a seed side by side; returns the summaries that `TrainingRun.go` would give."""
+def train_together(settings: Settings, seeds: list[int], folder: Path, command: str | None = None) -> list[dict]:
+    """Train one policy a seed side by side; returns the summaries that `TrainingRun.go` would give; command as there."""
     env, learner, assess = learner_of(settings)
     start = time.monotonic()
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
     look = jax.jit(jax.vmap(assess, in_axes=(0, None)))
-    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}", learner.policy_layers) for seed in seeds]
+    lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}", learner.policy_layers, command) for seed in seeds]
     bar = console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
     bar.stage("compiling the first iteration")
     done, episodes, dropped = 0, 0.0, 0.0
@@ -61,8 +61,8 @@ def train_together(settings: Settings, seeds: list[int], folder: Path) -> list[d
 class Lane:
     """One seed among the others: its folder, its figures, its best policy."""
 
-    def __init__(self, settings: Settings, folder: Path, policy_layers: Callable):
-        self.settings, self.folder, self.policy_layers = settings, folder, policy_layers
+    def __init__(self, settings: Settings, folder: Path, policy_layers: Callable, command: str | None):
+        self.settings, self.folder, self.policy_layers, self.command = settings, folder, policy_layers, command
         self.best: dict | None = None
         self.board = MetricsLog(folder)
         store.write_json(folder / "settings.json", as_dict(settings))
@@ -77,5 +77,5 @@ class Lane:
     def export(self, name: str, actors, i: int, done: int) -> None:
         """Write the policy `name`."""
         network = self.policy_layers(jax.tree.map(lambda a: a[i], actors))
-        meta = {"steps": done, **({"tune": self.best} if name == "best" else {})}
+        meta = {"steps": done, "command": self.command, **({"tune": self.best} if name == "best" else {})}
         export(network, self.settings, meta, self.folder / f"{name}.safetensors")

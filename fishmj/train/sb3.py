@@ -139,15 +139,15 @@ class FishVecEnv(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
 
-def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool = False) -> dict:
-    """Train with stable-baselines3; returns the summary of `TrainingRun`. Raises as `TrainingRun` does."""
+def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool = False, command: str | None = None) -> dict:
+    """Train with stable-baselines3; returns the summary of `TrainingRun`. Arguments and errors as there."""
     config = from_table("setting of sb3-sac", SACConfig, {**asdict(paper_config()), **settings.algorithm})
     shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
     learner = StableSAC(shoal, config, settings.steps)
     engine = pick_engine(settings)
     judge = change(settings, engine="planar" if engine == "batch" else engine)  # assessments run inside JAX
     assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
-    run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess))
+    run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess), command=command)
     if resume:
         console.warn(f"the replay buffer was not kept: {config.warmup:,} steps of the policy refill it before learning goes on")
     threads = torch.get_num_threads()

@@ -40,7 +40,7 @@ class Settings:
     algo: str = "ppo"
     engine: str = "auto"
     robot: str = "fish"
-    water: str = "structured"
+    water: str = "auto"  # of fishmj.water.choice; auto: fitted where the robot has one
     command_path: str = "linear"
     steps: int = 13_000_000  # control steps of 0.2 s, all fish together
     seed: int = 0

@@ -26,11 +26,11 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
-from fishmj.train.build import algorithm, environment, has_numba, pick_engine, policy_of
+from fishmj.train.build import algorithm, environment, has_numba, pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
-PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped")  # what a checkpoint keeps besides the learner's arrays
+PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped", "command")  # kept in a checkpoint beside the arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -206,10 +206,22 @@ def _until(step: int, assessed: int, text: str) -> list[str]:
 
 
 class TrainingRun:
-    """Train one policy. `TrainingRun(settings, folder).go()` returns the summary dict."""
+    """Train one policy. `TrainingRun(settings, folder).go()` returns the summary dict.
 
-    def __init__(self, settings: Settings, folder, *, resume: bool = False, quiet: bool = False, learner=None):
-        self.settings, self.folder, self.quiet = settings, Path(folder), quiet
+    command: as it was typed, for the header of the policy; a run that goes on keeps its first one. None: called from Python.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        folder,
+        *,
+        resume: bool = False,
+        quiet: bool = False,
+        learner=None,
+        command: str | None = None,
+    ):
+        self.settings, self.folder, self.quiet, self.command = settled(settings), Path(folder), quiet, command
         self.env, self.algorithm, self.assess = learner or learner_of(settings)
         self.checkpoints = store.Checkpoints(self.folder / "checkpoints", keep=2)
         self.done, self.seconds = 0, 0.0
@@ -313,6 +325,7 @@ class TrainingRun:
 
     def _export(self, name: str, figures: dict) -> None:
         meta = {"steps": self.done, "seconds": round(self.seconds, 1), **({"tune": figures} if figures else {})}
+        meta |= {"command": self.command}
         export(self.algorithm.policy_layers(self.training.actor), self.settings, meta, self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:

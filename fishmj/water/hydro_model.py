@@ -1,6 +1,6 @@
 """A fitted water: strip coefficients, the learnt residual with its range, and where both come from. TOML and safetensors.
 
-    model = HydroModel.load("swift")            a shipped one, or a path to its .toml
+    model = HydroModel.load("swift")            a shipped one, or a path to its .toml; "swift#2" is its member 2
     sw = model.swimmer(robot)                   the robot in this water
     model.learnt                                the residual, None where there is none; `residual_hooks` puts it into a step
     model.base_only                             the strip model fitted by itself, a water of its own
@@ -37,6 +37,13 @@ FOLDERS = calib.WATERS
 def robot_hash(robot: Robot) -> str:
     """sha256 of everything that describes a robot but for its water: what a model must have been fitted for."""
     return hashlib.sha256(repr(replace(robot, water={"stations": robot.water.get("stations")})).encode()).hexdigest()
+
+
+def body_hash(robot: Robot) -> str:
+    """sha256 of what the water meets of a robot: lengths, sections, fins, water's density; not servo, masses or timing."""
+    links = [(link.length, link.sections, link.fin_from) for link in robot.links]
+    parts = (links, robot.fins, robot.density_water, robot.water.get("stations", 6))
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 def shipped() -> list[str]:
@@ -101,6 +108,7 @@ class WaterFile(_Table):
     name: FileName
     robot: str
     robot_sha256: Digest
+    body_sha256: Digest | None = None
     dt: Annotated[float, Field(gt=0.0, le=0.1)]
     slip: Annotated[float, Field(ge=0.0, le=1.0)]
     notes: str = ""
@@ -139,6 +147,7 @@ class HydroModel:
     """One fitted water.
 
     Attributes:
+        body_sha256: of the body alone; "" in an older file, which holds for that very robot only.
         base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
         alone: (1 + E, P) base and members of the strip model fitted without a residual.
         learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
@@ -164,6 +173,7 @@ class HydroModel:
     scores: dict = field(default_factory=dict)
     calibration: dict = field(default_factory=dict)
     notes: str = ""
+    body_sha256: str = ""
     preview: bool = False
 
     @property
@@ -175,25 +185,38 @@ class HydroModel:
         return replace(self, name=f"{self.name}-base", learnt=None, base=water, members=self.alone[1:], band=self.band_alone)
 
     @property
+    def sha256(self) -> str:
+        """Hex digest of what acts on a fish: coefficients and weights."""
+        digest = hashlib.sha256(repr([self.base, self.dt]).encode())
+        for key, value in sorted(({} if self.learnt is None else residual_hooks.packed(self.learnt)).items()):
+            digest.update(key.encode() + np.ascontiguousarray(value, np.float32).tobytes())
+        return digest.hexdigest()
+
+    @property
     def calibrated(self) -> dict[str, float]:
         """Coefficients that the data identified; the others are numbers to swim with, not to quote."""
         rows = {name: row for stage in self.found.values() for name, row in stage.get("parameters", {}).items()}
         return {name: row["value"] for name, row in rows.items() if row["status"] == "identified"}
 
     def swimmer(self, robot: Robot) -> planar_chain.Swimmer:
-        """The nominal robot in this water.
+        """The nominal robot in this water. The water belongs to the body: another servo, mass or timing leaves it as it is.
 
         Raises:
-            ConfigError: the model was fitted for another robot or another time step.
+            ConfigError: the model was fitted for another body or another time step.
         """
-        if robot_hash(robot) != self.robot_sha256:
+        if robot_hash(robot) != self.robot_sha256 and body_hash(robot) != self.body_sha256:
             raise ConfigError(
-                f"water {self.name!r} was fitted for robot {self.robot!r} {self.robot_sha256[:12]}, got {robot.name!r}"
-                f" {robot_hash(robot)[:12]}: another body, servo or timing; fit it: python -m fishmj.hydro_fit all --fish FILE"
+                f"water {self.name!r} was fitted for robot {self.robot!r} {(self.body_sha256 or self.robot_sha256)[:12]}, got"
+                f" {robot.name!r} {body_hash(robot)[:12]}: another body; fit it: python -m fishmj.hydro_fit --fish FILE"
             )
         if abs(robot.timing.physics_dt - self.dt) > 1e-9:
             raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")
         return planar_chain.nominal(robot)._replace(water=self.base)
+
+    def remark(self, robot: Robot) -> str:
+        """What is worth a word about this robot in this water; empty for the robot that it was fitted with."""
+        other = "" if robot_hash(robot) == self.robot_sha256 else "; fitted to this body with other servos, masses or timing"
+        return f"; a preview, not fitted to a whole plan{other}" if self.preview else other
 
     def save(self, folder: "str | Path") -> Path:
         """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""
@@ -203,7 +226,13 @@ class HydroModel:
         weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
         table: dict[str, Any] = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
         table |= {"preview": True} if self.preview else {}
-        table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
+        table |= {
+            "robot": self.robot,
+            "robot_sha256": self.robot_sha256,
+            **({"body_sha256": self.body_sha256} if self.body_sha256 else {}),
+            "dt": self.dt,
+            "slip": self.slip,
+        }
         table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
         table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
         table |= {"band": self.band, "band_alone": self.band_alone, "scores": self.scores, "found": self.found}
@@ -212,11 +241,15 @@ class HydroModel:
 
     @classmethod
     def load(cls, source: "str | Path") -> "HydroModel":
-        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual.
+        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual, `NAME#2` its member 2.
 
         Raises:
-            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model.
+            UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model, or
+            no such member.
         """
+        whole, number = names.split_member(str(source))
+        if number is not None:
+            return member_of(cls.load(whole), number)
         path = Path(source)
         if path.suffix != ".toml":
             plain_name = str(source).removesuffix("-base")
@@ -226,6 +259,22 @@ class HydroModel:
             model = cls.load(found[0])
             return model.base_only if str(source).endswith("-base") else model
         return _read(path)
+
+
+def member_of(model: HydroModel, number: "str | int") -> HydroModel:
+    """One member of the ensemble as a water of its own: its strip coefficients and its residual, which then has no spread.
+
+    Raises:
+        ConfigError: `number` is not one of 0 to E - 1.
+    """
+    count = len(model.members)
+    if not str(number).isdecimal() or not int(number) < count:
+        raise ConfigError(f"water '{model.name}#{number}': got member {number!r}, expected a number from 0 to {count - 1}")
+    e = int(number)
+    learnt = None if model.learnt is None else residual_hooks.member(model.learnt, e)
+    return replace(
+        model, name=f"{model.name}#{e}", base=unflat(model.members[e].tolist()), learnt=learnt, members=model.members[e : e + 1]
+    )
 
 
 def _read(path: Path) -> HydroModel:
@@ -244,7 +293,9 @@ def _read(path: Path) -> HydroModel:
         if sha256(weights) != expected:
             raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
         arrays, _ = read_tensors(weights)
-        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")} | {"notes": table.get("notes", "")}
+        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")} | {
+            k: table.get(k, "") for k in ("notes", "body_sha256")
+        }
         given["preview"] = table.get("preview", False)
         given |= {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         given |= {"base": strip_forces.Coefficients(**table["base"]), "members": arrays["members"], "alone": arrays["alone"]}

@@ -11,7 +11,7 @@ No exception may cross MuJoCo: after any call back into it, the jump out of its 
 the water is kept, `Handle.step` puts the state back and raises it; after a bare mj_step it is raised when the block ends.
 
 The slot is one per process, so this module owns it: it dispatches on the model, leaves other models alone, refuses a
-slot that someone else filled, serves one thread (batched engines take `qfrc_applied` instead), and always cleans up.
+slot that someone else filled, serves one thread (`link_wrench` serves any), and always cleans up.
 """
 
 import threading
@@ -31,15 +31,7 @@ class Handle:
     """One model with its water while the `inject` block lasts."""
 
     def __init__(self, model: mujoco.MjModel, water):
-        root = "free" if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else "planar"
-        if water.root != root:
-            raise ConfigError(f"inject: the model's root is {root!r}, the water's {water.root!r}; build both with the same root")
-        rows = np.repeat(np.arange(model.nv), model.M_rownnz)
-        if len(rows) != model.nv * (model.nv + 1) // 2:
-            raise ConfigError(
-                f"inject: the mass matrix of {model.nv} degrees of freedom has {len(rows)} entries, expected a full lower"
-                " triangle; the water needs one serial chain of links, built by fishmj.mjcf.build"
-            )
+        rows = rows_of_mass(model, water, "inject")
         self.model, self.water = model, water
         self.error: BaseException | None = None
         self._pattern = rows, model.M_colind.copy()
@@ -51,13 +43,13 @@ class Handle:
             SimDiverged: a force or the state left the finite numbers.
             Anything that the water raises; then the state is what it was before the step.
         """
-        following = self.water.next_attached(self.model, data, self.model.opt.timestep)
+        following = self.water.following(self.model, data)
         before = data.time, data.qpos.copy(), data.qvel.copy()
         checked_step(self.model, data, self)
         if self.error is not None:
             data.time, data.qpos[:], data.qvel[:] = before
             self.raise_error()
-        self.water.attached = following
+        self.water.attached, self.water.memory = following
 
     def raise_error(self) -> None:
         """Raise what the callback kept, once."""
@@ -74,6 +66,20 @@ class Handle:
         data.M[:] += added[self._pattern]
         mujoco.mj_factorM(model, data)
         data.qfrc_passive[:] += force
+
+
+def rows_of_mass(model: mujoco.MjModel, water: PlanarWater, who: str) -> np.ndarray:
+    """Row of every entry of the model's mass matrix. Raises ConfigError where it is none that this water can join."""
+    root = "free" if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else "planar"
+    if water.root != root:
+        raise ConfigError(f"{who}: the model's root is {root!r}, the water's {water.root!r}; build both with the same root")
+    rows = np.repeat(np.arange(model.nv), model.M_rownnz)
+    if len(rows) != model.nv * (model.nv + 1) // 2:
+        raise ConfigError(
+            f"{who}: the mass matrix of {model.nv} degrees of freedom has {len(rows)} entries, expected a full lower"
+            " triangle; the water needs one serial chain of links, built by fishmj.mjcf.build"
+        )
+    return rows
 
 
 def inject(model: mujoco.MjModel, water: PlanarWater):
@@ -99,7 +105,7 @@ def installed(handle: Handle):
     if key in _handles:
         raise InjectionError("inject: this model is in water already; one block a model")
     if _owner and _owner[0] != threading.get_ident():
-        raise InjectionError("inject: the callback serves another thread; use the engine 'batch' (qfrc_applied) from threads")
+        raise InjectionError("inject: the callback serves another thread; from threads take LinkWrench, Sim(injection='xfrc')")
     if not _handles:
         if mujoco.get_mjcb_passive() is not None:
             raise InjectionError("inject: mjcb_passive is taken by someone else; remove it first: mujoco.set_mjcb_passive(None)")

@@ -1,23 +1,47 @@
-"""The strip water of one fish in MuJoCo's planar coordinates (x, y, psi, j1 ..): added mass M_a and explicit force.
+"""The water of one fish in MuJoCo's planar coordinates (x, y, psi, j1 ..): added mass M_a, and explicit forces on every link.
 
     a_head = B(psi) qacc     head axes and absolute link rates from MuJoCo's coordinates
     M_a(MuJoCo) = B^T M_a(head) B
+    explicit    = strips + learnt residual where there is one, (F_t, F_n, moment) a link
 
-Only sums over the definitions in `planar_chain` and `strip_forces`; nothing about water is stated here a second time.
+Only sums over the definitions in `planar_chain`, `strip_forces` and `residual_hooks`; nothing about water is stated here a second
+time. What the water does at one instant is reckoned once (`Instant`), whoever asks: forces, wrenches or what it remembers next.
 """
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import SimDiverged
 from fishmj.mjcf.description import Robot
+from fishmj.water import residual_hooks
+
+RESIDUAL = "learnt residual"  # its name in errors
+
+
+class Instant(NamedTuple):
+    """What a water does to N links at one state."""
+
+    motion: planar_chain.Links  # u, w, omega of every link through its water
+    explicit: Any  # force on every link but for what goes with its acceleration
+    residual: list  # N of (F_t, F_n, moment), the learnt share of it; empty without one
+    added: Any  # added mass
+    frame: Any  # what turns both into MuJoCo's coordinates
+    attached: float  # one step later
+    memory: list  # one step later
 
 
 class PlanarWater:
-    """Structured water around one fish with a planar root.
+    """Strip water, and a learnt residual if it has one, around one fish with a planar root.
+
+    Args:
+        learnt: `HydroModel.learnt`, the residual of a fitted water whose coefficients `swimmer.water` holds; None: strips alone.
 
     Attributes:
-        attached: attachment state of the tail, 0..1; advances once a step, never inside `forces`.
+        swimmer: this fish's constants; `swimmer.water` may be replaced between steps.
+        attached: attachment state of the tail, 0..1. memory: of the residual, flat list of floats. Both are of the present, are
+            read by `forces`, and are moved on once a step by whoever takes it, never inside `forces`.
         flow: water velocity at each link (N, 3) [m/s] and `ambient` its uniform acceleration (3,) [m/s2], world frame;
             the caller sets them (`set_flow`) as often as the flow changes.
     """
@@ -25,12 +49,24 @@ class PlanarWater:
     root = "planar"
     unnamed = "ambient"  # what is to blame where no term with a name is
 
-    def __init__(self, robot: Robot, swimmer: planar_chain.Swimmer | None = None, attached: float = 0.5):
-        self.robot = robot
+    def __init__(
+        self,
+        robot: Robot,
+        swimmer: planar_chain.Swimmer | None = None,
+        attached: float = 0.5,
+        learnt: "residual_hooks.Residual | None" = None,
+    ):
+        self.robot, self.learnt = robot, learnt
         self.chain = planar_chain.chain_of(robot)
         self.swimmer = planar_chain.nominal(robot) if swimmer is None else swimmer
-        self.attached = attached
+        self.attached: float = attached
+        self.memory: list = self.at_rest()
         self.flow, self.ambient = np.zeros((self.chain.n, 3)), np.zeros(3)
+        self._known: tuple[Any, Any, Any] = ((), (), None)  # inputs, constants and what came of them
+
+    def at_rest(self) -> list:
+        """The memory of a fish at rest in still water."""
+        return [] if self.learnt is None else residual_hooks.at_rest()
 
     def set_flow(self, flow, ambient=(0.0, 0.0, 0.0)) -> None:
         """Water velocity at the links, (N, 2 or 3) m/s, and DU/Dt, (2 or 3,) m/s2."""
@@ -40,31 +76,91 @@ class PlanarWater:
 
     def forces(self, model, data) -> tuple[np.ndarray, np.ndarray]:
         """Added mass (nv, nv) and the explicit generalised force (nv,); pure."""
-        k, heading = planar_chain.kinematics(np, self.chain, data.qpos, data.qvel, self.flow), data.qpos[2]
-        # `attached` is read, never written: MuJoCo may call the callback more often than once a step (mj_forward)
-        hydro = planar_chain.water_forces(np, self.chain, self.swimmer, k, heading, self.ambient, self.attached)
-        force = planar_chain.generalised(np, self.chain, heading, planar_chain.gather(self.chain, k, hydro))
+        now = self.instant(model, data)
+        force = planar_chain.generalised(np, self.chain, now.frame, planar_chain.gather(self.chain, now.motion, now.explicit))
         # the force without M_a a: MuJoCo adds the matrix to its own M and finds the acceleration with both
-        lower = planar_chain.mass_matrix(self.chain, self.swimmer, k, rigid=False)
-        return world_matrix(self.chain, heading, lower), np.array(force)
+        return world_matrix(self.chain, now.frame, now.added), np.array(force)
 
-    def motions(self, data) -> list[tuple[float, float, float]]:
-        """(u, w, Omega) of every link relative to its water."""
-        k = planar_chain.kinematics(np, self.chain, data.qpos, data.qvel, self.flow)
-        return list(zip(k.u, k.w, k.omega, strict=True))
+    def wrenches(self, model, data, qacc) -> np.ndarray:
+        """Force and moment of the water on every link about its centre of mass, world axes, (N, 6) N, N m; pure.
 
-    def next_attached(self, model, data, dt: float) -> float:
-        """Attachment state one step later; forces of this step still use the present one."""
-        tail = self.motions(data)[-1]
-        return float(strip_forces.attachment(np, self.chain.strips, self.swimmer.water, *tail, self.attached, dt))
+        Args:
+            qacc: (nv,) the acceleration that goes with them; the added mass answers to it.
+        """
+        now, ch, c = self.instant(model, data), self.chain, self.swimmer.water
+        cp, sp = np.cos(now.frame), np.sin(now.frame)
+        ax, ay = cp * qacc[0] + sp * qacc[1], cp * qacc[1] - sp * qacc[0]
+        alpha, out = np.cumsum(qacc[2:]), np.zeros((ch.n, 6))
+        for i, (ft, fn, moment) in enumerate(now.explicit):
+            (tx, ty), (nx, ny) = now.motion.t[i], now.motion.n[i]
+            m0, m1, m2 = (c.k[i] * m for m in ch.strips.mu[i])
+            across = ax * nx + ay * ny
+            fn, moment = fn - m0 * across - m1 * alpha[i], moment - m1 * across - m2 * alpha[i]
+            fx, fy = ft * tx + fn * nx, ft * ty + fn * ny
+            x, y, _ = model.body_ipos[1 + i]
+            out[i, [0, 1, 5]] = cp * fx - sp * fy, sp * fx + cp * fy, moment - x * fn + y * ft
+            if i < ch.n - 1:  # of the next link's origin, less what goes with velocities
+                ax, ay = ax + ch.d[i] * alpha[i] * nx, ay + ch.d[i] * alpha[i] * ny
+        return out
+
+    def following(self, model, data) -> tuple[float, list]:
+        """Attachment and memory one step later; forces of this step still use the present ones."""
+        now = self.instant(model, data)
+        return now.attached, now.memory
+
+    def instant(self, model, data) -> Instant:
+        """What the water does now; pure, and reckoned once for one state, flow, memory and set of constants."""
+        arrays = (*self._state(data), self.flow, self.ambient)
+        inputs = (*(a.tobytes() for a in arrays), self.attached, *self.memory, model.opt.timestep)
+        constants = self._constants()
+        known, same, now = self._known
+        if known != inputs or any(a is not b for a, b in zip(same, constants, strict=True)):
+            now = self._evaluated(data, model.opt.timestep)
+            self._known = inputs, constants, now
+        return now
+
+    def _state(self, data) -> tuple:
+        """Everything of MuJoCo's state that the water looks at, arrays."""
+        return data.qpos, data.qvel
+
+    def _constants(self) -> tuple:
+        """What is replaced where the water changes, never written to."""
+        return (self.swimmer, self.learnt)
+
+    def _evaluated(self, data, dt: float) -> Instant:
+        ch, sw, heading = self.chain, self.swimmer, float(data.qpos[2])
+        k = planar_chain.kinematics(np, ch, data.qpos.tolist(), data.qvel.tolist(), self.flow[:, :2].tolist())
+        # `attached` is read, never written: MuJoCo may call the callback more often than once a step (mj_forward)
+        hydro = planar_chain.water_forces(np, ch, sw, k, heading, self.ambient.tolist(), self.attached)
+        residual, memory = self._learnt(k, dt)
+        if residual:
+            hydro = [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(hydro, residual, strict=True)]
+        added = planar_chain.mass_matrix(ch, sw, k, rigid=False)
+        return Instant(k, hydro, residual, added, heading, self._attachment(k, dt), memory)
+
+    def _learnt(self, k: planar_chain.Links, dt: float) -> tuple[list, list]:
+        """Forces of the residual at the present memory, and the memory dt later."""
+        if self.learnt is None:
+            return [], self.memory
+        hooks = residual_hooks.LearnedResidual(np, self.chain, self.learnt, self.memory)
+        forces = hooks.advance(self.chain.strips, self.swimmer.water, k, dt)
+        return forces, [float(value) for value in hooks.end(self.chain, self.swimmer, (), ())]
+
+    def _attachment(self, k: planar_chain.Links, dt: float) -> float:
+        s, water, tail = self.chain.strips, self.swimmer.water, (k.u[-1], k.w[-1], k.omega[-1])
+        return float(strip_forces.attachment(np, s, water, *tail, self.attached, dt))
 
     def blame(self, model, data) -> SimDiverged:
         """The error that names the first term and link whose force is not finite."""
-        motions = self.motions(data)
-        for i, link in enumerate(self.robot.links):
-            for term, value in named_terms(self.chain.strips, self.swimmer.water, i, *motions[i], self.attached).items():
-                if not np.all(np.isfinite(value)):
-                    return diverged(data, term, link.name, *motions[i])
+        now = self.instant(model, data)
+        motions = list(zip(now.motion.u, now.motion.w, now.motion.omega, strict=True))
+        strips = lambda i: named_terms(self.chain.strips, self.swimmer.water, i, *motions[i], self.attached)
+        # the residual last: it is bounded by what the strips' drag takes, so their fault is its fault too
+        for terms in (strips, lambda i: {RESIDUAL: now.residual[i]} if now.residual else {}):
+            for i, link in enumerate(self.robot.links):
+                for term, value in terms(i).items():
+                    if not np.all(np.isfinite(value)):
+                        return diverged(data, term, link.name, *motions[i])
         return diverged(data, self.unnamed, self.robot.links[0].name, *motions[0])
 
 

@@ -14,6 +14,7 @@ The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states,
 had a link outside the range while it moved. `inner` are other hooks that act first, on the same fish.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,6 +75,9 @@ def inside(xp, r: Range, xi: list, speed, i: int):
     return fade, far
 
 
+_panels = lru_cache(8)(residual_network.panels)  # of a chain, wanted at every step
+
+
 class LearnedResidual:
     """Hooks that add a residual.
 
@@ -84,7 +88,7 @@ class LearnedResidual:
     """
 
     def __init__(self, xp, ch: planar_chain.Chain, learnt: Residual, memory, inner: Any = None):
-        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, residual_network.panels(ch)
+        self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, _panels(ch)
         *self.z, self.store, self.guarded = list(memory)[-(residual_network.WAKES + 2) :]
         self.forces: list = []
         self.spread: Any = 0.0  # variance between the members' coefficients

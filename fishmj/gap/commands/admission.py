@@ -34,6 +34,7 @@ from fishmj.gap.wording import title
 from fishmj.log import Trial
 from fishmj.log.dataset import Taken
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.choice import label, residual_of
 
 LINKS = 4
 SHIPPED = "fish"  # what the null sets swam as, which say a name only
@@ -45,6 +46,12 @@ def searchable(robot: Robot, model: object) -> None:
     if len(robot.links) != LINKS:
         has = f"{model} has {len(robot.links)} links"
         raise ConfigError(f"the search so far takes fish of four links and three joints; {has} ({MEANWHILE})")
+    if residual_of(robot) is not None:
+        name = label(robot)
+        raise ConfigError(
+            f"the search swims strips, and water {name!r} has a learnt force, which it would leave out; take its strips,"
+            f" --water {name}-base, or structured"
+        )
     ticks = PERIOD / robot.timing.physics_dt
     if abs(ticks - round(ticks)) > 1e-6:
         step = f"{model} has physics_dt = {robot.timing.physics_dt:g} s"

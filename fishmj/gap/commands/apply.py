@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 from fishmj import console
 from fishmj.engines import own_effects
-from fishmj.engines.extensions import STRUCTURED
 from fishmj.errors import ConfigError
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.check import gaps
@@ -24,6 +23,7 @@ from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, title
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_text
+from fishmj.water.choice import STRUCTURED
 
 UNSEEN = "records that nothing was fitted to"
 HELD_OUT = "the held-out fold, which the last fit saw: there were too few records to set some aside"

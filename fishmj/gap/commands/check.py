@@ -10,8 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fishmj import console, effects
-from fishmj.engines import in_water, own_effects
-from fishmj.engines.extensions import STRUCTURED
+from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, LogError
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.models.swimming_fish import SwimmingFish
@@ -22,6 +21,7 @@ from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.wording import level
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.choice import STRUCTURED, as_described
 
 SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off
 
@@ -92,6 +92,6 @@ def gaps(versions: list[Robot], trials: list[Trial], null: SimulatedNull, water:
     if not trials:
         raise LogError("gap check: no records to judge on; the data set holds none of those that the version names")
     listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
-    model = SwimmingFish(in_water(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
+    model = SwimmingFish(as_described(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
     evidence = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], null)
     return [evidence.gap(model.row(robot)) for robot in versions]

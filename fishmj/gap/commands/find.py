@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj import console, interrupt
-from fishmj.engines import in_water, own_effects
+from fishmj.engines import own_effects
 from fishmj.gap import watch
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
@@ -22,6 +22,7 @@ from fishmj.log.dataset import Taken
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import left_out, shipped, write_json
+from fishmj.water.choice import as_described
 
 
 def main(argv: list[str]) -> int:
@@ -33,7 +34,9 @@ def main(argv: list[str]) -> int:
     model = "the model to question: shipped name or TOML file, with its effects (default fish)"
     add("--model", type=console.text, default="fish", help=model)
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
-    water = "a fitted water in place of the model's own: surrogate, or a name such as swift-base (default structured)"
+    water = (
+        "a fitted water without a learnt force in place of the model's own, such as swift-base (default structured: as described)"
+    )
     add("--water", type=console.text, default="structured", help=water)
     nulls = "folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew"
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
@@ -48,7 +51,7 @@ def main(argv: list[str]) -> int:
     args.null = args.null and shipped(args.null)
     gap_options.there(args.null, args.data if left_out(args.data) else None)
     own_effects.join(args.effects)
-    robot = in_water(load_robot(args.model), args.water)
+    robot = as_described(load_robot(args.model), args.water)
     admission.searchable(robot, args.model)
     null = null_of(drawn_of(args))
     admission.null_fits(null, robot, args.model)

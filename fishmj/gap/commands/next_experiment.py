@@ -7,8 +7,7 @@ each explanation at its fitted values; the best separation for the time it takes
 """
 
 from fishmj import console, excitation
-from fishmj.engines import in_water, own_effects
-from fishmj.engines.extensions import STRUCTURED
+from fishmj.engines import own_effects
 from fishmj.errors import ConfigError, LogError, UnknownName
 from fishmj.gap import watch
 from fishmj.gap.commands import admission, gap_options, model_version
@@ -28,6 +27,7 @@ from fishmj.gap.records.datasets import BUNDLE, page_in
 from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import compiled, investigate
 from fishmj.mjcf.description import load_robot
+from fishmj.water.choice import STRUCTURED, as_described
 
 
 def main(argv: list[str]) -> int:
@@ -115,7 +115,7 @@ def _questioned(name: str, water: str):
     """A model that a search can take, by its name or file."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    robot = in_water(load_robot(name), water)
+    robot = as_described(load_robot(name), water)
     admission.searchable(robot, name)
     return SwimmingFish(robot)
 

@@ -29,7 +29,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.store import plain, read_tensors, write_tensors
 from fishmj.water import residual_hooks
 from fishmj.water import residual_network as residual
-from fishmj.water.hydro_model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
 from fishmj.water.prior import flat, prior_of, unflat
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
@@ -308,6 +308,7 @@ class FitPipeline:
             name=self.robot.name,
             robot=self.robot.name,
             robot_sha256=robot_hash(self.robot),
+            body_sha256=body_hash(self.robot),
             dt=self.chain.dt,
             slip=slips.pop() if len(slips) == 1 else float("nan"),
             base=unflat(state["water"].tolist()),

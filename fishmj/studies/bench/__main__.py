@@ -4,7 +4,8 @@ import json
 import traceback
 
 from fishmj import console, interrupt
-from fishmj.studies.bench import Benchmark, known, measure, pick
+from fishmj.studies.bench import Benchmark, engines, known, measure, pick
+from fishmj.water import choice
 
 
 def _figure(value):
@@ -41,6 +42,7 @@ def options() -> console.Parser:
         "names", type=console.text, nargs="*", action=console.Distinct, metavar="NAME", help="of --list; default: all"
     )
     parser.add_argument("--list", action="store_true", help="name the benchmarks and stop")
+    parser.add_argument("--water", type=console.text, help=f"of the engines and the environment. {choice.HELP}")
     parser.add_argument("--quick", action="store_true", help="small batches, three rounds: does it run at all")
     return parser
 
@@ -55,6 +57,8 @@ def main(argv: list[str]) -> int:
             console.emit_json({"benchmarks": rows})
         return console.OK
     results, todo = [], pick(args.names)
+    engines.WATER[:] = [args.water]
+    engines.swimming()  # a wrong name fails before anything runs
     with interrupt.keeping(lambda: _words(todo, len(results))), console.Progress(len(todo), "bench", "benchmarks") as bar:
         for k, bench in enumerate(todo):
             bar.stage(f"{bench.name}, {k + 1} of {len(todo)}: compiling, then measuring")

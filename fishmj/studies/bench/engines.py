@@ -1,4 +1,4 @@
-"""Engines in control steps (0.2 s) a second: randomised fish, command latency, turbulent flow and structured water on.
+"""Engines in control steps (0.2 s) a second: randomised fish, command latency, turbulent flow and water on.
 
 The baseline of each is bare MuJoCo on one core: `mj_step` of the same robot without water, randomisation or latency,
 physics steps counted as control steps.
@@ -8,8 +8,17 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.studies.bench import NotHere, Work, benchmark
+from fishmj.water.choice import in_water, label
 
 SEED = 5
+WATER: list[str | None] = [None]  # of the engines and the environment: `fishmj bench --water`
+
+
+def swimming():
+    """The shipped robot in the water that was asked for."""
+    from fishmj.mjcf import load_robot
+
+    return in_water(load_robot("fish"), WATER[0], who="bench")
 
 
 def bare_mujoco(quick: bool) -> Work:
@@ -54,9 +63,8 @@ def _school(robot, fish: int):
 def _engine(name: str, fish: int, chunks: int) -> Work:
     """`chunks` control steps of `fish` fish per run; on an engine that jits, all in one compiled scan."""
     from fishmj import engines
-    from fishmj.mjcf import load_robot
 
-    robot = load_robot("fish")
+    robot = swimming()
     try:
         engine = engines.make(name, robot)
     except ModuleNotFoundError as error:
@@ -69,7 +77,7 @@ def _engine(name: str, fish: int, chunks: int) -> Work:
     )
     if not np.all(np.isfinite(run())):
         raise NotHere(f"{name} left the finite numbers: its rate would mean nothing")
-    return Work(run, fish * chunks, where)
+    return Work(run, fish * chunks, f"{where}, water {label(robot)}")
 
 
 def _stepped(engine, state, commands, params, current, tick, chunks):
@@ -140,15 +148,14 @@ def environment(quick: bool) -> Work:
     import jax
     from jax import lax
 
-    from fishmj.mjcf import load_robot
     from fishmj.tasks.env import StationHold
 
     fish, chunks = 65536 if _on_gpu() else 256, 2 if quick else 10
-    env = StationHold(load_robot("fish"))
+    env = StationHold(swimming())
     start = env.reset(jax.random.key(SEED), fish, True)
     action = jax.random.uniform(jax.random.key(SEED + 1), (chunks, fish, env.n_act), minval=-0.5, maxval=0.5)
     swim = jax.jit(lambda state, actions: lax.scan(lambda s, a: (env.step(s, a), s.reward), state, actions)[1])
     run = lambda: np.asarray(swim(start, action))
     if not np.all(np.isfinite(run())):
         raise NotHere("the environment left the finite numbers: its rate would mean nothing")
-    return Work(run, fish * chunks, jax.devices()[0].device_kind)
+    return Work(run, fish * chunks, f"{jax.devices()[0].device_kind}, water {label(env.robot)}")

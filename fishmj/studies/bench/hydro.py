@@ -3,7 +3,8 @@
 | benchmark | way | baseline |
 |---|---|---|
 | hydro_passive | mjcb_passive, NumPy, one fish | bare `mj_step` |
-| hydro_passive_residual | qfrc_applied, NumPy, one fish | hydro_passive |
+| hydro_passive_residual | mjcb_passive with the residual | hydro_passive |
+| hydro_wrench_residual | xfrc_applied with the residual, NumPy, one fish | hydro_passive_residual |
 | hydro_ellipsoid | MuJoCo's own fluid, C, one fish | bare `mj_step` |
 | hydro_batch_residual | engine `batch`, strips and residual | the strips alone |
 | hydro_mjx_residual | engine `mjx`, strips and residual | the strips alone |
@@ -74,7 +75,7 @@ def _finite(run, what: str, amount: float, where: str = "cpu") -> Work:
 
 
 def _alone(quick: bool, water: str) -> Work:
-    """One fish by `mj_step`; water: none, ellipsoid, passive (mjcb_passive) or residual (qfrc_applied)."""
+    """One fish by `mj_step`; water: none, ellipsoid, passive (strips), residual (the same way) or wrench (xfrc_applied)."""
     from contextlib import nullcontext
 
     import mujoco
@@ -82,20 +83,20 @@ def _alone(quick: bool, water: str) -> Work:
     from fishmj import mjcf
     from fishmj.dynamics import planar_chain
     from fishmj.engines.extensions import Extensions
-    from fishmj.engines.single import HookedWater
     from fishmj.water.injection import inject
+    from fishmj.water.link_wrench import LinkWrench
     from fishmj.water.planar_water import PlanarWater
 
-    robot = _robot(water == "residual")
+    robot = _robot(water in ("residual", "wrench"))
     model = mjcf.build(robot, bare=True, ellipsoid=water == "ellipsoid")
     steps = 200 if quick else 1000
     beat = _beat(np.arange(steps) * robot.timing.physics_dt, robot.n_joints)
-    swimmer = planar_chain.nominal(robot)
+    swimmer, learnt = planar_chain.nominal(robot), Extensions.of(robot).learnt
 
     def run():
-        data = mujoco.MjData(model)
-        solo = HookedWater(robot, Extensions.of(robot), swimmer) if water == "residual" else None
-        with inject(model, PlanarWater(robot, swimmer)) if water == "passive" else nullcontext(solo) as fish:
+        data, strips = mujoco.MjData(model), PlanarWater(robot, swimmer, learnt=learnt)
+        solo = LinkWrench(model, strips) if water == "wrench" else None
+        with inject(model, strips) if water in ("passive", "residual") else nullcontext(solo) as fish:
             for target in beat:
                 data.ctrl[:] = target
                 fish.step(data) if fish else mujoco.mj_step(model, data)
@@ -117,8 +118,14 @@ def hydro_passive(quick: bool) -> Work:
 
 @benchmark("hydro_passive_residual", "physics steps/s", baseline=hydro_passive)
 def hydro_passive_residual(quick: bool) -> Work:
-    """Strips and residual in NumPy through qfrc_applied, one fish."""
+    """Strips and residual through mjcb_passive in NumPy, one fish."""
     return _alone(quick, "residual")
+
+
+@benchmark("hydro_wrench_residual", "physics steps/s", baseline=hydro_passive_residual)
+def hydro_wrench_residual(quick: bool) -> Work:
+    """Strips and residual as wrenches of the links in xfrc_applied, in NumPy, one fish."""
+    return _alone(quick, "wrench")
 
 
 @benchmark("hydro_ellipsoid", "physics steps/s", baseline=bare_steps)

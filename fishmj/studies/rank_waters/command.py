@@ -30,10 +30,10 @@ from fishmj.studies.rank_waters import compare_waters, rank
 from fishmj.studies.rank_waters.plot import picture
 from fishmj.water.hydro_model import HydroModel, shipped
 
-DEFAULT = ("dob", "pi", "pd", "adrc-c1", "fitted-sac", "fitted", "drift")
+DEFAULT = ("dob", "pi", "pd", "adrc-c1", "station-sac", "station", "drift")
 MEANING = {
-    "fitted": "PPO",
-    "fitted-sac": "SAC",
+    "station": "PPO",
+    "station-sac": "SAC",
     "dob": "flow observer",
     "pi": "vector PI",
     "pd": "PD",
@@ -48,7 +48,7 @@ def options() -> console.Parser:
     add = parser.add_argument
     brains = f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name"
     add("controllers", type=console.text, nargs="*", action=console.Distinct, metavar="CONTROLLER", help=brains)
-    add("--any-command-path", action="store_true", help="policies steer on the robot's command path, whatever theirs")
+    controllers.anyway_option(parser)
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
     model = "the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
     add("--model", type=console.text, help=model)
@@ -80,7 +80,9 @@ def main(argv: list[str]) -> int:
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
     model, fitted = HydroModel.load(water), engines.in_water(robot, water)
     names = list(args.controllers) or list(DEFAULT)
-    brains = controllers.several(names, robot, any_command_path=args.any_command_path)
+    brains = controllers.several(names, robot, anyway=args.anyway, water="lbm")
+    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
+        console.warn(note)
     trials = chosen(args)
     runs = (run_trials.UNCHANGED, *compare_waters.AGAIN[: args.again])
     total = trials.duration * len(trials) * len(brains) * len(runs)

@@ -25,7 +25,7 @@ from fishmj.store import plain, read_json, write_json
 from fishmj.studies.mujoco_ellipsoid import fit as ellipsoid
 from fishmj.studies.mujoco_ellipsoid import force, judged
 from fishmj.studies.water_ablation.ablation_fit import Variant
-from fishmj.water.hydro_model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
 from fishmj.water.prior import flat
 
 SCHEMA = "fishmj.ablation/1"
@@ -158,6 +158,7 @@ def unfitted(robot: Robot) -> HydroModel:
         name="prior",
         robot=robot.name,
         robot_sha256=robot_hash(robot),
+        body_sha256=body_hash(robot),
         dt=ch.dt,
         slip=1.0,
         base=water,

@@ -14,7 +14,7 @@ import numpy as np
 
 from fishmj.hydro_fit.fit import pipeline
 from fishmj.store import plain
-from fishmj.water.hydro_model import HydroModel, robot_hash
+from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
 from fishmj.water.prior import unflat
 
 NEEDS = {  # settings that a stage depends on, besides those of the stages before it
@@ -54,6 +54,7 @@ class Variant(pipeline.FitPipeline):
             name="variant",
             robot=self.robot.name,
             robot_sha256=robot_hash(self.robot),
+            body_sha256=body_hash(self.robot),
             dt=self.chain.dt,
             slip=float(self.train[0].meta["grid"].get("slip", 1.0)),
             base=unflat(state["water"].tolist()),

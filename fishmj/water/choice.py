@@ -1,0 +1,222 @@
+"""The waters that a fish can swim in, by one set of names in every verb and every function.
+
+    fitted       strips and a learnt residual, fitted to the flow solver for this body; the default wherever the robot has one
+    structured   strips with the description's own coefficients
+    hybrid       `fitted`, corrected by the flow solver while the fish swims
+    lbm          the flow solver itself
+    none         no water: a bench in air
+    NAME         a fitted water by name or .toml file; NAME-base: its strips alone; NAME#2: member 2 of its ensemble alone
+
+    choice = chosen(robot, None)      Choice(kind, robot in that water, one line that says which it is)
+
+A description may state its water, `[water] model`; then that one is the default. `robot.water["model"]` holds what was chosen: a
+kind, or the name of the fitted water; without it nothing was chosen yet.
+"""
+
+from collections.abc import Collection
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from fishmj import calib, console
+from fishmj.dynamics import strip_forces
+from fishmj.errors import ConfigError, FishmjError, UnknownName
+from fishmj.mjcf.description import Robot
+from fishmj.names import split_member
+
+if TYPE_CHECKING:
+    from fishmj.water.hydro_model import HydroModel
+
+FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
+RENAMED = {"surrogate": FITTED}  # old names
+OWN = "own"  # in `robot.water`: the table of the description
+DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
+SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
+HELP = (
+    "fitted: strips and learnt residual fitted to the flow solver for this body, the default where there is one; structured: the"
+    " description's own coefficients; none: air; a fitted water by name (NAME-base: its strips alone) or .toml file"
+)
+
+
+INSTEAD = {
+    HYBRID: "hybrid is for Sim, suite.load, `fishmj evaluate` and `fishmj play`",
+    LBM: "lbm is for suite.load and `fishmj evaluate`",
+    NONE: "none is for Sim and the engines",
+}
+
+
+class Choice(NamedTuple):
+    """A water for one robot."""
+
+    kind: str  # of KINDS
+    robot: Robot  # with the coefficients and the name of its water
+    said: str  # one line for people
+
+    def within(self, can: Collection[str], who: str) -> "Choice":
+        """This choice, for whoever can honour these kinds.
+
+        Args:
+            who: its name, for the message.
+        Raises:
+            ConfigError: it cannot honour this one; says what would.
+        """
+        if self.kind not in can:
+            raise ConfigError(
+                f"water {self.kind!r}: {who} swims in {', '.join(can)}, or a fitted water by name; {INSTEAD[self.kind]}"
+            )
+        return self
+
+
+def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
+    """The water asked for; None: what the description states, else the fitted water where this body has one.
+
+    Raises:
+        UnknownName, StoreError: no such water. ConfigError: none is fitted for this body, or one for another body or time step.
+    """
+    name, described = canonical(water), robot.water.get(OWN, robot.water)
+    stated = canonical(robot.water.get("model"))
+    if name is None:
+        name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
+    if name == STRUCTURED:
+        why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
+        return Choice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
+    if name == LBM:
+        return Choice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
+    if name == NONE:
+        return Choice(NONE, _with(robot, _dry(robot), name), "none, a bench in air")
+    if name == HYBRID:
+        fitted = chosen(robot, FITTED)
+        return Choice(HYBRID, fitted.robot, f"hybrid, {fitted.said}, corrected by the flow solver")
+    return _fitted(robot, name)
+
+
+def _with(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
+    """The robot with other coefficients; those of its description stay with it: it can be told from others, and put back."""
+    described = robot.water.get(OWN, robot.water)
+    kept = {key: described[key] for key in ("stations",) if key in described}
+    return replace(robot, water={**coefficients, **kept, "model": name, OWN: described})
+
+
+def in_water(
+    robot: Robot, water: "str | Path | None" = None, *, can: Collection[str] = SELF_MADE, who: str = "this engine"
+) -> Robot:
+    """The robot in the water asked for, as `chosen`; arguments and errors besides as `Choice.within`."""
+    return chosen(robot, water).within(can, who).robot
+
+
+def as_described(robot: Robot, water: "str | Path" = STRUCTURED) -> Robot:
+    """The robot in the water that its description states, else in its own strips; a fitted one only where it is asked for.
+
+    For what questions a description: the search, the calibration, the second robot.
+    """
+    return robot if canonical(water) == STRUCTURED else in_water(robot, water, who="what questions a description")
+
+
+def canonical(water: "str | Path | None") -> str | None:
+    """The name as it is written today; an old one is said once."""
+    if water is None:
+        return None
+    name, member = split_member(str(water))
+    if name not in RENAMED:
+        return str(water)
+    if name not in _TOLD:
+        _TOLD.add(name)
+        console.warn(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
+    return _joined(RENAMED[name], member)
+
+
+def _joined(name: str, member: str | None) -> str:
+    """The inverse of `split_member`."""
+    return name if member is None else f"{name}#{member}"
+
+
+_TOLD: set[str] = set()
+
+
+def model_of(robot: Robot) -> "HydroModel | None":
+    """The fitted water that the robot swims in, or None. Raises UnknownName, StoreError, ConfigError: it cannot be read."""
+    name = label(robot)
+    if name in (STRUCTURED, LBM, NONE):
+        return None
+    return fitted_water(_own(robot, name))
+
+
+def _own(robot: Robot, name: str) -> str:
+    """`fitted` as the fitted water that the description states, else as the one of the robot's name; other names as they are.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    kind, member = split_member(name)
+    if kind != FITTED:
+        return name
+    states = canonical(robot.water.get(OWN, robot.water).get("model"))
+    if states not in (None, *KINDS):
+        return _joined(split_member(states)[0], member or split_member(states)[1])
+    if robot.name not in calib.waters():
+        raise ConfigError(
+            f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
+        )
+    return _joined(robot.name, member)
+
+
+def label(robot: Robot) -> str:
+    """The water of a robot as tables and logs hold it: a kind, or the name of the fitted water."""
+    return canonical(robot.water.get("model")) or STRUCTURED
+
+
+def fit_it(robot: Robot) -> str:
+    """The command that fits a water for a robot."""
+    return f"python -m fishmj.hydro_fit --fish {'FILE' if robot.name not in calib.robots().values() else robot.name}"
+
+
+def fitted_for(robot: Robot) -> str | None:
+    """Name of the fitted water that lies ready for this body, or None."""
+    if robot.name not in calib.waters():
+        return None
+    try:
+        fitted_water(robot.name).swimmer(robot)
+    except FishmjError:
+        return None
+    return robot.name
+
+
+def _fitted(robot: Robot, name: str) -> Choice:
+    name = _own(robot, name)
+    model = fitted_water(name)
+    made = _with(robot, model.swimmer(robot).water._asdict(), name)
+    parts = "strips alone" if model.learnt is None else "strips and learnt residual"
+    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}){model.remark(robot)}")
+
+
+def _dry(robot: Robot) -> dict[str, Any]:
+    """Coefficients of no water at all."""
+    table = strip_forces.coefficients(robot.water, len(robot.links))._asdict()
+    return {
+        key: ([0.0] * len(value) if isinstance(value, list) else 0.0) if key in DRY else value for key, value in table.items()
+    }
+
+
+def residual_of(robot: Robot):
+    """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
+    model = model_of(robot)
+    if model is None:
+        return None
+    if (links := len(model.base.k)) != len(robot.links):
+        raise ConfigError(
+            f"robot {robot.name!r} [water] model: got {label(robot)!r}, fitted for {model.robot!r} of {links} links, expected"
+            f" one for {len(robot.links)} links; 'structured' fits every robot"
+        )
+    return model.learnt
+
+
+@lru_cache(8)
+def fitted_water(name: str) -> "HydroModel":
+    """A fitted water by name or file."""
+    from fishmj.water.hydro_model import HydroModel, shipped
+
+    plain, _ = split_member(name)
+    if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
+        raise UnknownName("water", name, (*KINDS, *shipped()))
+    return HydroModel.load(name)

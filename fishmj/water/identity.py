@@ -1,0 +1,31 @@
+"""Which water a robot swims in, as the header of a policy holds it and as a judgement compares it."""
+
+import json
+from hashlib import sha256
+
+from fishmj.mjcf.description import Robot
+from fishmj.store import plain
+from fishmj.water.choice import STRUCTURED, label, model_of
+
+
+def water_identity(robot: Robot) -> dict[str, str]:
+    """The water of a robot in names and one hash.
+
+    Returns:
+        {"name", "kind"} and, where something was fitted or stated, "sha256": of the coefficients of kind `structured`, of
+        coefficients and weights of kind `fitted`, or `base` without the learnt residual.
+    Raises:
+        UnknownName, StoreError, ConfigError: there is no such fitted water, or its file cannot be read.
+    """
+    name, model = label(robot), model_of(robot)
+    if model is not None:
+        return {
+            "name": model.name.replace("#", "."),
+            "kind": "base" if model.learnt is None else "fitted",
+            "sha256": model.sha256,
+        }
+    if name != STRUCTURED:
+        return {"name": name, "kind": name}
+    table = {key: value for key, value in robot.water.items() if key not in ("model", "own") and value is not None}
+    text = json.dumps(plain(table), sort_keys=True, default=str)
+    return {"name": name, "kind": STRUCTURED, "sha256": sha256(text.encode()).hexdigest()}

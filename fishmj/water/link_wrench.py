@@ -1,0 +1,105 @@
+"""Water as a force and a moment on every link, through `data.xfrc_applied`: no callback, any thread, any loop of one's own.
+
+    fish = LinkWrench(model, PlanarWater(robot, swimmer, learnt=...))
+    while swimming:
+        fish.apply(data)                before every mj_step
+        mujoco.mj_step(model, data)
+
+MuJoCo adds sum J^T wrench to its own forces f and solves (M + h D) a = f + sum J^T wrench. The added mass answers to that same a,
+so a is solved for beforehand, from MuJoCo's own matrix and forces; the step is that of `injection`, to round-off:
+
+    (M + M_a + h D) a = f + Q,    wrench_i = explicit force_i - A_i a_i      about the link's centre of mass, world axes
+"""
+
+import mujoco
+import numpy as np
+
+from fishmj.errors import ConfigError
+from fishmj.water.injection import checked_step, rows_of_mass
+from fishmj.water.planar_water import PlanarWater
+
+
+class LinkWrench:
+    """One model and its water; holds nothing that other models or threads share.
+
+    Forces of one's own on the fish belong into `data.qfrc_applied` (mujoco.mj_applyFT), before `apply`: the added mass answers to
+    them as well. The rows of the links in `data.xfrc_applied` are the water's. Forces of contacts and constraints come later than
+    `apply`, which cannot know them; models of `fishmj.mjcf.build` have neither.
+
+    Args:
+        model: from `fishmj.mjcf.build`, root as the water's.
+        water: `PlanarWater` or `spatial_water.FreeWater`.
+
+    Raises:
+        ConfigError: the water is another root's, the model no single chain, or its integrator not Euler's.
+    """
+
+    def __init__(self, model: mujoco.MjModel, water: PlanarWater):
+        rows_of_mass(model, water, "LinkWrench")
+        if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+            raise ConfigError("LinkWrench: the model's integrator is not Euler, whose step the added mass is solved for; set it")
+        self.model, self.water = model, water
+        self._taken: tuple | None = None  # (time, attachment, memory one step later) of the last `apply`
+
+    def begin(self, attached: float = 0.5, memory: "list | None" = None) -> None:
+        """Start anew after a reset or a jump of `data`: what the water remembers, by default that of a fish at rest."""
+        self.water.attached, self.water.memory = attached, self.water.at_rest() if memory is None else memory
+        self._taken = None
+
+    def apply(self, data: mujoco.MjData) -> None:
+        """Put the wrenches of this state into `data.xfrc_applied`; again for the same state puts the same.
+
+        What the water remembers moves on by itself: once for every step that `data.time` has made since the last call.
+
+        Raises:
+            ConfigError: `data.time` is neither where it was nor one step further. SimDiverged: a force is not finite.
+            Anything that the water raises; then neither data nor memory has moved.
+        """
+        if self._taken is not None:
+            self._move_on(data.time)
+        wrenches = self.wrenches(data)
+        self._taken = data.time, *self.water.following(self.model, data)
+        data.xfrc_applied[1 : len(wrenches) + 1] = wrenches
+
+    def wrenches(self, data: mujoco.MjData) -> np.ndarray:
+        """Force [N] and moment [N m] of the water on every link about its centre of mass, world axes, (N, 6); pure.
+
+        Only fields that MuJoCo derives from state and commands are brought up to date. Raises SimDiverged as `apply`.
+        """
+        model, water = self.model, self.water
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        added, force = water.forces(model, data)
+        if not (np.isfinite(force).all() and np.isfinite(added).all()):
+            raise water.blame(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        mass += added
+        if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP:
+            mass[np.diag_indices(model.nv)] += model.opt.timestep * model.dof_damping
+        force = force + data.qfrc_passive - data.qfrc_bias + data.qfrc_actuator + data.qfrc_applied
+        return water.wrenches(model, data, np.linalg.solve(mass, force))
+
+    def step(self, data: mujoco.MjData) -> None:
+        """`apply` and one `mj_step`, after which what the water remembers has moved on.
+
+        Raises:
+            SimDiverged: a force or the state left the finite numbers. Anything that the water raises; then nothing has moved.
+        """
+        self.apply(data)
+        checked_step(self.model, data)
+        self._move_on(data.time)
+
+    def _move_on(self, time: float) -> None:
+        """Take over what follows the last `apply` where a step was made since."""
+        since, attached, memory = self._taken or (time, None, None)
+        self._taken = None
+        if time == since:
+            return
+        if abs(time - since - self.model.opt.timestep) > 1e-9:
+            raise ConfigError(
+                f"LinkWrench: data.time went from {since:.4f} s to {time:.4f} s, expected one step of"
+                f" {self.model.opt.timestep:g} s; call apply before every mj_step, and begin after a reset"
+            )
+        self.water.attached, self.water.memory = attached, memory

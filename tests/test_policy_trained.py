@@ -1,0 +1,157 @@
+"""How a policy was trained: its water, constants and command; what is not so here is said, in table, page, results and logs."""
+
+import json
+import os
+import re
+import shlex
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from policy_files import ROBOT, SHORT, header, stored
+
+from fishmj import console, controllers
+from fishmj.calib import calib_folder
+from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.engines import in_water
+from fishmj.evaluate.__main__ import main as evaluate
+from fishmj.evaluate.__main__ import options as evaluate_options
+from fishmj.log import read_trial
+from fishmj.mjcf.identity import constants_sha256
+from fishmj.play.__main__ import main as play
+from fishmj.play.__main__ import options as play_options
+from fishmj.policy import FOLDER, FORMER, SHIPPED, Policy, _renamed, one_line, shipped
+from fishmj.water.identity import water_identity
+
+LACKING = {"pilot": "water, training command", "station-sac": "training command"}  # what is documented nowhere
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_policies_say_their_water_and_what_they_lack(name):
+    water = {"paper": "structured", "paper-sac": "structured"}.get(name, "swift")
+    lacks = (f"policy {name}: its header does not say {LACKING[name]}; that is not compared",) if name in LACKING else ()
+    assert controllers.make(name, in_water(ROBOT, water)).notes == lacks
+    by_path = os.path.relpath(FOLDER / f"{name}.safetensors")
+    assert controllers.make(by_path, in_water(ROBOT, water)).notes == lacks, "the same file, named by its path"
+    other = "swift" if water == "structured" else "structured"
+    differs = () if name == "pilot" else (f"policy {name}: not as trained: water {water}, here {other}",)
+    assert controllers.make(name, in_water(ROBOT, other)).notes == differs + lacks
+
+
+def test_every_shipped_policy_has_its_line_in_the_help_and_its_row_in_the_guide():
+    assert sorted(SHIPPED) == shipped()
+    guide = (Path(__file__).parent.parent / "docs" / "guide" / "controllers.md").read_text(encoding="utf-8")
+    for options in (evaluate_options, play_options):
+        text = options().format_help()
+        assert all(f"  {name}  " in text and about in text for name, about in SHIPPED.items())
+    assert all(f"| `{name}` |" in guide for name in SHIPPED)
+
+
+@pytest.mark.parametrize(("old", "new"), FORMER.items())
+def test_an_old_name_goes_on_with_one_line(old, new, capsys):
+    _renamed.cache_clear()
+    assert controllers.make(old, ROBOT).name == new and Policy.load(old).meta == Policy.load(new).meta
+    assert capsys.readouterr().err.count(f"policy {old} is now called {new}") == 1
+
+
+# water and constants: said, never refused
+
+
+def structured(**changes):
+    """The fish with other coefficients in its own water."""
+    return replace(ROBOT, water={**ROBOT.water, **changes})
+
+
+@pytest.mark.parametrize(
+    ("robot", "said"),
+    [
+        (in_water(ROBOT, "swift"), "water structured, here swift"),
+        (in_water(ROBOT, "swift-base"), "water structured, here swift-base"),
+        (structured(cf=0.5), "water structured (structured a7526ad5), here structured (structured"),
+        (replace(ROBOT, servo=replace(ROBOT.servo, kp=9.0)), "other masses, sections, servo, timing or effects"),
+        (replace(ROBOT, timing=replace(ROBOT.timing, command_latency=0.1)), "other masses, sections, servo, timing or effects"),
+        (replace(ROBOT, effects=(FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),)), "other masses"),
+    ],
+)
+def test_another_water_or_other_constants_are_one_line(tmp_path, robot, said):
+    (note,) = controllers.make(stored(tmp_path, header()), robot).notes
+    assert note.startswith(f"policy mine: not as trained: {said}") and "\n" not in note
+
+
+def test_an_effect_at_its_null_and_a_colour_are_no_other_constants(tmp_path):
+    links = tuple(replace(link, colour=(1.0, 0.0, 0.0)) for link in ROBOT.links)
+    robot = replace(ROBOT, links=links, title="red", effects=(FittedEffect("coulomb_friction", {}),))
+    assert controllers.make(stored(tmp_path, header()), robot).notes == ()
+
+
+def test_what_differs_stands_in_table_page_results_and_log(tmp_path, capsys):
+    """The water of `station` is another one here; `paper` swims in its own, and `dob` was not trained."""
+    argv = ["station", "paper", "dob", *SHORT, "--json", "--log", "--out", str(tmp_path)]
+    assert console.run(evaluate, argv) == console.OK
+    out, err = capsys.readouterr()
+    assert err.count("policy station: not as trained: water swift, here structured\n") == 1 and "policy paper:" not in err
+    said = "station is not judged as trained: water swift, here structured"
+    assert said in out.splitlines() and said in (tmp_path / "report.html").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:3]] for line in out.splitlines() if line.startswith("|")]
+    assert rows[0] == ["controller", "not as trained"] and rows[2:5] == [["station", "water"], ["paper", "-"], ["dob", "-"]]
+    found = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    station, paper, dob = (one["policy"] for one in found["results"])
+    assert station["differs"] == {"water": ["swift", "structured"]} and paper["differs"] == {} and dob is None
+    assert station["water"]["name"] == "swift" and station["command"].startswith("fishmj train --preset paper")
+    trial = read_trial(tmp_path / "logs" / "station_u0.2_los000_r0")
+    assert trial.value("policy.differs.water") == ["swift", "structured"] and trial.value("water") == "structured"
+    assert trial.value("policy.constants_sha256") == constants_sha256(ROBOT)
+
+
+def test_the_flow_solver_is_another_water_too():
+    brain = controllers.make("station", ROBOT, water="lbm")
+    assert brain.notes == ("policy station: not as trained: water swift, here lbm",)
+    assert brain.trained()["differs"] == {"water": ["swift", "lbm"]}
+    assert controllers.make("station", in_water(ROBOT, "swift")).trained("lbm")["said"] == "water swift, here lbm"
+
+
+def test_a_live_swim_says_it_and_logs_it(tmp_path, capsys):
+    argv = ["--controller", "paper", "--headless-seconds", "0.4", "--save", str(tmp_path / "a"), "--robot"]
+    shutil.copy(calib_folder() / "fish.toml", tmp_path / "stiff.toml")
+    text = (tmp_path / "stiff.toml").read_text(encoding="utf-8")
+    (tmp_path / "stiff.toml").write_text(re.sub(r"(?m)^kp = [0-9.]+", "kp = 9.5", text), encoding="utf-8")
+    assert console.run(play, [*argv, str(tmp_path / "stiff.toml")]) == console.OK
+    assert capsys.readouterr().err.count("policy paper: not as trained: other masses") == 1
+    assert "constants" in read_trial(tmp_path / "a").value("policy.differs")
+
+
+class Recorded:
+    """A training run that only remembers how it was called."""
+
+    command = ""
+
+    def __init__(self, settings, folder, **options):
+        self.folder, Recorded.command = folder, options["command"]
+
+    def go(self) -> dict:
+        told = {"algorithm": "ppo", "seed": 0, "steps": 1, "seconds": 1.0, "engine": "planar", "policy": str(self.folder)}
+        return told | {"stopped": False, "folder": str(self.folder)}
+
+
+def test_the_command_line_tells_a_training_its_words(tmp_path, monkeypatch):
+    from fishmj.train import training_run
+    from fishmj.train.__main__ import main as train
+
+    monkeypatch.setattr(training_run, "TrainingRun", Recorded)
+    monkeypatch.setattr(training_run, "learner_of", lambda settings: None)
+    argv = ["--preset", "quick", "--steps", "300", "--engine", "planar", "--out", str(tmp_path / "a run")]
+    assert console.run(train, argv) == console.OK
+    assert Recorded.command == f"fishmj train {' '.join(argv[:-1])} {shlex.quote(argv[-1])}"
+    assert one_line("fishmj train --out 'a\nb\x1b'") == "fishmj train --out 'a?b?'" and len(one_line("x" * 9999)) == 4000
+
+
+@pytest.mark.slow
+def test_a_policy_that_was_just_trained_lacks_nothing_and_swims_where_it_was_trained(tmp_path):
+    from fishmj.train.__main__ import main as train
+
+    argv = ["--preset", "quick", "--envs", "8", "--steps", "300", "--hidden", "8", "--engine", "planar", "--water", "structured"]
+    assert console.run(train, [*argv, "--out", str(tmp_path / "a")]) == console.OK
+    meta = Policy.load(tmp_path / "a").meta
+    assert meta["command"] == f"fishmj train {' '.join(argv)} --out {tmp_path / 'a'}" and meta["water"] == water_identity(ROBOT)
+    assert [note for note in controllers.make(tmp_path / "a", ROBOT).notes if "taken from" not in note] == []

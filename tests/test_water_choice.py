@@ -1,0 +1,140 @@
+"""One vocabulary of waters in every verb and function: what is chosen, what is said, what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fishmj import engines
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.flow import Flow
+from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.identity import robot_sha256
+from fishmj.sim import Sim
+from fishmj.water import choice
+from fishmj.water.choice import chosen, in_water, label, residual_of
+
+FISH = load_robot("fish")
+
+
+def longer(robot):
+    """The same fish with a head of another length."""
+    head = robot.links[0]
+    return replace(robot, links=(replace(head, length=1.02 * head.length), *robot.links[1:]))
+
+
+def test_fitted_is_the_default_wherever_the_body_has_one():
+    assert chosen(FISH).kind == "fitted" and label(chosen(FISH).robot) == "swift"
+    assert residual_of(chosen(FISH).robot) is not None
+    assert "fitted (swift: strips and learnt residual, slip 1)" == chosen(FISH).said
+    assert chosen(load_robot("tendon_fish")).kind == "fitted"
+    other = chosen(longer(FISH))
+    assert other.kind == "structured" and "none is fitted for this body" in other.said and "hydro_fit" in other.said
+
+
+def test_a_fitted_water_belongs_to_the_body_not_to_its_servos():
+    servo = replace(FISH, servo=replace(FISH.servo, kp=1.05 * FISH.servo.kp))
+    found = chosen(servo)
+    assert found.kind == "fitted" and "other servos, masses or timing" in found.said
+    with pytest.raises(ConfigError, match="another body; fit it: python -m fishmj.hydro_fit"):
+        chosen(longer(FISH), "swift")
+    with pytest.raises(ConfigError, match=r"dt = 0.004 s, the robot steps 0.002 s"):
+        chosen(replace(FISH, timing=replace(FISH.timing, physics_dt=0.002)), "fitted")
+
+
+def test_what_a_description_states_is_its_default():
+    for stated, kind in (("structured", "structured"), ("swift-base", "fitted"), ("none", "none")):
+        described = replace(FISH, water={**FISH.water, "model": stated})
+        assert chosen(described).kind == kind and label(chosen(described).robot) == stated
+        assert label(chosen(described, "structured").robot) == "structured"
+    assert label(chosen(replace(FISH, water={**FISH.water, "model": "swift-noslip"}), "fitted").robot) == "swift-noslip"
+
+
+def test_a_choice_stays_whatever_is_asked_for_later():
+    for water in ("structured", "swift-base", "none", "fitted"):
+        robot = in_water(FISH, water)
+        assert in_water(robot) == robot == in_water(replace(robot, name=robot.name))
+        assert in_water(robot, "structured") == in_water(FISH, "structured") and robot_sha256(robot) == robot_sha256(FISH)
+
+
+def test_the_old_word_goes_on_and_is_said_once(capsys, monkeypatch):
+    monkeypatch.setattr(choice, "_TOLD", set())
+    assert label(in_water(FISH, "surrogate")) == "swift" and label(in_water(FISH, "surrogate")) == "swift"
+    assert capsys.readouterr().err.count("'surrogate' is now called 'fitted'") == 1
+
+
+def test_what_cannot_be_is_one_clear_error():
+    with pytest.raises(UnknownName, match="Known: fitted, hybrid, lbm, none, structured, swift"):
+        chosen(FISH, "swfit")
+    with pytest.raises(ConfigError, match="none is fitted for robot 'other'; take structured, or fit one"):
+        chosen(replace(FISH, name="other"), "fitted")
+    for kind, where in (("hybrid", "evaluate"), ("lbm", "suite.load")):
+        with pytest.raises(ConfigError, match=f"water '{kind}': the engine swims in fitted, structured, none.*{where}"):
+            in_water(FISH, kind, who="the engine")
+
+
+def test_none_is_no_water_in_the_closed_form_and_in_mujoco():
+    robot, gusts = in_water(FISH, "none"), Flow(speed=0.3, turbulence="gust", intensity=0.2)
+    command, tick = np.zeros((1, 10, 3)), np.zeros(1, int)
+    start = engines.at_rest(robot, [[0.0, 0.0, 0.0]])
+    after, _ = engines.make("planar", robot).advance(start, command, engines.nominal_params(robot, 1), gusts.current(), tick)
+    assert np.abs(np.asarray(after.q)).max() < 1e-9
+    sim = Sim("fish", water="none", flow=gusts)
+    sim.run(lambda t: np.zeros(3), 0.2)
+    assert np.abs(sim.pose).max() < 1e-12 and sim.water_name == "none"
+
+
+def test_sim_says_its_water():
+    assert Sim("fish").water_name == "swift" and Sim("fish", water="structured").water_name == "structured"
+    assert Sim("fish").run(lambda t: np.zeros(3), 0.1).meta["water"] == "swift"
+    with pytest.raises(ConfigError, match="water 'lbm': Sim swims in"):
+        Sim("fish", water="lbm")
+
+
+def test_suite_gymnasium_and_the_jax_environment_take_a_water():
+    import gymnasium
+
+    from fishmj import suite
+    from fishmj.tasks.env import StationHold
+
+    for water, named in ((None, "swift"), ("structured", "structured"), ("swift-base", "swift-base"), ("none", "none")):
+        env = suite.load("fish", "station_hold", task_kwargs={"water": water, "random": 1})
+        assert label(env.task.rules.robot) == named
+        env = gymnasium.make("fishmj/StationHold-v0", engine="planar", water=water).unwrapped
+        assert label(env.rules.robot) == named == label(env.episodes.engine.robot)
+        env = StationHold(FISH, "planar", water=water)
+        assert label(env.robot) == named == label(env.engine.robot)
+    for water in ("hybrid", "lbm"):
+        with pytest.raises(ConfigError, match=f"water '{water}': this environment swims in"):
+            gymnasium.make("fishmj/StationHold-v0", engine="planar", water=water)
+        with pytest.raises(ConfigError, match=f"water '{water}': the environment in JAX swims in"):
+            StationHold(FISH, "planar", water=water)
+
+
+def test_an_engine_of_another_water_is_refused():
+    from fishmj.gym.fish_env import FishEnv
+
+    with pytest.raises(ConfigError, match="swims in water 'structured', the task's in 'swift'"):
+        FishEnv(engine=engines.make("planar", in_water(FISH, "structured")))
+
+
+def test_training_takes_an_engine_that_can_hold_the_water_and_keeps_its_name():
+    from fishmj.train.build import pick_engine, settled, water_for
+    from fishmj.train.settings import preset
+
+    settings = preset("quick")
+    assert water_for(settings).kind == "fitted" == settled(settings).water
+    assert pick_engine(settings) in ("compiled", "planar", "mjx")
+    assert settled(replace(settings, water="structured")).water == "structured"
+    with pytest.raises(ConfigError, match="water 'lbm': training swims in"):
+        water_for(replace(settings, water="lbm"))
+
+
+def test_the_search_refuses_a_learnt_force_that_it_would_leave_out():
+    from fishmj.gap.commands.admission import searchable
+    from fishmj.water.choice import as_described
+
+    assert as_described(FISH) is FISH
+    searchable(as_described(FISH, "swift-base"), "fish")
+    with pytest.raises(ConfigError, match="water 'swift' has a learnt force, which it would leave out; take its strips"):
+        searchable(as_described(FISH, "fitted"), "fish")
