@@ -166,6 +166,15 @@ def sample(xp, c: Current, points, tick):
     return c.mean[:, None, :] + c.rms[:, None, None] * _turned(xp, value, cos, sin), xp.zeros_like(c.mean)
 
 
+def shifted(c: Current, by, tick) -> Current:
+    """The same flow with another mean (NumPy): `by` (B, 2) m/s is added; the eddies are where they were at bus tick (B,)."""
+    by, cos, sin = np.asarray(by, float), c.turn[:, 0], c.turn[:, 1]
+    if c.table.ndim == 3:  # gusts are uniform: nothing rides on the mean
+        return c._replace(mean=c.mean + by)
+    ride = by * (np.asarray(tick) * TICK)[:, None]
+    return c._replace(mean=c.mean + by, offset=c.offset + _turned(np, ride, cos, -sin) / c.cell)
+
+
 def _turned(xp, vectors, cos, sin):
     x, y = vectors[..., 0], vectors[..., 1]
     return xp.stack([cos * x - sin * y, sin * x + cos * y], -1)
@@ -249,6 +258,28 @@ class Flow:
             index = (base + corner) % n
             value += weight[:, None] * box[index[:, 0], index[:, 1], index[:, 2]]
         return np.concatenate([_turned(np, value, cos, sin), value[:, 2:]], -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnFlow(Flow):
+    """A background flow that has been drawn already, in place of one drawn from a seed."""
+
+    drawn: Current  # a batch of one
+
+    @classmethod
+    def of(cls, drawn: Current, kind: Flow) -> "DrawnFlow":
+        """This draw, a batch of one, of the turbulence and box of `kind`."""
+        u, v = (float(component) for component in drawn.mean[0])
+        return cls(speed=np.hypot(u, v), direction=np.arctan2(v, u), turbulence=kind.turbulence, box=kind.box, drawn=drawn)
+
+    @property
+    def rms(self) -> float:
+        """u_rms of each component, m/s."""
+        return float(self.drawn.rms[0])
+
+    def current(self) -> Current:
+        """The flow as drawn."""
+        return self.drawn
 
 
 def stack(flows: list[Flow]) -> Current:

@@ -13,6 +13,7 @@ Batches of fish are the business of `fishmj.engines`; a test holds both equal.
 
 from collections import deque
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,12 +24,13 @@ from fishmj.engines.extensions import Extensions
 from fishmj.engines.recorder import Recorder, rescue
 from fishmj.engines.single import water_of
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
-from fishmj.flow import Flow, sample
+from fishmj.flow import Current, Flow, sample
 from fishmj.log import Trial
 from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.mjcf.servos import arrived, on_the_bus
 from fishmj.water import choice
+from fishmj.water.prior import flat, unflat
 
 ELLIPSOID = "ellipsoid"  # MuJoCo's own fluid, for comparison
 ENGINES = ("mujoco",)
@@ -41,8 +43,8 @@ class Sim:
     Args:
         robot: description, TOML path or shipped name.
         water: as `fishmj.water.choice` names them: by default "fitted" where this body has a fitted one; "structured", "none", a
-            fitted one by name or TOML, "#2" behind it for member 2 of its ensemble; or "ellipsoid" (MuJoCo's own fluid).
-            `water_name` says which it became.
+            fitted one by name or TOML, "#2" behind it for member 2 of its ensemble; "hybrid", which the flow solver corrects
+            while the fish swims; or "ellipsoid" (MuJoCo's own fluid). `water_name` says which it became.
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
@@ -52,9 +54,13 @@ class Sim:
             link in `xfrc_applied`; any thread) or "qfrc" (the closed form in `qfrc_applied`; planar root). The swim is the same
             to round-off. Default "qfrc" for a robot with effects, else "callback".
         rescue_folder: where the last states of a diverged run go; default, a private folder in the temporary directory.
+        hybrid: of the water "hybrid", `fishmj.hybrid.HybridOptions`, or a `fishmj.hybrid.Hybrid` of one's own.
+
+    Attributes:
+        hybrid: what corrects the water (`fishmj.hybrid.Hybrid`, its `report` says what it did), None in any other.
 
     Raises:
-        UnknownName, ConfigError: a name or a time step that cannot be.
+        UnknownName, ConfigError: a name or a time step that cannot be; a hybrid with a free root.
     """
 
     def __init__(
@@ -70,12 +76,20 @@ class Sim:
         latency: float | None = None,
         injection: str | None = None,
         rescue_folder: Path | None = None,
+        hybrid: Any = None,
     ):
         if engine not in ENGINES:
             raise UnknownName("engine", engine, ENGINES)
         own_fluid = water == ELLIPSOID
-        self.robot = choice.in_water(mjcf.load_robot(robot), choice.STRUCTURED if own_fluid else water, who="Sim")
-        self.water_name = ELLIPSOID if own_fluid else choice.label(self.robot)
+        can = (*choice.SELF_MADE, choice.HYBRID)
+        chosen = choice.chosen(mjcf.load_robot(robot), choice.STRUCTURED if own_fluid else water).within(can, "Sim")
+        self.robot, corrected = chosen.robot, chosen.kind == choice.HYBRID
+        if corrected and root != "planar":
+            raise ConfigError(
+                f"Sim: water 'hybrid' acts on a fish with a planar root, got root = {root!r}; take 'planar', or fitted"
+            )
+        model = ELLIPSOID if own_fluid else choice.label(self.robot)
+        self.water_name = choice.HYBRID if corrected else model
         self.root = root
         self.start = tuple(float(value) for value in pose)
         self.flow = flow or Flow()
@@ -92,12 +106,13 @@ class Sim:
         personalise(self.model, mass=s.mass, kp=s.kp, kv=s.kv, kb=s.kb, zero=s.zero)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = reference_qpos(self.model, pose, np.zeros(self.robot.n_joints))
-        self.water = water_of(self.water_name, self.robot, root, self.model, self.swimmer, self.added, injection)
+        self.water = water_of(model, self.robot, root, self.model, self.swimmer, self.added, injection)
         self.tick = 0
         self.commands = [np.zeros(self.robot.n_joints)]  # on the bus; number 0 was there before t = 0
         self.recent: deque = deque(maxlen=KEPT)
         self.recorder = Recorder(self)
         self._current = self.flow.current()
+        self.hybrid = self._hybrid(hybrid) if corrected else None
 
     def step(self, command) -> None:
         """Advance one bus tick (20 ms) after sending `command`, (J,) joint angles in rad.
@@ -106,9 +121,10 @@ class Sim:
             ConfigError: the command is not finite, or for another number of joints.
             SimDiverged: the fish left the finite numbers; the last 100 states are saved and named in the message.
         """
+        current = self._current if self.hybrid is None else self._correct()
         sent = self._send(command)
         power = 0.0
-        flow = self._sample_flow()
+        flow = self._sample_flow(current)
         try:
             for k in range(self.steps):
                 self.data.ctrl[:] = self.arrived(self.tick * self.steps + k)
@@ -160,9 +176,34 @@ class Sim:
         self.commands.append(sent)
         return sent
 
-    def _sample_flow(self) -> np.ndarray:
+    def _hybrid(self, given):
+        """The hybrid of this fish."""
+        from fishmj import engines
+        from fishmj.hybrid import Hybrid
+
+        s, rows = self.swimmer, lambda values: np.array([values], float)
+        own = {name: rows(getattr(s, name)) for name in ("mass", "kp", "kv", "kb", "zero")}
+        own |= {"water": rows(flat(s.water)), "delay": np.array([self.delay])}
+        self._params = engines.nominal_params(self.robot, 1)._replace(**own)
+        self._buffer = engines.rows_of(self.robot)
+        return given if isinstance(given, Hybrid) else Hybrid(self.robot, given, kind=self.flow)
+
+    def _correct(self) -> Current:
+        """The flow of this tick as a hybrid knows it; the water gets its coefficients."""
+        from fishmj.engines import FishState
+
+        water: Any = self.water
+        sent = [*[self.commands[0]] * self._buffer, *self.commands[-self._buffer :]][-self._buffer :]
+        batch = lambda values: np.array([values], float)
+        fish = FishState(*map(batch, (self.data.qpos, self.data.qvel, water.attached, sent, water.memory)))
+        params, current = self.hybrid.tick(fish, self._params, self._current, self.tick)
+        if params is not self._params:
+            water.swimmer = water.swimmer._replace(water=unflat(params.water[0].tolist()))
+        return current
+
+    def _sample_flow(self, current: Current) -> np.ndarray:
         """The flow at every link, (N, 2) m/s, for this tick; the water takes it from here."""
-        flow, ambient = sample(np, self._current, self.links()[None, :, :2], np.array([self.tick]))
+        flow, ambient = sample(np, current, self.links()[None, :, :2], np.array([self.tick]))
         self.water.set_flow(flow[0], ambient[0])
         return flow[0]
 

@@ -117,7 +117,7 @@ def test_what_stops_is_kept_as_far_as_it_was_sound(monkeypatch):
         run.ticks += 1
         yield
 
-    monkeypatch.setattr(run_segments.Driven, "ticking", ticking)
+    monkeypatch.setattr(run_segments.Run, "ticking", ticking)
     made = run_segments._run
     named = lambda segment, *rest: (run := made(segment, *rest), setattr(run, "name", segment.id))[0]
     monkeypatch.setattr(run_segments, "_run", named)

@@ -66,6 +66,26 @@ def test_elementary_functions_are_accurate_to_their_precision(precision, bounds)
     assert np.abs(angles(scope["atan2"], y, x) - np.arctan2(y.astype(wide), x.astype(wide))).max() < bounds[2]
 
 
+@pytest.mark.parametrize("precision,bound", [(fast_math.SINGLE, 5e-7), (fast_math.DOUBLE, 1e-13)])
+def test_hyperbolic_tangents_are_accurate_bounded_and_mirror(precision, bound):
+    real = np.dtype(precision.name).type
+    scope = {"np": np, "njit": numba.njit, "MATH": {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}}
+    scope |= {"real": real, "whole": np.dtype(precision.integer).type, "floor": np.floor, "absolute": np.absolute}
+    exec(fast_math.source(precision), scope)  # noqa: S102  the text under test
+    rng, wide = np.random.default_rng(6), np.longdouble
+    x, y = np.concatenate([rng.normal(0, 2, (2, 4000)), [[0, 0, 50, -1e30, 1e30], [0, 3, -50, 1e30, 1e-9]]], 1).astype(real)
+    one = numba.njit(lambda f, a, b: [f(a[i], b[i]) for i in range(len(a))])
+    each = lambda name, a, b: np.array(one(scope[name], a, b))
+    half = np.log(wide(2)) / 2
+    two = np.tanh(half * np.array([x, y], wide))
+    assert np.abs(each("tanh_two", x, y).T - two).max() < bound
+    plus, minus = np.tanh(half * (x.astype(wide) + y)), np.tanh(half * (x.astype(wide) - y))
+    pair = each("tanh_pair", x, y)
+    assert np.abs(pair.T - 0.5 * np.array([plus + minus, plus - minus])).max() < bound and np.abs(pair).max() <= 1 + bound
+    assert (each("tanh_pair", x, -y) == pair * [1, -1]).all()
+    assert np.isnan(each("tanh_pair", np.array([np.nan], real), np.ones(1, real))).all()
+
+
 def test_racing_writers_leave_a_whole_file(tmp_path):
     text, path = "x = 1\n" * 20_000, tmp_path / "new" / "module.py"
     seen = []

@@ -1,6 +1,9 @@
 """A water that the model does not know is fitted, checked, reported and corrected. Everything here is synthetic."""
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import hidden_water as hidden
@@ -295,6 +298,22 @@ def test_training_swims_that_are_easier_than_others_do_not_narrow_the_band():
     needed = np.abs(rng.standard_normal(100))
     assert prediction_interval.easier(needed, trained) == 1.0
     assert prediction_interval.easier(np.where(trained, 0.3 * needed, needed), trained) > 2.0
+
+
+def test_a_fit_has_the_compiler_join_operations_unless_the_environment_says_otherwise():
+    """In processes of their own: what JAX reads when it begins."""
+    program = (
+        "from fishmj.hydro_fit.fit.descent import several; several()\n"
+        "import jax, jax.numpy as jnp\n"
+        "both = lambda x: ((y := jnp.sin(x) * 2) + 1, y * jnp.cos(x), jnp.sum(y))\n"
+        "print(jax.jit(both).lower(jnp.ones(1000)).compile().as_text().count(' fusion('))\n"
+    )
+
+    def fusions(flags):
+        env = os.environ | {"XLA_FLAGS": flags}
+        return int(subprocess.run([sys.executable, "-c", program], env=env, check=True, capture_output=True, text=True).stdout)
+
+    assert fusions("") < fusions("--xla_backend_extra_options=xla_cpu_optimize_for_size")
 
 
 def test_a_negative_number_of_steps_is_refused_before_anything_is_read():

@@ -137,8 +137,6 @@ class ThreadedBatch:
 
 def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None):
     """f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), float64."""
-    if name is None and Extensions.of(robot).learnt is not None:
-        name = "jax"  # a network as straight-line code takes minutes to compile
     if name != "jax":
         try:
             from fishmj.engines.compiled import Engine as Compiled

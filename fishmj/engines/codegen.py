@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 from fishmj.errors import ConfigError
 
-BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}"}
+BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "and": "{} & {}"}
 PLAIN = ("sqrt", "sin", "cos", "exp", "atan2", "floor")  # functions that have one name in all languages
 CALLS = {"abs": "absolute", "max": "maximum", "min": "minimum"} | {name: name for name in PLAIN}
 COMPARE = {"gt": ">", "lt": "<", "ge": ">=", "le": "<="}
 FOLD: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in PLAIN} | {"abs": abs, "max": max, "min": min}
 FOLD |= {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg}
-COMMUTES = ("add", "mul")
+COMMUTES = ("add", "mul", "and")
 
 
 class Program(NamedTuple):

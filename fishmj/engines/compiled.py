@@ -1,6 +1,7 @@
 """The closed-form fish as machine code: the fastest engine on a CPU (extra `fast`).
 
-The physics is `planar_chain.step`, translated and compiled (numba_build.py), 16 fish to a vector loop. Blocks of fish are
+The physics is `planar_chain.step`, translated and compiled (numba_build.py), 16 fish to a vector loop; the network of a learnt
+residual is a loop of its own, whose weights are given at the call (residual_lanes.py). Blocks of fish are
 shared between threads that hold no lock. `advance` does what `planar.Engine.advance` does, to round-off; a fish moves the
 same, to the bit, in any batch and with any number of threads.
 
@@ -26,7 +27,17 @@ import numpy as np
 
 from fishmj.cores import usable_cores
 from fishmj.dynamics import strip_forces
-from fishmj.engines import FishParams, FishState, Trace, check_commands, fast_math, numba_build, rows_of, ticks_per
+from fishmj.engines import (
+    FishParams,
+    FishState,
+    Trace,
+    check_commands,
+    fast_math,
+    numba_build,
+    residual_lanes,
+    rows_of,
+    ticks_per,
+)
 from fishmj.engines.extensions import Extensions
 from fishmj.errors import ConfigError
 from fishmj.flow import Current
@@ -57,7 +68,7 @@ class Engine:
         threads: at most so many; default, the CPUs this process may use.
         dtype: of `advance`: "float32", or "float64" for comparisons (about half as fast).
     Raises:
-        MissingExtra: numba is not installed. ConfigError: the robot's water has a learnt residual.
+        MissingExtra: numba is not installed.
     """
 
     jittable = True  # through a call of the host, CPU only
@@ -71,15 +82,18 @@ class Engine:
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
         self.steps, self.ticks = ticks_per(self.robot)
         self.buffer, self.added = rows_of(self.robot), Extensions.of(self.robot)
-        if self.added.learnt is not None:
-            name = self.robot.water["model"]
-            raise ConfigError(
-                f"compiled engine: water {name!r} has a learnt residual, which is not compiled; expected strips alone:"
-                f" take {name}-base, or the engine planar, batch or mjx"
-            )
+        self._packed: dict[np.dtype, np.ndarray] = {}
         self.threads = threads or usable_cores()
         self._pool: ThreadPoolExecutor | None = None
         self._owner = 0  # process of the pool
+
+    def _numbers(self, dtype: np.dtype) -> np.ndarray:
+        """The learnt residual as one flat array, empty where there is none."""
+        learnt, of = self.added.learnt, self._packed
+        if dtype not in of:
+            dt = self.robot.timing.physics_dt
+            of[dtype] = np.zeros(0, dtype) if learnt is None else residual_lanes.flat_weights(learnt, dt, dtype)
+        return of[dtype]
 
     @cached_property
     def _advance(self):
@@ -124,7 +138,9 @@ class Engine:
         swimmer = self._swimmer(read, params)
         bodies = ((q, v, _column(attached), memory), buffer, read("commands", commands, ticks, joints), swimmer)
         flow = (table.reshape(-1), table.shape[1], real.type(current.cell), table.ndim == 3)
-        self._share(batch, self._advance, (*bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace))
+        self._share(
+            batch, self._advance, (self._numbers(real), *bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace)
+        )
         return FishState(q, v, attached, buffer, memory), Trace(*trace[:4], trace[4][..., 0])
 
     def forces(self, q, v, attached, params: FishParams, target, flow, ambient, memory=None) -> Applied:
@@ -142,7 +158,7 @@ class Engine:
         around = read("flow", flow, joints + 1, 2).reshape(batch, 2 * joints + 2)
         given = (state, self._swimmer(read, params), read("target", target, joints), around, read("ambient", ambient, 2))
         out = tuple(np.empty((batch, size)) for size in (joints + 3, 1, 1, memory.shape[1]))
-        self._share(batch, self._evaluate, (*given, out))
+        self._share(batch, self._evaluate, (self._numbers(np.dtype(float)), *given, out))
         return Applied(out[0], out[1][:, 0], out[2][:, 0], out[3])
 
     def _swimmer(self, read, params: FishParams) -> tuple:

@@ -3,11 +3,15 @@
     sin, cos   x = r + n pi,  |r| <= pi/2;   sin x = (-1)^n r S(r^2),  cos x = (-1)^n C(r^2)
     exp        x = r + n ln 2,  |r| <= ln 2 / 2;   exp x = 2^n E(r)
     atan2      t = min(|x|, |y|) / max(|x|, |y|),  atan t = t A(t^2), then unfolded by octant
+    exp2       x = z + n,  |z| <= 1/2, |x| held at `held`;   2^x = 2^n T(z)
+    tanh_two   tanh x, tanh y from a = e^2x, b = e^2y:  (a - 1) / (a + 1), one quotient for both
+    tanh_pair  half the sum and difference of tanh(p + q), tanh(p - q):  (a b - 1, a - b) / ((a + 1) (b + 1))
+The arguments of the last two are in units of ln 2 / 2: what multiplies them beforehand is in the weights of a network.
 
-S, C, E, A interpolate the functions at Chebyshev points (near minimax), so there is no table of coefficients to trust:
+S, C, E, A, T interpolate the functions at Chebyshev points (near minimax), so there is no table of coefficients to trust:
 they are computed here for the precision asked for. pi and ln 2 are split in parts whose products with n are exact
 (Cody & Waite 1980), which holds for |n| < 2^`spare`. Errors up to |x| = 10^4 rad, float32 (float64): 2e-7 (4e-15) for sin
-and cos, 4e-7 (4e-15) for atan2, and relative for exp; held by tests/test_codegen.py.
+and cos, 4e-7 (4e-15) for atan2, and relative for exp, 3e-7 (1e-15) for the hyperbolic tangents; held by tests/test_codegen.py.
 """
 
 from math import log, pi
@@ -26,11 +30,12 @@ class Precision(NamedTuple):
     bias: int  # of the exponent
     largest: float  # argument of exp
     spare: int  # bits left free in the parts of pi and ln 2
-    degree: tuple  # of S, C, E, A
+    held: float  # argument of exp2: of two such powers the product is still finite
+    degree: tuple  # of S, C, E, A, T
 
 
-SINGLE = Precision("float32", "int32", 23, 127, 87.0, 12, (5, 6, 6, 8))
-DOUBLE = Precision("float64", "int64", 52, 1023, 708.0, 24, (9, 10, 12, 18))
+SINGLE = Precision("float32", "int32", 23, 127, 87.0, 12, 60.0, (5, 6, 6, 8, 5))
+DOUBLE = Precision("float64", "int64", 52, 1023, 708.0, 24, 500.0, (9, 10, 12, 18, 11))
 PRECISIONS = {p.name: p for p in (SINGLE, DOUBLE)}
 
 TEMPLATE = """
@@ -76,6 +81,29 @@ def atan2(y, x):
 
 
 @njit(**MATH)
+def exp2(x):
+    x = minimum(real({held}), maximum(real(-{held}), x))
+    shifted = x + real({shift!r})
+    z = x - (shifted - real({shift!r}))
+    return {T} * whole(real(shifted).view(whole) << whole({mantissa})).view(real)
+
+
+@njit(**MATH)
+def tanh_two(x, y):
+    a, b = exp2(x), exp2(y)
+    c, d = a + real(1.0), b + real(1.0)
+    share = real(1.0) / (c * d)
+    return (a - real(1.0)) * d * share, (b - real(1.0)) * c * share
+
+
+@njit(**MATH)
+def tanh_pair(p, q):
+    a, b = exp2(p + q), exp2(p - q)
+    share = real(1.0) / ((a + real(1.0)) * (b + real(1.0)))
+    return (a * b - real(1.0)) * share, (a - b) * share
+
+
+@njit(**MATH)
 def maximum(a, b):
     return a if a > b else b
 
@@ -93,7 +121,7 @@ def where(condition, a, b):
 
 def source(precision: Precision) -> str:
     """Python text of the functions for one precision; expects njit, MATH, real, whole, floor and absolute in scope."""
-    s, c, e, a = precision.degree
+    s, c, e, a, t = precision.degree
     root = lambda f, at_zero: lambda z: np.where(z > 0, f(np.sqrt(np.where(z > 0, z, 1.0))), at_zero)
     return TEMPLATE.format(
         inverse_pi=1 / pi,
@@ -106,7 +134,10 @@ def source(precision: Precision) -> str:
         C=_horner(root(np.cos, 1.0), 0.0, (pi / 2) ** 2, c),
         E=_horner(np.exp, -log(2) / 2, log(2) / 2, e),
         A=_horner(root(lambda t: np.arctan(t) / t, 1.0), 0.0, 1.0, a),
+        T=_horner(np.exp2, -0.5, 0.5, t),
         largest=precision.largest,
+        held=precision.held,
+        shift=1.5 * 2.0**precision.mantissa + precision.bias,  # added, it leaves n and the bias in the last bits
         bias=precision.bias,
         mantissa=precision.mantissa,
     )

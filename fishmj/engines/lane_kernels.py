@@ -159,7 +159,7 @@ def record(w, k, block, pose, joint, rate, velocity, power):
         power[b, k] = w[POWER * LANES + i] / real(STEPS)
 
 
-def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock, table, cells, cell, gust, trace):
+def advance(first, stop, c, state, buffer, commands, swimmer, delay, current, clock, table, cells, cell, gust, trace):
     """Advance fish first..stop (first a multiple of LANES) by commands.shape[1] bus ticks, in place."""
     # one small workspace, used again for every block: it stays in the cache for all ticks of a block
     w, ticks = np.zeros(ROWS * LANES, real), commands.shape[1]
@@ -202,7 +202,8 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
                 w[POWER * LANES + i] = real(0.0)
             for step in range(STEPS):
                 aim(w, step)
-                physics(w)
+                ask(w, c)
+                physics(w, c)
             record(w, k, block, pose, joint, rate, velocity, power)
         store(q, w, Q, block)
         store(v, w, V, block)
@@ -211,7 +212,7 @@ def advance(first, stop, state, buffer, commands, swimmer, delay, current, clock
         store_commands(buffer, line, ticks, block)
 
 
-def evaluate(first, stop, state, swimmer, target, flow, ambient, out):
+def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
     """Applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
     w = np.zeros(ROWS * LANES, real)
     q, v, attached, memory = state
@@ -232,7 +233,8 @@ def evaluate(first, stop, state, swimmer, target, flow, ambient, out):
         load(w, TARGET, target, block)
         load(w, FLOW, flow, block)
         load(w, AMBIENT, ambient, block)
-        forces(w)
+        ask(w, c)
+        forces(w, c)
         store(applied, w, APPLIED, block)
         store(attached_new, w, ATTACHED, block)
         store(power, w, POWER, block)

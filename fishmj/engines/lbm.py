@@ -10,10 +10,15 @@ into moving water and let go at once is carried along within 0.1 s, because all 
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from fishmj.dynamics import planar_chain
+from fishmj.effects.calibration import activate
 from fishmj.engines import FishParams, FishState, Trace, check_commands, ticks_per
+from fishmj.engines.tank_effects import check_effects
+from fishmj.engines.tank_run import EffectRun, TankEffects
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.run.domain import preset
@@ -29,9 +34,13 @@ class Engine:
     """Tanks for the given flows, in their order.
 
     Args:
+        robot: its effects act as `tank_effects` says.
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm.
         slip: ratio at the paper's grid. device: auto, cpu or cuda.
         finer: time steps in one of the domain's.
+
+    Raises:
+        ConfigError: an effect that has no place in a tank.
     """
 
     jittable = False
@@ -40,12 +49,9 @@ class Engine:
         self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto",
         finer: int = 1,
     ):  # fmt: skip
-        if robot.effects:
-            listed = ", ".join(fitted.name for fitted in robot.effects)
-            raise ConfigError(
-                f"tanks: the flow solver's fish has no place for effects, {robot.name} has {listed}; use its nominal file"
-            )
+        check_effects(robot)
         self.robot, self.flows = robot, list(flows)
+        self.active = activate(robot.effects, robot.n_joints)[0] if robot.effects else None
         box = preset(domain)
         self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
         self.tanks: ConcurrentRuns | None = None
@@ -64,7 +70,7 @@ class Engine:
         """Send the bus commands (B, T, J) [rad] to the B tanks; `current` is not used, the tanks have their flows."""
         check_commands(commands, self.robot.n_joints)
         if self.tanks is None:
-            self.tanks = self._fill(np.asarray(state.q), params)
+            self.tanks = self._fill(state, params)
         runs, batch = self.tanks.runs, len(self.flows)
         rows: list[tuple] = []
         for k in range(commands.shape[1]):
@@ -79,17 +85,22 @@ class Engine:
         trace = Trace(*(np.stack(column, 1) for column in zip(*rows, strict=True)))
         q = np.concatenate([trace.pose[:, -1], trace.joint[:, -1] + params.zero], -1)
         v = np.concatenate([trace.velocity[:, -1], trace.rate[:, -1]], -1)
-        return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), np.asarray(state.memory)), trace
+        memory = np.array(state.memory, float)
+        for row, run in zip(memory, runs, strict=True):
+            if isinstance(run, EffectRun):
+                row[: len(run.added.memory)] = run.added.memory
+        return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), memory), trace
 
-    def _fill(self, q: np.ndarray, params: FishParams) -> ConcurrentRuns:
+    def _fill(self, state: FishState, params: FishParams) -> ConcurrentRuns:
+        q = np.asarray(state.q)
         if len(q) != len(self.flows):
             raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
-        tanks = ConcurrentRuns([self._tank(i, q[i], params) for i in range(len(q))])
+        tanks = ConcurrentRuns([self.tank(i, q[i], params, np.asarray(state.memory)[i]) for i in range(len(q))])
         asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
-        streams = [flow.speed > 0 or flow.rms > 0 for flow in self.flows]
+        streams = [flow.speed > 0 or flow.rms > 0 for flow in (run.coupled.fluid.flow for run in tanks.runs)]
         if any(streams):
             for run in tanks.runs:
-                _turn_back(run, HELD)
+                set_clock(run, -HELD)
             for _ in range(round(HELD / self.robot.timing.bus_dt)):
                 tanks.tick(asked)
         for run, angles in zip(tanks.runs, asked, strict=True):
@@ -99,32 +110,40 @@ class Engine:
                 run.commands = [angles.copy()]
         return tanks
 
-    def _tank(self, i: int, q: np.ndarray, params: FishParams) -> Run:
-        """Tank i with its own fish, at rest in undisturbed flow."""
+    def tank(self, i: int, q: np.ndarray, params: FishParams, memory: np.ndarray | None = None) -> Run:
+        """Tank i with its own fish, at rest in undisturbed flow; `memory` (M,) of its effects, as at their start by default."""
+        own = {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")}
+        flow, added = self.flows[i], None
+        if self.active is not None:
+            swimmer = planar_chain.nominal(self.robot)._replace(**{name: value.tolist() for name, value in own.items()})
+            kept = self.active.memory if memory is None else memory
+            added = TankEffects(self.robot, self.active, np.asarray(params.effects)[i], kept, swimmer)
+            flow = added.stream(flow)
         stage = SwimSetup(
-            domain=self.domain, robot=self.robot, flow=self.flows[i], slip=self.slip, device=self.device,
+            domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.device,
             pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
         )  # fmt: skip
-        coupled = stage.coupled()
-        own = {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")}
-        personalise(coupled.body.model, **own)
+        coupled = stage.coupled(None if added is None else added.body(self.domain.dt))
+        if added is None:
+            personalise(coupled.body.model, **own)
         coupled.body.forward()
-        latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
         edge = DomainWatch(self.domain, float(q[2]))
         steps, _ = ticks_per(self.robot)
         if round(self.robot.timing.bus_dt / coupled.body.dt) < steps:
             raise ConfigError(
                 f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
             )
-        return Run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
+        latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
+        run = Run if added is None else partial(EffectRun, added)
+        return run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
 
 
-def _turn_back(run: Run, seconds: float) -> None:
-    """Fish and water at -`seconds`, the undisturbed flow of that time everywhere."""
+def set_clock(run: Run, time: float) -> None:
+    """Fish and water at `time` s, the undisturbed flow of that time everywhere."""
     coupled = run.coupled
     fluid = coupled.fluid
     with coupled.scope():
-        fluid.restore(fluid.snapshot() | {"steps": np.array(-round(seconds / fluid.lattice.dt))})
+        fluid.restore(fluid.snapshot() | {"steps": np.array(round(time / fluid.lattice.dt))})
         fluid.settle()
-    coupled.body.data.time = -seconds
+    coupled.body.data.time = time
     run.begin()

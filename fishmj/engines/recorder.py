@@ -96,6 +96,7 @@ def meta_of(sim) -> dict:
         "medium": "air" if sim.water_name == "none" else "water",
         "flow": {**asdict(flow), "known": True},
         "water": sim.water_name,
+        **({} if sim.hybrid is None else {"hybrid": sim.hybrid.report()}),
         "root": sim.root,
         "controller": "open loop",
         "excitation": "",

@@ -1,29 +1,46 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
+import json
 import shlex
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 from fishmj import console, controllers, cost, engines, interrupt
-from fishmj.engines import own_effects
+from fishmj.engines import own_effects, tank_effects
 from fishmj.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result, compare, summary
-from fishmj.evaluate.report import REST, STARRED, by_condition, condition, not_as_trained, overall, paired, save, unbounded, write
+from fishmj.evaluate.report import (
+    CORRECTED,
+    REST,
+    STARRED,
+    by_condition,
+    condition,
+    corrected,
+    not_as_trained,
+    overall,
+    paired,
+    save,
+    unbounded,
+    write,
+)  # fmt: skip
 from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.water import choice
 
-SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm
+SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm and hybrid
+EVERY = "--every"  # of hybrid alone
 FALLBACKS = ("compiled", "planar")
+BOX = "paper"  # of --water lbm
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
 EXAMPLES = f"""examples:
   fishmj evaluate dob                                      the decided 72 trials
   fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two, paired, with pictures
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
+  fishmj evaluate station --water hybrid --tanks 12 --device cuda         the water corrected by the solver while it swims
 
 {controllers.shipped_lines()}
 """
@@ -37,11 +54,14 @@ def options() -> console.Parser:
     brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
-    add("--water", type=console.text, help=f"{choice.HELP}; lbm: the flow solver itself, hours without a GPU")
-    add("--domain", choices=NAMES, default="paper", help="box of water of --water lbm; laptop is a preview")
-    add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in --water lbm: 1 slides, 0 sticks")
-    add("--device", type=console.device, default="auto", help="of --water lbm: auto, cpu, cuda or cuda:N")
-    tanks = "trials of --water lbm that run side by side; 12 or more keep one GPU busy"
+    solved = "hybrid: fitted, and corrected by segments of the flow solver while it swims; lbm: the flow solver itself"
+    add("--water", type=console.text, help=f"{choice.HELP}; {solved}, hours without a GPU")
+    box = f"box of water of --water lbm, default {BOX}, or hybrid, default that of the fitted water; laptop is a preview"
+    add("--domain", choices=NAMES, help=box)
+    add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in the flow solver: 1 slides, 0 sticks")
+    add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda or cuda:N")
+    add(EVERY, type=console.number(3, 600), metavar="S", help="of --water hybrid: from segment to segment of 3 s; default 30")
+    tanks = "trials of --water lbm, or segments of hybrid, that run side by side; 12 or more keep one GPU busy"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
     add("--turbulence", choices=tuple(PRESETS), default="default", help="kind of turbulence of the current")
     add("--intensity", type=console.number(0, 0.99), help="of the turbulence, u_rms / max(speed, 0.1 m/s); default 0.05")
@@ -60,6 +80,8 @@ def options() -> console.Parser:
     add("--command-path", choices=COMMAND_PATHS, help=path)
     controllers.anyway_option(parser)
     own_effects.option(parser)
+    left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
+    add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
     out = "folder for report.html, results.json, trials.csv; those that are there are replaced; by default nothing is written"
@@ -73,15 +95,17 @@ def main(argv: list[str]) -> int:
     """The verb `evaluate`. Returns the exit code."""
     args = options().parse_args(argv)
     args.again = shlex.join(["fishmj", "evaluate", *argv, *([] if args.log else ["--log"])])
-    unused = [o for o in SOLVER if any(word == o or word.startswith(f"{o}=") for word in argv)]
-    if unused and args.water != "lbm":
-        raise ConfigError(f"evaluate: {', '.join(unused)}: of --water lbm only; leave it out, or add --water lbm")
+    given = [o for o in (*SOLVER, EVERY) if any(word == o or word.startswith(f"{o}=") for word in argv)]
+    for some, waters in ((SOLVER, (choice.LBM, choice.HYBRID)), ((EVERY,), (choice.HYBRID,))):
+        if args.water not in waters and (unused := [o for o in given if o in some]):
+            words = " or ".join(f"--water {name}" for name in waters)
+            raise ConfigError(f"evaluate: {', '.join(unused)}: of {words} only; leave it out, or add it")
     joined = own_effects.join(args.effects)
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
     if args.plots and find_spec("matplotlib") is None:
         raise MissingExtra("matplotlib", "all", "evaluate --plots")
-    water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM), "evaluate")
+    water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM, choice.HYBRID), "evaluate")
     robot = water.robot
     for effect in joined:
         if effect.name not in {fitted.name for fitted in robot.effects}:
@@ -89,6 +113,9 @@ def main(argv: list[str]) -> int:
                 f"{effect.name} is in the catalogue now, and not in robot {robot.name}: it acts where the description has"
                 f' [[effect]] name = "{effect.name}"'
             )
+    robot = tank_effects.without(robot, args.leave_out)
+    if water.kind == choice.LBM:
+        tank_effects.check_effects(robot)
     if args.command_path is not None:
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
     trials = protocol.trials(
@@ -102,18 +129,21 @@ def main(argv: list[str]) -> int:
         from fishmj.lbm_oracle.run import solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
+        args.domain = args.domain or BOX
         work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
         begin(water, brains)
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for brain in brains:
-                results.append(judge_in_tanks(brain, robot, trials, args))
+                results.append(judge_in_tanks(brain, robot, trials, args)._replace(left_out=tuple(args.leave_out)))
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results))
             return report(results, args)
+    args.hybrid = hybrid_options(args, robot, trials, len(brains)) if water.kind == choice.HYBRID else None
     begin(water, brains)
-    kept = FinishedTrials(args.out, robot, trials, args.engine, [brain.name for brain in brains])
+    moved_by = args.engine if args.hybrid is None else args.hybrid.label(robot)
+    kept = FinishedTrials(args.out, robot, trials, moved_by, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
         try:
             results = judged(brains, robot, trials, args, kept)
@@ -144,11 +174,29 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
                 with console.Progress(1, "judge") as bar:
                     bar.stage(f"compiling the engine {args.engine}")
                     engine = choose_engine(args.engine, robot)
+                if args.hybrid is not None:
+                    from fishmj.hybrid.engine import Engine
+
+                    engine = Engine(robot, trials.flows()[0], args.hybrid, inner=engine)
             found = judge(brain, robot, trials, engine)
-        results.append(kept.keep(brain, found))
+        results.append(kept.keep(brain, found)._replace(left_out=tuple(args.leave_out)))
         if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
             save(args.out, results, findings(results) | {"unfinished": kept.unfinished})
     return results
+
+
+def hybrid_options(args, robot, trials, brains: int):
+    """When and by what the water is corrected. Raises TooMuch: the solver would take a CPU too long."""
+    from fishmj.hybrid import HybridOptions
+    from fishmj.lbm_oracle.run import solver_cost
+
+    asked: dict = {"domain": args.domain, "slip": args.slip, "device": args.device, "side_by_side": args.tanks, "wait": True}
+    made = HybridOptions(**asked | ({} if args.every is None else {"every": args.every}))
+    segments = max(0, 1 + (trials.duration - made.first - made.lead - made.span) // made.every) * len(trials) * brains
+    less = "--domain laptop is a preview; --repeats 1 --speeds 0.2 --los 0 is one trial"
+    work = [(preset(made.box(robot)), segments * (made.lead + made.span))]
+    solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
+    return made
 
 
 def tanks_words(folder: Path | None) -> str:
@@ -202,7 +250,9 @@ def findings(results: list[Result]) -> dict:
     a = results[0]
     return {
         "condition": condition(a),
+        **({"left_out": list(a.left_out)} if a.left_out else {}),
         "results": [summary(r) for r in results],
+        **({} if a.corrections is None else {"hybrid": {r.controller: [*map(json.loads, r.corrections)] for r in results}}),
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }
 
@@ -220,6 +270,9 @@ def report(results: list[Result], args) -> int:
         console.say("", f"{s['controller']} by flow speed", console.table(by_condition(s, "by_speed")))
         what = "by direction (0 = target straight upstream)"
         console.say("", f"{s['controller']} {what}", console.table(by_condition(s, "by_los")))
+    for r in results:
+        if r.corrections is not None:
+            console.say("", f"{r.controller}: {CORRECTED}", console.table(corrected(r)))
     for other in results[1:]:
         what = f"{other.controller} minus {results[0].controller}"
         console.say("", f"paired over the same trials: {what}; {STARRED}", console.table(paired(results[0], other)))

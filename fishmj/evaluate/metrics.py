@@ -31,7 +31,7 @@ from fishmj.errors import ConfigError
 from fishmj.evaluate.protocol import Trials
 from fishmj.mjcf.description import Robot
 from fishmj.units import G, wrap
-from fishmj.water.choice import LBM, label
+from fishmj.water.choice import HYBRID, LBM, label
 
 BEAT = 1.0  # s, averaging window
 RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
@@ -72,11 +72,14 @@ class Result(NamedTuple):
     distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
     policy: dict | None = None  # of a policy: how it was trained, and what is different here (`LearnedController.trained`)
+    left_out: tuple[str, ...] = ()  # effects of the description that the judged robot has not
+    corrections: np.ndarray | None = None  # (n,) JSON of `fishmj.hybrid.Hybrid.report`, of the water hybrid
 
     @property
     def water(self) -> str:
         """`lbm` for the flow solver, else as `fishmj.water.choice.label`."""
-        return LBM if self.engine.startswith(("tanks", "lbm")) else label(self.robot)
+        solved = {"tanks": LBM, "lbm": LBM, "hybrid": HYBRID}
+        return solved.get(self.engine.partition(",")[0]) or label(self.robot)
 
 
 def arrival_tick(result: Result) -> np.ndarray:

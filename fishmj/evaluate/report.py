@@ -21,6 +21,7 @@ from fishmj.engines.planar import link_centres
 from fishmj.errors import FishmjError, StoreError
 from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
 from fishmj.flow import sample, stack
+from fishmj.hydro_fit.online_correction import KINDS
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.pages import Section, figure, part, report, table
@@ -40,6 +41,7 @@ SHORT = {  # key -> heading, digits
     "rheotactic_index": ("RI cos", 3),
     "rheotactic_index_linear": ("RI lin", 3),
 }
+CORRECTED = "what the flow solver corrected, standard deviations in brackets (of a factor: of its logarithm)"
 STARRED = f"* = the interval excludes 0, of {APART} pairs or more"
 MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_total", "power", "rheotactic_index")
 REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
@@ -86,6 +88,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "medium": "water",
         "flow": {**asdict(flow), "known": True},
         "water": r.water,
+        **({} if r.corrections is None else {"hybrid": json.loads(str(r.corrections[i]))}),
         "root": "planar",
         "engine": r.engine,
         "controller": r.controller,
@@ -96,6 +99,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
         "randomisation": r.trials.randomisation,
         "excitation": "station holding",
+        **({"left_out": list(r.left_out)} if r.left_out else {}),
         **logged_meta(r.robot, tables, params, camera, r.pose[i, 0], r.trials.noise),
         **made_by("numpy", "mujoco"),
         "source": "fishmj.evaluate",
@@ -150,10 +154,11 @@ def condition(result: Result) -> str:
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
     switch = lambda on: "on" if on else "off"
+    without = f", without the effects {', '.join(result.left_out)}" if result.left_out else ""
     return (
         f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water {result.water}, engine {result.engine}, "
         f"command path {result.robot.timing.command_path}, start heading {t.heading}, "
-        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}"
+        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
 
 
@@ -203,6 +208,24 @@ def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
     head = {"by_speed": "flow [m/s]", "by_los": "los [deg]"}[which]
     order = sorted(summary[which], key=float)
     return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in keys}} for name in order]
+
+
+def corrected(r: Result) -> list[dict]:
+    """One row a trial of the water hybrid: what its segments moved, and what is known at its end."""
+    rows = []
+    for i, told in enumerate(map(json.loads, [] if r.corrections is None else r.corrections)):
+        segments = told["segments"]
+        seen = [row for row in segments if "before" in row]
+        moved = [f"{row['applied']:.0f} s" for row in seen if row["moved"]]
+        stream = [f"{u:+.3f} ({sd:.3f})" for u, sd in zip(told["stream"], told["stream_sd"], strict=True)]
+        kinds = [*KINDS, *(f"tail {kind}" for kind in KINDS)]
+        factors = zip(kinds, told["factors"], told["factors_sd"], strict=True)
+        row = {"trial": name_of(r, i), "segments": len(segments), "moved at": ", ".join(moved) or "-"}
+        row["miss before, after"] = "; ".join(f"{s['before']:.2f}, {s['after']:.2f}" for s in seen) or "-"
+        row["stream [m/s]"] = ", ".join(stream)
+        row["factors"] = ", ".join(f"{kind} {f:.2f} ({sd:.2f})" for kind, f, sd in factors if f != 1.0) or "-"
+        rows.append(row)
+    return rows
 
 
 def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
@@ -340,6 +363,9 @@ def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], repl
     every = [overall(summaries), overall(summaries, ("arrival", *REST))]
     about = "value (95 % bootstrap interval over trials)"
     sections = [Section("All trials", about, [*map(table, every), *unbounded(summaries)])]
+    sections += [
+        Section(f"{r.controller}: the water", CORRECTED, [table(corrected(r))]) for r in results if r.corrections is not None
+    ]
     for other in results[1:]:
         title = f"{other.controller} minus {first.controller}, paired by trial"
         sections.append(Section(title, STARRED, [table(paired(first, other))]))

@@ -31,7 +31,9 @@ from fishmj.water.identity import water_identity
 
 KEPT = "lbm"  # folder of finished trials in the flow solver
 OF_A_TRIAL = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
-ARRAYS = ("t", "target", "pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
+ARRAYS = (
+    "t", "target", "pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left", "corrections",
+)  # fmt: skip
 
 
 def run(
@@ -87,7 +89,7 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     left = np.where(out.any(1), out.argmax(1), pose.shape[1])
     distance = np.linalg.norm(pose[:, :, :2] - target[:, None], axis=-1)
     tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
-    name = type(engine).__module__.rpartition(".")[2]
+    name, hybrid = getattr(engine, "name", type(engine).__module__.rpartition(".")[2]), getattr(engine, "hybrid", None)
     return Result(
         controller=controller.name,
         policy_sha256=getattr(controller, "sha256", ""),
@@ -107,6 +109,7 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
         action=None if rows[0][7] is None else join(7),
         distance=np.take_along_axis(distance, np.minimum(tick, pose.shape[1] - 1), 1),
         left=left,
+        corrections=None if hybrid is None else np.array([json.dumps(hybrid.report(i)) for i in range(len(start))]),
     )
 
 
@@ -191,7 +194,7 @@ class FinishedTrials:
             return None
         what = {
             "controller": [brain.name, getattr(brain, "sha256", "")],
-            "robot": repr(self.robot),
+            "robot": [repr(self.robot), repr(self.robot.effects)],
             "water": water_identity(self.robot),
             "trials": asdict(self.trials),
             "engine": self.engine,
@@ -313,5 +316,6 @@ def fingerprint(brain, robot: Robot, trials: Trials, domain: str, slip: float) -
         "trials": {k: v for k, v in asdict(replace(trials, items=())).items() if k != "items"},
         "seed": trials.items[0].seed[:2],
         "water": [domain, slip, HELD],
+        **({"effects": repr(robot.effects)} if robot.effects else {}),
     }
     return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]

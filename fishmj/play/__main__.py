@@ -15,6 +15,7 @@ import numpy as np
 from fishmj import console, controllers, engines, interrupt
 from fishmj.errors import ConfigError
 from fishmj.flow import PRESETS, Flow
+from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
 from fishmj.mjcf.description import Robot, load_robot
@@ -104,7 +105,9 @@ def options() -> console.Parser:
     add("--controller", type=console.text, help=steered)
     controllers.anyway_option(parser)
     add("--robot", type=console.text, default="fish", help="description, name or TOML")
-    add("--water", type=console.text, help=choice.HELP)
+    add("--water", type=console.text, help=f"{choice.HELP}; hybrid: fitted, and corrected by the flow solver beside the swim")
+    add("--domain", choices=NAMES, help="box of water of --water hybrid, default that of the fitted water; laptop is a preview")
+    add("--device", type=console.device, default="auto", help="of the flow solver of --water hybrid: auto, cpu or cuda")
     add("--engine", default="batch", choices=engines.NAMES, help="what moves the fish")
     add("--speed", type=console.number(0, 1), default=0.2, metavar="M/S", help="of the current at the start")
     add("--direction", type=console.number(-360, 360), default=180.0, metavar="DEG", help="the water moves towards it")
@@ -150,11 +153,16 @@ def main(argv: list[str] | None = None) -> int:
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
     check_host(args.host)
     water = choice.chosen(load_robot(args.robot), args.water)
-    robot = water.within(choice.SELF_MADE, "play").robot
+    robot = water.within((*choice.SELF_MADE, choice.HYBRID), "play").robot
     controller = controller_of(args, robot)
     console.say(f"water: {water.said}")
     say_notes(controller)
-    session = LiveSession(controller, robot, flow, args.engine)
+    engine = args.engine
+    if water.kind == choice.HYBRID:
+        from fishmj.hybrid.engine import Engine, HybridOptions
+
+        engine = Engine(robot, flow, HybridOptions(domain=args.domain, device=args.device), inner=args.engine)
+    session = LiveSession(controller, robot, flow, engine)
     alone = args.headless_seconds is not None
     with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
         reach = "this machine only" if args.host in (LOCAL, "localhost", "::1") else "whoever can reach this machine"

@@ -14,7 +14,7 @@ from fishmj.controllers.learned import LearnedController
 from fishmj.dynamics.planar_chain import chain_of
 from fishmj.engines.planar import link_centres
 from fishmj.errors import ConfigError, FishmjError
-from fishmj.flow import Flow, sample
+from fishmj.flow import Flow, sample, shifted
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import identity
@@ -22,7 +22,7 @@ from fishmj.source import made_by
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
 from fishmj.units import wrap
-from fishmj.water.choice import NONE, in_water, label
+from fishmj.water.choice import HYBRID, NONE, in_water, label
 
 FASTEST = 0.5  # m/s
 SENSED = 4  # stream of random numbers of what is logged, beside that of the observations
@@ -64,7 +64,7 @@ class LiveSession:
         self.robot = in_water(load_robot(robot), water, who="play") if isinstance(engine, str) else load_robot(robot)
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
         self.loop = ControlLoop(self.robot, engine)
-        self.engine_name = type(self.loop.engine).__module__.rpartition(".")[2]
+        self.engine_name = getattr(self.loop.engine, "name", type(self.loop.engine).__module__.rpartition(".")[2])
         self._chain = chain_of(self.robot)
         params = engines.nominal_params(self.robot, 1)
         camera = self.loop.sensors.ticks(np, np.array([self.robot.timing.camera_latency]), params.effects, "pose")
@@ -101,10 +101,8 @@ class LiveSession:
         self.flow = Flow(**{**vars(self.flow), "speed": float(np.clip(speed, 0, FASTEST)), "direction": direction % (2 * np.pi)})
         now = self.flow.current()
         if now.table.ndim == 4:  # frozen eddies ride on the mean: carry their phase over
-            shift = (now.mean - before.mean)[0] * self.time
-            c, s = now.turn[0]
-            moved = np.array([[c * shift[0] + s * shift[1], c * shift[1] - s * shift[0]]]) / now.cell
-            now = now._replace(offset=before.offset + moved)
+            turned = now._replace(mean=before.mean, offset=before.offset)
+            now = shifted(turned, now.mean - before.mean, self.loop.count * self.loop.ticks)
         self.loop.scenario = self.loop.scenario._replace(current=now)
 
     @property
@@ -166,7 +164,7 @@ class LiveSession:
 
     def _meta(self, tables: dict) -> dict:
         """What a reader must know about the swim."""
-        names = list(dict.fromkeys(c.controller for c in self.chunks))
+        names, hybrid = list(dict.fromkeys(c.controller for c in self.chunks)), getattr(self.loop.engine, "hybrid", None)
         steady = len({c.current for c in self.chunks}) == 1
         notes = [NOTE]
         if not steady:
@@ -183,7 +181,8 @@ class LiveSession:
             **identity(self.robot),
             "medium": "air" if label(self.robot) == NONE else "water",
             "flow": {**vars(self.flow), "known": steady},
-            "water": label(self.robot),
+            "water": label(self.robot) if hybrid is None else HYBRID,
+            **({} if hybrid is None else {"hybrid": hybrid.report()}),
             "root": "planar",
             "engine": self.engine_name,
             "controller": names[-1],

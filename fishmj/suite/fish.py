@@ -22,6 +22,7 @@ from dm_env import specs
 from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
+from fishmj.suite.hybrid_physics import HybridPhysics
 from fishmj.suite.physics import Physics
 from fishmj.suite.solver_physics import SolverPhysics
 from fishmj.tasks import station_hold as task
@@ -64,22 +65,28 @@ def environment(name: Any, course: dict, random, environment_kwargs, root: str, 
     """One dm_control environment.
 
     `setting` may hold `water`, as `fishmj.water.choice` names it; "lbm" is the flow solver, whose options (domain, slip, device,
-    finer) are in `solver`.
+    finer) are in `solver`; those of "hybrid" are in `hybrid`, a `fishmj.hybrid.HybridOptions`.
 
     Raises:
         ConfigError, UnknownName: an option that does not exist or cannot be.
     """
-    solver = setting.pop("solver", {})
+    solver, corrected = setting.pop("solver", {}), setting.pop("hybrid", None)
     asked = chosen(setting)
     water = choice.chosen(load_robot(asked.robot), asked.water)
-    if root == "free" and water.kind == choice.LBM:
-        raise ConfigError("suite: the flow solver moves a fish with a planar root; choose root = 'planar', or another water")
+    if root == "free" and water.kind in choice.SOLVED:
+        raise ConfigError(
+            f"suite: water {water.kind!r} acts on a fish with a planar root; choose root = 'planar', or another water"
+        )
     rules = TaskSpec(name, replace(asked, robot=water.robot, water=None), **course)
     options = dict(environment_kwargs or {})
     for key in ("time_limit", "control_timestep", "n_sub_steps"):
         if key in options:
             raise ConfigError(f"suite: environment_kwargs has {key!r}; set `seconds` or `control_dt` in task_kwargs instead")
-    physics = SolverPhysics.in_tank(rules, solver) if water.kind == choice.LBM else Physics.of(rules.robot, root)
+    if water.kind == choice.LBM:
+        physics = SolverPhysics.in_tank(rules, solver)
+    else:
+        hybrid = water.kind == choice.HYBRID
+        physics = HybridPhysics.corrected(rules, corrected) if hybrid else Physics.of(rules.robot, root)
     return control.Environment(physics, FishTask(rules, random), control_timestep=rules.dt, **options)
 
 

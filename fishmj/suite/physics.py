@@ -310,8 +310,6 @@ def evaluator(robot: Robot, ch: chain.Chain):
     rest, params = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.nominal_params(robot, 1)
     still = np.zeros((1, robot.n_joints)), np.zeros((1, ch.n, 2)), np.zeros((1, 2))
     added = engines.Extensions.of(robot)
-    if added.learnt is not None:  # a network as straight-line code takes minutes to compile
-        return lambda *arguments: in_numpy(ch, *arguments, added=added)
     try:
         from fishmj.engines.compiled import Engine as Compiled
 

@@ -5,7 +5,6 @@ observations, rendering and named accessors read as in every other water. Each e
 fish for a second first, until the stream has found its way round it.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,27 +14,11 @@ from fishmj import engines
 from fishmj.dynamics.planar_chain import Chain
 from fishmj.engines import FishParams
 from fishmj.errors import ConfigError
-from fishmj.flow import BOXES, Current, Flow
+from fishmj.flow import BOXES, Current, DrawnFlow, Flow
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.suite.physics import Physics
 from fishmj.tasks.episode import TaskSpec
-
-
-@dataclass(frozen=True, kw_only=True)
-class DrawnFlow(Flow):
-    """A background flow that an episode has drawn already, in place of one drawn from a seed."""
-
-    drawn: Current  # a batch of one
-
-    @property
-    def rms(self) -> float:
-        """u_rms of each component, m/s."""
-        return float(self.drawn.rms[0])
-
-    def current(self) -> Current:
-        """The flow as drawn."""
-        return self.drawn
 
 
 class SolverPhysics(Physics):
@@ -49,7 +32,7 @@ class SolverPhysics(Physics):
         """A straight fish; `options` are those of `fishmj.engines.lbm.Engine`: domain, slip, device, finer.
 
         Raises:
-            ConfigError: a robot with effects.
+            ConfigError: a robot with effects that have no place in the solver.
         """
         physics = cls.of(rules.robot)
         physics._solver, physics._setting = options, rules.setting
@@ -65,9 +48,7 @@ class SolverPhysics(Physics):
         from fishmj.engines.lbm import Engine
 
         super().begin(pose, params, current)
-        u, v = (float(component) for component in current.mean[0])
-        kind = {"turbulence": self._setting.turbulence, "box": BOXES[self._setting.box]}
-        flow = DrawnFlow(speed=np.hypot(u, v), direction=np.arctan2(v, u), drawn=current, **kind)
+        flow = DrawnFlow.of(current, Flow(turbulence=self._setting.turbulence, box=BOXES[self._setting.box]))
         self.engine = Engine(self.swim.robot, [flow], **self._solver)
         self.fish = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
         self.fish.q[:, 3:] = params.zero  # the encoders read zero
@@ -85,6 +66,7 @@ class SolverPhysics(Physics):
         last = s.pending[-1:] if len(s.pending) else s.buffer[0, -1:]
         commands = np.concatenate([s.pending, np.repeat(last, ticks, 0)])[:ticks]
         self.fish, trace = self.engine.advance(self.fish, commands[None], s.params, s.current, np.array([s.step // s.steps]))
+        s.memory = self.fish.memory
         if stopped := self.engine.stopped[0]:
             raise control.PhysicsError(f"the flow solver stopped: {stopped}")
         s.pending, s.step = s.pending[ticks:], s.step + n_sub_steps
@@ -102,4 +84,4 @@ class SolverPhysics(Physics):
         raise ConfigError("suite: a fish in the flow solver cannot be copied; load another environment with the same seed")
 
 
-__all__ = ["DrawnFlow", "SolverPhysics"]
+__all__ = ["SolverPhysics"]

@@ -29,7 +29,7 @@ from fishmj.mjcf.description import Robot, check_timing, load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import EpisodeStart, StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
-from fishmj.water.choice import in_water, label
+from fishmj.water.choice import LBM, SELF_MADE, in_water, label
 
 WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward
 # beyond these it is a slip of the pen
@@ -149,7 +149,8 @@ class TaskOptions:
 
     def fish(self) -> Robot:
         """The robot with this setting's timing."""
-        robot = in_water(load_robot(self.robot), self.water, who="this environment")
+        can = (*SELF_MADE, LBM) if self.water is None else SELF_MADE  # lbm: chosen already, by who has the tanks
+        robot = in_water(load_robot(self.robot), self.water, can=can, who="this environment")
         wanted = {k: v for k in ("control_dt", "command_path") if (v := getattr(self, k)) is not None}
         timing = replace(robot.timing, **wanted)
         check_timing(timing, "task")

@@ -17,21 +17,21 @@ from fishmj.tasks.station_hold import visible
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.networks import scale
 from fishmj.train.settings import ALGORITHMS, Settings
-from fishmj.water.choice import SELF_MADE, Choice, chosen, residual_of
+from fishmj.water.choice import SELF_MADE, Choice, chosen
 from fishmj.water.identity import water_identity
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
 
 def pick_engine(settings: Settings) -> str:
-    """The engine asked for; `auto`: MJX on a GPU, else compiled, or planar without numba or in a water with a learnt residual."""
+    """The engine asked for; `auto`: MJX on a GPU, else compiled, or planar without numba."""
     if settings.engine != "auto":
         return settings.engine
     import jax
 
     if jax.default_backend() != "cpu":
         return "mjx"
-    return "compiled" if has_numba() and residual_of(robot_for(settings)) is None else "planar"
+    return "compiled" if has_numba() else "planar"
 
 
 def has_numba() -> bool:

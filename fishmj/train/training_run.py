@@ -26,7 +26,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
-from fishmj.train.build import algorithm, environment, has_numba, pick_engine, policy_of, settled
+from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
 
@@ -235,9 +235,7 @@ class TrainingRun:
         self.bar = console.Progress(settings.steps, "train", "steps")
         if not quiet:
             if settings.engine == "auto" and pick_engine(settings) == "planar":
-                slower = "training on the slower engine planar"
-                advice = f'numba is not installed: {slower}; pip install "fishmj[fast]"'
-                console.warn(advice if not has_numba() else f"the water has a learnt residual: {slower}")
+                console.warn('numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"')
             self.bar.stage("compiling the fish and the networks")
         self.training = self.algorithm.init(jax.random.key(settings.seed))
         if resume:

@@ -33,6 +33,7 @@ RENAMED = {"surrogate": FITTED}  # old names
 OWN = "own"  # in `robot.water`: the table of the description
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
+SOLVED = (HYBRID, LBM)  # those that need it
 HELP = (
     "fitted: strips and learnt residual fitted to the flow solver for this body, the default where there is one; structured: the"
     " description's own coefficients; none: air; a fitted water by name (NAME-base: its strips alone) or .toml file"
@@ -187,7 +188,8 @@ def _fitted(robot: Robot, name: str) -> Choice:
     model = fitted_water(name)
     made = _with(robot, model.swimmer(robot).water._asdict(), name)
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
-    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}){model.remark(robot)}")
+    preview = ", a preview" if model.preview else ""
+    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")
 
 
 def _dry(robot: Robot) -> dict[str, Any]:

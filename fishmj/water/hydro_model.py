@@ -226,13 +226,8 @@ class HydroModel:
         weights = write_tensors(folder / f"{self.name}.safetensors", arrays, {"schema": SCHEMA, "name": self.name})
         table: dict[str, Any] = {"schema": SCHEMA, "name": self.name, "units": UNITS, "notes": self.notes}
         table |= {"preview": True} if self.preview else {}
-        table |= {
-            "robot": self.robot,
-            "robot_sha256": self.robot_sha256,
-            **({"body_sha256": self.body_sha256} if self.body_sha256 else {}),
-            "dt": self.dt,
-            "slip": self.slip,
-        }
+        table |= {"robot": self.robot, "robot_sha256": self.robot_sha256, "dt": self.dt, "slip": self.slip}
+        table |= {"body_sha256": self.body_sha256} if self.body_sha256 else {}
         table |= {"weights": {"file": weights.name, "sha256": sha256(weights), "residual": self.learnt is not None}}
         table |= {"base": plain(self.base._asdict()), "calibrated": self.calibrated, "dataset": self.dataset}
         table |= {"band": self.band, "band_alone": self.band_alone, "scores": self.scores, "found": self.found}
@@ -293,10 +288,8 @@ def _read(path: Path) -> HydroModel:
         if sha256(weights) != expected:
             raise StoreError(f"{weights}: expected sha256 {expected}, as {path.name} says, got {sha256(weights)}")
         arrays, _ = read_tensors(weights)
-        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")} | {
-            k: table.get(k, "") for k in ("notes", "body_sha256")
-        }
-        given["preview"] = table.get("preview", False)
+        given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")}
+        given |= {key: table.get(key, "") for key in ("notes", "body_sha256")} | {"preview": table.get("preview", False)}
         given |= {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
         given |= {"base": strip_forces.Coefficients(**table["base"]), "members": arrays["members"], "alone": arrays["alone"]}
         if table["weights"]["residual"]:

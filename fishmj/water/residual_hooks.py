@@ -120,11 +120,9 @@ class LearnedResidual:
     def advance(self, s: strip_forces.Strips, c: strip_forces.Coefficients, k: planar_chain.Links, dt: float) -> list:
         """Forces on the links from the present wake, (F_t, F_n, moment) each; the wake moves on by dt."""
         xp, p, reach = self.xp, self.panels, self.learnt.reach
-        k = _batched(k)
+        k = batched(k)
         m = residual_network.motion(xp, p, k)
-        z = [value + 0.0 * m.speed for value in self.z]
-        g = residual_network.coefficients(xp, self.learnt.net, m, z)
-        mean, self.spread = _mean_and_spread(g)
+        mean, self.spread, wake = self.network(m, [value + 0.0 * m.speed for value in self.z], dt)
         gamma: Any = 1.0
         outside: Any = 0.0
         if reach is not None:
@@ -132,9 +130,12 @@ class LearnedResidual:
             gamma = fade / (1.0 + self.spread / reach.spread**2)
         forces = [residual_network.load(p, s.rho, m, i, [gamma * mean[c][i] for c in range(3)]) for i in range(len(k.u))]
         scale, self.store = bounded(xp, forces, residual_network.dissipated(xp, s, c, k), k, self.store, dt)
-        self.z = residual_network.wake_step(xp, self.learnt.net, m, z, dt)
-        self.guarded = self.guarded + outside
+        self.z, self.guarded = wake, self.guarded + outside
         return [tuple(scale * value for value in f) for f in forces]
+
+    def network(self, m: residual_network.Motion, z: list, dt: float) -> tuple:
+        """Members' mean coefficients (3, N, ..), the variance between them, and the wake dt later from z."""
+        return residual_network.mean_step(self.xp, self.learnt.net, m, z, dt)
 
     def _inside(self, reach: Range, k: planar_chain.Links, m: residual_network.Motion):
         """How far inside the range the whole fish is, and 1 where a link that moves is outside."""
@@ -160,19 +161,11 @@ def bounded(xp, forces: list, taken, k: planar_chain.Links, store, dt: float):
     return scale, xp.maximum(store + dt * (ETA * taken - scale * gain - store / STORED), 0.0)
 
 
-def _batched(k: planar_chain.Links) -> planar_chain.Links:
+def batched(k: planar_chain.Links) -> planar_chain.Links:
     """Every velocity with the full batch shape."""
     zero = 0.0 * (k.u[-1] + k.w[-1] + k.omega[-1])
     whole = lambda values: [value + zero for value in values]
     return k._replace(u=whole(k.u), w=whole(k.w), omega=whole(k.omega))
-
-
-def _mean_and_spread(g):
-    """Members' mean coefficients (3, N, ..), and the variance between members, mean over all."""
-    mean = g.mean(0)
-    if len(g) == 1:
-        return mean, 0.0 * mean[0, 0]
-    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1)
 
 
 def member(learnt: Residual, e: int) -> Residual:

@@ -11,10 +11,14 @@ P holds the products of two features that mirror as the force does: in a frictio
 products (Lamb 1932, ch. VI), within a link and between links, so that water turned at a joint needs no hidden unit.
 
 Only velocities relative to the water in link axes enter, so the force is Galilean and rotation invariant; both branches of
-the mirror are run, so it mirrors to round-off; it grows with speed squared, is bounded by c, and is zero at rest. N has E
+the mirror are taken, so it mirrors to the bit; it grows with speed squared, is bounded by c, and is zero at rest. N has E
 members (an ensemble); phi and P are shared by them. The wake is advanced exactly over a step with frozen speed.
+
+With s = [x, z] = [e; o], even and odd, one branch's products give both: A s = A_e e + A_o o = p + q and A S s = p - q. Of D,
+h+ + h- meets the rows of F_t alone, h+ - h- those of F_n and the couple, whose bias d cancels. See `Halves`.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -130,32 +134,77 @@ def motion(xp, p: Panels, k: Links) -> Motion:
     return Motion([value / speed for value in (*even, *odd)], speed, [0.5 * (s + whole) for s in square], square, middle)
 
 
-def wake_step(xp, net: Net, m: Motion, z: list, dt: float) -> list:
+class Halves(NamedTuple):
+    """The weights of a `Net` by what a mirror does to what they act on. M = E H + G rows, those of N first."""
+
+    even: Any  # (M, features and wake states that a mirror leaves alone)
+    odd: Any  # (M, those that it turns)
+    bias: Any  # (M, 1)
+    forward: Any  # (E, N, H), half of what gives F_t
+    forward_bias: Any  # (E, N, 1)
+    aside: Any  # (E, 2 N, H), half of what gives F_n and the couple
+    squares: Any  # (N, products that a mirror leaves alone)
+    crossed: Any  # (2 N, products that it turns)
+    length: Any  # (G, 1) l, m
+
+
+def halves(xp, net: "Net | Halves") -> Halves:
+    """The weights sorted by parity; those of one net in NumPy arrays are sorted once. `Halves` come back as they are."""
+    global _sorted
+    if isinstance(net, Halves):
+        return net
+    known = all(isinstance(part, np.ndarray) for part in net)
+    if known:
+        xp, before = np, _sorted  # read once: another thread may put another net there
+        if before[0] is net:
+            return before[1]
+    links, (members, units) = len(net.even), net.inner.shape[:2]
+    whole = xp.concatenate([xp.reshape(net.inner, (members * units, -1)), net.wake])
+    bias = xp.concatenate([xp.reshape(net.inner_bias, -1), net.wake_bias])[:, None]
+    ends = 0, links + 1, 3 * links + 1, 3 * links + 1 + WAKES // 2, 3 * links + 1 + WAKES
+    x_even, x_odd, z_even, z_odd = (whole[:, a:b] for a, b in pairwise(ends))
+    made = Halves(
+        even=xp.concatenate([x_even, z_even], 1),
+        odd=xp.concatenate([x_odd, z_odd], 1),
+        bias=bias,
+        # the half of a mean over two branches; the bias of what turns is the same in both and cancels
+        forward=0.5 * net.outer[:, :links],
+        forward_bias=net.outer_bias[:, :links, None],
+        aside=0.5 * net.outer[:, links:],
+        squares=net.even,
+        crossed=net.odd,
+        length=xp.exp(net.reach)[:, None],
+    )
+    if known:
+        _sorted = net, made
+    return made
+
+
+_sorted: tuple[Any, Any] = (None, None)  # the last net in NumPy arrays and its halves
+
+
+def wake_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> list:
     """Wake states dt later, from z: lists of `WAKES`."""
-    both, shape, _ = _branches(xp, m.x, z)
-    # the mirrored input through the same weights, averaged with its signs: the symmetry holds exactly, whatever was learnt
-    out = xp.tanh(net.wake @ both.reshape(len(both), -1) + net.wake_bias[:, None]).reshape(len(z), 2, -1)
-    signs = np.array(WAKE, dtype=out.dtype)[:, None]
-    target, before = 0.5 * (out[:, 0] + signs * out[:, 1]), both[len(m.x) :, 0]
-    # exact for constant V: stable for any learnt length and step, and of frozen motion the same wake at 4 ms as at 20 ms
-    decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / xp.exp(net.reach)[:, None])
-    return list((target + (before - target) * decay).reshape(len(z), *shape))
+    weights, rows = _given(xp, net, m, z)
+    units = len(weights.bias) - WAKES
+    only = weights._replace(even=weights.even[units:], odd=weights.odd[units:], bias=weights.bias[units:])
+    return _moved(xp, weights, rows, _hidden(xp, only, rows), m, dt)
 
 
-def coefficients(xp, net: Net, m: Motion, z: list):
+def coefficients(xp, net: "Net | Halves", m: Motion, z: list):
     """Force coefficients g of every member, (E, 3, N, ..): F_t, F_n, couple of every link."""
-    both, shape, links = _branches(xp, m.x, z)
-    members, units, _ = net.inner.shape
-    hidden = (net.inner.reshape(members * units, -1) @ both.reshape(len(both), -1)).reshape(members, units, -1)
-    hidden = xp.tanh(hidden + net.inner_bias[:, :, None])
-    out = (net.outer @ hidden + net.outer_bias[:, :, None]).reshape(members, 3 * links, 2, -1)
-    signs = np.array([1.0] * links + [-1.0] * (2 * links), dtype=out.dtype)[:, None]
-    x = both[: len(m.x), 0]
-    # potential-flow forces are such products: given as they are, hidden units are left for what is not potential
-    pairs = [weights @ (x[i] * x[j]) for weights, (i, j) in zip((net.even, net.odd), products(links), strict=True)]
-    whole = 0.5 * (out[:, :, 0] + signs * out[:, :, 1]) + xp.concatenate(pairs)
-    # bounded smoothly: a clip has no gradient, and a motion outside the data must not make a large force
-    return (BOUND * xp.tanh(whole / BOUND)).reshape(members, 3, links, *shape)
+    weights, rows = _given(xp, net, m, z)
+    units = len(weights.bias) - WAKES
+    only = weights._replace(even=weights.even[:units], odd=weights.odd[:units], bias=weights.bias[:units])
+    return _bounded(xp, weights, rows, _hidden(xp, only, rows))
+
+
+def step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple[Any, list]:
+    """`coefficients` and `wake_step` of one instant, whose input goes through the weights together."""
+    weights, rows = _given(xp, net, m, z)
+    units, (plus, minus) = len(weights.bias) - WAKES, _hidden(xp, weights, rows)
+    g = _bounded(xp, weights, rows, (plus[:units], minus[:units]))
+    return g, _moved(xp, weights, rows, (plus[units:], minus[units:]), m, dt)
 
 
 def load(p: Panels, rho: float, m: Motion, i: int, g) -> tuple:
@@ -174,11 +223,87 @@ def dissipated(xp, s: strip_forces.Strips, c: strip_forces.Coefficients, k: Link
     return total - strip_forces.head_form(xp, s, c, k.u[0]) * k.u[0]
 
 
-def _branches(xp, x: list, z: list):
-    """(F + G, 2, B) with the mirrored inputs beside the true ones, the batch shape, and the number of links."""
-    links = (len(x) - 1) // 3
-    rows = xp.stack([*x, *z])
-    shape = rows.shape[1:]
-    rows = rows.reshape(len(rows), 1, -1)
-    signs = np.array([*[1.0] * (links + 1), *[-1.0] * (2 * links), *WAKE], dtype=rows.dtype).reshape(-1, 1, 1)
-    return xp.concatenate([rows, signs * rows], 1), shape, links
+def mean_by_products(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:
+    """(mean of the members' coefficients (3, N, ..), the variance between them (..), wake states dt later)."""
+    g, z = step(xp, net, m, z, dt)
+    mean = g.mean(0)
+    if len(g) == 1:
+        return mean, 0.0 * mean[0, 0], z
+    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1), z
+
+
+def mean_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:
+    """As `mean_by_products`; a batch in single precision on an NVIDIA GPU goes through one kernel."""
+    if kernel and getattr(xp, "__name__", "") == "jax.numpy" and np.ndim(m.speed) and m.speed.dtype == np.float32:
+        import jax
+
+        if jax.default_backend() == "gpu":
+            from fishmj.water import residual_kernel
+
+            return residual_kernel.mean_step(dt, halves(xp, net), Motion(m.x, m.speed, [], [], []), z)
+    return mean_by_products(xp, net, m, z, dt)
+
+
+kernel, PRECISION = True, "highest"  # False: by matrix products there, too; of these products in JAX
+
+
+class Rows(NamedTuple):
+    """The input of an instant by parity, and the shape of its batch."""
+
+    even: Any  # (N + 1 + G / 2, B)
+    odd: Any  # (2 N + G / 2, B)
+    shape: tuple
+
+
+def rows_of(xp, x: list, z: list) -> Rows:
+    """Features and wake states by parity."""
+    links, half = (len(x) - 1) // 3, WAKES // 2
+    even, odd = xp.stack([*x[: links + 1], *z[:half]]), xp.stack([*x[links + 1 :], *z[half:]])
+    return Rows(xp.reshape(even, (len(even), -1)), xp.reshape(odd, (len(odd), -1)), even.shape[1:])
+
+
+def _given(xp, net: "Net | Halves", m: Motion, z: list) -> tuple[Halves, Rows]:
+    """Weights and rows of one instant; JAX gets the weights in the precision of the rows."""
+    weights, rows = halves(xp, net), rows_of(xp, m.x, z)
+    return weights if xp is np else Halves._make(xp.asarray(part, rows.even.dtype) for part in weights), rows
+
+
+def _hidden(xp, weights: Halves, rows: Rows) -> tuple:
+    """tanh of both branches, (M, B) each.
+
+    A mirrored input differs by the sign of its odd half alone: A S s = A_e e - A_o o. So both branches are the sum and the
+    difference of what one costs, and exchanged, to the bit, where the input is mirrored.
+    """
+    p, q = _times(xp, weights.even, rows.even) + weights.bias, _times(xp, weights.odd, rows.odd)
+    return xp.tanh(p + q), xp.tanh(p - q)
+
+
+def _bounded(xp, weights: Halves, rows: Rows, hidden: tuple):
+    """Bounded coefficients (E, 3, N, ..) from the hidden units of N."""
+    members, links, units = weights.forward.shape
+    plus, minus = (xp.reshape(branch, (members, units, -1)) for branch in hidden)
+    e, o = rows.even[: links + 1], rows.odd[: 2 * links]
+    # potential-flow forces are such products: given as they are, hidden units are left for what is not potential
+    squares = xp.concatenate([part[i] * part[i:] for part in (e, o) for i in range(len(part))])
+    crossed = xp.reshape(e[:, None] * o, (len(e) * len(o), -1))
+    forward = _times(xp, weights.forward, plus + minus) + weights.forward_bias + _times(xp, weights.squares, squares)
+    aside = _times(xp, weights.aside, plus - minus) + _times(xp, weights.crossed, crossed)
+    # bounded smoothly: a clip has no gradient, and a motion outside the data must not make a large force
+    g = BOUND * xp.tanh(xp.concatenate([forward, aside], 1) / BOUND)
+    return xp.reshape(g, (members, 3, links, *rows.shape))
+
+
+def _moved(xp, weights: Halves, rows: Rows, hidden: tuple, m: Motion, dt: float) -> list:
+    """The wake dt later from its hidden units."""
+    plus, minus = hidden
+    half = WAKES // 2
+    target = 0.5 * xp.concatenate([plus[:half] + minus[:half], plus[half:] - minus[half:]])
+    before = xp.concatenate([rows.even[-half:], rows.odd[-half:]])
+    # exact for constant V: stable for any learnt length and step, and of frozen motion the same wake at 4 ms as at 20 ms
+    decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / weights.length)
+    return list(xp.reshape(target + (before - target) * decay, (WAKES, *rows.shape)))
+
+
+def _times(xp, a, b):
+    """a @ b in the precision of its operands: JAX on a GPU would round float32 to ten bits."""
+    return a @ b if xp is np else xp.matmul(a, b, precision=PRECISION)

@@ -29,12 +29,12 @@ import numpy as np
 
 from fishmj import console, controllers, interrupt
 from fishmj.calib import constant
+from fishmj.campaign.dagger.surrogate import Surrogate
 from fishmj.campaign.data import plan as plans
 from fishmj.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model
 from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Setup
 from fishmj.campaign.data.segment import Segment, drive, ticks_of
-from fishmj.campaign.hybrid.hybrid import Surrogate
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset

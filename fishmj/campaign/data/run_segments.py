@@ -72,18 +72,6 @@ def fingerprint(robot: Robot) -> str:
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-class Driven(Run):
-    """A run whose root may follow a path, too: root(t) -> (x, y, yaw), m and rad, t in s since the run began."""
-
-    root: Callable[[float], np.ndarray] | None = None
-
-    def prescribed_velocity(self, dt):
-        fixed, value = super().prescribed_velocity(dt)
-        if self.root is not None:
-            value[:3] = (self.root(self.time + dt) - self.pose[:3]) / dt
-        return fixed, value
-
-
 class SegmentRunner:
     """One segment at work."""
 
@@ -214,7 +202,7 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
     if segment.velocity:
         joints = segment.joints or (0.0,) * robot.n_joints
         coupled.body.place(reference_qpos(coupled.body.model, pose, joints), segment.velocity)
-    run = Driven(coupled, robot, follow=DomainWatch(domain, yaw), tethered=moved.root is not None, prescribed=moved.joints)
+    run = Run(coupled, robot, follow=DomainWatch(domain, yaw), tethered=moved.root is not None, prescribed=moved.joints)
     if moved.root is not None:
         path, off = moved.root, np.array([pose[0] - x, pose[1] - y, 0.0])
         run.root = lambda t: path(t) + off

@@ -224,8 +224,8 @@ class ClosedLoop:
     """
 
     def __init__(self, segment: Segment, robot: Robot, controller: str, target, seed: int, noise: float):
-        # A segment is the swim of the nominal body: the flow solver and the surrogate have no place for effects, and a segment's
-        # identity (run_segments.fingerprint) leaves them out. Sensors with effects would make one segment two swims.
+        # A segment teaches a water, so it is the swim of the nominal body, and its identity (run_segments.fingerprint) leaves
+        # effects out. Sensors with effects would make one segment two swims.
         self.robot = replace(robot, effects=())
         self.target = np.asarray(target, float)[None]
         self.controller = controllers.make(controller, robot)

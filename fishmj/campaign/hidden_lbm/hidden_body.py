@@ -17,10 +17,10 @@ held all the way is not moved at all (`held`): its row of the solve is w_j = 0.
 from math import exp
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
-from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
+from fishmj.lbm_oracle.immersed.body import DisplacedWater
+from fishmj.lbm_oracle.immersed.driven_body import DrivenBody
 from fishmj.mjcf import build
 from fishmj.virtual_robot.chain import assemble, factor, push_joint, solve
 from fishmj.virtual_robot.constants import HullConstants, Uncatalogued
@@ -101,33 +101,19 @@ def forces(body, water, tank, odd, gust, s, stream, A, f, h):
     assemble(body, water, tank, odd, s, stream, A, f, h)
 
 
-class HiddenBody(ImmersedBody):
-    """An `ImmersedBody` whose joints follow a law tau = a - D w, with a virtual robot's masses and an effect's own forces."""
+class HiddenBody(DrivenBody):
+    """A `DrivenBody` with a virtual robot's masses; its joints follow a law tau = a - D w."""
 
     def __init__(self, made: RobotConstants, dt: float, heavier: float = 1.0):
-        robot = made.robot
-        super().__init__(build(robot, "planar", bare=True), DisplacedWater.of(robot), dt)
-        m = self.model
-        m.actuator_gainprm[:], m.actuator_biasprm[:] = 0.0, 0.0
-        m.dof_armature[-3:] = made.motor.armature
+        super().__init__(build(made.robot, "planar", bare=True), DisplacedWater.of(made.robot), dt)
+        self.model.dof_armature[-3:] = made.motor.armature
         rigid = made.body
-        m.body_mass[1:] = heavier * rigid.mass
         middle = rigid.first / rigid.mass
-        m.body_ipos[1:, 0] = middle
-        m.body_inertia[1:, 2] = heavier * (rigid.second - rigid.mass * middle**2)
-        mujoco.mj_setConst(m, self.data)
-        self.added_mass = np.zeros((6, 6))  # added mass of the effect, (x, y, psi, j1..j3)
-        self.place(self.data.qpos.copy())
-
-    def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        mujoco.mj_passive(self.model, self.data)  # the law's slope is newer than the state
-        system, right = super().equation(interior)
-        return system + self.added_mass, right + self.added_mass @ self.data.qvel
+        self.set_masses(heavier * rigid.mass, middle, heavier * (rigid.second - rigid.mass * middle**2))
 
     def set_torque(self, a: np.ndarray, slope: np.ndarray) -> None:
         """tau = a - slope w on the three joints in the next step, N m and N m s/rad."""
-        self.applied[-3:] = a
-        self.model.dof_damping[-3:] = slope
+        self.drive(np.concatenate([self.applied[:3], a]), slope)
 
 
 class HiddenDifference:

@@ -47,18 +47,22 @@ def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick:
     prior = _prior(robot, ch.n)
     target = data.force - _known(data, ch.strips)
     blocks = [_block(data, ch.strips, i) for i in range(ch.n)]
+    sums = lambda i, columns: _sums(prior, columns, target[:, i])
+    last = ch.n - 1  # the grid moves the columns of the last link alone
+    ahead = [sums(i, block) for i, block in enumerate(blocks[:last])]
     grid = [(a, t) for a in ANGLES for t in LAGS] if stall else [(start.stall_angle, start.stall_lag)]
     best: tuple = ()
     noise = np.maximum(target.std(-1), FLOOR)
     for angle, lag in grid:
         c = start._replace(stall_angle=float(angle), stall_lag=float(lag))
         columns = _edge(data, ch.strips, attachment(data, ch.strips, c, tick))
-        solved = _solve(prior, blocks, columns, target, noise, ch.n)
+        links = [*ahead, sums(last, blocks[last] | columns)]
+        solved = _solve(prior, links, noise)
         if not best or solved[-1] < best[-1]:
-            best = (c, columns, *solved)
-    c, columns, theta, normal, noise, _ = best
+            best = (c, links, *solved)
+    c, links, theta, normal, noise, _ = best
     for _ in range(ROUNDS - 1):
-        theta, normal, noise, _ = _solve(prior, blocks, columns, target, noise, ch.n)
+        theta, normal, noise, _ = _solve(prior, links, noise)
     water = _coefficients(c, theta, ch.n)
     return LinearFit(water, identify(prior, theta, normal), noise)
 
@@ -118,27 +122,38 @@ def _edge(data: RegressionRows, s: strip_forces.Strips, attached: np.ndarray) ->
     return dict(zip(EDGE, (push, whole - push, share - push), strict=True))
 
 
-def _solve(prior: Prior, blocks, edge, target, noise, links: int):
+class _Sums(NamedTuple):
+    """One link's columns A and target b, each by channel: all that least squares need of M rows."""
+
+    at: list[int]  # of theta, p of them
+    square: np.ndarray  # (3, p, p) A^T A
+    right: np.ndarray  # (3, p) A^T b
+    size: np.ndarray  # (3,) b^T b
+    rows: int
+
+
+def _sums(prior: Prior, columns: dict[str, np.ndarray], target: np.ndarray) -> _Sums:
+    a = np.stack(list(columns.values()), 1)  # (3, p, M)
+    at = [prior.names.index(name) for name in columns]
+    right = (a @ target[:, :, None])[..., 0]
+    return _Sums(at, a @ np.swapaxes(a, 1, 2), right, np.einsum("cm,cm->c", target, target), target.shape[1])
+
+
+def _solve(prior: Prior, links: list[_Sums], noise):
     """theta, the data's normal matrix, the remaining error of every channel, and the objective."""
     size = len(prior.names)
     normal, right, square = np.zeros((size, size)), np.zeros(size), 0.0
-    stacks = []
-    for i, block in enumerate(blocks):
-        columns = block | (edge if i == links - 1 else {})
-        at = [prior.names.index(name) for name in columns]
-        a = np.stack(list(columns.values()), -1)  # (3, M, p)
-        stacks.append((at, a))
-        for c in range(3):
-            weight = 1.0 / (noise[c, i] ** 2 * HANG)
-            normal[np.ix_(at, at)] += weight * a[c].T @ a[c]
-            right[at] += weight * a[c].T @ target[c, i]
-            square += weight * float(target[c, i] @ target[c, i])
+    for i, link in enumerate(links):
+        weight = 1.0 / (noise[:, i] ** 2 * HANG)
+        normal[np.ix_(link.at, link.at)] += np.einsum("c,cpq->pq", weight, link.square)
+        right[link.at] += weight @ link.right
+        square += float(weight @ link.size)
     theta = bounded(prior, normal, right)
-    left = np.stack([target[:, i] - a @ theta[at] for i, (at, a) in enumerate(stacks)], 1)
-    error = np.maximum(np.sqrt((left**2).mean(-1)), FLOOR)
+    left = [s.size - 2 * s.right @ theta[s.at] + s.square @ theta[s.at] @ theta[s.at] for s in links]  # |b - A theta|^2
+    error = np.stack([np.sqrt(np.maximum(part, 0.0) / s.rows) for part, s in zip(left, links, strict=True)], 1)
     off = (theta - prior.mean) / prior.sd
     objective = square - 2 * right @ theta + theta @ normal @ theta + off @ off
-    return theta, normal, error, float(objective)
+    return theta, normal, np.maximum(error, FLOOR), float(objective)
 
 
 def bounded(prior: Prior, normal: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@
     trial = run.trial()
 
 Driven by the servos, joints lag behind their commands as on the robot. `prescribed` joints follow a function of time to the
-letter, `tethered` holds the root; the torques that this takes are the servo's and the tether's reaction.
+letter, `tethered` holds the root or leads it along `root`; the torques that this takes are the reaction of servos and tether.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -95,9 +95,14 @@ class Run:
         follow: called with the coupled fish after every step: a window moves, a tank looks after its walls. It touches the
             water in `FluidStructure.scope` only.
 
+    Attributes:
+        root: of a tethered fish, its path: t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
+
     Raises:
         ConfigError: the fluid's step does not divide the bus tick.
     """
+
+    root: Callable[[float], np.ndarray] | None = None
 
     def __init__(
         self,
@@ -281,6 +286,8 @@ class Run:
         fixed, value = np.zeros(n), np.zeros(n)
         if self.tethered:
             fixed[: n - self.joints] = 1.0
+            if self.root is not None:
+                value[:3] = (self.root(self.time + dt) - self.pose[:3]) / dt
         if self.prescribed:
             fixed[-self.joints :] = 1.0
             value[-self.joints :] = (self.prescribed(self.time + dt) - self.angles()) / dt

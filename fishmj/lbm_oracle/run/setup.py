@@ -94,14 +94,14 @@ class SwimSetup:
             pass
         return made
 
-    def coupled(self) -> FluidStructure:
-        """The same with the fish of the description.
+    def coupled(self, body: ImmersedBody | None = None) -> FluidStructure:
+        """The same with the fish of the description, unless another body of its links is given.
 
         Raises:
             OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
         """
         domain = self.domain
-        made = self.assembled(ImmersedBody.of(self.robot, self.root, domain.dt))
+        made = self.assembled(body or ImmersedBody.of(self.robot, self.root, domain.dt))
         room = margin(made.fluid, *made.body.bounds(made.boundary.corners))
         stability.check(domain, speed=max(self.flow.speed, stability.SLOW), spacing=self.spacing * domain.dx, clearance=room)
         return made

@@ -39,6 +39,9 @@ def main(argv: list[str]) -> int:
     if args.volume and args.fields is None:
         raise ConfigError("lbm_oracle swim: --volume is of --fields; add --fields FOLDER, or leave it out")
     robot, gait = load_robot(args.robot), _gait(args)
+    if robot.effects:
+        names = ", ".join(fitted.name for fitted in robot.effects)
+        console.warn(f"lbm_oracle swim: {robot.name} swims without its effects {names}; evaluate --water lbm has them")
     seconds = args.seconds if args.seconds is not None else args.beats / gait.frequency
     if args.out and args.out.exists() and not args.overwrite:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")

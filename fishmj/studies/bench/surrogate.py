@@ -11,11 +11,14 @@ The seconds of all fish of a batch are added up. Nominal fish, one gait, still w
 
 import numpy as np
 
+from fishmj.calib import constant
+from fishmj.errors import FishmjError
 from fishmj.studies.bench import NotHere, Work, benchmark, oracle
 from fishmj.studies.bench import hydro as water
 
 FISH, FISH_MJX, FISH_CPU, FISH_QUICK = 2**17, 2**14, 1024, 64
 CHUNKS = 10  # control steps a run, in one compiled scan
+CONTROL = constant("timing", "control_dt")  # s
 
 
 def coupled_tank(quick: bool) -> Work:
@@ -24,16 +27,27 @@ def coupled_tank(quick: bool) -> Work:
     return oracle._resting(domain, device, ticks, 1, domain.dt)
 
 
-def _swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> Work:
-    """So many fish through `CHUNKS` control steps by an engine, in the shipped water."""
+def robot_of(learnt: bool):
+    """The shipped fish in the shipped fitted water, with its residual or without: XLA leaves out weights that are zero."""
+    from fishmj.engines import in_water
+    from fishmj.mjcf import load_robot
+
+    try:
+        return in_water(load_robot("fish"), water.MODEL if learnt else f"{water.MODEL}-base")
+    except FishmjError as error:
+        raise NotHere(f"no fitted water {water.MODEL}: {error}") from error
+
+
+def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **options) -> Work:
+    """So many fish through `CHUNKS` control steps by an engine with these options, in the shipped water."""
     import jax
     from jax import lax
 
     from fishmj import engines
     from fishmj.flow import Flow, stack
 
-    robot = water._robot(learnt)
-    engine, device = engines.make(name, robot), jax.devices()[0]
+    robot = robot_of(learnt)
+    engine, device = engines.make(name, robot, **options), jax.devices()[0]
     if device.platform == "cpu":
         fish = min(fish, FISH_QUICK if quick else FISH_CPU)
     timing, (_, ticks) = robot.timing, engines.ticks_per(robot)
@@ -64,13 +78,13 @@ def _swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> Wor
 @benchmark("surrogate_strips", "simulated s/s", baseline=coupled_tank)
 def surrogate_strips(quick: bool) -> Work:
     """Closed form in JAX, strips alone, a full batch."""
-    return _swum("planar", quick)
+    return swum("planar", quick)
 
 
 @benchmark("surrogate", "simulated s/s", baseline=coupled_tank)
 def surrogate(quick: bool) -> Work:
     """Closed form in JAX with a learnt residual, a full batch."""
-    return _swum("planar", quick, True)
+    return swum("planar", quick, True)
 
 
 @benchmark("surrogate_mjx", "simulated s/s", baseline=coupled_tank)
@@ -78,4 +92,4 @@ def surrogate_mjx(quick: bool) -> Work:
     """MuJoCo in JAX, strips alone; not with --quick."""
     if quick:
         raise NotHere("compiling MJX takes half a minute of CPU; run it without --quick")
-    return _swum("mjx", quick, fish=FISH_MJX)
+    return swum("mjx", quick, fish=FISH_MJX)

@@ -1,0 +1,242 @@
+"""The learnt residual in the compiled engine: its network as vector code, its weights as numbers given at the call.
+
+One physics step with a residual is three functions of the workspace, in this order:
+    features   generated from `residual_network.motion`: what the network sees
+    network    written here: force coefficients, the members' spread, the wake a step later
+    physics    generated from `planar_chain.step` with `Told` hooks, which do the rest of `residual_hooks.LearnedResidual`
+
+The text depends on shapes alone (links, members, hidden units), so all fitted waters of a robot share one machine code; weights,
+range and lengths come as one flat array. With the input split into what a mirror leaves alone, e, and what it turns, o,
+    p = a + A_e e,   q = A_o o,   (tanh(p + q) +- tanh(p - q)) / 2 = (sinh 2p, sinh 2q) / (cosh 2p + cosh 2q)
+both branches of the mirror cost as one: half the multiply-adds, and the symmetry holds exactly. Weights are kept times 2 / ln 2,
+so that each e^2x is a power of two. A block of units shares every input that is loaded.
+"""
+
+import re
+from math import log
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.dynamics import planar_chain
+from fishmj.water import residual_hooks, residual_network
+from fishmj.water.residual_network import BOUND, WAKES
+
+BLOCK = 4  # units that share a load of the inputs
+NUMBER = re.compile(r"\bc\[[^]]*\]")  # one of the array, in the text of a loop
+POWER = 2 / log(2)  # tanh x = (2^(POWER x) - 1) / (2^(POWER x) + 1)
+
+
+class Shape(NamedTuple):
+    """What the text of the network depends on."""
+
+    links: int
+    members: int
+    hidden: int
+    ranged: bool  # the residual has a range
+
+    @classmethod
+    def of(cls, learnt: residual_hooks.Residual) -> "Shape":
+        """The shape of a residual."""
+        members, hidden, _ = np.shape(learnt.net.inner)
+        return cls(len(learnt.net.even), members, hidden, learnt.reach is not None)
+
+    @property
+    def inputs(self) -> tuple[list[int], list[int]]:
+        """Numbers of the inputs [x, z] that a mirror leaves alone, and of those that it turns."""
+        even, features = self.links + 1, 3 * self.links + 1
+        wakes = range(features, features + WAKES)
+        return [*range(even), *wakes[: WAKES // 2]], [*range(even, features), *wakes[WAKES // 2 :]]
+
+    @property
+    def block(self) -> int:
+        """Numbers of a block of units."""
+        return BLOCK * (1 + sum(map(len, self.inputs)))
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of hidden units a member; the last one may be filled up with units that do nothing."""
+        return -(-self.hidden // BLOCK)
+
+    def rows(self) -> dict:
+        """Rows of the workspace that the network needs."""
+        line = lambda name, count: [f"{name}{i}" for i in range(count)]
+        forces = 3 * self.links
+        return {
+            "feature": line("feature", forces + 1),
+            "pace": "pace",
+            "unit": line("unit", 2 * BLOCK),  # half sums, then half differences, of a block
+            "product": line("product", forces),
+            "sum": line("sum", forces),  # of one member
+            "coefficient": line("coefficient", forces),  # mean over the members
+            "spread": "spread",
+            "next": line("next", WAKES),
+        }
+
+    def sizes(self) -> dict[str, int]:
+        """Numbers of each part of the flat array, in order."""
+        forces = 3 * self.links
+        even, odd = (len(pairs[0]) for pairs in residual_network.products(self.links))
+        return {
+            "units": self.members * self.blocks * self.block,
+            "outer": self.members * forces * (1 + BLOCK * self.blocks),
+            "products": self.links * even + 2 * self.links * odd,
+            "wake": WAKES // BLOCK * self.block,
+            "rates": WAKES,
+            "range": self.ranged * (self.links * (residual_hooks.SEEN * (residual_hooks.SEEN + 1) + 2) + 1),
+        }
+
+    def starts(self) -> dict[str, int]:
+        """Where each part begins."""
+        sizes = self.sizes()
+        return dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+
+    def range_places(self) -> dict[str, int]:
+        """Names of the numbers of a range, and where they lie in the flat array."""
+        first = self.starts()["range"]
+        return {f"range{i}": first + i for i in range(self.sizes()["range"])}
+
+
+def flat_weights(learnt: residual_hooks.Residual, dt: float, dtype) -> np.ndarray:
+    """Everything that the text leaves open, as `Shape.sizes` says; `dt` of a physics step, s."""
+    shape, net = Shape.of(learnt), residual_network.Net(*(np.asarray(a, float) for a in learnt.net))
+    columns = [number for half in shape.inputs for number in half]
+
+    def units(weights, bias):
+        """Blocks of units: their biases, then their weights of each input."""
+        more = -len(bias) % BLOCK
+        rows = np.concatenate([np.column_stack([bias, weights[:, columns]]), np.zeros((more, 1 + len(columns)))])
+        return rows.reshape(-1, BLOCK, 1 + len(columns)).swapaxes(1, 2)
+
+    inner = [units(w, b) for w, b in zip(net.inner, net.inner_bias, strict=True)]
+    idle = ((0, 0), (0, BLOCK * shape.blocks - shape.hidden))
+    even = np.arange(3 * shape.links) < shape.links  # a mirror takes the bias from the others
+    outer = [np.column_stack([b * even, np.pad(w, idle)]).T for w, b in zip(net.outer, net.outer_bias, strict=True)]
+    parts = [np.ravel(inner) * POWER, np.ravel(outer) * (POWER / BOUND)]
+    parts += [np.ravel(w.T) * (POWER / BOUND) for w in (net.even, net.odd)]
+    parts += [np.ravel(units(net.wake, net.wake_bias)) * POWER, -dt / np.exp(net.reach) / log(2)]
+    if learnt.reach is not None:
+        parts += [np.ravel(np.asarray(a, float)) for a in learnt.reach]
+    return np.concatenate(parts).astype(dtype)
+
+
+class Told(residual_hooks.LearnedResidual):
+    """A residual whose network was asked before: mean coefficients, spread and the next wake are given, (3 N), (), (WAKES)."""
+
+    def __init__(self, xp, ch, learnt, memory, inner, coefficients, spread, wake):
+        super().__init__(xp, ch, learnt, memory, inner)
+        n = ch.n
+        self.answer = [coefficients[i * n : (i + 1) * n] for i in range(3)], spread, wake
+
+    def network(self, m, z, dt):
+        return self.answer
+
+
+def told(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> Told:
+    """The hooks of the generated step; `a` holds its arguments by name of `Shape.rows`, and the flat `range`."""
+    reach = None
+    if shape.ranged:
+        n, seen, given = shape.links, residual_hooks.SEEN, iter(a["range"])
+        take = lambda *counts: [take(*counts[1:]) for _ in range(counts[0])] if counts else next(given)
+        reach = residual_hooks.Range(take(n, seen), take(n, seen, seen), take(n), take(n), take())
+    learnt = residual_hooks.Residual(None, reach)  # the weights are where the network is
+    return Told(xp, ch, learnt, a["memory"], inner, a["coefficient"], a["spread"], a["next"])
+
+
+def features(xp, ch: planar_chain.Chain, sw, inner: Any, q, v, flow) -> list:
+    """What the network sees of one step, `feature` and `pace`; the sites before the water act as in `planar_chain.step`."""
+    panels = residual_network.panels(ch)
+    if inner is not None:
+        ch, sw = inner.fish(ch, sw)
+        flow = inner.flow(ch, q, flow)
+    m = residual_network.motion(xp, panels, residual_hooks.batched(planar_chain.kinematics(xp, ch, q, v, flow)))
+    return [*m.x, m.speed]
+
+
+def network(shape: Shape, rows: dict[str, int], wake: int) -> str:
+    """Text of `network(w, c)`; wake: the row of the first wake state."""
+    starts, sizes, n, forces = shape.starts(), shape.sizes(), shape.links, 3 * shape.links
+    (even, odd), block, outer = shape.inputs, shape.block, forces * BLOCK
+    at = lambda name, k=0: f"w[{rows[f'{name}0'] + k} * LANES + i]"
+    one = lambda name: f"w[{rows[name]} * LANES + i]"
+    seen = lambda j: at("feature", j) if j <= forces else f"w[{wake + j - forces - 1} * LANES + i]"
+    each = range(forces)
+
+    units = [f"e{j} = {seen(j)}" for j in even + odd]
+    units += _dense("p", even, 0, True) + _dense("q", odd, BLOCK * (1 + len(even)), False)
+    for k in range(BLOCK):
+        units += [f"m, d = tanh_pair(p{k}, q{k})", f"{at('unit', k)} = m", f"{at('unit', BLOCK + k)} = d"]
+
+    pairs, place = [f"e{j} = {seen(j)}" for j in range(forces + 1)] + [f"g{k} = real(0.0)" for k in each], starts["products"]
+    for own, (first, second) in zip((range(n), range(n, forces)), residual_network.products(n), strict=True):
+        for i, j in zip(first, second, strict=True):
+            pairs += [f"v = e{i} * e{j}", *(f"g{k} += c[{place + k - own[0]}] * v" for k in own)]
+            place += len(own)
+    pairs += [f"{at('product', k)} = g{k}" for k in each]
+    pairs += [f"{at('coefficient', k)} = real(0.0)" for k in each] + [f"{one('spread')} = real(0.0)"]
+
+    gathered = [f"u{k} = {at('unit', k)}" for k in range(2 * BLOCK)]
+    for k in each:
+        parts = (f"c[{forces * u + k}] * u{u + BLOCK * (k >= n)}" for u in range(BLOCK))
+        gathered.append(f"{at('sum', k)} = {at('sum', k)} + {' + '.join(parts)}")
+
+    # Welford's mean and variance over the members: none needs to be kept
+    joined = [f"g{k} = {at('sum', k)}" for k in each] + [f"spread = {one('spread')}"]
+    joined += [f"g{k}, g{(k + 1) % forces} = tanh_two(g{k}, g{(k + 1) % forces})" for k in range(0, forces - 1, 2)]
+    joined += [f"g{forces - 1}, _ = tanh_two(g{forces - 1}, real(0.0))"] * (forces % 2)
+    for k in each:
+        mean = at("coefficient", k)
+        joined += [f"g = real({BOUND!r}) * g{k}", f"off = g - {mean}", f"{mean} += weight * off", f"spread += off * (g - {mean})"]
+    joined.append(f"{one('spread')} = spread")
+
+    last = [f"pace = {one('pace')}", f"{one('spread')} = {one('spread')} * real({1 / (max(shape.members - 1, 1) * forces)!r})"]
+    for k in range(WAKES):
+        state, target = f"w[{wake + k} * LANES + i]", at("next", k)
+        last.append(f"{target} = {target} + ({state} - {target}) * exp2(pace * c[{starts['rates'] + k}])")
+
+    functions = {
+        "units(w, c)": units,
+        "products(w, c)": pairs,
+        "begin(w, c)": [f"{at('sum', k)} = {at('product', k)} + c[{k}]" for k in each],
+        "gather(w, c)": gathered,
+        "join(w, weight)": joined,
+        "settle(w, c)": last,
+    }
+    text = "".join(f"@njit(**MATH)\ndef {name}:\n    wide()\n{_loop(lines)}\n\n" for name, lines in functions.items())
+    half = WAKES // BLOCK // 2
+    return f"""{text}
+@njit(**MATH)
+def network(w, c):
+    products(w, c)
+    for member in range({shape.members}):
+        begin(w, c[{starts["outer"]} + {sizes["outer"] // shape.members} * member :])
+        for block in range({shape.blocks}):
+            units(w, c[{starts["units"]} + {block} * ({shape.blocks} * member + block) :])
+            gather(w, c[{starts["outer"] + forces} + {sizes["outer"] // shape.members} * member + {outer} * block :])
+        join(w, real(1.0) / real(member + 1))
+    for block in range({2 * half}):
+        units(w, c[{starts["wake"]} + {block} * block :])
+        for k in range({BLOCK} * LANES):
+            turned = {BLOCK} * LANES if block >= {half} else 0
+            w[({rows["next0"]} + {BLOCK} * block) * LANES + k] = w[{rows["unit0"]} * LANES + turned + k]
+    settle(w, c)
+
+
+"""
+
+
+def _loop(lines: list[str]) -> str:
+    """`lines` for every lane, their numbers loaded before: then the compiler sees no store that may change one."""
+    numbers: dict[str, str] = {}
+    name = lambda found: numbers.setdefault(found[0], f"c{len(numbers)}")
+    body = "".join(f"        {NUMBER.sub(name, line)}\n" for line in lines)
+    return "".join(f"    {key} = {place}\n" for place, key in numbers.items()) + f"    for i in range(LANES):\n{body}"
+
+
+def _dense(out: str, inputs: list[int], at: int, bias: bool) -> list[str]:
+    """out0.. = bias + weights . e for a block of units, their weights of one input side by side from `at`."""
+    lines = [f"{out}{k} = c[{at + k}]" for k in range(BLOCK)] if bias else []
+    for place, j in enumerate(inputs):
+        sign = "+=" if bias or place else "="
+        lines += [f"{out}{k} {sign} c[{at + BLOCK * (place + bias) + k}] * e{j}" for k in range(BLOCK)]
+    return lines

@@ -1,0 +1,130 @@
+"""Effects of a description in the flow solver's tanks: which can act there (`tank_run` has how).
+
+    servo, gear, command    drive, torque and damping of each joint, in place of MuJoCo's servo
+    fish                    masses of the links; gains and limits of the servos
+    body                    forces and masses that are not the water's, such as a tether
+    flow                    a velocity that is the same everywhere and at all times joins the tank's stream
+    delays, measure         by whoever sends commands and reads sensors, as for every engine
+
+The solver is the water. What an effect does to strips, to added mass or to forces of the water has no place in it: `in_tank` says
+so, from what the effect's own functions do at their sites. It holds for the catalogue and for an effect of one's own.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.dynamics import planar_chain
+from fishmj.effects import Effect
+from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.mjcf.description import Robot, load_robot
+
+WATER = "the solver is the water"
+SOLID = {"chain": ("com", "inertia", "mass", "torque", "motor"), "swimmer": ("mass", "kp", "kv", "kb", "zero")}  # what may change
+FORCES = ("fx", "fy", "n", "mx", "my", "mn")
+OF_THE_WATER = ("u", "w", "tail", "sway_mass", "drag", "wet", "added")  # fields of a BodyMotion
+STATES = 50  # random ones at which an effect is asked
+
+
+def in_tank(effect: Effect) -> str:
+    """Why an effect has no place in the flow solver's tanks; "" where it acts."""
+    if effect.stochastic:
+        return "it is drawn when data are made, no simulator holds it"
+    if effect.water is not None:
+        return f"it changes the forces of strips, {WATER}"
+    for row in _sizes(effect):
+        for site, judge in (("fish", _fish), ("body", _body), ("gear", _gear), ("flow", _flow)):
+            act = getattr(effect, site)
+            with np.errstate(all="ignore"):  # random states meet the bounds of parameters
+                why = "" if act is None else judge(act, effect.memory, row)
+            if why:
+                return why
+    return ""
+
+
+def refused(robot: Robot) -> dict[str, str]:
+    """{name: reason} of the robot's effects that have no place in a tank."""
+    found = {fitted.name: in_tank(effects.get(fitted.name)) for fitted in robot.effects}
+    return {name: why for name, why in found.items() if why}
+
+
+def without(robot: Robot, names: Iterable[str]) -> Robot:
+    """The robot without some of its effects. Raises UnknownName: it has no such effect."""
+    have, names = [fitted.name for fitted in robot.effects], tuple(names)
+    if wrong := [name for name in names if name not in have]:
+        raise UnknownName(f"effect of {robot.name} to leave out", wrong[0], have)
+    return replace(robot, effects=tuple(fitted for fitted in robot.effects if fitted.name not in names))
+
+
+def check_effects(robot: Robot) -> None:
+    """Raises ConfigError: some of the robot's effects have no place in a tank; names each, says why and what to do."""
+    if found := refused(robot):
+        each = "; ".join(f"{name}: {why}" for name, why in found.items())
+        raise ConfigError(
+            f"{robot.name} in the flow solver: {each}. Judge without: fishmj evaluate --leave-out {','.join(found)}; elsewhere"
+            " take those blocks [[effect]] out of the description"
+        )
+
+
+def _sizes(effect: Effect) -> list[SimpleNamespace]:
+    """Parameters to ask an effect at: both typical sizes, both bounds."""
+    picks = (lambda p: p.typical[0], lambda p: p.typical[1], lambda p: p.low, lambda p: p.high)
+    return [SimpleNamespace(**{p.name: float(pick(p)) for p in effect.parameters}, joint=0) for pick in picks]
+
+
+def _fish(act: Callable, memory: tuple, p) -> str:
+    robot = load_robot("fish")
+    given = Constants(planar_chain.chain_of(robot), planar_chain.nominal(robot))
+    found = act(np, p, given)
+    for group, free in SOLID.items():
+        before, after = getattr(given, group), getattr(found, group)
+        changed = [name for name in before._fields if not _same(getattr(before, name), getattr(after, name))]
+        if "water" in changed:
+            return f"it changes coefficients of strips, {WATER}"
+        if other := [name for name in changed if name not in free]:
+            return f"it changes {', '.join(other)} of the {group}, and the tank's hull is the description's"
+    return ""
+
+
+def _body(act: Callable, memory: tuple, p) -> str:
+    """Whether what it does is the same whatever the water does."""
+    rng = np.random.default_rng(0)
+    state = {name: rng.normal(size=STATES) for name in BodyMotion._fields} | dict.fromkeys((*FORCES, "added"), 0.0)
+    ask = lambda **water: act(np, p, BodyMotion(**{**state, **water}), memory, 0.004)[0]
+    dry = ask(**dict.fromkeys(OF_THE_WATER, 0.0))
+    if not _same(dry.added, 0.0):
+        return f"it changes added mass, {WATER}"
+    for _ in range(3):
+        wet = ask(**{name: rng.normal(size=STATES) for name in OF_THE_WATER} | {"wet": 1.0, "added": 0.0})
+        if not all(_same(getattr(dry, name), getattr(wet, name)) for name in FORCES) or not _same(wet.added, 0.0):
+            return f"it is a force or an added mass of the water on the body, {WATER}"
+    return ""
+
+
+def _gear(act: Callable, memory: tuple, p) -> str:
+    rng = np.random.default_rng(0)
+    state = {name: rng.normal(size=STATES) for name in ("drive", "angle", "rate", "torque")}
+    ask = lambda wet: act(np, p, Gear(**state, resist=0.0, wet=wet, kb=0.3, limit=1.6), memory, 0.004)
+    (dry, kept), (wet, other) = ask(0.0), ask(1.0)
+    return "" if _same((*dry._replace(wet=1.0), *kept), (*wet, *other)) else f"it is a drag of water on the joints, {WATER}"
+
+
+def _flow(act: Callable, memory: tuple, p) -> str:
+    """Whether it adds one velocity, whatever the place, the time and the water's own."""
+    rng = np.random.default_rng(0)
+    place = FlowAt(*rng.normal(size=(5, STATES)))
+    found = act(np, p, place)
+    if all(np.ptp(np.asarray(a) - b) < 1e-9 for a, b in ((found.u, place.u), (found.v, place.v))):
+        return ""
+    return "its water differs from place to place or in time, and a tank takes a mean stream that is uniform and steady"
+
+
+def _same(a, b) -> bool:
+    """Equal numbers, in lists or arrays of any depth."""
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    return bool(np.all(np.equal(a, b)))

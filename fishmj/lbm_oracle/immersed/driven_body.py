@@ -1,0 +1,39 @@
+"""An immersed body whose forces come from outside MuJoCo's own servos, in the implicit form that a coupled step can hold.
+
+    (M + A + dt D + K) v+ = (M + A + dt D) v + dt (a - D w - bias) - b0 + I         a: forces, A: added mass, w: joint rates
+
+Fish and water are found together, so what depends on the new velocity must stand in the matrix: a damping D of each joint, and an
+added mass A. Everything else is explicit. The terms are those of `body.py`.
+"""
+
+import mujoco
+import numpy as np
+
+from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
+
+
+class DrivenBody(ImmersedBody):
+    """An `ImmersedBody` without MuJoCo's servos: `drive` says anew for each step what acts on it."""
+
+    def __init__(self, model: mujoco.MjModel, water: DisplacedWater, dt: float):
+        super().__init__(model, water, dt)
+        self.joints = model.nu
+        self.added_mass = np.zeros((self.dofs, self.dofs))  # A, generalised, kg, kg m, kg m2
+        model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
+
+    def set_masses(self, mass, centre, inertia) -> None:
+        """Mass kg, centre of mass along the link m, moment of inertia about the vertical axis there kg m2 of each link, (L,)."""
+        m = self.model
+        m.body_mass[1:], m.body_ipos[1:, 0], m.body_inertia[1:, 2] = mass, centre, inertia
+        mujoco.mj_setConst(m, mujoco.MjData(m))  # of its own: it goes to the reference pose
+        self.place(self.data.qpos.copy(), self.data.qvel.copy())
+
+    def drive(self, applied: np.ndarray, damping: np.ndarray) -> None:
+        """What acts in the next step: generalised forces (n,), N and N m, and the damping D of each joint (J,), N m s/rad."""
+        self.applied[:] = applied
+        self.model.dof_damping[-self.joints :] = damping
+
+    def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        mujoco.mj_passive(self.model, self.data)  # the damping is newer than the state
+        system, right = super().equation(interior)
+        return system + self.added_mass, right + self.added_mass @ self.data.qvel

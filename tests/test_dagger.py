@@ -1,0 +1,86 @@
+"""Rounds of what a policy does, solved and refitted. The flow solver is made up here."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fishmj.campaign.dagger import dagger
+from fishmj.campaign.data import plan
+from fishmj.campaign.data.run_segments import Finished, Setup
+from fishmj.dynamics import planar_chain
+from fishmj.lbm_oracle.run.domain import preset
+from fishmj.mjcf import load_robot
+from fishmj.studies.water_ablation.ablation import unfitted
+
+ROBOT = load_robot("fish")
+TRUE = planar_chain.nominal(ROBOT).water
+
+
+def model_in(water):
+    return replace(unfitted(ROBOT), base=water)
+
+
+class Tanks:
+    """A pool: every segment is run in the strip water with the true coefficients."""
+
+    def __init__(self):
+        self.starts = {}
+
+    def run(self, waiting, setup, go_on):
+        for segment in waiting:
+            self.starts[segment.id] = segment
+            q, v = dagger.roll_out(ROBOT, model_in(TRUE), segment)
+            names = ("id", "block", "episode", "split", "replicate_of")
+            meta = {name: getattr(segment, name) for name in names} | setup.about | {"segment": segment.table()}
+            meta["grid"] = meta["grid"] | {"slip": segment.slip}
+            meta |= {"start": {"q": q[0].tolist(), "v": v[0].tolist()}, "tick": 0.02, "seconds": len(q) * 0.02, "stopped": ""}
+            none = np.zeros((len(q), 4, 3))
+            arrays = {"q": q, "v": v, "command": q[:, 3:], "wrench": none, "raw": none, "flow": none[..., :2]}
+            yield Finished(segment, meta, arrays | {"power": np.ones(len(q))})
+
+
+@pytest.mark.slow
+def test_rounds_end_when_the_returns_agree(tmp_path):
+    """Ten times the friction: the first round disagrees, the refit is used, the second agrees; the data grow by both."""
+    pool, asked = Tanks(), []
+
+    def refit(model, solver):
+        asked.append(len(list((solver / "segments").glob("*.npz"))))
+        return model_in(TRUE)
+
+    slow = model_in(TRUE._replace(cf=30 * TRUE.cf, ke=0.1 * TRUE.ke))
+    setup = Setup(domain=preset("laptop"), device="cpu")
+    given = dict(refit=refit, episodes=1, seconds=6.0, pool=pool)
+    found = dagger.correct("dob", ROBOT, slow, tmp_path / "data", setup, **given)
+    assert found["agreed"] and len(found["rounds"]) == 2 and asked == [2]
+    assert found["rounds"][0]["gap"] > dagger.AGREED > 1e-3 > found["rounds"][1]["gap"]
+    whole, part = (pool.starts[name] for name in list(pool.starts)[:2])
+    half = dagger.roll_out(ROBOT, slow, whole)
+    np.testing.assert_allclose(part.velocity, half.v[len(half.v) // 2])
+    assert part.pose != whole.pose and part.seconds == dagger.SHORT
+    given |= {"refit": lambda *_: pytest.fail("a round that was done is refitted again"), "pool": None}
+    again = dagger.correct("dob", ROBOT, slow, tmp_path / "data", setup, **given)
+    assert again["rounds"] == found["rounds"] and again["model"].base == model_in(TRUE).base
+
+
+def test_rounds_that_never_agree_say_so(tmp_path):
+    slow = model_in(TRUE._replace(cf=30 * TRUE.cf, ke=0.1 * TRUE.ke))
+    setup = Setup(domain=preset("laptop"), device="cpu")
+    given = dict(refit=lambda model, solver: slow, episodes=1, seconds=6.0, rounds=1, pool=Tanks())
+    found = dagger.correct("dob", ROBOT, slow, tmp_path, setup, **given)
+    assert not found["agreed"] and len(found["rounds"]) == 1 and found["model"] is slow
+
+
+def test_the_last_of_several_episodes_of_a_round_validates():
+    splits = lambda n: [s.split for s in plan.on_policy(ROBOT, "dob", episodes=n, seconds=2.0, seed=1).segments]
+    assert splits(1) == ["train"] and splits(3) == ["train", "train", "val"]
+
+
+def test_the_return_is_that_of_the_task():
+    """At the target at rest: the whole of wG; further off or with moving joints: less."""
+    segment = plan.on_policy(ROBOT, "dob", episodes=1, seconds=2.0, seed=3).segments[0]
+    q, v = np.zeros((20, 6)), np.zeros((20, 6))
+    q[:, :2] = segment.drive["target"]
+    best = dagger.mean_return(ROBOT, segment, q, v)
+    assert best > dagger.mean_return(ROBOT, segment, q + 0.1, v) and best > dagger.mean_return(ROBOT, segment, q, v + 1.0)
