@@ -21,6 +21,7 @@ from fishmj.mjcf import load_robot
 from fishmj.new.__main__ import main as describe
 from fishmj.store import Manifest, read_json, write_json
 from fishmj.store.manifest import MANIFEST
+from fishmj.water.choice import chosen
 from fishmj.water.hydro_model import FOLDERS, HydroModel
 
 ROOT = Path(__file__).parent.parent
@@ -242,6 +243,7 @@ def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys
     assert found["fit"]["preview"] and found["check"]["preview"] and found["check"]["figures"]["speed_error_mean"] < 0.3
     model = HydroModel.load(Path(found["fit"]["model"]))
     assert model.preview and model.name == "swift-preview" and model.base_only.preview and not HydroModel.load("swift").preview
+    assert "a preview, not fitted to a whole plan" in chosen(FISH, found["fit"]["model"]).said, "whoever swims in it is told"
     assert "preview = true" in Path(found["fit"]["model"]).read_text(encoding="utf-8")
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert found["report"].endswith("swift-preview-report/report.html") and "preview, fitted to the first part" in page

@@ -160,6 +160,16 @@ def command(out, *more):
     return main(["rank", "--device", "cpu", "--domain", "laptop", "--seconds", "2", "--out", str(out), *model, *more])
 
 
+@pytest.mark.parametrize(("asked", "box"), [([], "window_coarse"), (["--domain", "laptop"], "laptop")])
+def test_the_solver_has_the_box_of_the_model_where_no_other_is_asked_for(asked, box, tmp_path, monkeypatch):
+    def refused(verb, device, work, **rest):
+        raise UsageError(f"in {[domain.name for domain, _ in work]}")
+
+    monkeypatch.setattr(rank_command.solver_cost, "agree", refused)
+    with pytest.raises(UsageError, match=rf"in \['{box}'\]"):
+        main(["rank", "pd", "--model", "swift", "--out", str(tmp_path), *asked])
+
+
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, solver):
     solver.patience = 3
     with pytest.raises(KeyboardInterrupt):

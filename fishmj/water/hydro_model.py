@@ -215,7 +215,8 @@ class HydroModel:
 
     def remark(self, robot: Robot) -> str:
         """What is worth a word about this robot in this water; empty for the robot that it was fitted with."""
-        return "" if robot_hash(robot) == self.robot_sha256 else "; fitted to this body with other servos, masses or timing"
+        other = "" if robot_hash(robot) == self.robot_sha256 else "; fitted to this body with other servos, masses or timing"
+        return f"; a preview, not fitted to a whole plan{other}" if self.preview else other
 
     def save(self, folder: "str | Path") -> Path:
         """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj import console, controllers, engines, interrupt
-from fishmj.campaign.data.collect import GO, ON_GPU
+from fishmj.campaign.data.collect import GO, ON_GPU, domain_of_model
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import protocol, run_trials
@@ -53,7 +53,7 @@ def options() -> console.Parser:
     model = "the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
     add("--model", type=console.text, help=model)
     add("--engine", choices=engines.NAMES, default="batch", help="of the surrogate")
-    add("--domain", choices=NAMES, default="window", help="box of the solver; laptop is a preview")
+    add("--domain", choices=NAMES, help="box of the solver; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="of the solver: auto, cpu, cuda or cuda:N")
     tanks = f"trials side by side in the solver; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
@@ -79,6 +79,7 @@ def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
     model, fitted = HydroModel.load(water), engines.in_water(robot, water)
+    args.domain = domain_of_model(args.domain, model).name
     names = list(args.controllers) or list(DEFAULT)
     brains = controllers.several(names, robot, anyway=args.anyway, water="lbm")
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
