@@ -86,8 +86,8 @@ def main(argv: list[str] | None = None) -> int:
     """Print the table."""
     import jax
 
-    words = {"description": __doc__, "formatter_class": argparse.RawDescriptionHelpFormatter}
-    parser = argparse.ArgumentParser(prog="python -m fishmj.studies.bench.residual", **words)
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="python -m fishmj.studies.bench.residual", description=__doc__, formatter_class=raw)
     parser.add_argument("--engine", nargs="*", default=["planar"], choices=("planar", "mjx"))
     parser.add_argument("--fish", type=int, nargs="*", default=[surrogate.FISH], help="of a batch; fewer on a CPU")
     parser.add_argument("--unroll", type=int, nargs="*", default=[1], help="physics steps that a round of the loop holds")
