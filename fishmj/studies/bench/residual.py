@@ -82,6 +82,11 @@ def places(double: bool) -> np.ndarray:
         return np.asarray(given.q, float)[:, :3]
 
 
+def _words(error: Exception) -> str:
+    """A fault in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
 def main(argv: list[str] | None = None) -> int:
     """Print the table."""
     import jax
@@ -106,7 +111,7 @@ def main(argv: list[str] | None = None) -> int:
             with chosen(**settings):
                 off[way] = f"{1e3 * np.abs(places(double=False) - exact)[:, :2].max():.3g}"
         except Exception as error:  # noqa: BLE001  one way that fails does not take the others with it
-            off[way] = f"{type(error).__name__}: {str(error)[:200]}"
+            off[way] = _words(error)
     for engine in args.engine:
         for fish in args.fish:
             for unroll in args.unroll:
@@ -116,7 +121,7 @@ def main(argv: list[str] | None = None) -> int:
                         with chosen(**setting) if setting else nullcontext():
                             row |= timed(engine, setting is not None, fish, unroll, args.rounds)
                     except Exception as error:  # noqa: BLE001
-                        row["failed"] = f"{type(error).__name__}: {str(error)[:200]}"
+                        row["failed"] = _words(error)
                     console.say(", ".join(f"{key} {value}" for key, value in row.items()))
     return console.OK
 
