@@ -80,3 +80,21 @@ def test_every_benchmark_runs_quickly_or_says_why_not(name, capsys):
     line, last = map(json.loads, capsys.readouterr().out.strip().splitlines())
     assert last == {"benchmarks": [line]} and line["name"] == name
     assert line.get("skipped") or line["value"] > 0 and line["ratio"] > 0
+
+
+@pytest.mark.slow
+def test_ways_of_the_learnt_force_are_timed_and_compared(monkeypatch, capsys):
+    """On a CPU there is one way, whose single precision is 0.1 mm off after a second at most; an unknown one fails alone."""
+    from fishmj.studies.bench import residual, surrogate
+
+    monkeypatch.setattr(surrogate, "FISH_CPU", 2)
+    monkeypatch.setattr(residual, "SECONDS", 1.0)
+    monkeypatch.setattr(residual, "SWUM", 3)
+    monkeypatch.setattr(
+        residual, "ways", lambda gpu: {"products": {"kernel": False}, "none": {"kernel": False, "PRECISION": "no"}}
+    )
+    assert residual.main(["--rounds", "1"]) == 0
+    strips, products, none = capsys.readouterr().out.splitlines()[1:]
+    assert "way strips" in strips and "M steps/s" in strips
+    assert 0 < float(products.split("off, mm ")[1].split(",")[0]) < 0.1
+    assert "failed" in none

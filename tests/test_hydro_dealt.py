@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import jax
+import numpy as np
 
 from fishmj.hydro_fit.fit.descent import quick
 
@@ -42,3 +43,32 @@ def test_a_compiler_option_that_jax_no_longer_knows_is_left_out(monkeypatch):
     assert quick("gpu") is None
     monkeypatch.setattr(jax, "jit", unknown)
     assert quick.__wrapped__("cpu") is None
+
+
+SWIM = """
+import json, sys
+import jax, numpy as np
+jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
+from fishmj.dynamics import planar_chain
+from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow
+from fishmj.mjcf import load_robot
+from fishmj.water.prior import flat
+
+robot, rng, count, ticks = load_robot("fish"), np.random.default_rng(0), 130, 4
+ch, fish = planar_chain.chain_of(robot), planar_chain.nominal(robot)
+draw = lambda *shape: rng.normal(0.0, 0.3, (count, *shape))
+state, target = draw(2, 1, ch.n + 2), draw(ticks, 5, ch.n - 1)
+flow, power = (draw(ticks, ch.n, 2), draw(ticks, 2)), draw(ticks)
+fleet = FishBatch(state[:, 0], state[:, 1], target, *flow, power, np.ones((count, ticks)), ())
+track = SwimWindow(ch, fish).run(fleet, flat(fish.water) * (1.0 + 0.1 * rng.random((count, 1))))
+print(json.dumps([len(jax.devices()), *(np.asarray(a).tolist() for a in track[:3])]))
+"""
+
+
+def test_a_batch_swims_alike_on_one_device_and_on_two():
+    done = [subprocess.run([sys.executable, "-c", SWIM, n], capture_output=True, text=True, check=True) for n in "12"]
+    (one, *alone), (two, *shared) = (json.loads(run.stdout.splitlines()[-1]) for run in done)
+    assert (one, two) == (1, 2)
+    for a, b in zip(alone, shared, strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-5, atol=1e-5)
+        assert np.isfinite(a).all() and len(a) == 130

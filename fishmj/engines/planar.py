@@ -87,13 +87,16 @@ class Engine:
 
             def one_step(inner, target):
                 q, v, attached, memory, power = inner
-                hooks = self.added.hooks(jnp, split(params.effects), split(memory))
+                hooks = self.added.hooks(jnp, split(params.effects), memory)
                 s = planar_chain.step(jnp, self.chain, sw, q, v, attached, split(target), flow, ambient, hooks)
-                return (tuple(s.q), tuple(s.v), s.attached, stacked(jnp, s.memory, memory), power + s.power), None
+                like = zip(s.memory, memory, strict=True)
+                memory = tuple(jnp.broadcast_to(value, old.shape).astype(old.dtype) for value, old in like)
+                return (tuple(s.q), tuple(s.v), s.attached, memory, power + s.power), None
 
-            start = (split(state.q), split(state.v), state.attached, state.memory, jnp.zeros_like(state.attached))
+            # in columns, which a physics step reads and writes whole; in rows once a tick
+            start = (split(state.q), split(state.v), state.attached, split(state.memory), jnp.zeros_like(state.attached))
             (q, v, attached, memory, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
-            q, v = jnp.stack(q, -1), jnp.stack(v, -1)
+            q, v, memory = jnp.stack(q, -1), jnp.stack(v, -1), stacked(jnp, memory, state.memory)
             out = Trace(q[:, :3], q[:, 3:] - params.zero, v[:, 3:], v[:, :3], power / self.steps)
             return (FishState(q, v, attached, buffer, memory), tick + 1), out
 

@@ -38,25 +38,29 @@ mean_step.defvjp(lambda dt, *given: jax.vjp(partial(_plain, dt), *given), lambda
 
 
 def step(weights: Halves, m: Motion, z: list, dt: float, *, interpret: bool = False):
-    """(mean of the members' coefficients (3, N, ..), their variance, the wake dt later); interpret: in plain JAX, anywhere."""
-    even, odd, shape = residual_network.rows_of(jnp, m.x, z)
-    links, count = weights.forward.shape[1], even.shape[1]
-    rows = jnp.concatenate([even, odd, jnp.reshape(m.speed, (1, -1))]).astype(jnp.float32)
-    rows = jnp.pad(rows, ((0, 0), (0, -count % BLOCK)))
+    """`residual_network.mean_step` by the kernel; interpret: in plain JAX, anywhere."""
+    links, shape = weights.forward.shape[1], m.speed.shape
+    ends = links + 1, HALF  # of the even features, of the even wake states
+    ordered = [*m.x[: ends[0]], *z[: ends[1]], *m.x[ends[0] :], *z[ends[1] :], m.speed]
+    line = lambda a: jnp.reshape(jnp.asarray(a, jnp.float32), -1)
+    given = [line(a) for a in ordered]  # apart: stacked, they would go to memory once more
+    count = len(given[0])
+    if more := -count % BLOCK:
+        given = [jnp.pad(a, (0, more)) for a in given]
     tables = [jnp.asarray(table, jnp.float32) for table in _tables(weights)]
     whole = lambda a: pl.BlockSpec(a.shape, lambda i: (0,) * a.ndim)
-    column = lambda size: pl.BlockSpec((size, BLOCK), lambda i: (0, i))
+    column, results = pl.BlockSpec((BLOCK,), lambda i: (i,)), 3 * links + 1 + WAKES
     out = pl.pallas_call(
-        partial(_kernel, dt=dt, links=links, members=len(weights.forward)),
-        grid=(rows.shape[1] // BLOCK,),
-        in_specs=[column(len(rows)), *map(whole, tables)],
-        out_specs=column(3 * links + 1 + WAKES),
-        out_shape=jax.ShapeDtypeStruct((3 * links + 1 + WAKES, rows.shape[1]), jnp.float32),
+        partial(_kernel, dt=dt, links=links, members=len(weights.forward), inputs=len(given)),
+        grid=((count + more) // BLOCK,),
+        in_specs=[*[column] * len(given), *map(whole, tables)],
+        out_specs=[column] * results,
+        out_shape=[jax.ShapeDtypeStruct((count + more,), jnp.float32)] * results,
         interpret=interpret,
         **({} if interpret else _compiler()),
-    )(rows, *tables)[:, :count]
-    mean = jnp.reshape(out[: 3 * links], (3, links, *shape))
-    return mean, jnp.reshape(out[3 * links], shape), list(jnp.reshape(out[3 * links + 1 :], (WAKES, *shape)))
+    )(*given, *tables)
+    out = [jnp.reshape(a[:count], shape) for a in out]
+    return [out[links * c : links * (c + 1)] for c in range(3)], out[3 * links], out[3 * links + 1 :]
 
 
 def _compiler() -> dict[str, Any]:
@@ -84,9 +88,10 @@ def _tanh(x):
     return 1.0 - 2.0 / (1.0 + jnp.exp(2.0 * x))
 
 
-def _kernel(rows, units, biases, squares, crossed, wakes, out, *, dt: float, links: int, members: int):
-    size = links + 1 + HALF
-    given = [rows[i, :] for i in range(rows.shape[0])]
+def _kernel(*refs, dt: float, links: int, members: int, inputs: int):
+    units, biases, squares, crossed, wakes = refs[inputs : inputs + 5]
+    out, size = refs[inputs + 5 :], links + 1 + HALF
+    given = [ref[...] for ref in refs[:inputs]]
     even, odd, speed = given[:size], given[size:-1], given[-1]
     zero = 0.0 * speed
 
@@ -126,14 +131,9 @@ def _kernel(rows, units, biases, squares, crossed, wakes, out, *, dt: float, lin
         return mean, square
 
     mean, square = lax.fori_loop(0, members, member, ([zero] * (3 * links), zero))
-    for j, value in enumerate(mean):
-        out[j, :] = value
-    out[3 * links, :] = square / (3 * links * max(members - 1, 1))
-
-    def wake(k, before, sign: float):
+    for ref, value in zip(out, [*mean, square / (3 * links * max(members - 1, 1))], strict=False):
+        ref[...] = value
+    for k, before in enumerate([*even[-HALF:], *odd[-HALF:]]):
         plus, minus = branches(wakes, k)
-        target = 0.5 * (plus + sign * minus)
-        out[3 * links + 1 + k, :] = target + (before - target) * jnp.exp(-dt * speed / wakes[k, first])
-
-    lax.fori_loop(0, HALF, lambda k, _: wake(k, rows[size - HALF + k, :], 1.0), None)
-    lax.fori_loop(HALF, WAKES, lambda k, _: wake(k, rows[len(given) - 1 - WAKES + k, :], -1.0), None)
+        target = 0.5 * (plus + minus if k < HALF else plus - minus)
+        out[3 * links + 1 + k][...] = target + (before - target) * jnp.exp(-dt * speed / wakes[k, first])

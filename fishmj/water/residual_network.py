@@ -18,6 +18,7 @@ With s = [x, z] = [e; o], even and odd, one branch's products give both: A s = A
 h+ + h- meets the rows of F_t alone, h+ - h- those of F_n and the couple, whose bias d cancels. See `Halves`.
 """
 
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -72,6 +73,7 @@ class Motion(NamedTuple):
     middle: list  # N of w at the middle of the strips, m/s
 
 
+@lru_cache(8)
 def panels(ch: Chain) -> Panels:
     """The plates of a chain."""
     rows = [(np.array(x), np.array(h)) for x, h in zip(ch.strips.x, ch.strips.h, strict=True)]
@@ -224,12 +226,11 @@ def dissipated(xp, s: strip_forces.Strips, c: strip_forces.Coefficients, k: Link
 
 
 def mean_by_products(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:
-    """(mean of the members' coefficients (3, N, ..), the variance between them (..), wake states dt later)."""
+    """(mean of the members' coefficients, 3 lists of N; the variance between them (..); wake states dt later)."""
     g, z = step(xp, net, m, z, dt)
     mean = g.mean(0)
-    if len(g) == 1:
-        return mean, 0.0 * mean[0, 0], z
-    return mean, ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1), z
+    apart = 0.0 * mean[0, 0] if len(g) == 1 else ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1)
+    return [list(row) for row in mean], apart, z
 
 
 def mean_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:

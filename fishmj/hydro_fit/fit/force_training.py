@@ -47,10 +47,11 @@ def wakes(net: residual_network.Net, x, speed, step: float):
 
     Rows of no speed leave the wake alone.
     """
+    weights = residual_network.halves(jnp, net)  # sorted once, and not in every step
 
     def advance(z, given):
         features, v = given
-        new = residual_network.wake_step(jnp, net, residual_network.Motion(list(features), v, [], [], []), list(z), step)
+        new = residual_network.wake_step(jnp, weights, residual_network.Motion(list(features), v, [], [], []), list(z), step)
         return jnp.stack(new), z
 
     last, before = lax.scan(advance, jnp.zeros((residual_network.WAKES, x.shape[2]), x.dtype), (x, speed))

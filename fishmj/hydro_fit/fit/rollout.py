@@ -15,14 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.sharding import Mesh, PartitionSpec
 
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import tolerance
+from fishmj.hydro_fit.fit.descent import devices
 from fishmj.hydro_fit.fit.regression_rows import ambient_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.water import residual_hooks
+from fishmj.water import residual_hooks, residual_network
 from fishmj.water.prior import unflat
 
 WINDOW = 2.0  # s, over which velocities are averaged
@@ -167,11 +169,17 @@ class SwimWindow:
         size = LEAST * -(-batch // LEAST)  # few sizes, so that few are compiled
         wide = [np.concatenate([a, np.repeat(a[-1:], size - batch, 0)]) for a in map(np.asarray, given)]
         single = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
-        out = self._run(*single(wide), None if learnt is None else single(learnt))
-        return SwimTrack(*(np.asarray(a[:batch], float) for a in out))
+        out = self._run(None if learnt is None else single(learnt), *single(wide))
+        return SwimTrack(*(np.asarray(a)[:batch].astype(float) for a in out))
 
     @partial(jax.jit, static_argnums=0)
-    def _run(self, q, v, target, flow, ambient, water, attached, memory, learnt):
+    def _run(self, learnt, *given):
+        """Swims of a batch, in equal parts on as many devices as there are."""
+        mesh, parts = Mesh(np.array(devices(len(given[0]))), ("devices",)), PartitionSpec("devices")
+        specs = PartitionSpec(), *[parts] * len(given)
+        return jax.shard_map(self._track, mesh=mesh, in_specs=specs, out_specs=parts, check_vma=False)(learnt, *given)
+
+    def _track(self, learnt, q, v, target, flow, ambient, water, attached, memory):
         track, (_, _, _, memory) = self.trace(q, v, target, flow, ambient, water, attached, memory, learnt)
         return (*track, memory[-1] / (target.shape[1] * target.shape[2]))
 
@@ -180,6 +188,8 @@ class SwimWindow:
         ch, n = self.chain, self.chain.n
         sw = self.swimmer._replace(water=unflat([water[:, i] for i in range(water.shape[1])]))
         split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
+        if learnt is not None:  # sorted once, and not in every step
+            learnt = learnt._replace(net=residual_network.halves(jnp, learnt.net))
 
         def tick(state, given):
             target, flow, ambient = given

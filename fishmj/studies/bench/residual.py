@@ -82,28 +82,36 @@ def places(double: bool) -> np.ndarray:
         return np.asarray(given.q, float)[:, :3]
 
 
+def _words(error: Exception) -> str:
+    """A fault in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
 def main(argv: list[str] | None = None) -> int:
     """Print the table."""
     import jax
 
-    parser = argparse.ArgumentParser(prog="python -m fishmj.studies.bench.residual", description=__doc__.splitlines()[0])
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="python -m fishmj.studies.bench.residual", description=__doc__, formatter_class=raw)
     parser.add_argument("--engine", nargs="*", default=["planar"], choices=("planar", "mjx"))
     parser.add_argument("--fish", type=int, nargs="*", default=[surrogate.FISH], help="of a batch; fewer on a CPU")
     parser.add_argument("--unroll", type=int, nargs="*", default=[1], help="physics steps that a round of the loop holds")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--only", nargs="*", metavar="WAY", help='of the ways above, such as "kernel 128/4"; default: all')
     args = parser.parse_args(argv)
     device = jax.devices()[0]
     console.say(f"{device.device_kind}, jax {jax.__version__}")
-    todo = [("strips", None), *ways(device.platform == "gpu").items()]
+    there = {way: set_to for way, set_to in ways(device.platform == "gpu").items() if args.only is None or way in args.only}
+    todo = [("strips", None), *there.items()]
     with chosen(kernel=False):
         exact = places(double=True)
     off = {}
-    for way, settings in ways(device.platform == "gpu").items():
+    for way, settings in there.items():
         try:
             with chosen(**settings):
                 off[way] = f"{1e3 * np.abs(places(double=False) - exact)[:, :2].max():.3g}"
         except Exception as error:  # noqa: BLE001  one way that fails does not take the others with it
-            off[way] = f"{type(error).__name__}: {str(error)[:200]}"
+            off[way] = _words(error)
     for engine in args.engine:
         for fish in args.fish:
             for unroll in args.unroll:
@@ -113,7 +121,7 @@ def main(argv: list[str] | None = None) -> int:
                         with chosen(**setting) if setting else nullcontext():
                             row |= timed(engine, setting is not None, fish, unroll, args.rounds)
                     except Exception as error:  # noqa: BLE001
-                        row["failed"] = f"{type(error).__name__}: {str(error)[:200]}"
+                        row["failed"] = _words(error)
                     console.say(", ".join(f"{key} {value}" for key, value in row.items()))
     return console.OK
 
