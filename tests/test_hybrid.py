@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fishmj import controllers, engines, suite
+from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol, run_trials
@@ -24,6 +25,7 @@ from fishmj.studies.hybrid_trials import command
 from fishmj.water import choice
 
 STRIPS = choice.in_water(load_robot("fish"), "structured")
+STRIPS_WATER = planar_chain.nominal(STRIPS).water
 GUSTY = Flow(speed=0.2, turbulence="default", intensity=0.05, seed=5)
 RIGHT = online_correction.fresh()
 FACTORS = np.array([1, 1, 3, 1, 1, 1, 0.5, 1, 1, 1.0])  # three times the friction, half the tail's cross-flow drag
@@ -421,6 +423,15 @@ def test_unknowns_move_where_they_gain_more_than_by_chance(gain, moves, unknown,
     found = online_correction.matched(RIGHT, misses).unknowns[online_correction.BELIEFS[2]]
     expected = np.eye(9)[unknown] * (at * (spread - 1) / spread if moves else 0.0)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_water_without_friction_may_get_some_and_none_gets_less_than_none():
+    """`swift` was fitted to a hull along which water slides: nothing times a factor would stay nothing."""
+    slides = STRIPS_WATER._replace(cf=0.0)
+    rough, smooth = (np.where(np.arange(10) == 2, f, 1.0) for f in (15.0, 0.001))
+    assert online_correction.applied(slides, rough).cf == pytest.approx(14 * online_correction.PLATE)
+    assert online_correction.applied(slides, smooth).cf == 0.0
+    assert online_correction.applied(STRIPS_WATER, RIGHT.factors) == STRIPS_WATER
 
 
 def test_what_is_known_grows_by_every_segment_that_moves_and_is_forgotten():
