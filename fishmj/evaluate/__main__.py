@@ -1,6 +1,5 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
-import json
 import shlex
 from dataclasses import replace
 from importlib.util import find_spec
@@ -18,6 +17,7 @@ from fishmj.evaluate.report import (
     by_condition,
     condition,
     corrected,
+    corrections,
     not_as_trained,
     overall,
     paired,
@@ -252,7 +252,7 @@ def findings(results: list[Result]) -> dict:
         "condition": condition(a),
         **({"left_out": list(a.left_out)} if a.left_out else {}),
         "results": [summary(r) for r in results],
-        **({} if a.corrections is None else {"hybrid": {r.controller: [*map(json.loads, r.corrections)] for r in results}}),
+        **({"hybrid": found} if (found := {r.controller: corrections(r) for r in results if r.corrections is not None}) else {}),
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }
 

@@ -102,7 +102,7 @@ class _Recording:
         made = []
         for i in range(len(q)):
             row = lambda tree: type(tree)(*(np.asarray(a)[i : i + 1] for a in tree))  # noqa: B023, E731  used at once
-            current = Current(*(np.asarray(a)[i : i + 1] for a in self.current[:5]), *self.current[5:])
+            current = Current._make([*(np.asarray(a)[i : i + 1] for a in self.current[:5]), *self.current[5:]])
             made.append(Segment(i, self.tick, q[i], v[i], row(self.start), commands[i], row(self.params), current, kind))
         return [one for one in made if np.isfinite(one.q).all() and np.isfinite(one.commands).all()]
 
@@ -258,7 +258,7 @@ class Hybrid:
             from fishmj.hybrid.tanks import Tanks
 
             o = self.options
-            water = {"domain": self.domain, "slip": o.slip, "device": o.device, "stream": o.tank}
+            water: dict[str, Any] = {"domain": self.domain, "slip": o.slip, "device": o.device, "stream": o.tank}
             self._oracle = Tanks(self.robot, **water, side_by_side=o.side_by_side, go_on=lambda: not self._over)
         return self._oracle
 
