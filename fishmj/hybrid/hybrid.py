@@ -18,12 +18,14 @@ import atexit
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fishmj import console
+from fishmj.cores import usable_cores
 from fishmj.engines import FishParams, FishState
 from fishmj.errors import ConfigError
 from fishmj.flow import Current, Flow, shifted
@@ -122,8 +124,11 @@ class _Job:
     def run(self, oracle: Callable[[], Oracle], replay: Replay, own: float) -> None:
         """Solve, replay, compare."""
         try:
-            swum = oracle().swim(self.segments)
-            self.found = [self._matched(one, seen, replay, own) for one, seen in zip(self.segments, swum, strict=True)]
+            seen = list(zip(self.segments, oracle().swim(self.segments), strict=True))
+            matched = lambda pair: self._matched(*pair, replay, own)
+            self.found = [matched(pair) for pair in seen[:1]]  # compiles, once and not in every thread
+            with ThreadPoolExecutor(usable_cores()) as pool:
+                self.found += pool.map(matched, seen[1:])
         except Exception as error:  # noqa: BLE001  whatever becomes of solver, driver or device: the fish swims on
             self.failed = " ".join(str(error).split()) or type(error).__name__
         self.wall, self.done = time.perf_counter() - self.began, True
