@@ -60,7 +60,7 @@ def options() -> console.Parser:
     add("--domain", choices=NAMES, help=box)
     add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in the flow solver: 1 slides, 0 sticks")
     add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda or cuda:N")
-    add(EVERY, type=console.number(3, 600), metavar="S", help="of --water hybrid: from segment to segment of 3 s; default 30")
+    add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
     tanks = "trials of --water lbm, or segments of hybrid, that run side by side; 12 or more keep one GPU busy"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
     add("--turbulence", choices=tuple(PRESETS), default="default", help="kind of turbulence of the current")

@@ -1,6 +1,6 @@
 """The water of a swimming fish, corrected by short segments in a better water.
 
-    hybrid = Hybrid(robot, HybridOptions(every=30.0), kind=flow)
+    hybrid = Hybrid(robot, HybridOptions(every=50.0), kind=flow)
     params, current = hybrid.tick(fish, params, current, k)     before bus tick k: the water and stream that MuJoCo takes then
     hybrid.report()                                             what was corrected, when, by how much and how sure
 
@@ -59,8 +59,8 @@ class HybridOptions:
     """
 
     first: float = 10.0
-    every: float = 30.0
-    lead: float = 1.0
+    every: float = 50.0
+    lead: float = 1.5
     span: float = 2.0
     domain: str | None = None
     slip: float = 1.0

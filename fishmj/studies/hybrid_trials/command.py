@@ -75,7 +75,7 @@ def options() -> console.Parser:
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
     add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
-    add("--every", type=console.number(3, 600), default=HybridOptions.every, help="s from segment to segment; each is 3 s")
+    add("--every", type=console.number(4, 600), default=HybridOptions.every, help="s from segment to segment; each is 3.5 s")
     add("--first", type=console.number(0, 600), default=HybridOptions.first, help="s before the first segment")
     lead = f"s of a segment for which the fish is led along MuJoCo's path; {HybridOptions.span:g} s more are compared"
     add("--lead", type=console.number(0, 60, above=True), default=HybridOptions.lead, help=lead)
