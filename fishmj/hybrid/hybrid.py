@@ -125,7 +125,7 @@ class _Job:
         """Solve, replay, compare."""
         try:
             seen = list(zip(self.segments, oracle().swim(self.segments), strict=True))
-            matched = lambda pair: self._matched(*pair, replay, own)
+            matched = lambda pair: self._matched(pair[0], pair[1], replay, own)
             self.found = [matched(pair) for pair in seen[:1]]  # compiles, once and not in every thread
             with ThreadPoolExecutor(usable_cores()) as pool:
                 self.found += pool.map(matched, seen[1:])
