@@ -112,7 +112,7 @@ class Sim:
         self.recent: deque = deque(maxlen=KEPT)
         self.recorder = Recorder(self)
         self._current = self.flow.current()
-        self.hybrid = self._hybrid(hybrid) if corrected else None
+        self.hybrid: Any = self._hybrid(hybrid) if corrected else None
 
     def step(self, command) -> None:
         """Advance one bus tick (20 ms) after sending `command`, (J,) joint angles in rad.

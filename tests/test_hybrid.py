@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fishmj import controllers, engines, suite
+from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol, run_trials
@@ -24,6 +25,7 @@ from fishmj.studies.hybrid_trials import command
 from fishmj.water import choice
 
 STRIPS = choice.in_water(load_robot("fish"), "structured")
+STRIPS_WATER = planar_chain.nominal(STRIPS).water
 GUSTY = Flow(speed=0.2, turbulence="default", intensity=0.05, seed=5)
 RIGHT = online_correction.fresh()
 FACTORS = np.array([1, 1, 3, 1, 1, 1, 0.5, 1, 1, 1.0])  # three times the friction, half the tail's cross-flow drag
@@ -362,11 +364,11 @@ def test_the_verb_swims_three_times_and_goes_on_where_it_was(made_up, tmp_path, 
         return run_trials.run(brain, robot, trials, engines.make("batch", robot))
 
     monkeypatch.setattr(command.run_trials, "judge_in_solver", solved)
-    asked = "--wrong stream --episodes 2 --seconds 20 --own 0.5 --device cpu --json --out".split()
+    asked = "--wrong stream --episodes 2 --seconds 35 --own 0.5 --device cpu --json --out".split()
     code = command.main([*asked, str(tmp_path)])
     found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert swum_before[0]["domain"] == "window_coarse" and made_up[0]["stream"].speed == pytest.approx(0.25)
-    assert code == (0 if found["ok"] else 1) and found["solver_share"] == pytest.approx(0.15, rel=0.05)
+    assert code == (0 if found["ok"] else 1) and found["solver_share"] == pytest.approx(0.1, rel=0.01)
     assert all(report["segments"][0]["moved"] and report["stream"][0] > 0.03 for report in found["reports"])
     place = found["same"][1]
     assert place["hybrid"] < place["alone"]
@@ -378,15 +380,15 @@ def test_a_free_root_is_refused():
         Sim("fish", water="hybrid", root="free")
 
 
-def test_a_policy_holds_station_for_a_minute_in_turbulence(replay):
+def test_a_policy_holds_station_for_more_than_a_minute_in_turbulence(replay):
     """The judge's own loop, a learned policy, a stream 0.05 m/s faster than told: it is found and kept."""
     options = HybridOptions(wait=True)
-    trials = protocol.trials(speeds=(0.2,), los_deg=(120,), repeats=1, turbulence="default")
+    trials = protocol.trials(speeds=(0.2,), los_deg=(120,), repeats=1, turbulence="default", duration=70)
     engine = Engine(STRIPS, trials.flows()[0], options, oracle=Better(replay, stream=MORE), replay=replay)
     result = run_trials.run(controllers.chosen("pilot", STRIPS), STRIPS, trials, engine)
     assert result.engine.startswith("hybrid") and result.water == "hybrid" and np.isfinite(result.distance).all()
     told = engine.hybrid.report()
-    assert [row["t"] for row in told["segments"]] == [10.0, 40.0] and told["solver_share"] == pytest.approx(0.1, rel=0.01)
+    assert [row["t"] for row in told["segments"]] == [10.0, 60.0] and told["solver_share"] == pytest.approx(0.1, rel=0.01)
     np.testing.assert_allclose(told["stream"], MORE, atol=0.015)
 
 
@@ -421,6 +423,15 @@ def test_unknowns_move_where_they_gain_more_than_by_chance(gain, moves, unknown,
     found = online_correction.matched(RIGHT, misses).unknowns[online_correction.BELIEFS[2]]
     expected = np.eye(9)[unknown] * (at * (spread - 1) / spread if moves else 0.0)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_water_without_friction_may_get_some_and_none_gets_less_than_none():
+    """`swift` was fitted to a hull along which water slides: nothing times a factor would stay nothing."""
+    slides = STRIPS_WATER._replace(cf=0.0)
+    rough, smooth = (np.where(np.arange(10) == 2, f, 1.0) for f in (15.0, 0.001))
+    assert online_correction.applied(slides, rough).cf == pytest.approx(14 * online_correction.PLATE)
+    assert online_correction.applied(slides, smooth).cf == 0.0
+    assert online_correction.applied(STRIPS_WATER, RIGHT.factors) == STRIPS_WATER
 
 
 def test_what_is_known_grows_by_every_segment_that_moves_and_is_forgotten():

@@ -1,6 +1,5 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
-import json
 import shlex
 from dataclasses import replace
 from importlib.util import find_spec
@@ -18,6 +17,7 @@ from fishmj.evaluate.report import (
     by_condition,
     condition,
     corrected,
+    corrections,
     not_as_trained,
     overall,
     paired,
@@ -60,7 +60,7 @@ def options() -> console.Parser:
     add("--domain", choices=NAMES, help=box)
     add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in the flow solver: 1 slides, 0 sticks")
     add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda or cuda:N")
-    add(EVERY, type=console.number(3, 600), metavar="S", help="of --water hybrid: from segment to segment of 3 s; default 30")
+    add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
     tanks = "trials of --water lbm, or segments of hybrid, that run side by side; 12 or more keep one GPU busy"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
     add("--turbulence", choices=tuple(PRESETS), default="default", help="kind of turbulence of the current")
@@ -252,7 +252,7 @@ def findings(results: list[Result]) -> dict:
         "condition": condition(a),
         **({"left_out": list(a.left_out)} if a.left_out else {}),
         "results": [summary(r) for r in results],
-        **({} if a.corrections is None else {"hybrid": {r.controller: [*map(json.loads, r.corrections)] for r in results}}),
+        **({"hybrid": found} if (found := {r.controller: corrections(r) for r in results if r.corrections is not None}) else {}),
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }
 

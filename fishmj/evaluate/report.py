@@ -88,7 +88,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "medium": "water",
         "flow": {**asdict(flow), "known": True},
         "water": r.water,
-        **({} if r.corrections is None else {"hybrid": json.loads(str(r.corrections[i]))}),
+        **({} if r.corrections is None else {"hybrid": corrections(r)[i]}),
         "root": "planar",
         "engine": r.engine,
         "controller": r.controller,
@@ -210,10 +210,15 @@ def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
     return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in keys}} for name in order]
 
 
+def corrections(r: Result) -> list[dict]:
+    """What the solver corrected in each trial (`fishmj.hybrid.Hybrid.report`); none in another water than hybrid."""
+    return [] if r.corrections is None else [json.loads(str(text)) for text in r.corrections]
+
+
 def corrected(r: Result) -> list[dict]:
     """One row a trial of the water hybrid: what its segments moved, and what is known at its end."""
     rows = []
-    for i, told in enumerate(map(json.loads, [] if r.corrections is None else r.corrections)):
+    for i, told in enumerate(corrections(r)):
         segments = told["segments"]
         seen = [row for row in segments if "before" in row]
         moved = [f"{row['applied']:.0f} s" for row in seen if row["moved"]]

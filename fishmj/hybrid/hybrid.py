@@ -1,6 +1,6 @@
 """The water of a swimming fish, corrected by short segments in a better water.
 
-    hybrid = Hybrid(robot, HybridOptions(every=30.0), kind=flow)
+    hybrid = Hybrid(robot, HybridOptions(every=50.0), kind=flow)
     params, current = hybrid.tick(fish, params, current, k)     before bus tick k: the water and stream that MuJoCo takes then
     hybrid.report()                                             what was corrected, when, by how much and how sure
 
@@ -18,12 +18,14 @@ import atexit
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fishmj import console
+from fishmj.cores import usable_cores
 from fishmj.engines import FishParams, FishState
 from fishmj.errors import ConfigError
 from fishmj.flow import Current, Flow, shifted
@@ -57,8 +59,8 @@ class HybridOptions:
     """
 
     first: float = 10.0
-    every: float = 30.0
-    lead: float = 1.0
+    every: float = 50.0
+    lead: float = 1.5
     span: float = 2.0
     domain: str | None = None
     slip: float = 1.0
@@ -102,7 +104,7 @@ class _Recording:
         made = []
         for i in range(len(q)):
             row = lambda tree: type(tree)(*(np.asarray(a)[i : i + 1] for a in tree))  # noqa: B023, E731  used at once
-            current = Current(*(np.asarray(a)[i : i + 1] for a in self.current[:5]), *self.current[5:])
+            current = Current._make([*(np.asarray(a)[i : i + 1] for a in self.current[:5]), *self.current[5:]])
             made.append(Segment(i, self.tick, q[i], v[i], row(self.start), commands[i], row(self.params), current, kind))
         return [one for one in made if np.isfinite(one.q).all() and np.isfinite(one.commands).all()]
 
@@ -122,8 +124,11 @@ class _Job:
     def run(self, oracle: Callable[[], Oracle], replay: Replay, own: float) -> None:
         """Solve, replay, compare."""
         try:
-            swum = oracle().swim(self.segments)
-            self.found = [self._matched(one, seen, replay, own) for one, seen in zip(self.segments, swum, strict=True)]
+            seen = list(zip(self.segments, oracle().swim(self.segments), strict=True))
+            matched = lambda pair: self._matched(pair[0], pair[1], replay, own)
+            self.found = [matched(pair) for pair in seen[:1]]  # compiles, once and not in every thread
+            with ThreadPoolExecutor(usable_cores()) as pool:
+                self.found += pool.map(matched, seen[1:])
         except Exception as error:  # noqa: BLE001  whatever becomes of solver, driver or device: the fish swims on
             self.failed = " ".join(str(error).split()) or type(error).__name__
         self.wall, self.done = time.perf_counter() - self.began, True
@@ -258,7 +263,7 @@ class Hybrid:
             from fishmj.hybrid.tanks import Tanks
 
             o = self.options
-            water = {"domain": self.domain, "slip": o.slip, "device": o.device, "stream": o.tank}
+            water: dict[str, Any] = {"domain": self.domain, "slip": o.slip, "device": o.device, "stream": o.tank}
             self._oracle = Tanks(self.robot, **water, side_by_side=o.side_by_side, go_on=lambda: not self._over)
         return self._oracle
 

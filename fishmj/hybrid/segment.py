@@ -85,7 +85,7 @@ class Replay:
         rows, wide = np.minimum(np.arange(WIDE), count - 1), lambda a: np.repeat(np.asarray(a), WIDE, 0)
         every = lambda tree: type(tree)(*map(wide, tree))
         c, tick = segment.current, np.full(WIDE, segment.span)
-        current = shifted(Current(*map(wide, c[:5]), c.table, c.cell), stream[:, rows].T, tick)
+        current = shifted(Current._make([*map(wide, c[:5]), *c[5:]]), stream[:, rows].T, tick)
         params = every(segment.params)
         params = params._replace(water=online_correction.applied_to_rows(params.water, factors[:, rows]))
         arguments = (every(segment.start), wide(segment.commands[None]), params, current, tick)

@@ -5,6 +5,7 @@ the tank's own mean stream where that is given. The fish is MuJoCo's, with its m
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -31,7 +32,7 @@ class Tanks:
         side_by_side: int = 12, go_on: Callable[[], bool] = lambda: True,
     ):  # fmt: skip
         self.robot, self.stream, self.side_by_side, self.go_on = robot, stream, side_by_side, go_on
-        self.water = {"domain": domain, "slip": slip, "device": device}
+        self.water: dict[str, Any] = {"domain": domain, "slip": slip, "device": device}
 
     def swim(self, segments: Sequence[Segment]) -> list["Swum | str"]:
         """As `Oracle.swim`."""

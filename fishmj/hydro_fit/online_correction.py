@@ -35,6 +35,7 @@ KINDS = ("added_mass", "cross_flow", "friction", "form", "edge")
 FACTORS = 2 * len(KINDS)  # unknowns 0 to 9; 10 and 11 are the stream
 BOUNDS = (0.3, 3.0)
 WIDER = (0.001, 30.0)  # of friction, which is all of a hull that holds the water and next to none of one that lets it slide
+PLATE = 0.005  # friction of a smooth plate at Re 1e5 (Blasius 0.0042; turbulent 0.007)
 FASTEST = 0.3  # m/s, of the stream's offset
 WRONG = np.array([0.02, 0.5, 1.5, 0.2, 0.1])  # standard deviation of ln factor by kind, of a surrogate that is wrong
 STREAM = 0.05  # m/s, the same of the stream, each way
@@ -78,13 +79,16 @@ def _prior() -> np.ndarray:
 
 
 def applied(c: strip_forces.Coefficients, factors) -> strip_forces.Coefficients:
-    """Coefficients times their factors (10,) or (10, B); friction and head form have the body's."""
+    """Coefficients times their factors (10,) or (10, B); friction and head form have the body's.
+
+    The factor of friction is that of friction and `PLATE` together: a water without friction may have to get some.
+    """
     (mass, cross, skin, form, _), (tail_mass, tail_cross, _, _, edge) = factors[:5], factors[5:]
     body = len(c.k) - 1
     return c._replace(
         k=[v * mass for v in c.k[:body]] + [c.k[body] * tail_mass],
         cn=[v * cross for v in c.cn[:body]] + [c.cn[body] * tail_cross],
-        cf=c.cf * skin,
+        cf=np.maximum(c.cf + (c.cf + PLATE) * (skin - 1.0), 0.0),
         ca_forward=c.ca_forward * form,
         ca_backward=c.ca_backward * form,
         ke=c.ke * edge,

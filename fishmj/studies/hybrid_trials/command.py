@@ -75,7 +75,7 @@ def options() -> console.Parser:
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
     add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
-    add("--every", type=console.number(3, 600), default=HybridOptions.every, help="s from segment to segment; each is 3 s")
+    add("--every", type=console.number(4, 600), default=HybridOptions.every, help="s from segment to segment; each is 3.5 s")
     add("--first", type=console.number(0, 600), default=HybridOptions.first, help="s before the first segment")
     lead = f"s of a segment for which the fish is led along MuJoCo's path; {HybridOptions.span:g} s more are compared"
     add("--lead", type=console.number(0, 60, above=True), default=HybridOptions.lead, help=lead)
@@ -215,14 +215,15 @@ def measured(one: Condition, trials: Trials, args) -> dict:
     for name, engine in (("alone", inside), ("hybrid", corrected)):
         began = time.perf_counter()
         with console.Progress(total, f"{one.name}: {name}", unit="sim s") as bar, _on_cpu():
-            seen = lambda k, bar=bar: bar.update(k * one.robot.timing.control_dt * len(trials))
+            every = one.robot.timing.control_dt * len(trials)
+            seen = lambda k: bar.update(k * every)  # noqa: B023  used at once
             swims[name] = run_trials.run(brain, one.robot, trials, engine, progress=seen)
         wall[name] = time.perf_counter() - began
     tanks = trials if not one.faster else TankTrials(**vars(trials), faster=one.faster)
     box: dict[str, Any] = {"domain": hybrid.domain, "slip": one.slip, "device": args.device, "tanks": args.tanks}
     began = time.perf_counter()
     with console.Progress(total, f"{one.name}: solver", unit="sim s") as bar:
-        seen = lambda k: bar.update(k * one.robot.timing.control_dt)
+        seen = lambda k: bar.update(k * one.robot.timing.control_dt)  # noqa: B023  used at once
         asked = choice.in_water(load_robot(args.fish), args.model)  # the fish itself is the same in every condition
         swims["solver"] = run_trials.judge_in_solver(brain, asked, tanks, Path(args.out), progress=seen, **box)
     wall["solver"] = time.perf_counter() - began
@@ -257,7 +258,9 @@ def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]
 
 def verdict(found: dict[str, dict[str, np.ndarray]]) -> dict:
     """Which figures are off without the correction, how much of that is left with it, and whether that is little enough."""
-    rows, off, same = [], [], []
+    rows: list[dict[str, Any]] = []
+    same: list[dict[str, Any]] = []
+    off: list[bool] = []
     for name in ("rmse", "speed"):
         solver, alone, hybrid = (found[swim][name] for swim in ("solver", "alone", "hybrid"))
         before, after = difference(name, solver, alone), difference(name, solver, hybrid)
@@ -270,8 +273,8 @@ def verdict(found: dict[str, dict[str, np.ndarray]]) -> dict:
         row = {"figure": name, "solver": float(np.nanmean(solver)), "alone": before._asdict(), "hybrid": after._asdict()}
         rows.append(row | {"standard_error": error, "first_kind": first, "left": left, "target": bool(first and left < TARGET)})
     for name in ("rmse", "place"):
-        alone, hybrid = (float(np.nanmean(found[swim][name])) for swim in ("alone", "hybrid"))
-        same.append({"figure": name, "alone": alone, "hybrid": hybrid, "ratio": hybrid / max(alone, 1e-12)})
+        one, two = (float(np.nanmean(found[swim][name])) for swim in ("alone", "hybrid"))
+        same.append({"figure": name, "alone": one, "hybrid": two, "ratio": two / max(one, 1e-12)})
     no_worse = all(row["ratio"] <= WORSE for row in same)
     return {"first_kind": bool(off), "ok": all(off) if off else no_worse, "no_worse": no_worse, "off": rows, "same": same}
 
