@@ -320,6 +320,13 @@ def test_an_engine_that_can_hold_the_water_is_picked(water):
     assert pick_engine(change(PRESETS["quick"], water=water, engine="mjx")) == "mjx"
 
 
+def test_a_preset_on_mjx_trains_as_many_fish_as_fill_a_gpu():
+    from fishmj.train.__main__ import options, settings_from
+
+    envs = lambda *words: settings_from(options().parse_args(["--preset", "paper", *words])).algorithm["envs"]
+    assert (envs("--engine", "mjx"), envs("--engine", "planar"), envs("--engine", "mjx", "--envs", "64")) == (16384, 8192, 64)
+
+
 def test_a_setting_that_does_not_exist_is_named():
     with pytest.raises(UnknownName, match="unknown setting 'stepss'. Did you mean 'steps'?"):
         change(preset("quick"), stepss=3)

@@ -113,7 +113,8 @@ def settings_from(args, run=None):
     from fishmj import plugins
     from fishmj.engines import own_effects
     from fishmj.tasks.reference import named
-    from fishmj.train.settings import ALGORITHMS, change, own_code, preset
+    from fishmj.train.build import pick_engine
+    from fishmj.train.settings import ALGORITHMS, ON_MJX, change, own_code, preset
 
     own_effects.join(args.effects)
     s = run or preset(args.preset or _by_device())
@@ -149,7 +150,10 @@ def settings_from(args, run=None):
         task["effects"] = tuple(args.randomise_effects)
     if args.together and (s.algo not in ALGORITHMS or ALGORITHMS[s.algo].train):
         raise ConfigError(f"--together trains fishmj's own algorithms only, not {s.algo}; train the seeds one after another")
-    return change(s, algorithm=algorithm, task=task, reward=reward, **top)
+    made = change(s, algorithm=algorithm, task=task, reward=reward, **top)
+    if run is None and args.envs is None and made.algo == "ppo" and pick_engine(made) == "mjx":
+        made = change(made, algorithm=ON_MJX.get(made.preset, {}))
+    return made
 
 
 def _by_device() -> str:

@@ -20,7 +20,7 @@ from jax.experimental import pallas as pl
 from fishmj.water import residual_network
 from fishmj.water.residual_network import BOUND, WAKES, Halves, Motion
 
-BLOCK, WARPS = 128, 4  # fish a program, a power of two, and warps of 32 threads that share them
+BLOCK, WARPS = 256, 4  # fish a program, a power of two, and warps of 32 threads that share them
 HALF = WAKES // 2
 
 
