@@ -85,7 +85,7 @@ def reference():
     keys = jax.random.split(jax.random.split(key, 3)[1], 4)
     sizes = (task.N_START, task.N_FLOW + 1, task.n_fish(env.robot))
     draws = Draws(*(np.asarray(jax.random.uniform(k, (n, size)), float) for k, size in zip(keys[:3], sizes, strict=True)))
-    actions = np.random.default_rng(0).uniform(-1, 1, (20, n, 3)).astype(np.float32)
+    actions = np.random.default_rng(0).uniform(-0.5, 0.5, (20, n, 3)).astype(np.float32)
     looks, rewards, ends = [np.asarray(state.obs)], [], []
     for action in actions:
         state = env.step(state, jnp.asarray(action))
@@ -248,7 +248,7 @@ class Breaking:
     """An engine whose fish number 1 leaves the finite numbers in its second step."""
 
     def __init__(self):
-        self.inner, self.calls = engines.make("batch", "fish"), 0
+        self.inner, self.calls = engines.make("batch", engines.in_water(mjcf.load_robot("fish"))), 0
 
     def advance(self, state, *rest):
         self.calls += 1

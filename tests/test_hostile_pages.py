@@ -76,7 +76,8 @@ def water_of(folder, monkeypatch):
     monkeypatch.setattr(water, "runs_figure", lambda *a: b"\x89PNG")
     for name, made in (("free_runs", rows), ("gait_rows", (rows, [])), ("coefficients", rows), ("check_rows", rows)):
         monkeypatch.setattr(water, name, lambda *a, made=made: made)
-    model = SimpleNamespace(name=EVIL, robot=EVIL, slip=1.0, dt=0.004, notes=EVIL, dataset={"sha256": EVIL}, band={})
+    about = {"dataset": {"sha256": EVIL}, "band": {}, "preview": True}
+    model = SimpleNamespace(name=EVIL, robot=EVIL, slip=1.0, dt=0.004, notes=EVIL, **about)
     return water.write(folder / "water", model, ROBOT, [])
 
 
