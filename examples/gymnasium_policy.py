@@ -13,7 +13,7 @@ from fishmj.policy import Policy
 FISH, STEPS = 64, 60  # control steps of 0.2 s
 
 envs = gymnasium.make_vec("fishmj:fishmj/StationHold-v0", num_envs=FISH, engine="batch", seconds=STEPS * 0.2)
-policy = Policy.load("paper")
+policy = Policy.load("station")
 seen, _ = envs.reset(seed=0)
 start, total, left = np.hypot(seen[:, 0], seen[:, 1]), np.zeros(FISH), np.zeros(FISH, bool)
 for _ in range(STEPS):

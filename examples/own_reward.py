@@ -39,9 +39,9 @@ def returned(price: float, policy: Policy) -> float:
 
 
 if __name__ == "__main__":
-    policy = Policy.load("paper")
+    policy = Policy.load("station")
     free, paid = returned(0.0, policy), returned(0.2, policy)
     watts = (free - paid) / 0.2 / 50
-    print(f"return of the policy 'paper' over 50 steps: {free:.1f} for place alone, {paid:.1f} with 0.2 a watt charged")
+    print(f"return of the policy 'station' over 50 steps: {free:.1f} for place alone, {paid:.1f} with 0.2 a watt charged")
     print(f"its servos take {watts:.2f} W")
     assert np.isfinite([free, paid]).all() and 0.2 < watts < 5

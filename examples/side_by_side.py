@@ -3,7 +3,7 @@
     python examples/side_by_side.py
 
 Each environment has its own MuJoCo model and its own water, so any number of them may run in one process. The policy sees 11
-numbers of each fish and never the current. The water is the strip model with coefficients from the literature (synthetic).
+numbers of each fish and never the current. The water is the one fitted to the flow solver (synthetic).
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ def environment(turbulence: str):
     return suite.load("fish", "station_hold", task_kwargs=task, environment_kwargs={"flat_observation": True})
 
 
-environments, policy = [environment(kind) for kind in TURBULENCE], Policy.load("paper")
+environments, policy = [environment(kind) for kind in TURBULENCE], Policy.load("station")
 steps, rewards = [env.reset() for env in environments], []
 while not steps[0].last():
     seen = np.stack([step.observation["observations"] for step in steps])  # (4, 11)

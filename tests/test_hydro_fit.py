@@ -238,10 +238,10 @@ def test_a_miss_is_exit_1(fitted, records, monkeypatch):
     assert found["repeatability"]["speed_error_mean"] == 0.0
 
 
-def test_without_a_stretch_no_factor_moves():
+def test_without_a_segment_no_factor_moves():
     state = online_correction.fresh()
     c = planar_chain.nominal(ROBOT).water
-    assert flat(online_correction.applied(c, state)).tolist() == flat(c).tolist()
+    assert flat(online_correction.applied(c, state.factors)).tolist() == flat(c).tolist()
     assert gauss_newton.scaled(flat(c), np.zeros(len(gauss_newton.groups(4))), 4, prior_of(ROBOT)).tolist() == flat(c).tolist()
     assert len(residual_hooks.at_rest()) == 18
 

@@ -80,6 +80,7 @@ def test_products_are_not_rounded_on_a_graphics_card():
     assert text.count("dot_general") == text.count("precision=(Precision.HIGHEST, Precision.HIGHEST)") == 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.0, 1e-3, 1.0, 30.0])
 def test_gradients_are_finite_at_rest_and_far_out(speed):
     q, v, memory, flow = states(11, 4)
