@@ -15,7 +15,9 @@ from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.log import read_trial, stacked
 
 out = Path(sys.argv[1] if sys.argv[1:] else "runs/read_trial")
-assert evaluate(["station", "--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "20", "--out", str(out), "--log"]) == 0
+assert (
+    evaluate(["station", "--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "20", "--out", str(out), "--log"]) == 0
+)
 (folder,) = (path.parent for path in out.rglob("meta.toml"))
 
 trial = read_trial(folder)

@@ -90,11 +90,14 @@ def test_the_estimate_of_the_solver_is_that_of_the_measured_swim():
 @pytest.mark.parametrize(
     ("settings", "kind", "measured"),  # s, of docs/guide/training.md and README: learning alone
     [
-        (PRESETS["quick"], training.CPU, 87.0),
-        (change(PRESETS["paper"], engine="planar"), training.GPU, 45.0),
-        (change(PRESETS["paper"], engine="mjx", algorithm={"envs": 16384}), training.GPU, 223.0),
-        (change(PRESETS["paper-sac"], engine="planar"), training.GPU, 183.0 / 3),
-        (change(PRESETS["paper-sac"], algo="sb3-sac"), training.CPU, 1e6 / 114),
+        (PRESETS["quick"], training.CPU, 170.0),
+        (change(PRESETS["quick"], water="structured", steps=13_000_000), training.CPU, 87.0),
+        (change(PRESETS["paper"], engine="planar"), training.GPU, 150.0),
+        (change(PRESETS["paper"], engine="planar", water="structured"), training.GPU, 45.0),
+        (change(PRESETS["paper"], engine="mjx", algorithm={"envs": 16384}), training.GPU, 237.0),
+        (change(PRESETS["paper"], engine="mjx", water="structured", algorithm={"envs": 16384}), training.GPU, 223.0),
+        (change(PRESETS["paper-sac"], engine="planar", water="structured"), training.GPU, 183.0 / 3),
+        (change(PRESETS["paper-sac"], algo="sb3-sac", water="structured"), training.CPU, 1e6 / 114),
     ],
 )
 def test_the_estimate_of_a_training_is_within_a_factor_of_two_of_what_was_measured(settings, kind, measured, monkeypatch):

@@ -91,8 +91,8 @@ def test_a_line_is_all_that_the_command_line_needs():
 @pytest.mark.parametrize(
     ("line", "steps", "assess_every"),
     [
-        ("", 13_000_000, 1_000_000),
-        ("--algo ppo", 13_000_000, 1_000_000),
+        ("", 8_000_000, 1_000_000),
+        ("--algo ppo", 8_000_000, 1_000_000),
         ("--algo sac", 1_000_000, 100_000),
         ("--algo sb3-sac", 1_000_000, 100_000),
         ("--algo sac --steps 300000", 300_000, 75_000),

@@ -42,7 +42,7 @@ class Settings:
     robot: str = "fish"
     water: str = "auto"  # of fishmj.water.choice; auto: fitted where the robot has one
     command_path: str = "linear"
-    steps: int = 13_000_000  # control steps of 0.2 s, all fish together
+    steps: int = 8_000_000  # control steps of 0.2 s, all fish together
     seed: int = 0
     assess_every: int = 1_000_000  # control steps
     assess_episodes: int = 256
@@ -53,7 +53,7 @@ class Settings:
 
 
 PRESETS = {
-    # a laptop: small network, gusts as strong as the demo's; about a minute on two cores
+    # a laptop: small network, gusts as strong as the demo's; less than three minutes on two cores
     "quick": Settings(
         preset="quick", task={"turbulence": "gust", "intensity": (0.0, 0.15)}, algorithm={"hidden": (64, 64), "envs": 512}
     ),

@@ -8,13 +8,18 @@ Operations are those of the matrix products: 2 a weight forwards, 6 forwards and
 from fishmj import cost
 from fishmj.cores import usable_cores
 from fishmj.mjcf.description import load_robot
-from fishmj.train.build import config_of, pick_engine
+from fishmj.train.build import config_of, pick_engine, robot_for
 from fishmj.train.settings import Settings
+from fishmj.water.choice import residual_of
 
 CPU, GPU = "cpu", "gpu"
 ENGINE = {  # control steps a second of one core, and of one H200 (`fishmj bench engine_...`; README)
     CPU: {"compiled": 395e3, "planar": 5e3, "batch": 4e3, "mjx": 650.0},
     GPU: {"compiled": 395e3, "planar": 46e6, "batch": 4e3, "mjx": 1e6},
+}
+LEARNT = {  # the same in a water with a learnt force; on a GPU with the batch of the preset `paper`
+    CPU: {"compiled": 60e3, "planar": 1e3, "batch": 2.4e3, "mjx": 300.0},
+    GPU: {"compiled": 60e3, "planar": 2.4e6, "batch": 2.4e3, "mjx": 0.8e6},
 }
 ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of docs/guide/training.md
 FLOAT = 4  # bytes
@@ -44,7 +49,8 @@ def seconds(settings: Settings) -> float:
     kind = _kind()
     cores = usable_cores() if kind == CPU else 1
     work = config_of(settings).operations(widths(settings))
-    return settings.steps * (1 / ENGINE[kind][pick_engine(settings)] + work / ARITHMETIC[kind]) / cores
+    engine = (ENGINE if residual_of(robot_for(settings)) is None else LEARNT)[kind][pick_engine(settings)]
+    return settings.steps * (1 / engine + work / ARITHMETIC[kind]) / cores
 
 
 def widths(settings: Settings) -> tuple[int, int, int]:
