@@ -1,5 +1,6 @@
 """A water that is corrected while MuJoCo swims in it. The better water is made up here: the same closed form, changed."""
 
+import dataclasses
 import json
 import time
 
@@ -325,6 +326,15 @@ def test_what_is_wrong_is_wrong_about_the_water_or_the_tank_alone():
         short._replace(strips=right.chain.strips) == right.chain and short.strips.mu[-1][0] < 0.95 * right.chain.strips.mu[-1][0]
     )
     assert all_of_them["stream"].options(args).tank.speed == pytest.approx(0.25)
+
+
+def test_a_shorter_tail_swims_slower():
+    """The same commands in the water of another chain."""
+    _, all_of_them = arguments()
+    tail = all_of_them["tail"]
+    whole = dataclasses.replace(tail, chain=planar_chain.chain_of(tail.robot))
+    far = [-swum(one.engine(), flows=(Flow(),))[0, -1, 0] for one in (tail, whole)]
+    assert 0.0 < far[0] < far[1]
 
 
 def test_the_trials_go_round_before_they_repeat():

@@ -136,6 +136,14 @@ class Condition:
         water |= {"first": args.first, "every": args.every, "lead": args.lead, "own": args.own}
         return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water)
 
+    def engine(self) -> batch.Engine:
+        """MuJoCo with the body of the robot in the water of the chain."""
+        inside = batch.Engine(self.robot, threads=1)
+        if self.chain != planar_chain.chain_of(self.robot):
+            for shoal in inside.shoals:
+                shoal.evaluate, shoal.look = batch.evaluator_of(self.robot, self.chain, "jax")
+        return inside
+
 
 def box_of(args) -> str:
     """The box that the right water was fitted in: what is wrong does not move the tank."""
@@ -204,10 +212,7 @@ def measured(one: Condition, trials: Trials, args) -> dict:
     """Swim three times, and compare."""
     brain = controllers.chosen(args.policy, one.robot)
     hybrid = one.options(args)
-    inside = batch.Engine(one.robot, threads=1)
-    if one.chain != planar_chain.chain_of(one.robot):  # the same body in the water of another
-        for shoal in inside.shoals:
-            shoal.evaluate = batch.evaluator_of(one.robot, one.chain, "jax")
+    inside = one.engine()
     corrected = Engine(one.robot, trials.flows()[0], hybrid, inner=inside, replay=Replay(one.robot, one.chain))
     total = args.seconds * len(trials)
     swims: dict[str, Result] = {}
