@@ -138,3 +138,12 @@ def test_the_search_refuses_a_learnt_force_that_it_would_leave_out():
     searchable(as_described(FISH, "swift-base"), "fish")
     with pytest.raises(ConfigError, match="water 'swift' has a learnt force, which it would leave out; take its strips"):
         searchable(as_described(FISH, "fitted"), "fish")
+
+
+@pytest.mark.parametrize("water", ["fitted", "surrogate", "swift"])
+def test_gap_find_refuses_it_on_the_command_line(water, tmp_path, capsys):
+    from fishmj import console
+    from fishmj.gap.commands.find import main
+
+    assert console.run(main, [str(tmp_path), "--water", water]) == console.BAD_INPUT
+    assert "has a learnt force, which it would leave out; take its strips, --water swift-base" in capsys.readouterr().err
