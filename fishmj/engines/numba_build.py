@@ -199,12 +199,15 @@ def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
     names = names_of(len(robot.links), len(added.row), len(added.memory), learnt)
     rows = {name: i for i, name in enumerate(flat(list(names.values())))}
     numbers = {key.upper(): rows[flat(tree)[0]] if tree else 0 for key, tree in names.items()}
-    numbers |= dict(ROWS=len(rows), LANES=LANES, BUFFER=rows_of(robot), LINKS=len(robot.links), JOINTS=robot.n_joints)
-    numbers |= dict(STEPS=ticks_per(robot)[0], RAMP=robot.timing.command_path == "move_time")
+    numbers |= dict(ROWS=len(rows), LANES=LANES, LINKS=len(robot.links), JOINTS=robot.n_joints)
+    reals = {"TICK": TICK}
+    bus = dict(BUFFER=rows_of(robot), STEPS=ticks_per(robot)[0], RAMP=robot.timing.command_path == "move_time")
+    if entry == "advance":  # the others know no bus: one machine code for every latency and command path
+        numbers |= bus
+        reals |= {"RANGE": servo.range, "RESOLUTION": servo.resolution}
     parts = [HEADER.format(real=precision.name, whole=precision.integer)]
     parts += [f"{name} = {int(value)}\n" for name, value in numbers.items()]
-    reals = (("TICK", TICK), ("RANGE", servo.range), ("RESOLUTION", servo.resolution))
-    parts += [f"{name} = real({float(v)!r})\n" for name, v in reals]
+    parts += [f"{name} = real({float(v)!r})\n" for name, v in reals.items()]
     parts.append(fast_math.source(precision))
     places = {} if learnt is None else learnt.range_places()
     loop = lambda name: lane_loop(name, *generate(robot, name), rows, places if name in STEPS else None, wide=True)
