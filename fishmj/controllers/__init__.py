@@ -27,6 +27,7 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.policy import SHIPPED, is_policy
 from fishmj.policy import shipped as shipped_policies
+from fishmj.water.choice import in_water
 
 
 class Controller(Protocol):
@@ -88,6 +89,11 @@ def shipped_lines() -> str:
     return "\n".join(["shipped policies (figures: docs/guide/controllers.md):", *rows])
 
 
+def _swimming(robot: "Robot | str") -> Robot:
+    """A robot as it is handed over; one by name or file in its default water."""
+    return robot if isinstance(robot, Robot) else in_water(load_robot(robot))
+
+
 def make(
     name: "str | Path",
     robot: "Robot | str" = "fish",
@@ -108,7 +114,7 @@ def make(
         UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for, or
             is not the one that the policy is for.
     """
-    robot, name = load_robot(robot), str(name)
+    robot, name = _swimming(robot), str(name)
     entry = CONTROLLERS.get(name)
     if entry is None and not is_policy(name):
         raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
@@ -132,7 +138,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
     Raises:
         OwnCodeError: it is not there, fails, or is no controller. As `make` besides.
     """
-    robot, text = load_robot(robot), str(text)
+    robot, text = _swimming(robot), str(text)
     own = plugins.is_reference(text) or text in plugins.listed("controller")
     known = text in NAMES or is_policy(text)
     if known or not (own or ".py" in text or ":" in text):
