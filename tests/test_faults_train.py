@@ -153,7 +153,7 @@ def wait_for(process, condition, seconds=120):
 def test_fault_13_ctrl_c_saves_exits_130_and_the_run_goes_on(tmp_path, capfd):
     folder = tmp_path / "run"
     options = ["--preset", "quick", "--engine", "compiled", "--hidden", "16,16", "--envs", "64", "--out", str(folder)]
-    process = started("-m", "fishmj.train", *options, "--steps", "1e11", "--json")
+    process = started("-m", "fishmj.train", *options, "--steps", "1e11", "--yes", "--json")
     metrics = folder / "metrics.jsonl"
     wait_for(process, lambda: metrics.exists() and metrics.read_text().count("\n") >= 3)
     process.send_signal(signal.SIGINT)

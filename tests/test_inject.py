@@ -1,5 +1,6 @@
 """Every way of putting the water into an engine takes the same step as the closed form."""
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 
 import jax
@@ -112,6 +113,32 @@ def test_the_callback_slot_is_guarded():
     finally:
         mujoco.set_mjcb_passive(None)
     assert mujoco.get_mjcb_passive() is None
+
+
+def test_a_thread_that_builds_models_and_one_that_swims_do_not_meet():
+    """MuJoCo compiles nothing while a callback is installed: whoever comes second waits, and nobody starves."""
+    robot = mjcf.load_robot("fish")
+    model, another, sizes = mjcf.build(robot), mjcf.build(robot), []
+
+    def build_some():
+        for _ in range(5):
+            sizes.append(mjcf.build(robot, "free").nv)
+            mjcf.mjcf_xml(robot)
+
+    with ThreadPoolExecutor(1) as pool:
+        working, data, water = pool.submit(build_some), mujoco.MjData(model), PlanarWater(robot)
+        ticks = 0
+        while not working.done() or ticks < 50:
+            with inject(model, water) as fish:
+                for _ in range(3):
+                    fish.step(data)
+            ticks += 1
+        working.result()
+        with inject(model, water), pytest.raises(InjectionError, match="build the model before"):
+            mjcf.build(robot)  # one's own block is not waited for
+        with inject(model, water), pytest.raises(InjectionError, match="another thread"):
+            pool.submit(inject(another, PlanarWater(robot)).__enter__).result()
+    assert sizes == [9] * 5 and ticks < 2000
 
 
 def randomised(robot, count):

@@ -13,7 +13,8 @@ damping, integrated implicitly by the Euler integrator: the torque-speed line of
 import mujoco
 import numpy as np
 
-from fishmj.errors import ConfigError, InjectionError, UnknownName
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.mjcf import passive_slot
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.drawing import colour_of, fin_plates, loft
 from fishmj.mjcf.geometry import Geometry, geometry_of
@@ -41,25 +42,18 @@ def build(robot: "Robot | str" = "fish", root: str = "planar", *, bare: bool = F
 
     Raises:
         ConfigError: the description cannot be built.
-        InjectionError: called inside an `inject` block, where MuJoCo cannot compile.
+        InjectionError: called inside an `inject` block, where MuJoCo cannot compile; another thread's block is waited for.
     """
-    if mujoco.get_mjcb_passive() is not None:
-        raise InjectionError(
-            "mjcf.build: a passive-force callback is installed, and MuJoCo cannot compile a model meanwhile;"
-            " build the model before the inject block, or leave the inject block first"
-        )
     spec = build_spec(robot, root, bare=bare, ellipsoid=ellipsoid)
     try:
-        return spec.compile()
+        return passive_slot.compiled(spec)
     except ValueError as error:  # what the checks of the description should have found; MuJoCo's words have several lines
         raise ConfigError(f"{spec.modelname}: MuJoCo cannot build this robot: {' '.join(str(error).split())[:200]}") from error
 
 
 def mjcf_xml(robot: "Robot | str" = "fish", root: str = "planar") -> str:
     """The same model as MJCF text."""
-    spec = build_spec(robot, root)
-    spec.compile()
-    return spec.to_xml()
+    return passive_slot.xml_of(build_spec(robot, root))
 
 
 def build_spec(

@@ -28,6 +28,7 @@ from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.engines.single import WrenchWater
 from fishmj.errors import ConfigError, MissingExtra, SimDiverged
 from fishmj.flow import Current, Flow, sample
+from fishmj.mjcf import passive_slot
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import build_spec, personalise, reference_pose, reference_qpos
 from fishmj.water.spatial_water import FreeWater
@@ -120,7 +121,7 @@ class Physics(dm_mujoco.Physics):
     @classmethod
     def of(cls, robot: Robot, root: str = "planar") -> "Physics":
         """A straight fish at rest in still water. Raises UnknownName: a root that does not exist."""
-        physics = cls.from_model(wrapper.MjModel(build_scene(robot, root).compile()))
+        physics = cls.from_model(wrapper.MjModel(passive_slot.compiled(build_scene(robot, root))))
         ch = chain.chain_of(robot)
         free = root == "free"
         if free and robot.effects:

@@ -10,21 +10,20 @@ advances once a step in `Handle.step`.
 No exception may cross MuJoCo: after any call back into it, the jump out of its C frames aborts the process. An exception in
 the water is kept, `Handle.step` puts the state back and raises it; after a bare mj_step it is raised when the block ends.
 
-The slot is one per process, so this module owns it: it dispatches on the model, leaves other models alone, refuses a
+The slot is one per process (`mjcf.passive_slot`): this module dispatches on the model, leaves other models alone, refuses a
 slot that someone else filled, serves one thread (`link_wrench` serves any), and always cleans up.
 """
 
-import threading
 from contextlib import contextmanager
 
 import mujoco
 import numpy as np
 
 from fishmj.errors import ConfigError, InjectionError, SimDiverged
+from fishmj.mjcf import passive_slot
 from fishmj.water.planar_water import PlanarWater
 
 _handles: dict[int, "Handle"] = {}  # address of the model -> its water
-_owner: list[int] = []  # the thread that installed the callback
 
 
 class Handle:
@@ -104,13 +103,8 @@ def installed(handle: Handle):
     key = handle.model._address
     if key in _handles:
         raise InjectionError("inject: this model is in water already; one block a model")
-    if _owner and _owner[0] != threading.get_ident():
-        raise InjectionError("inject: the callback serves another thread; from threads take LinkWrench, Sim(injection='xfrc')")
-    if not _handles:
-        if mujoco.get_mjcb_passive() is not None:
-            raise InjectionError("inject: mjcb_passive is taken by someone else; remove it first: mujoco.set_mjcb_passive(None)")
-        _owner[:] = [threading.get_ident()]
-        mujoco.set_mjcb_passive(_dispatch)
+    if not _handles or passive_slot.taken_by_another_thread():
+        passive_slot.install(_dispatch)
     _handles[key] = handle
     try:
         yield handle
@@ -118,8 +112,7 @@ def installed(handle: Handle):
     finally:
         del _handles[key]
         if not _handles:
-            mujoco.set_mjcb_passive(None)
-            _owner.clear()
+            passive_slot.remove()
 
 
 def checked_step(model: mujoco.MjModel, data: mujoco.MjData, handle: Handle | None = None) -> None:

@@ -12,6 +12,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from fishmj.mjcf import passive_slot
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import build_spec
 
@@ -90,8 +91,7 @@ def mjcf(robot: Robot) -> str:
     for fitted in robot.effects:
         if fitted.name in NATIVE:
             NATIVE[fitted.name](spec, robot, {name: interval.value for name, interval in fitted.parameters.items()})
-    spec.compile()
-    return spec.to_xml()
+    return passive_slot.xml_of(spec)
 
 
 def difference(parent: Robot, robot: Robot) -> str:

@@ -23,7 +23,7 @@ from fishmj.errors import ConfigError, SimDiverged
 from fishmj.lbm_oracle.immersed import link_dynamics
 from fishmj.lbm_oracle.immersed.kernels import Points
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
-from fishmj.mjcf import build, geometry_of, load_robot
+from fishmj.mjcf import build, geometry_of, load_robot, passive_slot
 
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
 EXACT = 1e-9  # MuJoCo's velocity against the one found, relative to 1 + |v|
@@ -107,7 +107,8 @@ class ImmersedBody:
         for name in axes:
             link.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)["xyz".index(name)])
         inside = np.diag(inertia_displaced)[None]
-        return cls(spec.compile(), DisplacedWater(mass=np.array([displaced]), centre=np.zeros((1, 3)), inertia=inside), dt)
+        water = DisplacedWater(mass=np.array([displaced]), centre=np.zeros((1, 3)), inertia=inside)
+        return cls(passive_slot.compiled(spec), water, dt)
 
     def set_step(self, dt: float) -> None:
         """Change the time step, s."""
