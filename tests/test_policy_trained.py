@@ -105,10 +105,10 @@ def test_what_differs_stands_in_table_page_results_and_log(tmp_path, capsys):
 
 
 def test_the_flow_solver_is_another_water_too():
-    brain = controllers.make("station", ROBOT, water="lbm")
+    brain = controllers.make("station", in_water(ROBOT, "lbm", can=("lbm",)))
     assert brain.notes == ("policy station: not as trained: water swift, here lbm",)
     assert brain.trained()["differs"] == {"water": ["swift", "lbm"]}
-    assert controllers.make("station", in_water(ROBOT, "swift")).trained("lbm")["said"] == "water swift, here lbm"
+    assert controllers.make("station", in_water(ROBOT, "swift")).trained(brain.robot)["said"] == "water swift, here lbm"
 
 
 def test_a_live_swim_says_it_and_logs_it(tmp_path, capsys):

@@ -99,7 +99,6 @@ def make(
     robot: "Robot | str" = "fish",
     *,
     anyway: bool = False,
-    water: str = "",
     any_command_path: bool | None = None,
     **options: Any,
 ) -> Controller:
@@ -107,7 +106,6 @@ def make(
 
     Args:
         anyway: a policy may steer on another command path than it was trained on; `any_command_path` is its former name.
-        water: what a policy swims in where that is not the robot's own: `lbm`. It is compared with the water of its training.
         options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
 
     Raises:
@@ -125,7 +123,7 @@ def make(
 
         if any_command_path is not None:
             console.warn("any_command_path= is now anyway=; the old name goes with the release after this one")
-        return LearnedController(robot, name, anyway or bool(any_command_path), water)
+        return LearnedController(robot, name, anyway or bool(any_command_path))
     gains = gains_of(name, options) if entry.tuned else {}
     return import_module(f"fishmj.controllers.{entry.module}").build(robot, name, gains)
 
@@ -134,7 +132,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
     """A controller that the user named: as `make`, or one's own by `module:Name`, `file.py:Name` or entry point. Runs that code.
 
     Args:
-        policy: `anyway` and `water` of `make`.
+        policy: `anyway` of `make`.
     Raises:
         OwnCodeError: it is not there, fails, or is no controller. As `make` besides.
     """

@@ -24,14 +24,13 @@ class LearnedController:
 
     Args:
         source: path of a policy file or of a training's folder, or the name of a shipped one.
-        anyway: it may steer on another command path than it was trained on. water: what it swims in where that is not the
-            robot's own: `lbm`.
+        anyway: it may steer on another command path than it was trained on.
 
     Raises:
         UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot or command path.
     """
 
-    def __init__(self, robot: Robot, source: str, anyway: bool = False, water: str = ""):
+    def __init__(self, robot: Robot, source: str, anyway: bool = False):
         self.robot, self.policy = robot, Policy.load(source)
         path, of_a_run = file_of(source), os.path.isdir(source)
         shipped = path.resolve().parent == FOLDER
@@ -43,28 +42,28 @@ class LearnedController:
                 f"policy {source}: takes {self.policy.n_obs} observations and gives {self.policy.n_act} actions; "
                 f"robot {robot.name} has {wanted[0]} and {wanted[1]}; {OTHERS}"
             )
-        self.anyway, self.water = anyway, water
-        found = self._fit(water)
+        self.anyway = anyway
+        found = self._fit(robot)
         if found.refused:
             raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {OTHERS}")
         taken = (f"taken from {path}",) if of_a_run and not shipped else ()
         self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
 
-    def trained(self, water: str = "") -> dict:
+    def trained(self, robot: Robot | None = None) -> dict:
         """How it was trained and what is different here, in plain types for results and logs.
 
         Args:
-            water: as of the class; left out, the one that it was made with.
+            robot: in the water that it swims in; by default as the policy was made for it.
         Returns:
             what the header says of TOLD, "differs": {what: [there, here]}, "said": that in one clause, "lacks": [what]
         """
-        found = self._fit(water or self.water)
+        found = self._fit(robot or self.robot)
         told = {key: self.policy.meta[key] for key in TOLD if self.policy.meta.get(key) is not None}
         differs = {key: list(both) for key, both in found.differs.items()}
         return {**told, "differs": differs, "said": found.said, "lacks": list(found.lacks)}
 
-    def _fit(self, water: str) -> PolicyFit:
-        return fit(self.policy.meta, body_of(self.robot, water), anyway=self.anyway, known=shipped_structures())
+    def _fit(self, robot: Robot) -> PolicyFit:
+        return fit(self.policy.meta, body_of(robot), anyway=self.anyway, known=shipped_structures())
 
     def reset(self, n: int) -> None:
         """n episodes: the policy's memory is empty, the last command zero."""
@@ -79,13 +78,13 @@ class LearnedController:
         return commands
 
 
-def body_of(robot: Robot, water: str = "") -> PolicyBody:
-    """What the header of a policy is compared with; water as of `LearnedController`."""
+def body_of(robot: Robot) -> PolicyBody:
+    """What the header of a policy is compared with."""
     return PolicyBody(
         name=robot.name,
         structure=structure_of(robot),
         constants_sha256=constants_sha256(robot),
-        water={"name": water, "kind": water} if water else water_identity(robot),
+        water=water_identity(robot),
         observation=observation_of(robot.n_joints),
         command_path=robot.timing.command_path,
         control_dt=robot.timing.control_dt,

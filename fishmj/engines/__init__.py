@@ -69,6 +69,11 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
     return import_module(f"fishmj.engines.{name}").Engine(robot, **options)
 
 
+def name_of(engine: Any) -> str:
+    """What tables and logs call an engine: its own name, or that of its module."""
+    return getattr(engine, "name", type(engine).__module__.rpartition(".")[2])
+
+
 def nominal_params(robot: Robot, batch: int) -> FishParams:
     """The calibrated fish, `batch` times, without randomisation (NumPy)."""
     s, added = planar_chain.nominal(robot), Extensions.of(robot)

@@ -33,6 +33,34 @@ def store(values, w, base, block):
             values[block + i, j] = w[(base + j) * LANES + i]
 
 
+def load_fish(w, state, swimmer, block):
+    """The block's fish: what changes as they swim, and what each of them is."""
+    q, v, attached, memory = state
+    mass, kp, kv, kb, zero, water, effects = swimmer
+    load(w, Q, q, block)
+    load(w, V, v, block)
+    load(w, ATTACHED, attached, block)
+    load(w, MEMORY, memory, block)
+    load(w, MASS, mass, block)
+    load(w, KP, kp, block)
+    load(w, KV, kv, block)
+    load(w, KB, kb, block)
+    load(w, ZERO, zero, block)
+    load(w, WATER, water, block)
+    load(w, EFFECTS, effects, block)
+
+
+def load_current(w, current, clock, block):
+    """The background flow of the block's fish, and the bus tick that they are at."""
+    mean, rms, row, offset, turn = current
+    load(w, MEAN, mean, block)
+    load(w, RMS, rms, block)
+    load(w, SLICE, row, block)
+    load(w, OFFSET, offset, block)
+    load(w, TURN, turn, block)
+    load(w, CLOCK, clock, block)
+
+
 def load_delay(w, places, delay, block):
     """Command latency: the physics steps beyond whole bus ticks, and where in the line of commands the newest three lie.
 
@@ -153,6 +181,16 @@ def gust_flow(w, table, cells):
             w[(FLOW + 2 * link + 1) * LANES + i] = w[(MEAN + 1) * LANES + i] + rms * (sin * u + cos * v)
 
 
+def find_flow(w, table, cells, cell, gust):
+    """Water velocity at every link, and DU/Dt, at this tick."""
+    if gust:
+        gust_flow(w, table, cells)
+    else:
+        centres(w)
+        grid(w, cells, cell)
+        spatial_flow(w, table, cells)
+
+
 def record(w, k, block, pose, joint, rate, velocity, power):
     """Tick k of the trace."""
     for i in range(min(LANES, pose.shape[0] - block)):
@@ -173,37 +211,15 @@ def advance(first, stop, c, state, buffer, commands, swimmer, delay, current, cl
     line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
     places = np.empty(3 * LANES, np.int64)
     q, v, attached, memory = state
-    mass, kp, kv, kb, zero, water, effects = swimmer
-    mean, rms, row, offset, turn = current
     pose, joint, rate, velocity, power = trace
     for block in range(first, stop, LANES):
-        load(w, Q, q, block)
-        load(w, V, v, block)
-        load(w, ATTACHED, attached, block)
-        load(w, MEMORY, memory, block)
-        load(w, MASS, mass, block)
-        load(w, KP, kp, block)
-        load(w, KV, kv, block)
-        load(w, KB, kb, block)
-        load(w, ZERO, zero, block)
-        load(w, WATER, water, block)
-        load(w, EFFECTS, effects, block)
-        load(w, MEAN, mean, block)
-        load(w, RMS, rms, block)
-        load(w, SLICE, row, block)
-        load(w, OFFSET, offset, block)
-        load(w, TURN, turn, block)
-        load(w, CLOCK, clock, block)
+        load_fish(w, state, swimmer, block)
+        load_current(w, current, clock, block)
         load_delay(w, places, delay, block)
         load_commands(line, buffer, commands, block)
         for k in range(ticks):
             pick_commands(w, line, places, k)
-            if gust:
-                gust_flow(w, table, cells)
-            else:
-                centres(w)
-                grid(w, cells, cell)
-                spatial_flow(w, table, cells)
+            find_flow(w, table, cells, cell, gust)
             for i in range(LANES):
                 w[CLOCK * LANES + i] += real(1.0)
                 w[POWER * LANES + i] = real(0.0)
@@ -222,21 +238,9 @@ def advance(first, stop, c, state, buffer, commands, swimmer, delay, current, cl
 def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
     """Applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
     w = workspace()
-    q, v, attached, memory = state
-    mass, kp, kv, kb, zero, water, effects = swimmer
     applied, attached_new, power, memory_new = out
     for block in range(first, stop, LANES):
-        load(w, Q, q, block)
-        load(w, V, v, block)
-        load(w, ATTACHED, attached, block)
-        load(w, MEMORY, memory, block)
-        load(w, MASS, mass, block)
-        load(w, KP, kp, block)
-        load(w, KV, kv, block)
-        load(w, KB, kb, block)
-        load(w, ZERO, zero, block)
-        load(w, WATER, water, block)
-        load(w, EFFECTS, effects, block)
+        load_fish(w, state, swimmer, block)
         load(w, TARGET, target, block)
         load(w, FLOW, flow, block)
         load(w, AMBIENT, ambient, block)
@@ -251,21 +255,10 @@ def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
 def look(first, stop, q, current, clock, table, cells, cell, gust, out):
     """Water velocity at the links of fish first..stop and DU/Dt at one bus tick, into `out`."""
     w = workspace()
-    mean, rms, row, offset, turn = current
     flow, ambient = out
     for block in range(first, stop, LANES):
         load(w, Q, q, block)
-        load(w, MEAN, mean, block)
-        load(w, RMS, rms, block)
-        load(w, SLICE, row, block)
-        load(w, OFFSET, offset, block)
-        load(w, TURN, turn, block)
-        load(w, CLOCK, clock, block)
-        if gust:
-            gust_flow(w, table, cells)
-        else:
-            centres(w)
-            grid(w, cells, cell)
-            spatial_flow(w, table, cells)
+        load_current(w, current, clock, block)
+        find_flow(w, table, cells, cell, gust)
         store(flow, w, FLOW, block)
         store(ambient, w, AMBIENT, block)

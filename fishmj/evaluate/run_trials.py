@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj import console, controllers, interrupt, store
+from fishmj import console, controllers, engines, interrupt, store
 from fishmj.calib import calib_folder
 from fishmj.controllers.learned import LearnedController
 from fishmj.errors import ConfigError, SimDiverged, StoreError
@@ -26,7 +26,7 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import package_sha256
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
-from fishmj.water.choice import in_water
+from fishmj.water.choice import LBM, in_water
 from fishmj.water.identity import water_identity
 
 KEPT = "lbm"  # folder of finished trials in the flow solver
@@ -89,11 +89,11 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     left = np.where(out.any(1), out.argmax(1), pose.shape[1])
     distance = np.linalg.norm(pose[:, :, :2] - target[:, None], axis=-1)
     tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
-    name, hybrid = getattr(engine, "name", type(engine).__module__.rpartition(".")[2]), getattr(engine, "hybrid", None)
+    name, hybrid = engines.name_of(engine), getattr(engine, "hybrid", None)
     return Result(
         controller=controller.name,
         policy_sha256=getattr(controller, "sha256", ""),
-        policy=trained(controller, "lbm" if name == "lbm" else ""),
+        policy=trained(controller, solved(robot) if name == LBM else robot),
         robot=robot,
         trials=trials,
         engine=name,
@@ -163,7 +163,7 @@ class FinishedTrials:
             return None
         console.warn(f"{brain.name} was judged before under the same conditions: taken from {path}")
         known: dict[str, Any] = {"controller": brain.name, "policy_sha256": getattr(brain, "sha256", ""), "engine": self.engine}
-        return Result(robot=self.robot, trials=self.trials, policy=trained(brain), **known, **given)
+        return Result(robot=self.robot, trials=self.trials, policy=trained(brain, self.robot), **known, **given)
 
     def keep(self, brain, result: Result) -> Result:
         """Add a finished controller: its arrays."""
@@ -204,9 +204,14 @@ class FinishedTrials:
         return self.folder / "judged" / f"{brain.name}_{mark}.npz"
 
 
-def trained(controller, water: str = "") -> dict | None:
-    """How a policy was trained, and what is different here; None for what is no policy. water: as of `LearnedController`."""
-    return controller.trained(water) if isinstance(controller, LearnedController) else None
+def trained(controller, robot: Robot) -> dict | None:
+    """How a policy was trained, and what is different here; None for what is no policy."""
+    return controller.trained(robot) if isinstance(controller, LearnedController) else None
+
+
+def solved(robot: Robot) -> Robot:
+    """The robot in the flow solver."""
+    return in_water(robot, LBM, can=(LBM,))
 
 
 class Variation(NamedTuple):
@@ -294,7 +299,7 @@ def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -
         trials=trials,
         engine=engine,
         policy_sha256=getattr(brain, "sha256", ""),
-        policy=trained(brain, "lbm"),
+        policy=trained(brain, solved(robot)),
         t=rows[0]["t"],
         target=target,
         **join,

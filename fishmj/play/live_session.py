@@ -64,7 +64,7 @@ class LiveSession:
         self.robot = in_water(load_robot(robot), water, who="play") if isinstance(engine, str) else load_robot(robot)
         self.flow, self.noise = flow or Flow(speed=0.2, direction=np.pi), noise
         self.loop = ControlLoop(self.robot, engine)
-        self.engine_name = getattr(self.loop.engine, "name", type(self.loop.engine).__module__.rpartition(".")[2])
+        self.engine_name = engines.name_of(self.loop.engine)
         self._chain = chain_of(self.robot)
         params = engines.nominal_params(self.robot, 1)
         camera = self.loop.sensors.ticks(np, np.array([self.robot.timing.camera_latency]), params.effects, "pose")

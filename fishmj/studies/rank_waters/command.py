@@ -81,7 +81,7 @@ def main(argv: list[str]) -> int:
     model, fitted = HydroModel.load(water), engines.in_water(robot, water)
     args.domain = domain_of_model(args.domain, model).name
     names = list(args.controllers) or list(DEFAULT)
-    brains = controllers.several(names, robot, anyway=args.anyway, water="lbm")
+    brains = controllers.several(names, run_trials.solved(robot), anyway=args.anyway)
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
     trials = chosen(args)
