@@ -178,7 +178,7 @@ def test_friction_sticks_or_opposes_the_motion():
         mobility, w, bound = root @ root.T + 0.5 * np.eye(3), rng.normal(size=3), rng.uniform(0, 0.5, 3)
         impulse = np.zeros(3)
         for _ in range(20):
-            stick_slip.py_func(w, mobility, bound, impulse)
+            stick_slip.py_func(w, mobility, bound, impulse, 3)
         left = w + mobility @ impulse
         stuck = np.abs(impulse) < bound - 1e-9
         assert np.abs(left[stuck]) == pytest.approx(0.0, abs=1e-6)
