@@ -253,7 +253,7 @@ def test_live_and_recorded_are_the_same_robot():
     trial = generate({}, ["ramps"], 3, noise=0.0)[0]
     assert seen == pytest.approx(trial.tables["pose"]["x"][:200], abs=1e-9)
     assert joints == pytest.approx(trial.tables["joint"]["j2"][:200], abs=1e-9)
-    with pytest.raises(ConfigError, match="three finite angles"):
+    with pytest.raises(ConfigError, match="expected 3 finite angles"):
         fish.send([1.0, 2.0])
 
 
