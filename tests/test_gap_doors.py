@@ -133,6 +133,7 @@ def test_a_chain_that_is_too_long_is_refused_in_one_line_before_anything_is_comp
     command, logs, tmp_path, capsys, monkeypatch
 ):
     assert new("eel", *sized(links="9"), "--out", str(tmp_path / "eel.toml")) == console.OK
+    load_robot(tmp_path / "eel.toml")  # what is unlikely in it is said once
     capsys.readouterr()
     monkeypatch.setattr("fishmj.gap.records.datasets.readable_trials", forbidden)
     monkeypatch.setattr("fishmj.gap.null.null_runs.SimulatedNull.residuals", forbidden)
