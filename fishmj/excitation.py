@@ -1,16 +1,17 @@
-"""Experiments: named open-loop command sequences for a three-joint fish, 50 Hz, with start pose and what each is good for.
+"""Experiments: named open-loop command sequences for a fish, 50 Hz, with start pose and what each is good for.
 
     from fishmj import excitation
-    run = excitation.get("chirp")
-    run.t (T,) s, run.commands (T, 3) rad, run.start (x, y, yaw), run.push (u, v, r)
+    run = excitation.get("chirp")                 of three joints; excitation.get("chirp", 4) of four
+    run.t (T,) s, run.commands (T, J) rad, run.start (x, y, yaw), run.push (u, v, r)
 
 Every run begins with 0.6 s at rest, so that the start pose can be averaged, and stays inside a 3.6 m tank at this fish's speeds.
 A gait beats joint k with A sin(2 pi f t - k lag) + bias, fading in over a second. A run with a push starts with the fish already
-moving (let go from a carriage). All are deterministic; `random_ramps(seed)` makes as many more as you like.
+moving (let go from a carriage). They are written for three joints; `bent` lays them on another chain. All are deterministic;
+`random_ramps(seed)` makes as many more as you like.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -19,7 +20,7 @@ from fishmj.errors import ConfigError, UnknownName
 
 PERIOD = 0.02  # s, between commands
 LEAD = 0.6  # s at rest before anything moves
-JOINTS = 3
+JOINTS = 3  # that the experiments are written for
 LIMIT = np.pi / 3  # rad, the servos' clamp
 
 
@@ -28,15 +29,15 @@ class Excitation:
     """One experiment. `start` is where the fish is put (tank frame: m, m, rad); `push` its first velocity in its own axes."""
 
     id: str
-    commands: np.ndarray  # (T, 3) rad, one row every PERIOD
+    commands: np.ndarray  # (T, J) rad, one row every PERIOD
     about: str
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     push: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m/s, m/s, rad/s
 
     def __post_init__(self):
         shape = np.shape(self.commands)
-        if len(shape) != 2 or shape[1] != JOINTS or not shape[0]:
-            needs = f"commands must be (T, {JOINTS}) rad, for a fish of {JOINTS} joints"
+        if len(shape) != 2 or not all(shape):
+            needs = "commands must be (T, J) rad, for a fish of J joints"
             raise ConfigError(f"excitation {self.id!r}: {needs}; got shape {shape}")
         if not np.all(np.isfinite(self.commands)) or np.max(np.abs(self.commands)) > np.pi:
             raise ConfigError(f"excitation {self.id!r}: commands must be finite and within +-pi rad; are they degrees?")
@@ -52,11 +53,25 @@ class Excitation:
         return np.arange(len(self.commands)) * PERIOD
 
 
-def get(name: str) -> Excitation:
-    """The experiment called `name`; raises UnknownName with the nearest one."""
+def get(name: str, joints: int = JOINTS) -> Excitation:
+    """The experiment called `name` for a fish of `joints` joints; raises UnknownName with the nearest one."""
     if name not in _MAKERS:
         raise UnknownName("excitation", name, _MAKERS)
-    return _MAKERS[name]()
+    run = _MAKERS[name]()
+    return run if joints == JOINTS else replace(run, commands=bent(run.commands, joints))
+
+
+def bent(commands: np.ndarray, joints: int) -> np.ndarray:
+    """Commands (T, 3) laid on a chain of `joints` joints, (T, joints).
+
+    Fewer joints do what the first of the three do. More take the angle between those at the same place of the row, less by
+    3 / joints, so that the whole chain bends as far.
+    """
+    if joints <= JOINTS:
+        return commands[:, :joints]
+    places = np.linspace(0.0, JOINTS - 1.0, joints)
+    share = np.stack([np.maximum(1.0 - np.abs(places - j), 0.0) for j in range(JOINTS)])
+    return commands @ share * (JOINTS / joints)
 
 
 def names() -> tuple[str, ...]:

@@ -66,6 +66,6 @@ def test_wrong_names_and_shapes_are_refused():
     with pytest.raises(UnknownName, match="Did you mean 'chirp'"):
         excitation.get("chrip")
     with pytest.raises(ConfigError, match="must be"):
-        Excitation(id="x", commands=np.zeros((5, 2)), about="")
+        Excitation(id="x", commands=np.zeros(5), about="")
     with pytest.raises(ConfigError, match="degrees"):
         Excitation(id="x", commands=np.full((5, 3), 30.0), about="")

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from describing import new, sized
 
 from fishmj import console, effects
 from fishmj.calib import resolve
@@ -128,13 +129,17 @@ def forbidden(*_, **__):
 
 
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
-def test_a_fish_of_two_links_is_refused_in_one_line_before_anything_is_computed(command, logs, tmp_path, capsys, monkeypatch):
+def test_a_chain_that_is_too_long_is_refused_in_one_line_before_anything_is_computed(
+    command, logs, tmp_path, capsys, monkeypatch
+):
+    assert new("eel", *sized(links="9"), "--out", str(tmp_path / "eel.toml")) == console.OK
+    capsys.readouterr()
     monkeypatch.setattr("fishmj.gap.records.datasets.readable_trials", forbidden)
     monkeypatch.setattr("fishmj.gap.null.null_runs.SimulatedNull.residuals", forbidden)
     words = [{"DATA": logs, "NEW": tmp_path / "new"}.get(w, w) for w in command]
-    assert run(*words, "--model", "tendon_fish") == console.BAD_INPUT
-    said = capsys.readouterr().err
-    assert "takes fish of four links and three joints; tendon_fish has" in said and "calibrate" in said and said.count("\n") == 1
+    assert run(*words, "--model", tmp_path / "eel.toml") == console.BAD_INPUT
+    said = capsys.readouterr().err.splitlines()[-1]  # before it a note on its fin
+    assert "eel.toml has 9 links; it is a chain of 2 to 8" in said and "calibrate" in said
 
 
 def test_logs_of_another_robot_need_a_word(logs, copied, capsys, monkeypatch):

@@ -59,7 +59,7 @@ def test_a_changed_module_changes_the_key_of_the_runs_that_it_decides(file, made
 
 def test_what_decides_the_runs_is_found_by_its_imports():
     swims, predicts = (
-        null_runs.reached(null_runs.SIMULATOR),
+        null_runs.reached(*null_runs.SIMULATOR),
         null_runs.reached(SwimmingFish.__module__, "fishmj.gap.records.records"),
     )
     assert {f"fishmj.{name}" for name in SIMULATOR} <= set(swims)

@@ -77,8 +77,8 @@ def test_a_fish_that_is_let_go_slows_down_and_goes_straight(made):
 
 
 def mass_matrix(made, state):
-    """J^T A J of links and still water (6, 6), the loop's own."""
-    A, f, *_, stream, _ = workspace()
+    """J^T A J of links and still water (N + 2, N + 2), the loop's own."""
+    A, f, *_, stream, _ = workspace(len(made.body.joints))
     assemble(made.body, made.water, made.tank, made.odd, state, stream, A, f, 0.0)
     return np.tril(A) + np.tril(A, -1).T
 
@@ -111,6 +111,15 @@ def test_in_ideal_water_and_in_empty_space_no_servo_can_change_the_impulse(made,
     before, commands = impulse(free, state), excitation.get("ramps").commands[30:180]
     record = run(free, state, np.arange(150) * 0.02, commands, 3.0)
     assert np.ptp(record.at(record.t, "j1", "j2", "j3"), axis=0).min() > 0.5  # it did move
+    assert impulse(free, state) == pytest.approx(before, abs=0.02 * np.abs(before).max())
+
+
+def test_the_impulse_of_a_fish_of_three_links_is_left_alone_too():
+    free = replace(ideal(plant({}, nuisance=0.0, robot="tendon_fish")), air=np.zeros(4))
+    state = at_rest((0.3, -0.2, 0.5), np.zeros(2), 12.0, (0.3, 0.1, 0.8))
+    before = impulse(free, state)
+    record = run(free, state, np.arange(150) * 0.02, excitation.get("ramps", 2).commands[30:180], 3.0)
+    assert np.ptp(record.at(record.t, "j1", "j2"), axis=0).min() > 0.5
     assert impulse(free, state) == pytest.approx(before, abs=0.02 * np.abs(before).max())
 
 
@@ -178,7 +187,7 @@ def test_friction_sticks_or_opposes_the_motion():
         mobility, w, bound = root @ root.T + 0.5 * np.eye(3), rng.normal(size=3), rng.uniform(0, 0.5, 3)
         impulse = np.zeros(3)
         for _ in range(20):
-            stick_slip.py_func(w, mobility, bound, impulse)
+            stick_slip.py_func(w, mobility, bound, impulse, 3)
         left = w + mobility @ impulse
         stuck = np.abs(impulse) < bound - 1e-9
         assert np.abs(left[stuck]) == pytest.approx(0.0, abs=1e-6)
@@ -253,7 +262,7 @@ def test_live_and_recorded_are_the_same_robot():
     trial = generate({}, ["ramps"], 3, noise=0.0)[0]
     assert seen == pytest.approx(trial.tables["pose"]["x"][:200], abs=1e-9)
     assert joints == pytest.approx(trial.tables["joint"]["j2"][:200], abs=1e-9)
-    with pytest.raises(ConfigError, match="three finite angles"):
+    with pytest.raises(ConfigError, match="expected 3 finite angles"):
         fish.send([1.0, 2.0])
 
 

@@ -75,7 +75,7 @@ def experiment_scores(
     model, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, bars: Bars = silent
 ) -> list[ExperimentScore]:
     """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
-    plans = [planned_record(excitation.get(name), like) for name in filter(null.holds, runs)]
+    plans = [planned_record(excitation.get(name, like.commands.shape[1]), like) for name in filter(null.holds, runs)]
     null.prepare(model, plans, bars)
     out = []
     with bars(len(plans), "experiments", "") as bar:

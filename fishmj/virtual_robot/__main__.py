@@ -29,6 +29,8 @@ def options() -> console.Parser:
     add("--seed", type=console.SEED, default=0, help="robot and noise")
     add("--noise", type=console.number(0, 100), default=1.0, help="factor on every sensor's noise")
     add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of unmeasured constants")
+    robot = "the robot: name or TOML file, a chain of 2 to 8 links (default fish)"
+    add("--model", type=console.text, default="fish", help=robot)
     add("--medium", default="water", choices=("water", "air"), help="air: hung on a thread, no camera")
     flow = "ordered stream, m/s and rad"
     add("--flow", type=stream, default="0,0", metavar="SPEED,DIRECTION", help=flow)
@@ -47,10 +49,13 @@ def main(argv: list[str]) -> int:
         return _list(args.json)
     if args.out is None or args.truth is None:
         raise ConfigError("virtual_robot: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
+    from fishmj.mjcf.description import load_robot
     from fishmj.virtual_robot.hidden_dataset import parse, placed, write_hidden
+    from fishmj.virtual_robot.robot_constants import buildable
     from fishmj.virtual_robot.trials import generate, trial_name
     from fishmj.virtual_robot.weighing import page
 
+    buildable(load_robot(args.model), args.model)
     effects, runs = parse(args.plant, args.seed), _runs(args.excitations, args.logs)
     names = [trial_name(i, run) for i, run in enumerate(runs)]
     out, truth = placed(args.out, args.truth, names, args.overwrite)
@@ -58,9 +63,10 @@ def main(argv: list[str]) -> int:
     with console.Progress(len(runs), "trials", "trials") as bar:
         bar.update(0)
         numbers = (args.seed, args.noise, args.nuisance)
-        trials = generate(effects, runs, *numbers, medium=args.medium, flow=args.flow, tick=bar.update)
+        trials = generate(effects, runs, *numbers, args.model, medium=args.medium, flow=args.flow, tick=bar.update)
     facts = {"seed": args.seed, "noise": args.noise, "nuisance": args.nuisance, "medium": args.medium, "excitations": runs}
-    weighings = page(effects, args.seed, args.nuisance) if args.weigh else None
+    facts["model"] = args.model
+    weighings = page(effects, args.seed, args.nuisance, args.model) if args.weigh else None
     write_hidden(out, truth, trials, effects, facts, args.overwrite, weighings)
     seconds = sum(trial.span[1] for trial in trials)
     took = time.perf_counter() - begin

@@ -1,6 +1,6 @@
-"""Mechanics: four hinged links by the virtual power of each link's origin, J^T A J.
+"""Mechanics: a chain of hinged links by the virtual power of each link's origin, J^T A J.
 
-Generalised rates: the reference point's velocity in the tank frame and the links' absolute rates, (VX, VY, W1..W4). Origins:
+Generalised rates: the reference point's velocity in the tank frame and the links' absolute rates, (VX, VY, W1..WN). Origins:
 
     o_{i+1} = o_i + W_i x_i n_i,     a_{i+1} = a_i + W_i' x_i n_i - W_i^2 x_i t_i       x_i: rear hinge of link i
 
@@ -21,20 +21,23 @@ from fishmj.virtual_robot.water import link_force
 
 @compiled
 def assemble(body, water, tank, odd, s, stream, A, f, h):
-    """Mass matrix A (6, 6), lower half, and forces f (6,) without the joints' own torques; stream = (u, v, du/dt, dv/dt)."""
-    for a in range(6):
+    """Mass matrix A (N + 2, N + 2), lower half, and forces f (N + 2,) without the joints' own torques.
+
+    stream = (u, v, du/dt, dv/dt)
+    """
+    n = len(body.links)
+    for a in range(n + 2):
         f[a] = 0.0
-        for b in range(6):
+        for b in range(n + 2):
             A[a, b] = 0.0
     time = s.clock[0]
     px, py, ox, oy, bx, by = s.z[0], s.z[1], s.rate[0], s.rate[1], 0.0, 0.0
-    g0x, g0y, g1x, g1y, g2x, g2y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     near = 1.0
     if water.wall != 0.0:
         distance = tank.half - max(abs(px), abs(py))
         near = 1.0 + water.wall * exp(-max(distance, 0.0) / body.length)
-    bend = s.rate[5] - s.rate[2]
-    for i in range(4):
+    bend = s.rate[n + 1] - s.rate[2]
+    for i in range(n):
         c, d, w = cos(s.z[2 + i]), sin(s.z[2 + i]), s.rate[2 + i]
         mass, first, spin = body.mass[i], body.first[i], body.second[i]
         if i == 0 and odd.shift != 0.0 and time > odd.shift_time:
@@ -70,14 +73,9 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
         if i == 0 and tank.tether != 0.0:
             Fx -= tank.tether * (px - tank.tether_x)
             Fy -= tank.tether * (py - tank.tether_y)
-        _add_link(A, f, i, (along, across, cross, spin), (tx, ty, nx, ny), (Fx, Fy, moment), (g0x, g0y, g1x, g1y, g2x, g2y))
+        _add_link(A, f, i, (along, across, cross, spin), (tx, ty, nx, ny), (Fx, Fy, moment), s.arm)
         x = body.hinge[i]
-        if i == 0:
-            g0x, g0y = x * nx, x * ny
-        elif i == 1:
-            g1x, g1y = x * nx, x * ny
-        else:
-            g2x, g2y = x * nx, x * ny
+        s.arm[i, 0], s.arm[i, 1] = x * nx, x * ny
         px, py = px + x * tx, py + x * ty
         ox, oy = ox + w * x * nx, oy + w * x * ny
         bx, by = bx - w * w * x * tx, by - w * w * x * ty
@@ -85,11 +83,10 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
 
 @compiled
 def _add_link(A, f, i, inertia, axes, load, arms):
-    """Add link i to A and f, and through the arms x_k n_k (k = 0, 1, 2) to the links before it; inertia and load in its axes."""
+    """Add link i to A and f, and through the arms x_k n_k (k < i) to the links before it; inertia and load in its axes."""
     along, across, cross, spin = inertia
     tx, ty, nx, ny = axes
     Fx, Fy, moment = load
-    g0x, g0y, g1x, g1y, g2x, g2y = arms
     bxx = along * tx * tx + across * nx * nx
     bxy = along * tx * ty + across * nx * ny
     byy = along * ty * ty + across * ny * ny
@@ -104,17 +101,14 @@ def _add_link(A, f, i, inertia, axes, load, arms):
     f[1] += Fy
     f[2 + i] += moment
     for k in range(i):
-        gx, gy = (g0x, g0y) if k == 0 else (g1x, g1y) if k == 1 else (g2x, g2y)
+        gx, gy = arms[k, 0], arms[k, 1]
         hx, hy = bxx * gx + bxy * gy, bxy * gx + byy * gy
         A[2 + k, 0] += hx
         A[2 + k, 1] += hy
         A[2 + i, 2 + k] += qx * gx + qy * gy
         f[2 + k] += gx * Fx + gy * Fy
-        A[2 + k, 2] += hx * g0x + hy * g0y
-        if k > 0:
-            A[2 + k, 3] += hx * g1x + hy * g1y
-        if k > 1:
-            A[2 + k, 4] += hx * g2x + hy * g2y
+        for j in range(k + 1):
+            A[2 + k, 2 + j] += hx * arms[j, 0] + hy * arms[j, 1]
 
 
 @compiled
@@ -136,9 +130,9 @@ def push_joint(A, f, j, torque, inertia):
 
 
 @compiled
-def factor(A):
+def factor(body, A):
     """Cholesky factor of the lower half, in place; the diagonal holds its inverse."""
-    for i in range(6):
+    for i in range(len(body.links) + 2):
         for j in range(i + 1):
             total = A[i, j]
             for k in range(j):
@@ -147,15 +141,16 @@ def factor(A):
 
 
 @compiled
-def solve(L, b):
+def solve(body, L, b):
     """Solve L L^T x = b in place."""
-    for i in range(6):
+    n = len(body.links) + 2
+    for i in range(n):
         total = b[i]
         for k in range(i):
             total -= L[i, k] * b[k]
         b[i] = total * L[i, i]
-    for i in range(5, -1, -1):
+    for i in range(n - 1, -1, -1):
         total = b[i]
-        for k in range(i + 1, 6):
+        for k in range(i + 1, n):
             total -= L[k, i] * b[k]
         b[i] = total * L[i, i]

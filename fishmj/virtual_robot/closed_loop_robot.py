@@ -59,10 +59,10 @@ class ClosedLoopRobot:
         return float(self._state.clock[0])
 
     def send(self, command: Sequence[float] | np.ndarray) -> None:
-        """Send three joint angles [rad] now."""
-        angles = np.asarray(command, float)
-        if angles.shape != (3,) or not np.all(np.isfinite(angles)):
-            raise ConfigError(f"virtual robot: command {command!r}; expected three finite angles in rad")
+        """Send the joints' angles (J,) [rad] now."""
+        angles, joints = np.asarray(command, float), len(self.plant.zero)
+        if angles.shape != (joints,) or not np.all(np.isfinite(angles)):
+            raise ConfigError(f"virtual robot: command {command!r}; expected {joints} finite angles in rad")
         arrival = self._radio.arrival(self.time, angles)
         if arrival is not None:
             heapq.heappush(self._queue, (arrival, next(self._order), angles))
@@ -74,7 +74,7 @@ class ClosedLoopRobot:
             raise ConfigError(f"virtual robot: advance({seconds}); at least one step of {H} s")
         begin = self.time
         due = sorted(self._queue)
-        commands = np.array([angles for _, _, angles in due]).reshape(-1, 3)
+        commands = np.array([angles for _, _, angles in due]).reshape(-1, len(self.plant.zero))
         fresh = run(self.plant, self._state, [t for t, _, _ in due], commands, steps * H, self._gust, self._anchor)
         self._queue = [entry for entry in self._queue if entry[0] > fresh.t[-1] + 1e-9]
         heapq.heapify(self._queue)
@@ -85,7 +85,7 @@ class ClosedLoopRobot:
         return tables
 
     def truth(self) -> np.ndarray:
-        """Exact pose of the reference point and hinge angles (6,): x, y, yaw, j1..j3; for scoring, not for control."""
+        """Exact pose of the reference point and hinge angles (3 + J,): x, y, yaw, j1 ..; for scoring, not for control."""
         z = self._state.z
         return np.array([z[0], z[1], z[2], *np.diff(z[2:])])
 

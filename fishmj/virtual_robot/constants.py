@@ -105,6 +105,13 @@ class TankConstants(NamedTuple):
     tether_y: float = 0.0  # effect, m
 
 
+class Placing(NamedTuple):
+    """How well the hand puts the fish at its start."""
+
+    position: float  # m
+    heading: float  # rad
+
+
 class Network(NamedTuple):
     """Radio and bus: when commands arrive, when angles are read."""
 

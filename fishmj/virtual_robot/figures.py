@@ -23,7 +23,7 @@ def steady(
     """Speed from beat to beat, turning rate, servo power of a gait [Hz, rad, rad, rad] in still water, without latency."""
     commands = excitation.gait(frequency, amplitude, lag, bias, SETTLE + watch)
     times = np.arange(len(commands)) * excitation.PERIOD
-    record = run(made, at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage), times, commands, times[-1])
+    record = run(made, at_rest((0.0, 0.0, 0.0), 0.0 * made.zero, made.motor.voltage), times, commands, times[-1])
     begin = excitation.LEAD + SETTLE
     beats = begin + np.arange(int((record.t[-1] - begin) * frequency) + 1) / frequency
     pose = record.at(beats, "x", "y", "yaw")
@@ -46,7 +46,7 @@ def tow(made: RobotConstants, speed: float = 0.3) -> float:
 
 def coast(made: RobotConstants, speed: float = 0.3) -> float:
     """Seconds until a straight fish that was let go at `speed` is half as fast."""
-    record = run(made, at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage, (speed, 0.0, 0.0)), [], [], 15.0)
+    record = run(made, at_rest((0.0, 0.0, 0.0), 0.0 * made.zero, made.motor.voltage, (speed, 0.0, 0.0)), [], [], 15.0)
     slow = np.flatnonzero(record.at(record.t, "vx")[:, 0] < speed / 2)
     return float(record.t[slow[0]]) if len(slow) else float("nan")
 
@@ -67,7 +67,7 @@ def main(argv: list[str]) -> int:
     commands = excitation.gait(1.0, 30 * degree, 60 * degree, seconds=19.4)
     best = np.inf
     for _ in range(20):
-        state, begin = at_rest((0.0, 0.0, 0.0), np.zeros(3), made.motor.voltage), time.process_time()
+        state, begin = at_rest((0.0, 0.0, 0.0), 0.0 * made.zero, made.motor.voltage), time.process_time()
         run(made, state, np.arange(len(commands)) * excitation.PERIOD, commands, 20.0)
         best = min(best, time.process_time() - begin)
     console.say(f"20 s of swimming take {1e3 * best:.1f} ms of one core")

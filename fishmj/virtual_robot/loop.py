@@ -13,9 +13,9 @@ GUST = 0.02  # s, spacing of the gust table
 
 @entry
 def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, commands, s, record, work):
-    """Run len(record) steps; writes `simulate.COLUMNS` of every step, before it moves, into record (T, LOG).
+    """Run len(record) steps; writes `simulate.columns` of every step, before it moves, into record (T, 8 + 4 J).
 
-    arrivals (K,): times [s] at which commands (K, 3) [rad] reach the servos, rising. gust (G, 2): water velocity that varies in
+    arrivals (K,): times [s] at which commands (K, J) [rad] reach the servos, rising. gust (G, 2): water velocity that varies in
     time [m/s], every GUST s from t = 0, linear between. work: `simulate.workspace`.
     """
     A, f, mobility, columns, bound, w, stream, sprung = work
@@ -24,32 +24,32 @@ def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, co
     for step in range(record.shape[0]):
         time = s.clock[0]
         while nxt < arrivals.shape[0] and arrivals[nxt] <= time + 1e-9:
-            for j in range(3):
+            for j in range(len(body.joints)):
                 s.goal[j] = commands[nxt, j]
             nxt += 1
         blow(gust, tank, time, stream)
         if time >= s.clock[1] - 1e-9:
-            firmware(motor, odd, zero, s)
+            firmware(body, motor, odd, zero, s)
             friction_speed(body, s, stream)
             s.clock[1] += motor.period
         assemble(body, water, tank, odd, s, stream, A, f, H)
         if water.active == 0.0:
             hang(air, s, anchor, f)
-        for j in range(3):
+        for j in range(len(body.joints)):
             angle, rate = s.z[3 + j] - s.z[2 + j], s.rate[3 + j] - s.rate[2 + j]
             torque, damping = motor_torque(motor, s, j, rate, fresh, H)
             bound[j] = H * friction_bound(motor, rate, torque)
             slow = motor.viscous + motor.damping
             sprung[j] = spring_torque(motor, odd, water, zero, s, j, angle, rate, H)
             push_joint(A, f, j, torque + sprung[j] - slow * rate, motor.armature + H * (damping + slow))
-        battery(motor, s, H)
-        write(record, step, s, zero)
-        factor(A)
-        for a in range(6):
+        battery(body, motor, s, H)
+        write(body, record, step, s)
+        factor(body, A)
+        for a in range(len(body.links) + 2):
             f[a] *= H
-        solve(A, f)
-        rub(A, f, s, mobility, columns, bound, w)
-        for a in range(6):
+        solve(body, A, f)
+        rub(body, A, f, s, mobility, columns, bound, w)
+        for a in range(len(body.links) + 2):
             s.rate[a] += f[a]
             s.z[a] += H * s.rate[a]
         s.clock[0] = time + H
@@ -68,31 +68,35 @@ def blow(gust, tank, time, stream):
 
 
 @compiled
-def rub(L, dv, s, mobility, columns, bound, w):
+def rub(body, L, dv, s, mobility, columns, bound, w):
     """Add to the velocity change dv what dry friction does; L the factor of the mass matrix."""
-    for j in range(3):
-        for a in range(6):
+    joints, places = len(body.joints), len(body.links) + 2
+    for j in range(joints):
+        for a in range(places):
             columns[j, a] = 0.0
         columns[j, 2 + j], columns[j, 3 + j] = -1.0, 1.0
-        solve(L, columns[j])
+        solve(body, L, columns[j])
         w[j] = s.rate[3 + j] + dv[3 + j] - s.rate[2 + j] - dv[2 + j]
-    for j in range(3):
-        for k in range(3):
+    for j in range(joints):
+        for k in range(joints):
             mobility[j, k] = columns[k, 3 + j] - columns[k, 2 + j]
-    stick_slip(w, mobility, bound, s.stuck)
-    for j in range(3):
-        for a in range(6):
+    stick_slip(w, mobility, bound, s.stuck, joints)
+    for j in range(joints):
+        for a in range(places):
             dv[a] += columns[j, a] * s.stuck[j]
 
 
 @compiled
-def write(record, step, s, zero):
-    """One row of `simulate.COLUMNS`."""
+def write(body, record, step, s):
+    """One row of `simulate.columns`."""
+    joints = len(body.joints)
     for a in range(3):
         record[step, a] = s.z[a]
         record[step, 3 + a] = s.rate[a]
-        record[step, 6 + a] = s.z[3 + a] - s.z[2 + a]
-        record[step, 9 + a] = s.rate[3 + a] - s.rate[2 + a]
-        record[step, 14 + a] = s.aim[a]
-        record[step, 17 + a] = s.drive[a]
-    record[step, 12], record[step, 13] = s.battery[0], s.battery[1]
+    volts = 6 + 2 * joints
+    for j in range(joints):
+        record[step, 6 + j] = s.z[3 + j] - s.z[2 + j]
+        record[step, 6 + joints + j] = s.rate[3 + j] - s.rate[2 + j]
+        record[step, volts + 2 + j] = s.aim[j]
+        record[step, volts + 2 + joints + j] = s.drive[j]
+    record[step, volts], record[step, volts + 1] = s.battery[0], s.battery[1]

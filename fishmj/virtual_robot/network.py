@@ -16,7 +16,7 @@ from fishmj.virtual_robot.simulate import Recording
 
 
 class Delivery(NamedTuple):
-    """What reaches the servos. times (K,) s rising, commands (K, 3) rad."""
+    """What reaches the servos. times (K,) s rising, commands (K, J) rad."""
 
     times: np.ndarray
     commands: np.ndarray
@@ -31,7 +31,7 @@ class Radio:
         self._last: np.ndarray | None = None
 
     def arrival(self, sent: float, command: np.ndarray) -> float | None:
-        """Time of arrival [s] of a command (3,) sent at `sent`; None when it is lost."""
+        """Time of arrival [s] of a command (J,) sent at `sent`; None when it is lost."""
         n, (base, tail, loss) = self.network, self._streams
         delay = (
             n.latency + n.delay + self.noise * n.jitter * random_streams.jitter(base) + n.sigma * random_streams.lateness(tail)
@@ -46,20 +46,21 @@ class Radio:
 def deliver(
     network: Network, odd: Uncatalogued, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
 ) -> Delivery:
-    """Send commands (K, 3) at `sent` (K,) and take them out of the queue in order of arrival."""
+    """Send commands (K, J) at `sent` (K,) and take them out of the queue in order of arrival."""
     radio = Radio(network, odd, seed, trial, noise)
     times = [radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)]
     queue = [(t, k) for k, t in enumerate(times) if t is not None]
     heapq.heapify(queue)
     arrived = [heapq.heappop(queue) for _ in range(len(queue))]
     order = [k for _, k in arrived]
-    return Delivery(np.array([t for t, _ in arrived]), commands[order].reshape(-1, 3))
+    return Delivery(np.array([t for t, _ in arrived]), commands[order].reshape(-1, commands.shape[1]))
 
 
 def telemetry(net: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
     """Table `joint`: the hinges' own sensors, read at t (K,), reported for the stamped time but `joint_delay` old."""
     stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
-    angle = record.at(stamps - net.joint_delay, "j1", "j2", "j3") - zero
+    names = [f"j{k + 1}" for k in range(len(zero))]
+    angle = record.at(stamps - net.joint_delay, *names) - zero
     angle = angle + noise * net.angle_noise * rng.standard_normal(angle.shape)
     angle = np.round(angle / net.angle_step) * net.angle_step
-    return {"t": stamps, **{f"j{k + 1}": angle[:, k] for k in range(3)}}
+    return {"t": stamps, **dict(zip(names, angle.T, strict=True))}

@@ -12,17 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 from fishmj.virtual_robot.constants import HullConstants
 
 STATIONS = 16
 PANEL = 4  # Gauss points between two drawn sections
+SHORT = 4  # links of the shipped fish, whose loops are compiled for themselves: by a third faster
+SHIPPED = "fish"  # whose links the table's axial added masses are of
 
 
 class RigidBody(NamedTuple):
-    """N = 4 links, S stations; SI units."""
+    """N links, S stations; SI units."""
 
+    links: tuple[int, ...] | np.ndarray  # (N,), counts
+    joints: tuple[int, ...] | np.ndarray  # (N - 1,), counts
     hinge: np.ndarray  # (N,) x of the rear hinge, m
     mass: np.ndarray  # (N,) kg
     first: np.ndarray  # (N,) mass times x of its centre, kg m
@@ -49,7 +53,7 @@ def body_of(robot: Robot, water: dict, hull: HullConstants) -> RigidBody:
     fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])
     station, drag = np.zeros((n, STATIONS)), np.zeros((n, STATIONS))
     sway, wetted = np.zeros((n, 3)), np.zeros(n)
-    thin = 0.5 * rho * (water["viscosity"] / water["length"]) ** 0.2
+    thin = 0.5 * rho * (water["viscosity"] / round(robot.length, 6)) ** 0.2
     for i, link in enumerate(robot.links):
         lead = geometry.span[i, 1]
         s, weight = _gauss(0.0, link.length, STATIONS)
@@ -64,12 +68,14 @@ def body_of(robot: Robot, water: dict, hull: HullConstants) -> RigidBody:
         along = _section_coefficient(fronts[i] + s, fronts[-1], water) * rho * np.pi / 4 * h**2 * weight
         sway[i] = [np.sum(along * (lead - s) ** m) for m in range(3)]
         wetted[i] = thin * np.sum(2 * np.sqrt(2.0) * np.hypot(h / 2, w / 2) * np.pi / 2 * weight)
-    surge, spin = np.array(water["surge"], float), np.zeros(n)
+    surge, spin = np.array(water["surge"], float) * (geometry.displaced / alike(shipped_volume(), n)), np.zeros(n)
     mass, first, second = _rigid(geometry, hull)
     surge[0] += hull.surge
     sway[0, 0] += hull.sway
     spin[0] += hull.yaw
     return RigidBody(
+        links=counted(n, n == SHORT),
+        joints=counted(n - 1, n == SHORT),
         hinge=np.append(geometry.joint, 0.0),
         mass=mass,
         first=first,
@@ -100,6 +106,23 @@ def _rigid(geometry: Geometry, hull: HullConstants) -> tuple[np.ndarray, np.ndar
     return mass, first, second
 
 
+def counted(n: int, known: bool) -> tuple[int, ...] | np.ndarray:
+    """(n,) 0, 1, .. as a tuple, whose length the compiler knows, or as an array: one machine code for chains of any length."""
+    return tuple(range(n)) if known else np.arange(n)
+
+
+def alike(values, links: int) -> np.ndarray:
+    """(N,) of a chain of `links`: the value of the link in the same place of another chain, `values` from nose to tail."""
+    places = np.round(np.arange(links) * ((len(values) - 1) / (links - 1))).astype(int)
+    return np.asarray(values, float)[places]
+
+
+@cache
+def shipped_volume() -> tuple[float, ...]:
+    """What each link of the shipped fish displaces, kg."""
+    return tuple(geometry_of(load_robot(SHIPPED)).displaced.tolist())
+
+
 _legendre = cache(np.polynomial.legendre.leggauss)
 
 
@@ -117,5 +140,5 @@ def _outline(link, s: np.ndarray, geometry: Geometry) -> tuple[np.ndarray, np.nd
 
 def _section_coefficient(s: np.ndarray, length: float, water: dict) -> np.ndarray:
     """k(s) of the docstring; s from the nose."""
-    (middle, end), fall = water["sections"], water["end_length"]
+    (middle, end), fall = water["sections"], water["end_length"] * (round(length, 6) / water["length"])
     return middle - (middle - end) * (np.exp(-s / fall) + np.exp(-(length - s) / fall))

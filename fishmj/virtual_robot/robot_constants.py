@@ -7,13 +7,16 @@ from math import pi, radians, tan
 import numpy as np
 
 from fishmj.calib import read_toml, resolve
+from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot, Servo
 from fishmj.units import G
 from fishmj.virtual_robot import constants
-from fishmj.virtual_robot.rigid_body import RigidBody, body_of
+from fishmj.virtual_robot.rigid_body import RigidBody, alike, body_of
 
 CONSTANTS = "virtual_robot"
 ROUNDED = 1e-3  # relative
+LINKS = 2, 8  # fewest and most of a chain
+LATE = 0.01  # s of latency for a nuisance of 1: at 0.1 the millisecond that `calibrate latency` leaves open
 FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
 
 
@@ -23,7 +26,7 @@ class RobotConstants:
 
     robot: Robot
     sections: dict  # table [water] of the constants after the nuisance draw
-    placing: tuple[float, float]  # m, rad: how well the fish is put at its start
+    placing: constants.Placing
     air: np.ndarray  # (4,) thread: stiffness N/m, damping N s/m, twist N m/rad, twist damping N m s/rad
     hull: constants.HullConstants
     water: constants.WaterConstants
@@ -49,24 +52,47 @@ class RobotConstants:
 
     @property
     def zero(self) -> np.ndarray:
-        """Hinge angle at which each servo reads zero (3,), rad."""
-        return np.array([self.motor.zero1, self.motor.zero2, self.motor.zero3])
+        """Hinge angle at which each servo reads zero (J,), rad; joints beyond the third share its value."""
+        told = (self.motor.zero1, self.motor.zero2, self.motor.zero3)
+        return np.array([told[min(j, len(told) - 1)] for j in range(self.robot.n_joints)])
+
+
+def buildable(robot: Robot, whose: object = "") -> None:
+    """Raise ConfigError, with what would work, where the second robot has no equations for this one. whose: what the user called
+    it."""
+    few, most = LINKS
+    name, links = f"virtual robot: {str(whose or robot.name)[:80]}", len(robot.links)
+    if not few <= links <= most:
+        works = "fishmj calibrate, train and replay take any number of links"
+        raise ConfigError(f"{name} has {links} links; it is a chain of {few} to {most} ({works})")
+    servo, period = robot.servo, read_toml(resolve(CONSTANTS))["motor"]["period"]
+    stiff = servo.kp * period / (servo.kb + servo.kv)
+    if stiff > 1.0:
+        most_kp = (servo.kb + servo.kv) / period
+        loop = f"its firmware closes the loop every {1e3 * period:g} ms, which does not hold kp = {servo.kp:g} N m/rad"
+        raise ConfigError(
+            f"{name}: {loop} against a damping of {servo.kb + servo.kv:.3g} N m s/rad; kp up to {most_kp:.3g} works"
+        )
 
 
 def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.random.Generator | None = None) -> RobotConstants:
     """The robot without effects; `nuisance` is the half width of the relative draw of what nobody measured.
 
-    Water coefficients get all of it, friction all, servo gain and motor resistance a fifth.
+    Water coefficients, friction and the period of the firmware's loop get all of it, the firmware's gains and motor resistance a
+    fifth; the latencies of commands and camera `LATE` times it.
     """
     table = read_toml(resolve(CONSTANTS))
 
     def drawn(value, part=1.0):
         return value if rng is None else value * (1.0 + part * nuisance * rng.uniform(-1.0, 1.0))
 
+    def late():
+        return 0.0 if rng is None else LATE * nuisance * rng.uniform(-1.0, 1.0)
+
     wet = dict(table["water"])
     scale = drawn(1.0)
     wet["sections"] = [scale * k for k in wet["sections"]]
-    wet["surge"] = [drawn(1.0) * m for m in wet["surge"]]
+    wet["surge"] = [drawn(1.0) * m for m in alike(wet["surge"], len(robot.links)).tolist()]
     for key in ("drag_round", "drag_flat", "friction", "head_forward", "head_backward", "edge", "wagner_lengths"):
         wet[key] = drawn(wet[key])
     rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
@@ -88,7 +114,7 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     resistance, constant = electrical(servo)
     motor = constants.MotorConstants(
         gain=drawn(servo.kp, 0.2),
-        rate_gain=servo.kv,
+        rate_gain=servo.kv,  # the draws that came later stand last, so that a seed keeps those before
         torque=servo.torque,
         resistance=drawn(resistance, 0.2),
         constant=constant,
@@ -101,13 +127,14 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
         **{**raw, "dry": drawn(raw["dry"]), "viscous": drawn(raw["viscous"])},
     )
     latency = timing.command_latency - FIRMWARE_WAIT * motor.period
-    network = constants.Network(period=timing.bus_dt, latency=latency, **table["network"])
-    seen = {"latency": timing.camera_latency, "window": float(timing.velocity_window)}
-    air, placing = table["air"], table["placing"]
+    motor = motor._replace(period=drawn(motor.period), rate_gain=drawn(servo.kv, 0.2))
+    network = constants.Network(period=timing.bus_dt, latency=latency + late(), **table["network"])
+    seen = {"latency": max(timing.camera_latency + late(), 0.0), "window": float(timing.velocity_window)}
+    air = table["air"]
     return RobotConstants(
         robot=robot,
         sections=wet,
-        placing=(placing["position"], placing["heading"]),
+        placing=constants.Placing(**table["placing"]),
         air=np.array([robot.mass * G / air["thread"], air["damping"], air["twist"], air["twist_damping"]]),
         hull=constants.HullConstants(),
         water=water,

@@ -13,7 +13,7 @@ from math import exp
 
 from fishmj.virtual_robot.numba_entry import compiled
 
-SWEEPS = 12  # of the friction solver; three joints settle in a few
+SWEEPS = 4  # of the friction solver a joint; three joints settle in a few
 
 
 @compiled
@@ -41,14 +41,14 @@ def shaped(motor, s, j, command):
 
 
 @compiled
-def firmware(motor, odd, zero, s):
-    """One tick of all three servos: reads angles, writes s.aim and s.drive."""
+def firmware(body, motor, odd, zero, s):
+    """One tick of all servos: reads angles, writes s.aim and s.drive."""
     time = s.clock[0]
     if odd.reset > 0.0 and s.battery[1] > odd.reset_current and time > s.clock[2] + 1.0:
         s.clock[2] = time + odd.reset
     gain, rate_gain = motor.gain * (1.0 + motor.gain_error), motor.rate_gain * (1.0 + motor.gain_error)
     worn = exp(-motor.derating * time) if motor.derating > 0.0 else 1.0
-    for j in range(3):
+    for j in range(len(body.joints)):
         s.aim[j] = shaped(motor, s, j, s.goal[j])
         angle = s.z[3 + j] - s.z[2 + j] - zero[j]
         if odd.eccentric != 0.0:
@@ -68,10 +68,11 @@ def firmware(motor, odd, zero, s):
         if time < s.clock[2]:
             s.drive[j] = 0.0
     if odd.crosstalk != 0.0:
-        first, second, third = s.drive[0], s.drive[1], s.drive[2]
-        s.drive[0] += odd.crosstalk * second
-        s.drive[1] += odd.crosstalk * (first + third)
-        s.drive[2] += odd.crosstalk * second
+        last, before = len(body.joints) - 1, 0.0
+        for j in range(len(body.joints)):
+            mine, after = s.drive[j], s.drive[min(j + 1, last)] if j < last else 0.0
+            s.drive[j] += odd.crosstalk * (before + after)
+            before = mine
 
 
 @compiled
@@ -128,13 +129,13 @@ def friction_bound(motor, rate, torque):
 
 
 @compiled
-def stick_slip(w, mobility, bound, impulse):
-    """Friction impulses (3,) by projected Gauss-Seidel; w (3,) rates without friction, mobility (3, 3), bound (3,) N m s."""
-    for _ in range(SWEEPS):
+def stick_slip(w, mobility, bound, impulse, joints):
+    """Friction impulses (J,) by projected Gauss-Seidel; w (J,) rates without friction, mobility (J, J), bound (J,) N m s."""
+    for _ in range(SWEEPS * joints):
         moved = 0.0
-        for j in range(3):
+        for j in range(joints):
             rate = w[j]
-            for k in range(3):
+            for k in range(joints):
                 rate += mobility[j, k] * impulse[k]
             wanted = impulse[j] - rate / mobility[j, j]
             wanted = min(max(wanted, -bound[j]), bound[j])
@@ -145,10 +146,10 @@ def stick_slip(w, mobility, bound, impulse):
 
 
 @compiled
-def battery(motor, s, h):
+def battery(body, motor, s, h):
     """Terminal voltage and current of the common battery, one step on."""
     amps = motor.idle / motor.nominal_voltage
-    for j in range(3):
+    for j in range(len(body.joints)):
         amps += max(s.drive[j] / motor.torque * s.amps[j], 0.0)  # the bridge does not charge the battery
     s.battery[1] = amps
     s.battery[2] += amps * h

@@ -7,6 +7,7 @@ Nothing in a trial says what was planted. One seed is one robot (nuisance draw) 
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,15 +17,18 @@ from fishmj.excitation import Excitation
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import made_by
-from fishmj.virtual_robot import network, random_streams, sensors
+from fishmj.virtual_robot import network, random_streams
+from fishmj.virtual_robot import sensors as cameras
 from fishmj.virtual_robot.catalogue import CATALOGUE, ODDITIES, CatalogueEntry
 from fishmj.virtual_robot.loop import GUST
-from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
+from fishmj.virtual_robot.robot_constants import RobotConstants, buildable, nominal
 from fishmj.virtual_robot.simulate import Recording, at_rest, run
 
 EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")
 SENSORS = ("joint", "power", "pose")
+USUAL: Mapping[str, float] = MappingProxyType({})  # sensors of the constants' page
+NOMINAL: Mapping[str, np.ndarray] = MappingProxyType({})  # every sensor at its own period
 Effects = Mapping[str, Mapping[str, float]]
 
 
@@ -44,8 +48,7 @@ def plant(
     if not 0.0 <= nuisance < 1.0:
         raise ConfigError(f"virtual robot: nuisance = {nuisance}; a relative half width from 0 to below 1")
     described = load_robot(robot)
-    if len(described.links) != 4:
-        raise ConfigError(f"virtual robot: {described.name} has {len(described.links)} links; this one is built for 4")
+    buildable(described)
     made, (speed, direction) = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance")), flow
     fields = {"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)}
     for name, values in effects.items():
@@ -58,7 +61,7 @@ def plant(
 def generate(
     effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
     robot: "str | Robot" = "fish", medium: str = "water", *, flow: tuple[float, float] = (0.0, 0.0),
-    tick: Callable[[int], None] = lambda done: None,
+    sensors: Mapping[str, float] = USUAL, tick: Callable[[int], None] = lambda done: None,
 ) -> list[Trial]:  # fmt: skip
     """One trial an excitation, in order; a repeated one is a replicate with its own noise.
 
@@ -68,13 +71,14 @@ def generate(
         nuisance: relative half width of the draw of unmeasured constants.
         medium: "water", or "air": hung on a thread, no camera.
         flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
+        sensors: fields of network, camera and meter (constants.py) that are not the usual: {"camera.period": 1 / 30}.
         tick: is told how many trials are done.
     """
-    made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow)
+    made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow).with_fields(dict(sensors))
     trials: list[Trial] = []
     first: dict[str, str] = {}
     for index, item in enumerate(excitations):
-        what = excitation.get(item) if isinstance(item, str) else item
+        what = excitation.get(item, made.robot.n_joints) if isinstance(item, str) else item
         name = trial_name(index, what.id)
         trials.append(trial_of(made, what, seed, index, noise, name, first.get(what.id, ""), flow))
         first.setdefault(what.id, name)
@@ -89,6 +93,9 @@ def trial_name(index: int, excitation_id: str) -> str:
 
 def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
     """What really happens in trial `index`: place the fish, send the commands, move."""
+    if what.commands.shape[1] != made.robot.n_joints:
+        counts = f"{what.commands.shape[1]} joints, {made.robot.name} has {made.robot.n_joints}"
+        raise ConfigError(f"virtual robot: experiment {what.id!r} commands {counts}; take excitation.get(name, joints)")
     hand = random_streams.stream(seed, "placing", index).standard_normal(3) * noise
     start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
     state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
@@ -112,16 +119,16 @@ def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.n
 
 def trial_of(
     made: RobotConstants, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str,
-    flow: tuple[float, float],
+    flow: tuple[float, float], stamps: Mapping[str, np.ndarray] = NOMINAL,
 ) -> Trial:  # fmt: skip
-    """Move, then look through the sensors; the trial holds what a lab would have on disk."""
+    """Move, then look through the sensors; the trial holds what a lab would have on disk. stamps: as `sense`."""
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
     tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
     streams = {name: random_streams.stream(seed, name, index) for name in SENSORS}
-    tables |= sense(made, record, streams, (0.0, record.t[-1]), noise)
+    tables |= sense(made, record, streams, (0.0, record.t[-1]), noise, stamps)
     if "pose" in tables:
-        tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
+        tables["pose"] = cameras.on_its_clock(made.camera, cameras.track(made.camera, tables["pose"]))
     clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
     meta = {
         "schema": SCHEMA,
@@ -145,31 +152,41 @@ def trial_of(
     return Trial(meta, tables, name=name)
 
 
-def sense(made: RobotConstants, record: Recording, streams: dict, span: tuple[float, float], noise: float) -> dict[str, dict]:
-    """Tables joint, power and (in water) pose with the readings from span[0] to before span[1]."""
+def sense(
+    made: RobotConstants, record: Recording, streams: dict, span: tuple[float, float], noise: float,
+    stamps: Mapping[str, np.ndarray] = NOMINAL,
+) -> dict[str, dict]:  # fmt: skip
+    """Tables joint, power and (in water) pose with the readings from span[0] to before span[1].
 
-    def due(period: float) -> np.ndarray:
+    stamps: sensor -> times (K,) s at which it is read in the place of its own period.
+    """
+
+    def due(sensor: str, period: float) -> np.ndarray:
+        if sensor in stamps:
+            return stamps[sensor]
         return np.arange(np.ceil(span[0] / period - 1e-9), np.ceil(span[1] / period - 1e-9)) * period
 
     network_, camera, meter = made.network, made.camera, made.meter
     tables = {
-        "joint": network.telemetry(network_, made.zero, record, due(network_.period), streams["joint"], noise),
-        "power": sensors.metered(meter, record, due(meter.period), streams["power"], noise),
+        "joint": network.telemetry(network_, made.zero, record, due("joint", network_.period), streams["joint"], noise),
+        "power": cameras.metered(meter, record, due("power", meter.period), streams["power"], noise),
     }
     if made.water.active > 0.0:
-        tables["pose"] = sensors.watch(camera, made.odd, record, due(camera.period), streams["pose"], noise)
+        tables["pose"] = cameras.watch(camera, made.odd, record, due("pose", camera.period), streams["pose"], noise)
     return tables
 
 
 def sigmas(made: RobotConstants, noise: float) -> dict[str, float]:
-    """Standard deviation of each channel's noise, counts included, in its unit."""
+    """Standard deviation of each channel's noise, counts included, and of the hand that places the fish, in their units."""
     c, n, m = made.camera, made.network, made.meter
     joint = float(np.hypot(noise * n.angle_noise, n.angle_step / np.sqrt(12)))
     return {
         "x": noise * c.position_noise,
         "y": noise * c.position_noise,
         "yaw": noise * c.heading_noise,
-        **dict.fromkeys(("j1", "j2", "j3"), joint),
+        **{f"j{j + 1}": joint for j in range(made.robot.n_joints)},
         "V": noise * m.voltage_noise,
         "I": noise * m.current_noise,
+        "start": noise * made.placing.position,
+        "start_yaw": noise * made.placing.heading,
     }

@@ -71,7 +71,7 @@ def link_force(body, water, odd, s, i, u, v, r, bend, time, h):
         tangent -= (water.head_forward if u > 0.0 else water.head_backward) * abs(u) * u
         along, across, turn = whole_body(body, water, odd, u, v, r, bend)
         return tangent + along, normal + across, moment + turn
-    if i < 3:
+    if i < len(body.joints):
         return tangent, normal, moment
     edge = v + r * body.edge
     suction, side = trailing_edge(water, odd, s.wake, u, edge, h)
@@ -95,7 +95,7 @@ def link_force(body, water, odd, s, i, u, v, r, bend, time, h):
 def friction_speed(body, s, stream):
     """V^0.8 of every link's middle through the water that all links share; refreshed with the firmware tick."""
     ox, oy = s.rate[0] - stream[0], s.rate[1] - stream[1]
-    for i in range(4):
+    for i in range(len(body.links)):
         c, d, w = cos(s.z[2 + i]), sin(s.z[2 + i]), s.rate[2 + i]
         across = w * body.centre[i]
         vx, vy = ox - across * d, oy + across * c

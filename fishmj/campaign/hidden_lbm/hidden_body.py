@@ -29,7 +29,7 @@ from fishmj.virtual_robot.numba_entry import entry
 from fishmj.virtual_robot.rigid_body import body_of
 from fishmj.virtual_robot.robot_constants import RobotConstants, nominal
 from fishmj.virtual_robot.servo import battery, firmware, friction_bound, motor_torque, spring_torque
-from fishmj.virtual_robot.simulate import LOG, STILL, Recording, State, workspace
+from fishmj.virtual_robot.simulate import STILL, Recording, State, columns, workspace
 from fishmj.virtual_robot.water import friction_speed
 
 IMPULSE, SLOPE, END, FASTEST, TORQUE = range(5)  # columns of `law`
@@ -61,7 +61,7 @@ def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, reco
             nxt += 1
         blow(gust, tank, time, stream)
         if time >= s.clock[1] - 1e-9:
-            firmware(motor, odd, zero, s)
+            firmware(body, motor, odd, zero, s)
             friction_speed(body, s, stream)
             s.clock[1] += motor.period
         assemble(body, water, tank, odd, s, stream, A, f, H)
@@ -74,13 +74,13 @@ def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, reco
             push_joint(A, f, j, torque + sprung[j] - slow * rate, motor.armature + H * (damping + slow))
             law[j, TORQUE] = torque + sprung[j] - slow * rate
             law[j, END] = H * (damping + slow)
-        battery(motor, s, H)
-        write(record, step, s, zero)
-        factor(A)
+        battery(body, motor, s, H)
+        write(body, record, step, s)
+        factor(body, A)
         for a in range(6):
             f[a] *= H
-        solve(A, f)
-        rub(A, f, s, mobility, columns, bound, w)
+        solve(body, A, f)
+        rub(body, A, f, s, mobility, columns, bound, w)
         for j in range(3):
             change = f[3 + j] - f[2 + j]
             law[j, IMPULSE] += H * law[j, TORQUE] - law[j, END] * change + s.stuck[j]
@@ -164,7 +164,7 @@ class Electronics:
         self.made, self.state, self.queue, self.gust = made, state, queue, gust
         self.difference = HiddenDifference(made, gust)
         self.law, self.held = np.zeros((3, 5)), np.zeros(3, bool)
-        self.rows: list[np.ndarray] = []  # one array (n, LOG) a step
+        self.rows: list[np.ndarray] = []  # one array (n, 20) a step
         self._work, self._tick, self._next = workspace(), -1, 0.0
         self._kept: tuple[list[np.ndarray], int, float] = ([], 0, 0.0)
 
@@ -194,7 +194,7 @@ class Electronics:
 
     def _send_ahead(self, steps: int) -> None:
         made, q = self.made, self.queue
-        record = np.empty((steps, LOG))
+        record = np.empty((steps, len(columns(3))))
         first = int(np.searchsorted(q.times, self.state.clock[0] - H))
         given = (made.body, made.water, made.motor, made.tank, made.odd, made.zero, self.gust)
         ahead(*given, q.times[first:], q.commands[first:], self.state, record, self._work, self.law)

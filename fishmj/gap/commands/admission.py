@@ -1,7 +1,7 @@
 """What is asked of a model and of logs before a search: so that no name comes out of nothing, or of a mistake.
 
-searchable, null_fits   the search traces the model's links into one compiled step and repeats every record with `virtual_robot`;
-                        both are built for the planar fish of four links
+searchable, null_fits   the search traces the model's links into one compiled step and repeats every record with `virtual_robot`,
+                        which must have equations for it
 admitted                the trials that are the model's: what goes by another name may still be the same robot, which is the
                         user's to say
 insufficient_data       too few     one record cannot both fit and judge
@@ -34,18 +34,15 @@ from fishmj.gap.wording import title
 from fishmj.log import Trial
 from fishmj.log.dataset import Taken
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.virtual_robot.robot_constants import buildable
 from fishmj.water.choice import label, residual_of
 
-LINKS = 4
 SHIPPED = "fish"  # what the null sets swam as, which say a name only
-MEANWHILE = "what works meanwhile: fishmj calibrate, train and replay take any number of links"
 
 
 def searchable(robot: Robot, model: object) -> None:
     """Raise ConfigError when the search cannot take this robot. model: what the user called it."""
-    if len(robot.links) != LINKS:
-        has = f"{model} has {len(robot.links)} links"
-        raise ConfigError(f"the search so far takes fish of four links and three joints; {has} ({MEANWHILE})")
+    buildable(robot, model)
     if residual_of(robot) is not None:
         name = label(robot)
         raise ConfigError(

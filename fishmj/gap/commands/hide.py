@@ -32,6 +32,7 @@ from fishmj.virtual_robot.hidden_dataset import bounds, own_reference, placed, w
 from fishmj.virtual_robot.trials import trial_name
 from fishmj.virtual_robot.weighing import page as weighings
 
+RATES = {"joint": "network.period", "pose": "camera.period", "power": "meter.period"}
 GENERATORS = ("independent", "log", "lbm")
 SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command": ("pose", "joint", "power", "truth", "flow")}
 
@@ -43,7 +44,7 @@ def main(argv: list[str]) -> int:
     add("--out", type=console.out_folder, required=True, metavar="DATA", help="data set folder, new or empty")
     add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
     add("--from", dest="source", type=console.path, metavar="DATA", help="data set that --generator log works on (default none)")
-    robot = "--generator independent: the robot, of four links: name or TOML file (default fish)"
+    robot = "--generator independent: the robot: name or TOML file (default fish)"
     add("--model", type=console.text, default="fish", help=robot)
     add("--logs", type=console.whole(1, 1000), default=12, metavar="N", help="trials to make, 1 to 1000 (default 12)")
     shelf = "designed, casual, dry, all, or ids with commas (default designed)"
@@ -56,7 +57,10 @@ def main(argv: list[str]) -> int:
     add("--domain", choices=NAMES, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
     add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
     add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
-    drop = "--generator log: share of sensor rows that are lost, 0 to 0.9 (default 0)"
+    for sensor in RATES:
+        rate = f"--generator independent: rows a second of the {sensor} table, 1 to 1000 (default the robot's own)"
+        add(f"--{sensor}-rate", type=console.number(1, 1000), metavar="HZ", help=rate)
+    drop = "share of sensor rows that are lost, 0 to 0.9; not of lbm (default 0)"
     add("--drop", type=console.number(0, 0.9), default=0.0, metavar="SHARE", help=drop)
     where = "what was hidden; default DATA.truth.json, beside the data set"
     add("--truth", type=console.out_file, metavar="FILE", help=where)
@@ -69,6 +73,8 @@ def main(argv: list[str]) -> int:
         raise ConfigError(f"gap plant: --from is for --generator log, not {args.generator}")
     if args.generator == "log" and args.source is None:
         raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
+    if args.drop and args.generator == "lbm" or rates(args) and args.generator != "independent":
+        raise ConfigError(f"gap plant: --drop and the rates of sensors are not for --generator {args.generator}")
     if args.model != "fish" and args.generator != "independent":
         raise ConfigError(f"gap plant: --model is for --generator independent; {args.generator} has a robot of its own")
     admission.searchable(load_robot(args.model), args.model)
@@ -109,7 +115,16 @@ def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 
     runs = experiments(args)
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
-    return generate(hidden, runs, args.seed, args.noise, args.nuisance, args.model, tick=tick), facts
+    numbers = (args.seed, args.noise, args.nuisance)
+    trials = generate(hidden, runs, *numbers, args.model, sensors=rates(args), tick=tick)
+    rng = np.random.default_rng([args.seed, 18])
+    return [with_lost_rows(trial, args.drop, rng) for trial in trials], facts | {"drop": args.drop, "sensors": rates(args)}
+
+
+def rates(args) -> dict[str, float]:
+    """Periods [s] of the second robot's sensors that were asked for, by field."""
+    asked = {field: getattr(args, f"{sensor}_rate") for sensor, field in RATES.items()}
+    return {field: 1.0 / rate for field, rate in asked.items() if rate is not None}
 
 
 def limits(name: str, parameter) -> tuple[float, float]:
@@ -177,7 +192,7 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
                 f"effect {name!r} acts before the sensors: a log cannot show it afterwards; able: {', '.join(able)}"
             )
         effect = able[name]
-        active = EffectStack([effect], 3)
+        active = EffectStack([effect], 1)
         row = draw(active, 1, rng)[0] if not (colon or main) else np.array(active.null)
         split = [pair.partition("=") for pair in listed.split(",") if colon]
         pairs = [(effect.parameters[0].name, main)] if main else [(key.strip(), value) for key, _, value in split]
@@ -201,7 +216,7 @@ def afterwards(effect) -> bool:
 
 def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Trial:
     """One trial with the effects on it: values through `measure`, stamps of a late clock moved by its delay."""
-    active = EffectStack([effects.get(key) for key in hidden], 3)
+    active = EffectStack([effects.get(key) for key in hidden], admission.joints_of(trial))
     row = active.flat(hidden)
     tables = {key: dict(table) for key, table in trial.tables.items()}
     for sensor in ("pose", "joint", "power"):
@@ -212,11 +227,18 @@ def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Tria
             if sensor in tables:
                 t = np.asarray(tables[sensor]["t"], float)
                 tables[sensor]["t"] = t + active.delay(np, row, clock, t)
-    if drop:
-        for sensor in {"pose", "joint", "power"} & set(tables):
-            kept = rng.random(len(tables[sensor]["t"])) >= drop
-            tables[sensor] = {key: np.asarray(column)[kept] for key, column in tables[sensor].items()}
-    return Trial(trial.meta, tables, name=name, notes=trial.notes)
+    return with_lost_rows(Trial(trial.meta, tables, name=name, notes=trial.notes), drop, rng)
+
+
+def with_lost_rows(trial: Trial, drop: float, rng: np.random.Generator) -> Trial:
+    """The trial without a share of its sensors' rows."""
+    if not drop:
+        return trial
+    tables = dict(trial.tables)
+    for sensor in (name for name in RATES if name in tables):
+        kept = rng.random(len(tables[sensor]["t"])) >= drop
+        tables[sensor] = {key: np.asarray(column)[kept] for key, column in tables[sensor].items()}
+    return Trial(trial.meta, tables, name=trial.name, notes=trial.notes)
 
 
 def measured(active: EffectStack, row, sensor: str, table: dict) -> dict:

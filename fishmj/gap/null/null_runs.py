@@ -3,9 +3,9 @@
     residuals(model, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
 
 The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
-and timing, without the effects that it lists; constants drawn within their tolerance, one fish for all experiments of a set. What
-an experiment gives is kept on disk under the hash of all that made it, the code of simulator and model too (`digest`), so a
-standard experiment is run once a machine.
+and timing, without the effects that it lists; the sensors of the logs (log_sensors.py); constants drawn within their tolerance,
+one fish for all experiments of a set. What an experiment gives is kept on disk under the hash of all that made it, the code of
+simulator and model too (`digest`), so a standard experiment is run once a machine.
 
 `RecordedNull` takes runs that were swum elsewhere (data/gap/lbm/nulls: of the flow solver): nothing can be made on the spot, an
 experiment that the sets do not hold has no null.
@@ -27,6 +27,7 @@ import fishmj
 from fishmj.calib import resolve
 from fishmj.errors import LogError, SimDiverged, StoreError
 from fishmj.excitation import Excitation
+from fishmj.gap.null.log_sensors import log_sensors
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
 from fishmj.gap.watch import Bars, silent
@@ -42,7 +43,7 @@ RUNS = 96
 MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # that may be asked for
 FEWEST = 12  # fish of recorded runs
 ALIKE = 1e-3  # rad between two commands, m and rad between two starts
-SIMULATOR = "fishmj.virtual_robot.trials"
+SIMULATOR = ("fishmj.virtual_robot.trials", "fishmj.gap.null.log_sensors")
 SOURCES = Path(fishmj.__file__).resolve().parent
 
 
@@ -50,7 +51,8 @@ SOURCES = Path(fishmj.__file__).resolve().parent
 class SimulatedNull:
     """How null runs are drawn.
 
-    runs: of each experiment. nuisance: relative half width of the constants nobody measured. noise: factor on the sensors'.
+    runs: of each experiment. nuisance: relative half width of the constants nobody measured. noise: factor on the
+    sensors' where the logs do not state theirs, and on the radio's jitter.
     """
 
     runs: int = RUNS
@@ -120,14 +122,17 @@ class SimulatedNull:
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
         stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}
+        sensors = log_sensors(record, robot, self.noise)
         index = crc32(repr((what.id, what.start)).encode()) % 100_000  # noise of its own for each experiment
 
         def one(run: int) -> Record:
             for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
                 seed = SEED + self.seed * 100_000 + run + attempt * 10_000
-                made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium).with_fields(stream)
+                made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium).with_fields(
+                    stream | sensors.fields
+                )
                 try:
-                    return record_of(trial_of(made, what, seed, index, self.noise, what.id, "", flow), record.dt)
+                    return record_of(trial_of(made, what, seed, index, self.noise, what.id, "", flow, sensors.stamps), record.dt)
                 except SimDiverged as error:
                     last = error
             raise last
@@ -140,10 +145,10 @@ class SimulatedNull:
             return out
 
     def _key(self, model, record: Record, what: Excitation) -> str:
-        drawn = [self.runs, self.nuisance, self.noise, self.seed]
+        drawn = [self.runs, self.nuisance, self.noise, self.seed, log_sensors(record, model.robot, self.noise).key]
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
         swims = hashlib.sha256(repr(model.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
-        made = [digest(SIMULATOR), sha256(resolve("virtual_robot")), model_digest(model)]
+        made = [digest(*SIMULATOR), sha256(resolve("virtual_robot")), model_digest(model)]
         text = json.dumps([*made, swims, model.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 

@@ -9,6 +9,8 @@ position are whole free runs from the known start, so what accumulates is seen; 
 knows that late times are uncertain and that neighbouring values are not independent.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +56,7 @@ class Record(NamedTuple):
     joints: np.ndarray  # (J,) angles at t = 0, rad
     session: float  # s since the session began
     placed: Sensor | None = None  # x, y m, yaw rad that the camera shows of a fish that was put to rest at `place`
+    stated: Mapping[str, float] = MappingProxyType({})  # noise of each column as the log states it, in the column's unit
     weighed: Sensor | None = None  # kg, m, kg m2: mass, balance point, yaw inertia of the straight fish (mass_properties.py)
 
     @property
@@ -113,6 +116,7 @@ def record_of(trial: Trial, dt: float) -> Record:
         push=push,
         joints=_first(joint, c.shape[1], min(REST, still)),
         session=session,
+        stated=_stated(trial),
         placed=None if place is None or pose is None or push.any() else _placed(begins, place, pose.sigma),
     )
 
@@ -124,9 +128,7 @@ def _sensor(trial: Trial, table: str, begin: float, read, names) -> Sensor | Non
     values = np.asarray(read(rows), float)
     t = np.asarray(rows["t"], float) - begin
     keep = (t >= 0) & np.isfinite(values).all(1)
-    given = trial.value("sigma", {})
-    given = given if isinstance(given, dict) else {}
-    sigma = np.array([_number(given.get(n)) for n in names])
+    sigma = np.array([_stated(trial).get(n, np.nan) for n in names])
     return Sensor(t[keep], values[keep], sigma) if keep.any() else None
 
 
@@ -140,9 +142,11 @@ def _placed(begins: np.ndarray, place: np.ndarray, sigma: np.ndarray) -> Sensor:
     return Sensor(np.zeros(1), np.array([[*begins[:2], place[2] + turn]]), sigma)
 
 
-def _number(value) -> float:
-    """A noise that the log states; NaN where it is none."""
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < np.inf else np.nan
+def _stated(trial: Trial) -> dict[str, float]:
+    """Column -> noise that the log states; without those that are none."""
+    given = trial.value("sigma", {})
+    number = lambda v: isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v < np.inf
+    return {str(name): float(v) for name, v in given.items() if number(v)} if isinstance(given, dict) else {}
 
 
 def _power(rows) -> np.ndarray:

@@ -13,10 +13,11 @@ from fishmj import console, cost, interrupt
 from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError
 from fishmj.gap import watch
-from fishmj.gap.commands import gap_options
+from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
+from fishmj.mjcf.description import load_robot
 from fishmj.store import write_text
 from fishmj.studies.gap_benchmark import cases, logs, solver
 from fishmj.studies.gap_benchmark.rows import keep, kept
@@ -41,6 +42,7 @@ def main(argv: list[str]) -> int:
     hiding = "only cases in which one of these effects is hidden, of those dealt; the others stay as they are (default all)"
     add("--effects", type=_effects, default=None, metavar="NAME,..", help=hiding)
     add("--generator", choices=GENERATORS, default="second", help=f"{GENERATED} (default second)")
+    add("--model", type=console.text, default="fish", help="--generator second: the robot, name or TOML file (default fish)")
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
@@ -56,6 +58,11 @@ def main(argv: list[str]) -> int:
         raise ConfigError("gap bench: --effects goes with --generator second or lbm; from measured sets a term is deleted")
     if args.baselines and args.generator != "second":
         raise ConfigError("gap bench: --baselines are judged on --generator second only")
+    if args.model != "fish" and args.generator != "second":
+        raise ConfigError(f"gap bench: --model is for --generator second; {args.generator} has a robot of its own")
+    if args.model != "fish" and args.baselines:
+        raise ConfigError("gap bench: --baselines are judged on the shipped fish; leave --model out")
+    admission.searchable(load_robot(args.model), args.model)
     index, shards = args.shard
     jobs = args.jobs or usable_cores()
     agree(args, len(range(index, args.cases, shards)), jobs)
@@ -65,7 +72,8 @@ def main(argv: list[str]) -> int:
         dealt = f"{args.cases} cases of these kinds{' and effects' if args.effects else ''}"
         raise ConfigError(f"gap bench: no case is left: {dealt}, every {shards}th from {index}; take more --cases")
     if args.generator != "log":
-        compiled(fish() if args.generator == "second" else solver.plant(), console.say)  # once, before processes begin
+        # once, before processes begin
+        compiled(fish(args.model) if args.generator == "second" else solver.plant(), console.say)
     rows = judged(todo, args.out, ask, jobs)
     result = score(list(rows))
     if args.out:
@@ -132,7 +140,10 @@ def asked(args) -> tuple[list, Callable]:
     if args.generator == "lbm":
         return [one for one in solver.draw() if one.case.kind in kinds], partial(seen, solver.plant, args.weighed)
     drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
-    return [solver.Given(case, None, SimulatedNull(noise=case.noise)) for case in drawn], partial(seen, fish, args.weighed)
+    if args.model != "fish":  # rows of several models may lie in one folder
+        drawn = [case._replace(id=f"{Path(args.model).stem}-{case.id}") for case in drawn]
+    given = [solver.Given(case, None, SimulatedNull(noise=case.noise)) for case in drawn]
+    return given, partial(seen, partial(fish, args.model), args.weighed)
 
 
 def seen(plant: Callable, weighed: bool, one: solver.Given) -> dict:

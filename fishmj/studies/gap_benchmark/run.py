@@ -18,11 +18,11 @@ from fishmj.studies.gap_benchmark.cases import Case
 
 
 @cache
-def fish():
-    """The model of the second robot, made once a process."""
+def fish(model: str = "fish"):
+    """The model of the second robot, a name or a TOML file, made once a process."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    return SwimmingFish()
+    return SwimmingFish(model)
 
 
 def run(plant, case: Case, gates: Gates, null: SimulatedNull, trials: list[Trial] | None = None, weighed: bool = False) -> dict:
@@ -38,12 +38,12 @@ def run(plant, case: Case, gates: Gates, null: SimulatedNull, trials: list[Trial
     row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed}
     row |= {"noise": case.noise, "logs": len(case.logs), "weighed": weighed}
     try:
-        trials = trials or generate(case.effects, case.logs, case.seed, case.noise)
+        trials = trials or generate(case.effects, case.logs, case.seed, case.noise, robot=plant.robot)
         row["true_gap"], row["each_gap"] = sizes(true_gap, plant, case)
         row["beyond_gap"], row["each_beyond"] = sizes(beyond_gap, plant, case)
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
-    page = weighings(case.effects, case.seed) if weighed else None
+    page = weighings(case.effects, case.seed, robot=plant.robot) if weighed else None
     verdict = investigate(plant, trials, gates=gates, null=null, page=page, seed=case.seed).verdict
     row |= {"answer": verdict.answer, "said": [said(e) for e in verdict.effects], "rivals": [r["name"] for r in verdict.rivals]}
     row |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
@@ -75,10 +75,10 @@ def true_gap(plant, case: Case, hidden: dict) -> float:
         return 1.0
     sides = []
     for effects in (hidden, {}):
-        records = [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, 0.0)]
+        records = [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, 0.0, robot=plant.robot)]
         sides.append(records)
     noise = {}
-    for record in (record_of(t, plant.dt) for t in generate({}, case.logs[:1], case.seed, case.noise)):
+    for record in (record_of(t, plant.dt) for t in generate({}, case.logs[:1], case.seed, case.noise, robot=plant.robot)):
         noise = {s: getattr(record, s).sigma for s in ("joint", "pose", "power") if getattr(record, s) is not None}
     ratios = [r for a, b in zip(*sides, strict=True) for r in _ratios(a, b, noise)]
     return 1.0 + float(np.mean(ratios))
@@ -93,8 +93,11 @@ def beyond_gap(plant, case: Case, hidden: dict) -> float:
 
     if not hidden:
         return 1.0
-    with_, without = ([record_of(t, plant.dt) for t in generate(e, case.logs, case.seed, 0.0)] for e in (hidden, {}))
-    noisy = ResidualLayout([record_of(t, plant.dt) for t in generate({}, case.logs, case.seed, case.noise)])
+
+    def records(effects: dict, noise: float) -> list[Record]:
+        return [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, noise, robot=plant.robot)]
+
+    with_, without, noisy = records(hidden, 0.0), records({}, 0.0), ResidualLayout(records({}, case.noise))
     layout = ResidualLayout(without)
     _, tangents = residual_and_tangents(plant, without, layout, plant.null)
     means = [ResidualLayout(r).measured for r in (with_, without)]
