@@ -177,7 +177,7 @@ def test_a_hull_pushed_beyond_its_tolerance_is_told():
     """Constants of the water that the fit needs far from what is described mean another water."""
     at = {c.name: ParameterEstimate(c.name, "factor", 1.0, 0.9, 1.1, 0.05, "trials") for c in servo_fit.STAND_CONSTANTS[2:]}
     fit_with = lambda mass: LeastSquaresFit(
-        np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1
+        np.zeros(10), at | {"mass": at["mass"]._replace(value=mass)}, np.zeros(1), np.zeros(1), 1, {}
     )
     found = lambda mass: servo_fit.ServoFit(None, [], np.zeros(1), fit_with(mass), {})
     assert found(1.05).words == "" and "mass 1.38" in found(1.38).words

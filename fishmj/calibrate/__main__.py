@@ -1,4 +1,4 @@
-"""Calibrate a fish against its logs: servo, latency, slip, mass."""
+"""Calibrate a fish against its logs: servo, latency, slip, water, mass."""
 
 import argparse
 from functools import partial
@@ -14,7 +14,7 @@ RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 
 def fit(verb: str, argv: list[str]) -> int:
-    """One of the calibrations: servo, latency, slip, mass."""
+    """One of the calibrations: servo, latency, slip, water, mass."""
     from fishmj.calibrate.commands import VERBS
 
     again = interrupt.again("start again")
@@ -131,6 +131,11 @@ main = console.CommandGroup(
             partial(fit, "slip"),
             "swims at two beats and a coast-down; prints the profile over s",
             "fishmj calibrate slip --out fish.calibrated.toml",
+        ),
+        "water": Command(
+            partial(fit, "water"),
+            "free swims: gaits, turns, coasting; thrust, drag, added mass",
+            "fishmj calibrate water --data my_swims --out fish.calibrated.toml",
         ),
         "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
         "score": Command(

@@ -2,6 +2,7 @@
 
     servo     [servo] kp, kd, speed_no_load = torque / (kd - kv);  [[effect]] coulomb_friction;  [timing] command_latency
     latency   [timing] command_latency, camera_latency
+    water     [water] every coefficient, model = "structured"
     mass      [[link]] mass, com;  [body] mass_total;  [[effect]] yaw_inertia where its interval leaves out zero
     slip      [calibration.slip] only: the strip water has no slip ratio, the flow solver takes it as --slip
 
@@ -62,30 +63,39 @@ def write(
     return out
 
 
-def put(text: str, table: str, values: dict[str, float], name: str = "") -> str:
-    """Replace numbers of one table: `[servo]`, or the `[[link]]` block called `name`.
+def put(text: str, table: str, values: dict, name: str = "", *, new: bool = False) -> str:
+    """Replace numbers of one table: `[servo]`, or the `[[link]]` block called `name`. new: lines that are missing are added.
 
     Raises:
         ConfigError: no such table or key.
     """
     lines, inside, left = text.splitlines(), False, dict(values)
-    block = -1
+    block, last = -1, -1
     for i, line in enumerate(lines):
         head = line.split("#")[0].strip()
         if head.startswith("["):
             inside, block = head in (f"[{table}]", f"[[{table}]]"), i
         elif inside and name and re.fullmatch(r'name\s*=\s*"(.*)"', head):
             inside = head.split('"')[1] == name
+        last = i if inside and head else last
         match = re.match(r"(\w+)\s*=\s*(\[[^]]*\]|[^#\s]+)(.*)", line)
         if inside and block != i and match and match[1] in left:
             lines[i] = f"{match[1]} = {_number(match[2], left.pop(match[1]))}{match[3]}"
+    if new and left:
+        more = [f"{key} = {_number('', value)}" for key, value in left.items()]
+        lines, last = (lines, last) if last >= 0 else ([*lines, "", f"[{table}]"], len(lines) + 1)
+        return "\n".join([*lines[: last + 1], *more, *lines[last + 1 :]]) + "\n"
     if left:
         raise ConfigError(f"[{table}] {name}: no line for {', '.join(left)}; the fish file must have one to be replaced")
     return "\n".join(lines) + "\n"
 
 
-def _number(old: str, value: float) -> str:
-    """The new number; of a list, the first entry."""
+def _number(old: str, value: "float | list | str") -> str:
+    """The new number; of a list, the first entry; a list and a text whole."""
+    if isinstance(value, list):
+        return f"[{', '.join(f'{entry:.6g}' for entry in value)}]"
+    if isinstance(value, str):
+        return f'"{value}"'
     return re.sub(r"\[\s*[^,\]]+", f"[{value:.9g}", old, count=1) if old.startswith("[") else f"{value:.9g}"
 
 

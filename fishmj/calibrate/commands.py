@@ -1,4 +1,4 @@
-"""The four calibrations as the command line calls them: fit, tables, report, fish file. And how far off they are where the truth
+"""The five calibrations as the command line calls them: fit, tables, report, fish file. And how far off they are where the truth
 is known: the systematic part of every interval comes from there."""
 
 from pathlib import Path
@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from fishmj import console
-from fishmj.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip
+from fishmj.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip, water_fit
 from fishmj.calibrate.calibration_logs import Logs, read
 from fishmj.calibrate.least_squares import ParameterEstimate, widened
+from fishmj.calibrate.water_plant import WaterPlant
 from fishmj.errors import LogError
 from fishmj.gap.commands.admission import of_this_robot
 from fishmj.gap.models.swimming_fish import ServoStand
@@ -17,6 +18,7 @@ from fishmj.gap.records.records import record_of
 from fishmj.gap.watch import shown
 from fishmj.gap.workflow import compiled
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.choice import STRUCTURED
 
 Answer = dict[str, Any]
 Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval holds it]
@@ -180,6 +182,58 @@ def recomputed(args) -> Answer:
     return {"solver": entry}
 
 
+def run_water(args) -> Answer:
+    """Thrust, drag and added mass from free swims."""
+    robot = load_robot(args.model)
+    logs, plant = opened(args, robot), WaterPlant(robot)
+    names = water_fit.swims(logs)
+    compiled(plant, console.say)
+    found = water_fit.calibrate(logs, plant, bars=shown)
+    left, begin = found.speed_error, [swim.speed_error for swim in found.before]
+    words = (
+        f"on swims that the fit has not seen the speed is wrong by {100 * left.value:.1f} % in the mean and"
+        f" {100 * left.high:.1f} % at worst; as described by {100 * float(np.nanmean(begin)):.1f} % in the mean"
+    )
+    doubt = water_fit.loose_servo(plant, found.records, found.whole.theta)
+    earlier = {swim.trial: swim for swim in found.before}
+    swims = [
+        {
+            "trial": swim.trial,
+            "kind": swim.kind,
+            "speed [m/s]": swim.speed,
+            "as described": earlier[swim.trial].simulated,
+            "left out": swim.simulated,
+            "yaw rate [rad/s]": swim.yaw_rate,
+            "described": earlier[swim.trial].simulated_yaw_rate,
+            "unseen": swim.simulated_yaw_rate,
+            "place off [m]": swim.place,
+        }
+        for swim in sorted(found.after)
+    ]
+    turned = rows(found.whole.estimates)
+    console.say(*said(logs, f"{len(names)} of them are free swims"), console.table(swims), "", console.table(turned))
+    console.say("", console.table(rows(found.physical)), words, *([doubt] if doubt else []))
+    tables = {"What the body feels": rows(found.physical), "Swims left out": swims, "Coefficients": turned}
+    picture = fit_plots.draw_water(found, args.report / "water.png")
+    page = fit_plots.report(
+        args.report, "Water calibration", tables, picture, said(logs, f"{words}. {doubt}"), fit_plots.WATER_WORDS
+    )
+    if args.out:
+        text = calibrated_model.start(args.out, args.model)
+        text = calibrated_model.put(text, "water", found.water | {"model": STRUCTURED}, new=True)
+        calibrated_model.write(args.out, text, "water", found.physical | {"speed_error": left}, {}, args.data)
+    return {
+        "estimates": plain(found.physical),
+        "coefficients": plain(found.whole.estimates),
+        "speed_error": left._asdict(),
+        "swims": swims,
+        "words": words,
+        "doubt": doubt,
+        "report": page,
+        "skipped": logs.broken,
+    }
+
+
 def run_mass(args) -> Answer:
     """Masses, balance and yaw inertia from the page of weighings."""
     robot = load_robot(args.model)
@@ -204,7 +258,7 @@ def plain(estimates: dict[str, ParameterEstimate]) -> dict[str, dict]:
     return {name: e._asdict() for name, e in estimates.items()}
 
 
-VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "mass": run_mass}
+VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "water": run_water, "mass": run_mass}
 
 
 def default_report(verb: str) -> Path:

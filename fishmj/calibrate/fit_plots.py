@@ -1,6 +1,7 @@
 """Pictures and pages of a calibration.
 
 servo   the paper's overlay: desired, simulated and measured joint angles, one panel for each signal and medium
+water   speed and yaw rate of every swim, measured and simulated
 slip    each metric over the slip ratio, what was measured, and the profile J(s)
 """
 
@@ -12,6 +13,7 @@ from fishmj import pages
 from fishmj.calibrate.calibration_logs import MEDIA, SIGNALS, angles
 from fishmj.calibrate.servo_fit import ServoFit
 from fishmj.calibrate.slip import COAST, RISE, WINDOW, Profile, profile
+from fishmj.calibrate.water_fit import WaterFit
 from fishmj.errors import MissingExtra
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.store import write_text
@@ -26,6 +28,10 @@ APART = 0.09  # of the axis, between two of them
 TITLES = {"gait": "speed at 1 Hz [m/s]", "gait_slow": "speed at 0.5 Hz [m/s]", COAST: "coasting distance [m]"}
 STYLES = {"gait": "-", "gait_slow": "--", COAST: ":"}
 HIGHEST = 30.0  # J that is drawn
+WATER_WORDS = (
+    "Speed and yaw rate of every swim, measured and simulated: in the water as it was described (grey), and in the calibrated"
+    " water, each swim predicted by a fit to the other kinds (vermilion). On the dashed line both agree."
+)
 SLIP_WORDS = (
     "Metrics of the solver's fish over the slip ratio (vermilion), what was measured (blue), and J above its least:"
     " all together (black) and each metric alone, thrust left free within its tolerance. Grey: the 90 % interval."
@@ -108,6 +114,26 @@ def report(
     if picture is not None:
         sections.append(pages.Section("", "", [pages.figure(picture.read_bytes(), words)]))
     return write_text(folder / "report.html", pages.report(title, title, sections, notes=notes))
+
+
+def draw_water(found: WaterFit, path: Path) -> Path:
+    """Draw into a PNG. Raises MissingExtra without matplotlib."""
+    pyplot = pyplot_of("calibrate water --report")
+    figure, axes = pyplot.subplots(1, 2, figsize=(8.4, 3.9))
+    shown = (("as described", "#AAAAAA", found.before), ("calibrated, swim left out", SIMULATED, found.after))
+    for axis, quantity, unit in zip(axes, ("speed", "yaw_rate"), ("m/s", "rad/s"), strict=True):
+        made = "simulated" if quantity == "speed" else f"simulated_{quantity}"
+        for label, colour, swims in shown:
+            x, y = ([getattr(swim, key) for swim in swims] for key in (quantity, made))
+            axis.plot(x, y, "o", ms=5, color=colour, label=label)
+        ends = [f(*axis.get_xlim(), *axis.get_ylim()) for f in (min, max)]
+        axis.plot(ends, ends, color=DESIRED, lw=0.8, ls="--")
+        axis.set_xlabel(f"measured {quantity.replace('_', ' ')} [{unit}]")
+        axis.set_ylabel(f"simulated [{unit}]")
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].legend(frameon=False, fontsize=8)
+    figure.tight_layout()
+    return _saved(figure, path)
 
 
 def draw_slip(found: Profile, path: Path) -> Path:

@@ -40,11 +40,15 @@ class FreeParameter(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Where one channel of one trial lies in the residual."""
+    """Where one channel of one trial lies in the residual.
+
+    group: kind of trial, for the jackknife; its blocks share a weight. sigma: what the residual may be, where that is known.
+    """
 
     trial: str
     group: str
     where: slice
+    sigma: float | None = None
 
 
 class ParameterEstimate(NamedTuple):
@@ -59,14 +63,22 @@ class ParameterEstimate(NamedTuple):
     widest: str  # curvature, trials or signals; "model" where the systematic part is wider
 
 
+class Spread(NamedTuple):
+    """One way to tell how uncertain the parameters are: their covariance (K, K), and Student's quantile of a 90 % interval."""
+
+    covariance: np.ndarray
+    quantile: float
+
+
 class LeastSquaresFit(NamedTuple):
-    """theta (K,), its estimates, the residual (m,) there and at the start, both in units of the channels."""
+    """theta (K,), its estimates, the residual (m,) there and at the start, both in units of the channels; spreads by kind."""
 
     theta: np.ndarray
     estimates: dict[str, ParameterEstimate]
     before: np.ndarray
     after: np.ndarray
     rounds: int
+    spreads: dict[str, Spread]
 
 
 Residual = Callable[[np.ndarray], np.ndarray]  # (R, K) -> (R, m)
@@ -74,10 +86,14 @@ Tick = Callable[[float], None]  # share of a fit that is done, at the least
 
 
 def fit(
-    parameters: list[FreeParameter], residual: Residual, blocks: list[Block], tick: Tick = lambda share: None
+    parameters: list[FreeParameter],
+    residual: Residual,
+    blocks: list[Block],
+    tick: Tick = lambda share: None,
+    begin: np.ndarray | None = None,
 ) -> LeastSquaresFit:
-    """Fit `parameters` so that `residual` becomes small."""
-    theta = np.array([p.start for p in parameters])
+    """Fit `parameters` so that `residual` becomes small. begin: (K,) where to begin, by default at their `start`."""
+    theta = np.array([p.start for p in parameters]) if begin is None else np.array(begin)
     before, rounds = residual(theta[None])[0], 0
     weight = _weights(before, blocks)
     for done in range(PASSES):  # weighs by what the pass before could not fit
@@ -85,7 +101,24 @@ def fit(
         rounds, after = rounds + more, residual(theta[None])[0]
         weight = _weights(after, blocks)
     r, jac = _linear(parameters, residual, theta, weight)
-    return LeastSquaresFit(theta, _estimates(parameters, theta, r, jac, blocks), before, after, rounds)
+    spreads = _spreads(parameters, theta, r, jac, blocks)
+    return LeastSquaresFit(theta, _estimates(parameters, theta, spreads), before, after, rounds, spreads)
+
+
+def derived(found: LeastSquaresFit, name: str, unit: str, value: Callable[[np.ndarray], np.ndarray], steps) -> ParameterEstimate:
+    """A quantity that follows from the parameters, with the interval that their spreads give it to first order.
+
+    Args:
+        value: (R, K) parameter rows -> (R,). steps: (K,) for its slopes.
+    """
+    rows = np.tile(found.theta, (1 + len(found.theta), 1))
+    rows[1:] += np.diag(steps)
+    values = value(rows)
+    slope = (values[1:] - values[0]) / steps
+    sds = {kind: float(np.sqrt(slope @ spread.covariance @ slope)) for kind, spread in found.spreads.items()}
+    widest = max(sds, key=lambda kind: sds[kind] * found.spreads[kind].quantile)
+    half = sds[widest] * found.spreads[widest].quantile
+    return ParameterEstimate(name, unit, float(values[0]), float(values[0]) - half, float(values[0]) + half, sds[widest], widest)
 
 
 def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
@@ -98,7 +131,7 @@ def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
         square = np.mean([np.mean(r[b.where] ** 2) for b in members])
         tau = np.mean([correlation_length(r[b.where]) for b in members])
         for b in members:
-            out[b.where] = 1.0 / np.sqrt(square * tau + 1e-18)
+            out[b.where] = 1.0 / np.sqrt(square * tau + 1e-18) if b.sigma is None else 1.0 / b.sigma
     return out
 
 
@@ -148,30 +181,37 @@ def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight,
     return theta, ROUNDS
 
 
-def _estimates(parameters, theta, r, jac, blocks) -> dict[str, ParameterEstimate]:
+def _spreads(parameters, theta, r, jac, blocks) -> dict[str, Spread]:
+    """Curvature, and the jackknifes over what the blocks are of."""
     from scipy.stats import t as student
 
     step = np.array([p.step for p in parameters])
     curve = _prior(parameters, theta)[1]
     normal = jac.T @ jac + curve
     floor = 1e-9 * np.diag(np.diag(normal) + 1e-12)
-    found = {"curvature": (np.sqrt(np.diag(np.linalg.inv(normal + floor))), NORMAL)}
+    scaled = lambda covariance: covariance * np.outer(step, step)
+    found = {"curvature": Spread(scaled(np.linalg.inv(normal + floor)), NORMAL)}
     for kind, key in (("trials", lambda b: b.trial), ("signals", lambda b: b.group)):
         groups = sorted({key(b) for b in blocks})
         if len(groups) > 1:
-            found[kind] = (_jackknife(r, jac, blocks, curve, key, groups), float(student.ppf(0.95, len(groups) - 1)))
+            quantile = float(student.ppf(0.95, len(groups) - 1))
+            found[kind] = Spread(scaled(_jackknife(r, jac, blocks, curve, key, groups)), quantile)
+    return found
+
+
+def _estimates(parameters, theta, spreads: dict[str, Spread]) -> dict[str, ParameterEstimate]:
     out = {}
     for k, p in enumerate(parameters):
-        widest = max(found, key=lambda kind: found[kind][0][k] * found[kind][1])
-        sd, quantile = float(found[widest][0][k] * step[k]), found[widest][1]
-        value = float(theta[k])
+        sds = {kind: float(np.sqrt(spread.covariance[k, k])) for kind, spread in spreads.items()}
+        widest = max(sds, key=lambda kind: sds[kind] * spreads[kind].quantile)
+        sd, quantile, value = sds[widest], spreads[widest].quantile, float(theta[k])
         low, high = max(value - quantile * sd, p.low), min(value + quantile * sd, p.high)
         out[p.name] = ParameterEstimate(p.name, p.unit, value, low, high, sd, widest)
     return out
 
 
 def _jackknife(r, jac, blocks, curve, key, groups) -> np.ndarray:
-    """(K,) standard deviation per step size from leaving out one group after another."""
+    """(K, K) covariance per step size from leaving out one group after another."""
     normal, slope = jac.T @ jac + curve, jac.T @ r
     steps = []
     for group in groups:
@@ -182,9 +222,9 @@ def _jackknife(r, jac, blocks, curve, key, groups) -> np.ndarray:
         steps.append(
             -np.linalg.solve(rest + 1e-9 * np.diag(np.diag(normal) + 1e-12), push - slope * (len(groups) - 1) / len(groups))
         )
-    steps_ = np.array(steps)
+    off = np.array(steps) - np.mean(steps, 0)
     n = len(groups)
-    return np.sqrt((n - 1) / n * np.sum((steps_ - steps_.mean(0)) ** 2, 0))
+    return (n - 1) / n * off.T @ off
 
 
 def correlation_length(r: np.ndarray) -> float:

@@ -1,0 +1,181 @@
+"""The water of a fish from its free swims: what the body feels comes back, swims left out are predicted, doubt is said."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from fishmj import console, engines, excitation
+from fishmj.calibrate import __main__ as command
+from fishmj.calibrate import calibrated_model, water_fit
+from fishmj.calibrate.calibration_logs import Logs
+from fishmj.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, held_thrust, physical
+from fishmj.errors import LogError
+from fishmj.flow import Flow, stack
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.log import SCHEMA, Trial, numbered, write_trial
+from fishmj.mjcf.description import load_robot
+from fishmj.water.choice import in_water, label
+
+ROBOT = load_robot("fish")
+SWIMS = ("gait", "gait_slow", "gait_small", "turn_left", "turn_right", "tow_ahead", "tow_sideways")
+NOISE = {"pose": (0.0015, 0.0015, 0.004), "joint": 0.002}  # m, m, rad; rad
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return WaterPlant(ROBOT)
+
+
+def swum(robot, names, seed=0) -> dict[str, Trial]:
+    """Trials of a robot in its water, by an engine of this package, seen with noise. Synthetic."""
+    engine, rng, out = engines.make("compiled", robot), np.random.default_rng(seed), {}
+    for name in names:
+        run = excitation.get(name)
+        start, c, s = engines.at_rest(robot, np.array([run.start])), np.cos(run.start[2]), np.sin(run.start[2])
+        v, (u, w, r) = np.array(start.v, float), run.push
+        v[0, :3] = c * u - s * w, s * u + c * w, r
+        flow = stack([Flow()])
+        _, trace = engine.advance(
+            start._replace(v=v), run.commands[None], engines.nominal_params(robot, 1), flow, np.zeros(1, np.int32)
+        )
+        pose, joint = (np.asarray(a, float)[0] for a in (trace.pose, trace.joint))
+        pose, joint = np.concatenate([[run.start], pose]), np.concatenate([np.zeros((1, 3)), joint])
+        t = np.arange(len(pose)) * robot.timing.bus_dt
+        pose, joint = pose + rng.normal(0, NOISE["pose"], pose.shape), joint + rng.normal(0, NOISE["joint"], joint.shape)
+        seen = dict(zip(("t", "x", "y", "yaw"), (t + robot.timing.camera_latency, *pose.T), strict=True))
+        cmd = {"t": run.t, "seq": np.arange(len(run.t)), **numbered("c#", run.commands)}
+        meta = {"schema": SCHEMA, "origin": "synthetic", "source": "tests", "robot": robot.name, "medium": "water"}
+        meta |= {"excitation": name, "start": list(run.start), "push": list(run.push)}
+        out[name] = Trial(meta, {"cmd": cmd, "joint": {"t": t, **numbered("j#", joint)}, "pose": seen}, name=name)
+    return out
+
+
+def other_water():
+    """The shipped fish with more added mass, a rougher hull and a weaker edge."""
+    w = ROBOT.water
+    water = w | {"k": [1.1, 1.0, 1.0, 0.9], "cn": [1.5, 1.5, 1.5, 2.4], "cf": 0.02, "ca_forward": 0.55, "ke": 0.62}
+    return in_water(replace(ROBOT, water=water), "structured")
+
+
+def logs_of(trials) -> Logs:
+    return Logs(Path("made here"), trials)
+
+
+def test_as_described_it_is_the_fish_of_the_search(plant):
+    records = logs_of(swum(in_water(ROBOT, "structured"), ("gait", "tow_sideways"))).records(plant.dt)
+    whole = SwimmingFish(ROBOT)
+    for mine, theirs in zip(plant.predict(records, plant.null), whole.predict(records, whole.null), strict=True):
+        np.testing.assert_allclose(mine["pose"], theirs["pose"], atol=1e-9)
+
+
+def test_added_mass_and_drag_are_those_of_the_strips(plant):
+    strips, water, said = plant.chain.strips, plant.nominal.water, physical(plant.chain, plant.nominal)
+    assert said["sway_mass"] == pytest.approx(sum(k * mu[0] for k, mu in zip(water.k, strips.mu, strict=True)))
+    origins = np.cumsum([0.0, *plant.chain.d])
+    moments = [k * (m0 * x**2 + 2 * m1 * x + m2) for k, (m0, m1, m2), x in zip(water.k, strips.mu, origins, strict=True)]
+    assert said["yaw_mass"] == pytest.approx(sum(moments))
+    wetted = sum(sum(p) for p in strips.p)
+    assert said["drag"] == pytest.approx(
+        0.5 * 1000.0 * SPEED**2 * (water.cf * wetted + water.ca_forward * strips.frontal), rel=1e-3
+    )
+    still = water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)
+    assert held_thrust(plant.chain, plant.nominal._replace(water=still)) == 0.0
+    edge = held_thrust(plant.chain, plant.nominal._replace(water=still._replace(ke=0.5, lift_a=0.0, lift_b=0.0)))
+    assert 0.0 < edge < attached_edge(plant.chain, 0.5)
+    rows = water._replace(ke=np.array([0.5, 1.0]))
+    both = physical(plant.chain, plant.nominal._replace(water=rows))
+    assert both["thrust"].shape == (2,) and both["thrust"][0] == pytest.approx(said["thrust"])
+
+
+def attached_edge(chain, ke) -> float:
+    """N: what the trailing edge would pull, were the flow always attached; its velocity by differences of its place."""
+    t = np.arange(1.0, 2.0, 1e-4)
+    bends = np.radians(30) * np.sin(2 * np.pi * t[:, None] - np.radians(60) * np.arange(3))
+    heading = np.concatenate([np.zeros((len(t), 1)), np.cumsum(bends, 1)], 1)
+    along = np.exp(1j * heading) * [*chain.d, chain.strips.tail_x]  # each link's vector to its rear end
+    rate = np.gradient(along.sum(1), t)
+    across = np.imag(rate * np.exp(-1j * heading[:, -1]))
+    mass = ke * 1000.0 * np.pi / 4 * chain.strips.tail_h**2
+    return float(np.mean(0.5 * mass * across**2 * np.cos(heading[:, -1])))
+
+
+@pytest.mark.slow
+def test_another_water_of_the_same_form_comes_back(plant):
+    robot = other_water()
+    found = water_fit.calibrate(logs_of(swum(robot, SWIMS)), plant)
+    truth = physical(plant.chain, WaterPlant(robot).nominal)
+    for name in PHYSICAL:
+        e, true = found.physical[name], float(truth[name])
+        assert e.low <= true <= e.high and e.high - e.low < 0.6 * true, (name, true, e)
+    begin = np.nanmean([swim.speed_error for swim in found.before])
+    assert found.speed_error.value < 0.03 < 0.07 < begin
+    assert water_fit.loose_servo(plant, found.records, found.whole.theta) == ""
+    assert {swim.trial for swim in found.after} == set(SWIMS)
+
+
+@pytest.mark.slow
+def test_the_fitted_water_has_another_form_and_the_speed_is_mended_all_the_same(plant):
+    found = water_fit.calibrate(logs_of(swum(in_water(ROBOT, "swift"), (*SWIMS, "gait_fast"))), plant)
+    begin = np.nanmean([swim.speed_error for swim in found.before])
+    gaits = [swim.speed_error for swim in found.after if "gait" in swim.kind]
+    assert begin > 0.25 and np.mean(gaits) < 0.06 and found.speed_error.value < 0.4 * begin
+
+
+def test_repeats_of_a_kind_are_left_out_together():
+    names = ("a", "b", "c")
+    records = logs_of(swum(in_water(ROBOT, "structured"), ("gait_fast",))).records(0.004) * 3
+    records = [r._replace(name=f"{kind}{i}", excitation=kind) for kind in names for i, r in enumerate(records[:2])]
+    folds = water_fit.folded(records)
+    assert sorted(sum(folds, [])) == list(range(6)) and all(len({records[i].excitation for i in f}) == 1 for f in folds)
+
+
+def test_a_kind_that_cannot_be_fitted_weighs_less():
+    blocks = [water_fit.Block(k, k, slice(3 * i, 3 * i + 3), water_fit.MEAN) for i, k in enumerate("abc")]
+    sigmas = [b.sigma for b in water_fit.robust(blocks, np.repeat([0.5, 0.5, 5.0], 3))]
+    assert sigmas == pytest.approx([1.0, 1.0, 100.0])
+
+
+def test_pace_of_a_circle():
+    t = np.arange(0, 8, 0.02)
+    pose = np.stack([np.cos(0.3 * t), np.sin(0.3 * t), 0.3 * t + np.pi / 2], 1)
+    speed, turn = water_fit.pace(t, pose)
+    assert speed == pytest.approx(0.3, rel=0.005) and turn == pytest.approx(0.3, rel=1e-6)
+
+
+def test_too_few_swims_are_refused_with_what_to_record():
+    trials = swum(in_water(ROBOT, "structured"), ("gait", "gait_slow", "tow_ahead"))
+    with pytest.raises(LogError, match=r"got 3 swims of 3 kinds .*gait.*expected 4 or more of 3 kinds.*turns to both sides"):
+        water_fit.swims(logs_of(trials))
+    dry = {name: replace_meta(trial, medium="air") for name, trial in trials.items()}
+    with pytest.raises(LogError, match=r"got 0 swims of 0 kinds \(none\)"):
+        water_fit.swims(logs_of(dry))
+
+
+def replace_meta(trial: Trial, **more) -> Trial:
+    return Trial({**trial.meta, **more}, trial.tables, name=trial.name)
+
+
+def test_lines_of_a_table_are_replaced_or_added():
+    text = "[water]\nk = [1.0, 1.0]  # note\n\n[servo]\nkp = 3\n"
+    made = calibrated_model.put(text, "water", {"k": [0.5, 0.25], "suction": 0.5, "model": "structured"}, new=True)
+    assert made == '[water]\nk = [0.5, 0.25]  # note\nsuction = 0.5\nmodel = "structured"\n\n[servo]\nkp = 3\n'
+    assert calibrated_model.put("a = 1\n", "water", {"cf": 0.1}, new=True) == "a = 1\n\n[water]\ncf = 0.1\n"
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_fish_in_its_calibrated_water(tmp_path, capsys):
+    for name, trial in swum(other_water(), SWIMS[:5]).items():
+        write_trial(tmp_path / "swims" / name, trial)
+    out, argv = tmp_path / "mine.toml", ["water", "--data", str(tmp_path / "swims"), "--report", str(tmp_path / "report")]
+    assert console.run(command.main, [*argv, "--out", str(out), "--json"]) == console.OK
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    made = load_robot(out)
+    assert label(made) == "structured" and label(in_water(made)) == "structured"  # not the water fitted to the shipped fish
+    assert made.water["ke"] == pytest.approx(answer["coefficients"]["ke"]["value"], rel=1e-5)
+    assert "[calibration.water]" in out.read_text(encoding="utf-8") and answer["speed_error"]["value"] < 0.05
+    assert (tmp_path / "report" / "water.png").is_file() and "speed is wrong by" in answer["words"]
