@@ -82,7 +82,7 @@ class SimulatedNull:
         anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
         if not anew:
             return
-        scales_for(model, bars)
+        self.get_ready(model, bars)
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
 
@@ -90,6 +90,10 @@ class SimulatedNull:
                     bar.update(before + done)
 
                 self.experiment(model, record, tick)
+
+    def get_ready(self, model, bars: Bars) -> None:
+        """What all runs that are made anew want, under a bar of its own."""
+        scales_for(model, bars)
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
@@ -198,6 +202,9 @@ class RecordedNull(SimulatedNull):
         if len(found) < FEWEST:
             raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
         return found
+
+    def get_ready(self, model, bars: Bars) -> None:
+        """The runs are there."""
 
     def holds(self, excitation: str) -> bool:
         return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
