@@ -20,6 +20,7 @@ from fishmj.calibrate.calibration_logs import QUIET, Logs
 from fishmj.calibrate.least_squares import Block, LeastSquaresFit, ParameterEstimate, derived, fit
 from fishmj.calibrate.water_plant import PHYSICAL, WaterPlant, physical
 from fishmj.errors import LogError
+from fishmj.gap.records.movement import pace
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.gap.watch import Bars, silent
 from fishmj.hydro_fit.fit.tolerance import of_movement
@@ -29,7 +30,6 @@ RATE, MEAN = 4.0, 1.0  # tolerances that a rate, and a mean, may be off by
 FOLDS = 5
 FEWEST = 4  # swims: with fewer nothing can be left out
 KINDS = 3  # kinds of swim (`excitation`) at least, or one gait's thrust and drag stand in for each other
-LEAD, PACE = 2.0, 1.0  # s before a swim is judged, and between two places that its speed is taken from
 SLOW = 0.05  # m/s: below it a relative error of speed means nothing
 LOOSE = 0.03  # of an amplitude: a fish's speed goes with it
 FAR = 1e3  # tolerances of a fish that a coefficient too far has lost
@@ -230,14 +230,6 @@ def predicted(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> li
         place = float(np.hypot(*(made[-1] - seen[-1])[:2]))
         out.append(HeldOut(record.name, kind_of(record), speed, other, turn, other_turn, place))
     return out
-
-
-def pace(t: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
-    """Mean speed, m/s, from place to place a second apart, and mean yaw rate, rad/s, once the swim is under way."""
-    begin = min(LEAD, 0.5 * t[-1])
-    marks = np.arange(begin, t[-1] + 1e-9, min(PACE, 0.5 * (t[-1] - begin)))
-    x, y, yaw = (np.interp(marks, t, column) for column in pose.T)
-    return float(np.hypot(np.diff(x), np.diff(y)).sum() / np.ptp(marks)), float((yaw[-1] - yaw[0]) / np.ptp(marks))
 
 
 def loose_servo(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> str:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import pi, radians, tan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,7 +76,34 @@ def buildable(robot: Robot, whose: object = "") -> None:
         )
 
 
-def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.random.Generator | None = None) -> RobotConstants:
+class WaterScales(NamedTuple):
+    """Factors on the water of the constants' page: added mass, cross-flow drag, friction and form drag, momentum of the edge."""
+
+    mass: float = 1.0
+    cross: float = 1.0
+    drag: float = 1.0
+    edge: float = 1.0
+
+    def of(self, wet: dict) -> dict:
+        """The table [water] times them."""
+        out = dict(wet)
+        out["sections"] = [self.mass * k for k in wet["sections"]]
+        for keys, scale in ((CROSS, self.cross), (ALONG, self.drag), (("edge",), self.edge)):
+            out |= {key: scale * wet[key] for key in keys}
+        return out
+
+
+AS_IT_IS = WaterScales()
+CROSS, ALONG = ("drag_round", "drag_flat"), ("friction", "head_forward", "head_backward")
+
+
+def nominal(
+    robot: Robot,
+    medium: str = "water",
+    nuisance: float = 0.0,
+    rng: np.random.Generator | None = None,
+    scales: WaterScales = AS_IT_IS,
+) -> RobotConstants:
     """The robot without effects; `nuisance` is the half width of the relative draw of what nobody measured.
 
     Water coefficients, friction and the period of the firmware's loop get all of it, the firmware's gains and motor resistance a
@@ -89,7 +117,7 @@ def nominal(robot: Robot, medium: str = "water", nuisance: float = 0.0, rng: np.
     def late():
         return 0.0 if rng is None else LATE * nuisance * rng.uniform(-1.0, 1.0)
 
-    wet = dict(table["water"])
+    wet = dict(table["water"]) if scales == AS_IT_IS else scales.of(table["water"])
     scale = drawn(1.0)
     wet["sections"] = [scale * k for k in wet["sections"]]
     wet["surge"] = [drawn(1.0) * m for m in alike(wet["surge"], len(robot.links)).tolist()]

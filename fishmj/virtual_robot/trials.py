@@ -21,7 +21,7 @@ from fishmj.virtual_robot import network, random_streams
 from fishmj.virtual_robot import sensors as cameras
 from fishmj.virtual_robot.catalogue import CATALOGUE, ODDITIES, CatalogueEntry
 from fishmj.virtual_robot.loop import GUST
-from fishmj.virtual_robot.robot_constants import RobotConstants, buildable, nominal
+from fishmj.virtual_robot.robot_constants import AS_IT_IS, RobotConstants, WaterScales, buildable, nominal
 from fishmj.virtual_robot.simulate import Recording, at_rest, run
 
 EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
@@ -34,11 +34,11 @@ Effects = Mapping[str, Mapping[str, float]]
 
 def plant(
     effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water",
-    flow: tuple[float, float] = (0.0, 0.0),
+    flow: tuple[float, float] = (0.0, 0.0), scales: WaterScales = AS_IT_IS,
 ) -> RobotConstants:  # fmt: skip
     """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
 
-    flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
+    flow: speed [m/s] of the stream that was ordered and where it moves to [rad]. scales: of its water.
 
     Raises:
         UnknownName: an effect or parameter that does not exist. ConfigError: an impossible value, medium or robot.
@@ -49,7 +49,7 @@ def plant(
         raise ConfigError(f"virtual robot: nuisance = {nuisance}; a relative half width from 0 to below 1")
     described = load_robot(robot)
     buildable(described)
-    made, (speed, direction) = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance")), flow
+    made, (speed, direction) = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance"), scales), flow
     fields = {"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)}
     for name, values in effects.items():
         if name not in EFFECTS:

@@ -28,13 +28,13 @@ from fishmj.calib import resolve
 from fishmj.errors import LogError, SimDiverged, StoreError
 from fishmj.excitation import Excitation
 from fishmj.gap.null.log_sensors import log_sensors
+from fishmj.gap.null.matched_water import scales_for
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
 from fishmj.gap.watch import Bars, silent
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
 from fishmj.machine_code import cache_folder
-from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, sha256, write_npz
 
 Tick = Callable[[int], None]
@@ -43,7 +43,7 @@ RUNS = 96
 MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # that may be asked for
 FEWEST = 12  # fish of recorded runs
 ALIKE = 1e-3  # rad between two commands, m and rad between two starts
-SIMULATOR = ("fishmj.virtual_robot.trials", "fishmj.gap.null.log_sensors")
+SIMULATOR = ("fishmj.virtual_robot.trials", "fishmj.gap.null.log_sensors", "fishmj.gap.null.matched_water")
 SOURCES = Path(fishmj.__file__).resolve().parent
 
 
@@ -82,6 +82,7 @@ class SimulatedNull:
         anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
         if not anew:
             return
+        self.get_ready(model, bars)
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
 
@@ -89,6 +90,10 @@ class SimulatedNull:
                     bar.update(before + done)
 
                 self.experiment(model, record, tick)
+
+    def get_ready(self, model, bars: Bars) -> None:
+        """What all runs that are made anew want, under a bar of its own."""
+        scales_for(model, bars)
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
@@ -102,7 +107,7 @@ class SimulatedNull:
             return read_npz(path)
         except StoreError:
             pass
-        runs = self._run(model.robot, what, record, tick)
+        runs = self._run(model, what, record, tick)
         predictions = model.predict(runs, getattr(model, "nothing", model.null))  # the floor is that of no effect at all
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
@@ -116,19 +121,20 @@ class SimulatedNull:
         write_npz(path, made)
         return made
 
-    def _run(self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
-        """The experiment with every fish of the set: each is `robot` with constants of its own."""
+    def _run(self, model, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
+        """The experiment with every fish of the set: each is the model's robot with constants of its own."""
         from fishmj.virtual_robot.trials import plant, trial_of
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
         stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}
+        robot, scales = model.robot, scales_for(model)
         sensors = log_sensors(record, robot, self.noise)
         index = crc32(repr((what.id, what.start)).encode()) % 100_000  # noise of its own for each experiment
 
         def one(run: int) -> Record:
             for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
                 seed = SEED + self.seed * 100_000 + run + attempt * 10_000
-                made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium).with_fields(
+                made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium, scales=scales).with_fields(
                     stream | sensors.fields
                 )
                 try:
@@ -197,10 +203,13 @@ class RecordedNull(SimulatedNull):
             raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
         return found
 
+    def get_ready(self, model, bars: Bars) -> None:
+        """The runs are there."""
+
     def holds(self, excitation: str) -> bool:
         return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
 
-    def _run(self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
+    def _run(self, model, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
         """The experiment of every fish; noise and constants are what they were."""
         out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]
         if len(out) != len(self.bundles):

@@ -1,0 +1,72 @@
+"""The second robot's water, scaled until its fish swims as the questioned model's does.
+
+    s* = argmin sum_k ((v_k(s) - v_k) / tolerance)^2 + sum (ln s / WIDE)^2        v: speed and yaw rate of `SWIMS`
+
+A model whose water was calibrated (`fishmj calibrate water` states `[water] model = "structured"`) swims as the logged fish does,
+the second robot in its own water does not: a null that is wrong by tens of per cent in speed says nothing. Four scales leave the
+second robot its own equations; what the two then still differ by is what two forms of water differ by that both were calibrated
+to one fish. A description of literature values is left alone: the second robot's water is of that kind, too.
+"""
+
+from collections.abc import Callable
+from itertools import count
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from fishmj import excitation
+from fishmj.gap.records.movement import pace
+from fishmj.gap.records.records import record_of
+from fishmj.gap.watch import Bars, silent
+from fishmj.hydro_fit.fit.tolerance import of_movement
+from fishmj.mjcf.description import Robot
+from fishmj.virtual_robot.robot_constants import AS_IT_IS, WaterScales
+from fishmj.water.choice import STRUCTURED
+
+SWIMS = ("gait", "gait_slow", "gait_fast", "gait_small", "turn_left", "tow_ahead", "tow_sideways")
+WIDE = 0.7  # standard deviation of ln s before anything is seen (chosen: a factor of two)
+STEP, ROUNDS = 0.05, 8  # of ln s, for slopes; at most
+
+
+def scales_for(model, bars: Bars = silent) -> WaterScales:
+    """Of a questioned model, found once a process; those that change nothing where its water was never calibrated."""
+    key = repr(model.robot)
+    if model.robot.water.get("model") != STRUCTURED:
+        return AS_IT_IS
+    if key not in _known:
+        with bars(ROUNDS * (1 + len(AS_IT_IS)), "second robot's water", "swims") as bar:
+            _known[key] = matched(model, bar.update)
+    return _known[key]
+
+
+_known: dict[str, WaterScales] = {}
+
+
+def matched(model, tick: Callable[[int], None] = lambda done: None) -> WaterScales:
+    """The scales by which the second robot swims as the model without its listed effects. tick: sets of swims that are done."""
+    records, done = swum(model.robot, AS_IT_IS, model.dt), count(1)
+    shown = model.predict(records, getattr(model, "nothing", model.null))
+    wanted = [pace(r.pose.t, p["pose"][0]) for r, p in zip(records, shown, strict=True)]
+
+    def off(logs: np.ndarray) -> np.ndarray:
+        out = list(logs / WIDE)
+        for record, (speed, turn) in zip(swum(model.robot, WaterScales(*np.exp(logs)), model.dt), wanted, strict=True):
+            mine, tolerance = pace(record.pose.t, record.pose.values), of_movement(speed, 0.0, turn)
+            out += [(mine[0] - speed) / tolerance[0], (mine[1] - turn) / tolerance[1]]
+        tick(next(done))
+        return np.array(out)
+
+    found = least_squares(off, np.zeros(len(AS_IT_IS)), diff_step=STEP, x_scale=WIDE, max_nfev=ROUNDS)
+    return WaterScales(*np.exp(found.x).tolist())
+
+
+def swum(robot: Robot, scales: WaterScales, dt: float) -> list:
+    """Records of the second robot on `SWIMS`, without noise and with its nominal constants."""
+    from fishmj.virtual_robot.robot_constants import nominal
+    from fishmj.virtual_robot.trials import trial_of
+
+    made, out = nominal(robot, scales=scales), []
+    for name in SWIMS:
+        what = excitation.get(name, robot.n_joints)
+        out.append(record_of(trial_of(made, what, 0, 0, 0.0, name, "", (0.0, 0.0)), dt))
+    return out

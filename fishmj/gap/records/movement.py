@@ -1,0 +1,17 @@
+"""How fast a fish swims and turns, from what a camera saw of it."""
+
+import numpy as np
+
+LEAD, PACE = 2.0, 1.0  # s before a swim is judged, and between two places that its speed is taken from
+
+
+def pace(t: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
+    """Mean speed, m/s, from place to place a second apart, and mean yaw rate, rad/s, once the swim is under way.
+
+    Args:
+        t: (K,) s. pose: (K, 3) m, m, rad unwrapped.
+    """
+    begin = min(LEAD, 0.5 * t[-1])
+    marks = np.arange(begin, t[-1] + 1e-9, min(PACE, 0.5 * (t[-1] - begin)))
+    x, y, yaw = (np.interp(marks, t, column) for column in pose.T)
+    return float(np.hypot(np.diff(x), np.diff(y)).sum() / np.ptp(marks)), float((yaw[-1] - yaw[0]) / np.ptp(marks))
