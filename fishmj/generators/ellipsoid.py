@@ -8,9 +8,10 @@
     braked     each link at its middle: f_t = -(X + X_q |u|) u,  f_n = -Y |w| w - Y_l |u| w,  moment -N |r| r
                second-order modulus of underwater vehicles: Fossen 1994, ch. 2; Prestero 2001 (MIT); shares by side area
                Y_l: vortex lift of a slender hull at the base of the head, Hoerner and Borst 1975, ch. 19
-    fin        thin foil of finite span that becomes a plate:  C_L = (C_90 + (C_La - C_90) g) sin a cos a,
-               C_La = 2 pi A / (A + 2),  g = q^4 / (q^4 + sin^4 a),  C_D = C_0 + C_i + C_90 (1 - g) sin^2 a,
-               C_i = (C_La g sin a cos a)^2 / (pi e A); velocity and force at the quarter chord
+    fin        thin foil of finite span that becomes a plate:  C_L = C_La g sin a p + C_90 (1 - g) sin a cos a,
+               C_La = 2 pi A / (A + 2),  g = q^4 / (q^4 + sin^4 a),  C_D = C_0 + (C_La g sin a p)^2 / (pi e A) + C_90 (1 - g) sin^2 a,
+               p = (1 + cos a / sqrt(cos^2 a + sin^2 a / 9)) / 2 is 1 ahead, 0 astern, where the trailing edge leads (chosen form);
+               velocity and force at the quarter chord, lift along (V x t) x V
                Mason and Burdick 2000, ISER VI; Harper, Berkemeier and Grace 1998, IEEE J. Oceanic Eng. 23; Prandtl 1921
 
 Nothing is remembered. Lift is at a right angle to the quarter chord's motion and does no work; everything else takes energy.
@@ -43,7 +44,7 @@ COEFFICIENTS = {
         0.35, 0.20, "1", "on the head's frontal area, slender hulls 0.2 to 1 per rad (Hoerner and Borst 1975)"
     ),
     "lift_fin": Coefficient(0.95, 0.08, "1", "of the finite wing's slope"),
-    "stall": Coefficient(0.70, 0.08, "1", "q, sine of the angle at which half of the lift is lost; low aspect ratios 0.5 to 0.8"),
+    "stall": Coefficient(0.85, 0.06, "1", "q, sine of the angle at which half of the lift is lost; low aspect ratios stall late"),
     "broad_fin": Coefficient(1.60, 0.12, "1", "plate broadside 1.2 to 2 (Hoerner 1965)"),
 }
 FRICTION_FIN = 0.02  # C_0
@@ -164,10 +165,10 @@ def forces(law, motion, memory, h, force):
     speed = np.sqrt(u * u + w * w)
     if speed > 1e-9:
         sine = w / speed
-        both = sine * u / speed
         held = law.stall**4 / (sine * sine * sine * sine + law.stall**4)
-        lift = (law.broad + (law.slope - law.broad) * held) * both
-        drag = FRICTION_FIN + (law.slope * held * both) ** 2 * law.induced + law.broad * (1.0 - held) * sine * sine
+        foil = law.slope * held * sine * (0.5 + 0.5 * u / np.sqrt(u * u + w * w / 9.0))
+        lift = foil + law.broad * (1.0 - held) * sine * u / speed
+        drag = FRICTION_FIN + foil * foil * law.induced + law.broad * (1.0 - held) * sine * sine
         along, across = law.fin * speed * (lift * w - drag * u), law.fin * speed * (-lift * u - drag * w)
         f[0] += along
         f[1] += across

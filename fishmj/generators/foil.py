@@ -4,9 +4,11 @@
                form of Wang, Birch and Dickinson 2004, J. Exp. Biol. 207: C_L = 1.2 sin 2a, C_D = 1.4 - cos 2a, l = 1.2;
                l = 1 is a pressure at a right angle to the slice
     skin       c_f = F 0.455 / (log10 Re)^2.58      Prandtl and Schlichting 1932; F roughness, gaps and a beating body
-    fin        C_L = (1 - s) C_La sin a cos a + s 2 sin^2 a cos a,   C_D = 2 c_f + (1 - s) C_L^2 / (pi e A) + s 2 |sin a|^3
+    fin        C_L = (1 - s) C_La sin a q + s 2 sin^2 a cos a,   C_D = 2 c_f + ((1 - s) C_La sin a q)^2 / (pi e A) + s 2 |sin a|^3
                C_La = 2 pi A / (2 + sqrt(A^2 + 4))      Helmbold 1942, Ringbuch der Luftfahrttechnik; A aspect ratio
-               s = 1 / (1 + exp((a_s - a) / d)) separated share, Newtonian plate      Beard and McLain 2012, ch. 4
+               s = (1 - k) / (1 + exp((a_s - a) / d)) separated share, Newtonian plate      Beard and McLain 2012, ch. 4
+               k: what a beating fin keeps of its leading-edge vortex, and so of the suction, at any angle (Dickinson et al. 1999)
+               q = (1 + u / sqrt(u^2 + (w / 3)^2)) / 2 is 1 ahead, 0 astern, where the trailing edge leads (chosen form)
     lag        sin a of the lift is that of w_e = (1 - A1 - A2) w + A1 z1 + A2 z2,  z_k' = b_k (V / b) (w - z_k)
                w at 3/4 chord, b half a chord; A = 0.165, 0.335, b = 0.0455, 0.3      R. T. Jones 1940, NACA Report 681,
                for Wagner 1925; with a finite span b_k grows, (1 + 2/A), as the wake that matters is shorter (chosen form)
@@ -40,6 +42,7 @@ COEFFICIENTS = {
     "lift_fin": Coefficient(0.90, 0.08, "1", "of Helmbold's slope; the hull's wake slows the stream (chosen)"),
     "stall": Coefficient(0.61, 0.08, "rad", "wings of aspect ratio 1 stall at 30 to 45 deg (textbook)"),
     "stall_width": Coefficient(0.10, 0.20, "rad", "chosen"),
+    "vortex": Coefficient(0.35, 0.20, "1", "k; chosen"),
 }
 
 
@@ -61,6 +64,7 @@ class Law(NamedTuple):
     induced: float  # 1 / (pi e A)
     stall: float  # rad
     width: float  # rad
+    vortex: float
     memory: float  # factor on b_k
 
 
@@ -95,6 +99,7 @@ def build(robot: Robot, values) -> Water:
         induced=1.0 / (np.pi * OSWALD * aspect),
         stall=values["stall"],
         width=values["stall_width"],
+        vortex=values["vortex"],
         memory=1.0 + 2.0 / aspect,
     )
     return Water(swaying(stations, per_length), law, len(LAGS))
@@ -126,8 +131,9 @@ def wing(law, u, w, behind, memory, h):
         return 0.0, 0.0
     sine, cosine = late / np.sqrt(late * late + u * u + 1e-12), u / speed
     angle = np.arctan2(abs(late), abs(u))
-    apart = 1.0 / (1.0 + np.exp((law.stall - angle) / law.width))
-    attached = (1.0 - apart) * law.slope * sine * cosine
+    apart = (1.0 - law.vortex) / (1.0 + np.exp((law.stall - angle) / law.width))
+    ahead = 0.5 + 0.5 * u / np.sqrt(u * u + w * w / 9.0)
+    attached = (1.0 - apart) * law.slope * sine * ahead
     lift = attached + apart * 2.0 * abs(sine) * sine * cosine
     broad = abs(w) / speed
     drag = 2.0 * skin(law, speed) + attached * attached * law.induced + apart * 2.0 * broad * broad * broad

@@ -72,14 +72,18 @@ def generate(
 
 
 def commands_of(what: Excitation, joints: int) -> np.ndarray:
-    """(T, J) of an experiment for a fish of any number of joints: the same wave along the body, straight between joints."""
+    """(T, J) of an experiment for a fish of any number of joints.
+
+    Fewer joints do what the first of the experiment's do. More take the angle between those at the same place of the row, less by
+    the ratio of their numbers, so that the whole chain bends as far.
+    """
     given = np.asarray(what.commands, float)
-    if given.shape[1] == joints:
-        return given
-    places = np.linspace(0.0, given.shape[1] - 1.0, joints) if joints > 1 else np.array([given.shape[1] - 1.0])
-    low = np.minimum(places.astype(int), given.shape[1] - 2)
-    part = places - low
-    return (1.0 - part) * given[:, low] + part * given[:, low + 1]
+    known = given.shape[1]
+    if joints <= known:
+        return given[:, :joints]
+    places = np.linspace(0.0, known - 1.0, joints)
+    share = np.maximum(1.0 - np.abs(places - np.arange(known)[:, None]), 0.0)
+    return given @ share * (known / joints)
 
 
 def record(fish: Fish, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> Recording:
