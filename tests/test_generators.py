@@ -194,7 +194,7 @@ def test_chains_of_any_length_beat_their_tails(name, links):
     pose, joint, cmd = (trial.table(t) for t in ("pose", "joint", "cmd"))
     numbers = [str(j + 1) for j in range(links - 1)]
     assert set(joint) == {"t", *(f"j{k}" for k in numbers)} and set(cmd) == {"t", "seq", *(f"c{k}" for k in numbers)}
-    assert max(np.ptp(joint[f"j{k}"]) for k in numbers) > 0.5 and np.isfinite(pose["yaw"]).all()
+    assert max(np.ptp(joint[f"j{k}"]) for k in numbers) > 0.3 and np.isfinite(pose["yaw"]).all()
     if links > 2:  # a tail on one hinge hardly swims in two of these waters
         assert np.hypot(pose["x"][-1] - pose["x"][0], pose["y"][-1] - pose["y"][0]) > 0.02
 

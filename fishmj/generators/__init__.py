@@ -17,11 +17,11 @@ from fishmj.generators.families import NAMES
 
 if TYPE_CHECKING:
     from fishmj.generators.catalogue import hidden, parse
-    from fishmj.generators.detectable import detectable
+    from fishmj.generators.detectability import detectable
     from fishmj.generators.trials import generate
 
 __all__ = ["NAMES", "detectable", "generate", "hidden", "parse"]
-_WHERE = {"generate": "trials", "parse": "catalogue", "hidden": "catalogue", "detectable": "detectable"}
+_WHERE = {"generate": "trials", "parse": "catalogue", "hidden": "catalogue", "detectable": "detectability"}
 
 
 def __getattr__(name: str) -> Any:

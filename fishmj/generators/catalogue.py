@@ -42,7 +42,8 @@ class Hidden(NamedTuple):
             if p.shape or low * high <= 0.0:
                 out[p.name] = float(rng.uniform(*p.typical))
                 continue
-            size = float(np.exp(rng.uniform(np.log(abs(low)), np.log(abs(high))))) * strength * np.sign(high)
+            near, far = sorted((abs(low), abs(high)))
+            size = float(np.exp(rng.uniform(np.log(near), np.log(far)))) * strength * np.sign(high)
             side = -1.0 if p.signed and rng.random() < 0.5 else 1.0
             out[p.name] = float(np.clip(p.null + side * size, p.low, p.high))
         return out

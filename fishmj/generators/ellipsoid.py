@@ -9,10 +9,11 @@
                second-order modulus of underwater vehicles: Fossen 1994, ch. 2; Prestero 2001 (MIT); shares by side area
                Y_l: vortex lift of a slender hull at the base of the head, Hoerner and Borst 1975, ch. 19
     fin        thin foil of finite span that becomes a plate:  C_L = C_La g sin a p + C_90 (1 - g) sin a cos a,
-               C_La = 2 pi A / (A + 2),  g = q^4 / (q^4 + sin^4 a),  C_D = C_0 + (C_La g sin a p)^2 / (pi e A) + C_90 (1 - g) sin^2 a,
-               p = (1 + cos a / sqrt(cos^2 a + sin^2 a / 9)) / 2 is 1 ahead, 0 astern, where the trailing edge leads (chosen form);
+               C_D = C_0 + (C_La g sin a p)^2 / (pi e A) + C_90 (1 - g) sin^2 a,
+               C_La = 2 pi A / (A + 2), Prandtl 1921,  g = q^4 / (q^4 + sin^4 a),
+               p = (1 + u / sqrt(u^2 + (w / 3)^2)) / 2 is 1 ahead, 0 astern, where the trailing edge leads (chosen form);
                velocity and force at the quarter chord, lift along (V x t) x V
-               Mason and Burdick 2000, ISER VI; Harper, Berkemeier and Grace 1998, IEEE J. Oceanic Eng. 23; Prandtl 1921
+               Mason and Burdick 2000, ISER VI; Harper, Berkemeier and Grace 1998, IEEE J. Oceanic Eng. 23
 
 Nothing is remembered. Lift is at a right angle to the quarter chord's motion and does no work; everything else takes energy.
 """
