@@ -231,6 +231,8 @@ def test_what_does_not_exist_is_refused():
         generators.generate("bernoulli", {}, [SHORT], 0)
     with pytest.raises(UnknownName, match="crossflow_drag"):
         robot_of("foil", {"crossflow_drag": {"gain": 0.2}}, 0)
+    with pytest.raises(ConfigError, match="9 links; expected 2 to 8"):
+        robot_of("foil", {}, 0, robot=chain(9))
     with pytest.raises(ConfigError, match="nuisance"):
         robot_of("foil", {}, 0, nuisance=0.9)
 

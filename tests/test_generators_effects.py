@@ -10,9 +10,10 @@ from fishmj.cli import main
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.excitation import Excitation
 from fishmj.generators import catalogue
-from fishmj.generators.detectability import Seen, at, channels, shares, spreads
+from fishmj.generators.detectability import Seen, at, channels, shares, spreads, tolerance
 from fishmj.generators.sensors import sigmas
 from fishmj.generators.trials import robot_of
+from fishmj.mjcf.description import load_robot
 
 BEAT = Excitation(
     id="beat", start=(0.4, -0.3, 0.2), commands=excitation.get("turn_left").commands[:230], about="4.6 s of a turning beat"
@@ -160,6 +161,16 @@ def test_the_measure_grows_with_the_effect_and_ignores_the_noise_drawn():
     both = generators.detectable("morison", pair, runs, 3, healthy=3)
     assert both["each"]["command_latency"] == pytest.approx(measured[1]) and both["noise_only"] > both["all"] > 0
     assert generators.detectable("morison", {}, runs, 3)["all"] == 0.0
+
+
+def test_what_healthy_robots_differ_by_is_made_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
+    first = tolerance("foil", BEAT, load_robot(), 0.1, 3)
+    assert len(list((tmp_path / "generators").glob("*.npz"))) == 1 and [d.shape[1] for d in first] == [3, 3, 1]
+    monkeypatch.setattr("fishmj.generators.detectability.generate", None)
+    assert all(np.array_equal(a, b) for a, b in zip(first, tolerance("foil", BEAT, load_robot(), 0.1, 3), strict=True))
+    late = len(first[1]) // 2
+    assert first[1][late:].mean() > 10 * first[1][: late // 4].mean()  # paths of robots that differ drift apart
 
 
 def test_gap_plant_writes_a_set_and_its_truth(tmp_path, capsys):

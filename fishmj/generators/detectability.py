@@ -1,26 +1,35 @@
 """How much of what is hidden can be seen at all: computed by the generator, from robots of its own, never by a search.
 
     s   what the effect does to a sample: the same seed with and without it, without noise
-    n   the sensors' noise there; d  what healthy robots of the family differ by there: their deviation from the first of them
+    n   the sensors' noise there;  d  standard deviation of healthy robots of the family there
     mean over records and channels of  mean s^2 / (n^2 + d^2)
 
 Detectable is a mean square above 5 (`BOUND`). Beside it stands the measure without d, which the second robot's benchmark uses.
 """
 
+import hashlib
 from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
+from fishmj import excitation
+from fishmj.errors import StoreError
 from fishmj.excitation import Excitation
 from fishmj.generators.sensors import sigmas
 from fishmj.generators.trials import Effects, generate, robot_of
 from fishmj.log import Trial
-from fishmj.mjcf.description import Robot
+from fishmj.machine_code import cache_folder
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store import read_npz, write_npz
 
 BOUND = 5.0
-HEALTHY = 8  # robots of the family, beside the one in question
+HEALTHY = 8  # robots of the family
 FIRST = 700_000_000  # their seeds: beyond those that a benchmark draws
+TABLES = ("joint", "pose", "power")
 
 
 class Seen(NamedTuple):
@@ -42,19 +51,19 @@ def detectable(
     Raises:
         as `trials.generate`.
     """
-    runs = list(excitations)
     if not effects:
         return {"all": 0.0, "each": {}, "noise_only": 0.0, "each_noise_only": {}, "bound": BOUND, "healthy": 0}
+    runs = [excitation.get(item) if isinstance(item, str) else item for item in excitations]
+    described, fish = load_robot(robot), robot_of(family, {}, seed, nuisance=nuisance, robot=robot)
+    sigma = sigmas(fish, noise)
 
-    sigma = sigmas(robot_of(family, {}, seed, nuisance=nuisance, robot=robot), noise)
+    def seen(hidden: Effects) -> list[Seen]:
+        return [s for trial in generate(family, hidden, runs, seed, 0.0, nuisance, robot) for s in channels(trial, sigma)]
 
-    def seen(hidden: Effects, of: int) -> list[Seen]:
-        return [s for trial in generate(family, hidden, runs, of, 0.0, nuisance, robot) for s in channels(trial, sigma)]
-
-    plain, others = seen({}, seed), [seen({}, FIRST + k) for k in range(healthy)]
-    spread = [spreads([o[i] for o in others], plain[i]) for i in range(len(plain))]
-    alone = {name: {name: values} for name, values in effects.items()}
-    both = {name: shares(seen(h, seed), plain, spread) for name, h in {"": effects, **_several(alone)}.items()}
+    plain = seen({})
+    spread = [d for what in runs for d in tolerance(family, what, described, nuisance, healthy)]
+    parts = {name: {name: values} for name, values in effects.items()} if len(effects) > 1 else {}
+    both = {name: shares(seen(h), plain, spread) for name, h in {"": effects, **parts}.items()}
     each = {name: both.get(name, both[""]) for name in effects}
     return {
         "all": both[""][0],
@@ -66,9 +75,29 @@ def detectable(
     }
 
 
-def _several(alone: Mapping[str, Effects]) -> Mapping[str, Effects]:
-    """Of one effect alone, the whole says it already."""
-    return alone if len(alone) > 1 else {}
+def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, healthy: int = HEALTHY) -> list[np.ndarray]:
+    """Variance of healthy robots of a family in one experiment, (K, C) of joints, pose and power; kept on disk, made once."""
+    told = (family, robot, nuisance, healthy, FIRST, what.id, what.start, what.push, mujoco.__version__)
+    key = hashlib.sha256(repr(told).encode() + np.ascontiguousarray(what.commands).tobytes() + _sources()).hexdigest()[:32]
+    path = cache_folder() / "generators" / f"{key}.npz"
+    try:
+        kept = read_npz(path)
+        return [kept[name] for name in TABLES]
+    except StoreError:
+        pass
+    trials = [generate(family, {}, [what], FIRST + k, 0.0, nuisance, robot)[0] for k in range(healthy)]
+    seen = [channels(trial, trial.meta["sigma"]) for trial in trials]
+    made = {name: spreads([one[i] for one in seen], seen[0][i]) for i, name in enumerate(TABLES)}
+    write_npz(path, made)
+    return [made[name] for name in TABLES]
+
+
+@cache
+def _sources() -> bytes:
+    """Hash of the code that makes a healthy robot swim."""
+    here = Path(__file__).resolve().parent
+    files = [*sorted(here.glob("*.py")), *sorted((here.parent / "mjcf").glob("*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
 
 
 def channels(trial: Trial, sigma: Mapping[str, float]) -> list[Seen]:

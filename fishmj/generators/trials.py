@@ -20,6 +20,7 @@ from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.source import made_by
 
+LINKS = (2, 8)  # that a fish may have
 PLACED = (0.0015, 0.005)  # m, rad: how well the fish is put at its start (chosen)
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -31,12 +32,17 @@ def robot_of(
     """One robot with what is hidden in it. flow: speed [m/s] of the ordered stream and where it moves to [rad].
 
     Raises:
-        UnknownName: no such generator, effect or parameter. ConfigError: an impossible value, or a nuisance outside 0 to 0.5.
+        UnknownName: no such generator, effect or parameter. ConfigError: an impossible value, fewer than 2 or more than 8 links,
+            or a nuisance outside 0 to 0.5.
     """
     if not 0.0 <= nuisance <= 0.5:
         raise ConfigError(f"generator {family}: nuisance = {nuisance}; expected a relative half width from 0 to 0.5")
+    described = load_robot(robot)
+    if not LINKS[0] <= len(described.links) <= LINKS[1]:
+        has = f"{described.name} has {len(described.links)} links"
+        raise ConfigError(f"generator {family}: {has}; expected {LINKS[0]} to {LINKS[1]}")
     stream = (flow[0] * np.cos(flow[1]), flow[0] * np.sin(flow[1]))
-    fish = healthy(load_robot(robot), families.get(family), seed, nuisance, stream)
+    fish = healthy(described, families.get(family), seed, nuisance, stream)
     known = catalogue.hidden()
     for name, values in effects.items():
         if name not in known:
