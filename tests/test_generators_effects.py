@@ -12,8 +12,11 @@ from fishmj.excitation import Excitation
 from fishmj.generators import catalogue
 from fishmj.generators.detectability import Seen, at, channels, shares, spreads, tolerance
 from fishmj.generators.sensors import sigmas
+from fishmj.generators.swim import Run
 from fishmj.generators.trials import robot_of
+from fishmj.generators.weighing import weight
 from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.geometry import geometry_of
 
 BEAT = Excitation(
     id="beat", start=(0.4, -0.3, 0.2), commands=excitation.get("turn_left").commands[:230], about="4.6 s of a turning beat"
@@ -176,21 +179,47 @@ def test_what_healthy_robots_differ_by_is_made_once(tmp_path, monkeypatch):
 def test_gap_plant_writes_a_set_and_its_truth(tmp_path, capsys):
     out = tmp_path / "hidden"
     command = ["gap", "plant", "command_latency=0.04", "--generator", "ellipsoid", "--excitations", "tow_ahead", "--logs", "1"]
-    assert main([*command, "--seed", "3", "--out", str(out), "--json"]) == 0
+    assert main([*command, "--seed", "3", "--weigh", "--out", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     truth = json.loads((tmp_path / "hidden.truth.json").read_text())
     assert told["generator"] == truth["generator"] == "ellipsoid" and truth["origin"] == "synthetic"
     assert truth["effects"] == {"command_latency": {"delay": 0.04}} and truth["detectable"]["bound"] == 5.0
     from fishmj.log import read_trial
 
+    assert "fishmj.generators, ellipsoid" in (out / "measurements.toml").read_text()
     trial = read_trial(out / "01_tow_ahead")
     assert trial.meta["origin"] == "synthetic" and "latency" not in (out / "01_tow_ahead" / "meta.toml").read_text()
+
+
+@pytest.mark.parametrize("name", ["sloshing_ballast", "loose_tail", "com_offset", "yaw_inertia", "body_mass"])
+def test_a_weighing_says_what_the_robot_is(name):
+    """Total, balance point and inertia of the description, and what an effect of mass does to them."""
+    fish = load_robot()
+    plain, found = (weight(Run(robot_of("foil", hidden, 0))) for hidden in ({}, {name: values_of(name)}))
+    assert plain.links.sum() == pytest.approx(fish.mass) and plain.balance == pytest.approx(geometry_of(fish).reference)
+    more = {"body_mass": 0.3}.get(name, 0.0)
+    assert found.links.sum() == pytest.approx(fish.mass + more)
+    ahead = {"com_offset": 0.03 * fish.links[0].mass / fish.mass}.get(name, 0.0)
+    assert plain.balance - found.balance == pytest.approx(ahead, abs=1e-9)
+    turning = {"yaw_inertia": 0.008, "body_mass": plain.inertia * 0.3 / fish.mass}.get(name)
+    if turning is not None:
+        assert found.inertia - plain.inertia == pytest.approx(turning, rel=1e-6)
+
+
+def test_instruments_err_by_what_they_state_and_keep_their_seed():
+    pages = [generators.page("foil", {}, seed) for seed in range(30)]
+    assert pages[3] == generators.page("foil", {}, 3)
+    heads = np.array([p["scales"]["head"] for p in pages])
+    assert heads.mean() == pytest.approx(0.744, abs=0.0005) and 0.0004 < heads.std() < 0.0015
+    swings = np.array([p["pendulum"]["period"] for p in pages])
+    true = weight(Run(robot_of("foil", {}, 0)))
+    inertia = swings.mean() ** 2 * true.links.sum() * 9.81 * 0.25**2 / (16 * np.pi**2 * 1.0)
+    assert inertia == pytest.approx(true.inertia, rel=0.003)
 
 
 def test_gap_plant_refuses_what_a_generator_has_not(tmp_path, capsys):
     out = str(tmp_path / "x")
     assert main(["gap", "plant", "crossflow_drag=0.2", "--generator", "foil", "--out", out]) == 2
     assert "cannot hide crossflow_drag" in capsys.readouterr().err
-    assert main(["gap", "plant", "none", "--generator", "foil", "--weigh", "--out", out]) == 2
     assert main(["gap", "plant", "none", "--generator", "wing", "--out", out]) == 2
     assert "morison" in capsys.readouterr().err

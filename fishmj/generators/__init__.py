@@ -6,6 +6,7 @@
 
     generate("morison", effects, excitations, seed) -> [Trial]     trials in which effects are hidden
     parse(texts, seed, family) -> effects                          as `gap plant` is asked for them
+    page(family, effects, seed) -> dict                            what scales, knife edge and pendulum say of that robot
     detectable(family, effects, excitations, seed) -> dict         how much of it shows above noise and healthy robots
 
 The rigid bodies, joints, dry friction and actuators are MuJoCo's own. No fitter's room is imported. docs/methods/generators.md.
@@ -19,9 +20,10 @@ if TYPE_CHECKING:
     from fishmj.generators.catalogue import hidden, parse
     from fishmj.generators.detectability import detectable
     from fishmj.generators.trials import generate
+    from fishmj.generators.weighing import page
 
-__all__ = ["NAMES", "detectable", "generate", "hidden", "parse"]
-_WHERE = {"generate": "trials", "parse": "catalogue", "hidden": "catalogue", "detectable": "detectability"}
+__all__ = ["NAMES", "detectable", "generate", "hidden", "page", "parse"]
+_WHERE = {"generate": "trials", "parse": "catalogue", "hidden": "catalogue", "detectable": "detectability", "page": "weighing"}
 
 
 def __getattr__(name: str) -> Any:

@@ -37,13 +37,12 @@ def one_sided_sticking(fish: Fish, torque):
 
 def leaking_hull(fish: Fish, rate):
     """The head takes on water: mass and inertia grow from the start of each trial."""
-    head = fish.robot.links[0].name
 
     def fill(run, t):
-        body = run.model.body(head).id
-        own, inertia = fish.robot.links[0].mass + fish.mass[0], run.own.setdefault("inertia", run.model.body_inertia[body].copy())
-        grown = 1.0 + rate * t / own
-        run.model.body_mass[body], run.model.body_inertia[body] = own * grown, inertia * grown
+        head = run.model.body(fish.robot.links[0].name).id
+        mass, inertia = run.own.setdefault("head", (float(run.model.body_mass[head]), run.model.body_inertia[head].copy()))
+        grown = 1.0 + rate * t / mass
+        run.model.body_mass[head], run.model.body_inertia[head] = mass * grown, inertia * grown
 
     fish.each_step.append(fill)
 

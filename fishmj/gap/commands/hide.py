@@ -10,6 +10,7 @@ morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies a
     fishmj gap plant command_latency=0.04 --seed 7 --out planted
 """
 
+from functools import partial
 from itertools import count, cycle, islice
 
 import numpy as np
@@ -65,8 +66,8 @@ def main(argv: list[str]) -> int:
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
     gap_options.there(args.source)
-    if args.weigh and args.generator not in ("independent", "lbm"):
-        raise ConfigError(f"gap plant: --generator {args.generator} cannot --weigh; write measurements.toml into --out by hand")
+    if args.weigh and args.generator == "log":
+        raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
     if args.source is not None and args.generator != "log":
         raise ConfigError(f"gap plant: --from is for --generator log, not {args.generator}")
     if args.generator == "log" and args.source is None:
@@ -83,7 +84,8 @@ def main(argv: list[str]) -> int:
     with watch.shown(len(names), "trials", "trials") as bar:
         make = {"independent": independent, "log": logged, "lbm": solver}.get(args.generator, other_water)
         trials, facts = make(hidden, args, bar.update, given)
-    page = weighings(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
+    weigh = partial(generators.page, args.generator) if args.generator in generators.NAMES else weighings
+    page = weigh(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
     facts = {"generator": args.generator, "seed": args.seed, **facts}
     write_hidden(out, truth, trials, hidden, facts, args.overwrite, page)
     console.say(f"{len(trials)} trials in {out}; what is hidden in them is in {truth}")
