@@ -4,15 +4,18 @@ independent   the second, independently written robot (fishmj.virtual_robot) wit
 log           an existing data set (--from) with the effect put on afterwards: what sensors and clocks do, nothing else can be;
               also one of your own, module:EFFECT or file.py:EFFECT
 lbm           the flow solver's fish on the second robot's servos, network and camera
+morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies and servos (fishmj.generators); the truth also
+              says how much of it can be seen above noise and healthy robots
 
     fishmj gap plant command_latency=0.04 --seed 7 --out planted
 """
 
+from functools import partial
 from itertools import count, cycle, islice
 
 import numpy as np
 
-from fishmj import console, effects, excitation
+from fishmj import console, effects, excitation, generators
 from fishmj.effects import EffectStack
 from fishmj.effects.randomise import draw
 from fishmj.effects.sites import Measured
@@ -33,7 +36,7 @@ from fishmj.virtual_robot.trials import trial_name
 from fishmj.virtual_robot.weighing import page as weighings
 
 RATES = {"joint": "network.period", "pose": "camera.period", "power": "meter.period"}
-GENERATORS = ("independent", "log", "lbm")
+GENERATORS = ("independent", "log", "lbm", *generators.NAMES)
 SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command": ("pose", "joint", "power", "truth", "flow")}
 
 
@@ -44,7 +47,7 @@ def main(argv: list[str]) -> int:
     add("--out", type=console.out_folder, required=True, metavar="DATA", help="data set folder, new or empty")
     add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
     add("--from", dest="source", type=console.path, metavar="DATA", help="data set that --generator log works on (default none)")
-    robot = "--generator independent: the robot: name or TOML file (default fish)"
+    robot = "the robot, but for --generator log and lbm: name or TOML file (default fish)"
     add("--model", type=console.text, default="fish", help=robot)
     add("--logs", type=console.whole(1, 1000), default=12, metavar="N", help="trials to make, 1 to 1000 (default 12)")
     shelf = "designed, casual, dry, all, or ids with commas (default designed)"
@@ -73,20 +76,22 @@ def main(argv: list[str]) -> int:
         raise ConfigError(f"gap plant: --from is for --generator log, not {args.generator}")
     if args.generator == "log" and args.source is None:
         raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
-    if args.drop and args.generator == "lbm" or rates(args) and args.generator != "independent":
+    if args.drop and args.generator not in ("independent", "log") or rates(args) and args.generator != "independent":
         raise ConfigError(f"gap plant: --drop and the rates of sensors are not for --generator {args.generator}")
-    if args.model != "fish" and args.generator != "independent":
-        raise ConfigError(f"gap plant: --model is for --generator independent; {args.generator} has a robot of its own")
-    admission.searchable(load_robot(args.model), args.model)
+    if args.model != "fish" and args.generator in ("log", "lbm"):
+        raise ConfigError(f"gap plant: --model is not for --generator {args.generator}, which has a robot of its own")
+    if args.generator not in generators.NAMES:
+        admission.searchable(load_robot(args.model), args.model)
     given = datasets.readable_trials(args.source) if args.generator == "log" else None
     names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
     out, truth = placed(args.out, truth, names, args.overwrite)
     hidden = understood(args)
     with watch.shown(len(names), "trials", "trials") as bar:
-        make = {"independent": independent, "log": logged, "lbm": solver}[args.generator]
+        make = {"independent": independent, "log": logged, "lbm": solver}.get(args.generator, other_water)
         trials, facts = make(hidden, args, bar.update, given)
-    page = weighings(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
+    weigh = partial(generators.page, args.generator) if args.generator in generators.NAMES else weighings
+    page = weigh(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
     facts = {"generator": args.generator, "seed": args.seed, **facts}
     write_hidden(out, truth, trials, hidden, facts, args.overwrite, page)
     console.say(f"{len(trials)} trials in {out}; what is hidden in them is in {truth}")
@@ -106,6 +111,8 @@ def understood(args) -> dict[str, dict[str, float]]:
         raise ConfigError(f"gap plant: none beside {', '.join(texts)[:60]}; expected none alone, or effects")
     if args.generator == "log":
         return parse(texts, args.seed)
+    if args.generator in generators.NAMES:
+        return generators.parse(texts, args.seed, args.generator)
     return hidden_dataset.parse(texts, args.seed, limits)
 
 
@@ -157,6 +164,14 @@ def solver(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "domain": args.domain}
     done = count(1)
     return generate_lbm(hidden, runs, *numbers, tanks=args.tanks, say=lambda text: tick(next(done))), facts
+
+
+def other_water(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
+    """(trials, facts) of a robot in another form of water; the facts say how much of what is hidden can be seen."""
+    runs, numbers = experiments(args), (args.seed, args.noise, args.nuisance, args.model)
+    trials = generators.generate(args.generator, hidden, runs, *numbers, tick=tick)
+    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
+    return trials, facts | {"detectable": generators.detectable(args.generator, hidden, runs, *numbers)}
 
 
 def experiments(args) -> list[str]:

@@ -1,0 +1,42 @@
+"""What a form of water is to the rest of this room: coefficients with tolerances and sources, and a compiled force law."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.mjcf.description import Robot
+
+
+class Coefficient(NamedTuple):
+    """One number of a water. tolerance: relative half width within which healthy robots of the family differ."""
+
+    value: float
+    tolerance: float
+    unit: str
+    source: str
+
+
+class Water(NamedTuple):
+    """One robot's water. added: (N, 3, 3) at the links' origins; law: what the compiled function needs; memory: its states."""
+
+    added: np.ndarray
+    law: Any
+    memory: int
+
+
+class Family(NamedTuple):
+    """A generator. build(robot, values) -> Water; step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, sparse,
+    work) writes the water's generalised force and adds its mass to MuJoCo's."""
+
+    name: str
+    about: str
+    coefficients: Mapping[str, Coefficient]
+    build: Callable[[Robot, Mapping[str, float]], Water]
+    step: Callable
+
+
+def drawn(family: Family, nuisance: float, rng: np.random.Generator) -> dict[str, float]:
+    """The coefficients of one healthy robot. nuisance: 0.1 takes the tolerances as they are, 0 none."""
+    size = nuisance / 0.1
+    return {name: c.value * (1.0 + size * c.tolerance * rng.uniform(-1.0, 1.0)) for name, c in family.coefficients.items()}

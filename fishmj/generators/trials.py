@@ -1,0 +1,137 @@
+"""Trials of a generator's robot: trial folders as a lab's, labelled synthetic, with nothing in them that tells what is hidden.
+
+    from fishmj import generators
+    trials = generators.generate("morison", {"command_latency": {"delay": 0.04}}, ["gait", "chirp"], seed=7)
+
+One seed is one robot (its constants) and one noise, whatever is hidden and for however many experiments.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+
+from fishmj import excitation
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.excitation import Excitation
+from fishmj.generators import catalogue, families, random_numbers, sensors
+from fishmj.generators.fish import Fish, healthy
+from fishmj.generators.swim import STEP, Recording, swim
+from fishmj.log import SCHEMA, Trial, numbered
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.source import made_by
+
+LINKS = (2, 8)  # that a fish may have
+PLACED = (0.0015, 0.005)  # m, rad: how well the fish is put at its start (chosen)
+Effects = Mapping[str, Mapping[str, float]]
+
+
+def robot_of(
+    family: str, effects: Effects, seed: int, *, nuisance: float = 0.1, robot: "str | Robot" = "fish",
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> Fish:  # fmt: skip
+    """One robot with what is hidden in it. flow: speed [m/s] of the ordered stream and where it moves to [rad].
+
+    Raises:
+        UnknownName: no such generator, effect or parameter. ConfigError: an impossible value, fewer than 2 or more than 8 links,
+            or a nuisance outside 0 to 0.5.
+    """
+    if not 0.0 <= nuisance <= 0.5:
+        raise ConfigError(f"generator {family}: nuisance = {nuisance}; expected a relative half width from 0 to 0.5")
+    described = load_robot(robot)
+    if not LINKS[0] <= len(described.links) <= LINKS[1]:
+        has = f"{described.name} has {len(described.links)} links"
+        raise ConfigError(f"generator {family}: {has}; expected {LINKS[0]} to {LINKS[1]}")
+    stream = (flow[0] * np.cos(flow[1]), flow[0] * np.sin(flow[1]))
+    fish = healthy(described, families.get(family), seed, nuisance, stream)
+    known = catalogue.hidden()
+    for name, values in effects.items():
+        if name not in known:
+            raise UnknownName(f"effect of generator {family}", name, known)
+        known[name].put(fish, values)
+    return fish
+
+
+def generate(
+    family: str, effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
+    robot: "str | Robot" = "fish", *, flow: tuple[float, float] = (0.0, 0.0), tick: Callable[[int], None] = lambda done: None,
+) -> list[Trial]:  # fmt: skip
+    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+
+    Args:
+        family: a name of `families`. effects: {name: {parameter: value}}, SI; {} hides nothing.
+        noise: factor on every sensor's noise and on how badly the fish is placed; 0 leaves counts and latencies.
+        nuisance: relative half width of unmeasured constants; 0.1 takes each one's own tolerance.
+        tick: is told how many trials are done.
+    Raises:
+        as `robot_of`. SimDiverged: the robot left the finite numbers.
+    """
+    fish = robot_of(family, effects, seed, nuisance=nuisance, robot=robot, flow=flow)
+    trials: list[Trial] = []
+    first: dict[str, str] = {}
+    for index, item in enumerate(excitations):
+        what = excitation.get(item) if isinstance(item, str) else item
+        name = f"{index + 1:02d}_{what.id}"
+        trials.append(trial_of(fish, what, seed, index, noise, name, first.get(what.id, ""), flow))
+        first.setdefault(what.id, name)
+        tick(len(trials))
+    return trials
+
+
+def commands_of(what: Excitation, joints: int) -> np.ndarray:
+    """(T, J) of an experiment for a fish of any number of joints.
+
+    Fewer joints do what the first of the experiment's do. More take the angle between those at the same place of the row, less by
+    the ratio of their numbers, so that the whole chain bends as far.
+    """
+    given = np.asarray(what.commands, float)
+    known = given.shape[1]
+    if joints <= known:
+        return given[:, :joints]
+    places = np.linspace(0.0, known - 1.0, joints)
+    share = np.maximum(1.0 - np.abs(places - np.arange(known)[:, None]), 0.0)
+    return given @ share * (known / joints)
+
+
+def record(fish: Fish, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> Recording:
+    """What really happens in trial `index`."""
+    commands = commands_of(what, fish.joints)
+    hand = noise * random_numbers.stream(seed, "placing", index).standard_normal(3)
+    start = np.array(what.start) + hand * np.array([PLACED[0], PLACED[0], PLACED[1]])
+    radio = random_numbers.stream(seed, "radio", index)
+    times, rows = sensors.arrivals(fish.network, what.t, radio, noise)
+    return swim(fish, times, commands[rows], what.seconds, start, what.push, commands[0], step=step)
+
+
+def trial_of(
+    fish: Fish, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str = "",
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> Trial:  # fmt: skip
+    """Swim, then look through the sensors."""
+    motion, draw = record(fish, what, seed, index, noise), lambda purpose: random_numbers.stream(seed, purpose, index)
+    commands = commands_of(what, fish.joints)
+    tables = {
+        "cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", commands)},
+        "joint": sensors.joints(fish, motion, draw("joint"), noise),
+        "power": sensors.power(fish.meter, motion, draw("power"), noise),
+        "pose": sensors.poses(fish, motion, draw("camera"), noise),
+    }
+    meta = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": fish.robot.name,
+        "medium": "water",
+        "water": f"generator {fish.family.name}",
+        "flow": {"speed": float(flow[0]), "direction": float(flow[1]), "known": True},
+        "excitation": what.id,
+        "replicate_of": replicate_of,
+        "start": list(map(float, what.start)),
+        "push": list(map(float, what.push)),
+        "sigma": sensors.sigmas(fish, noise),
+        "clock": {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, received", "power": "host, reading"},
+        "controller": "open loop",
+        **made_by("mujoco"),
+        "source": f"fishmj.generators, {fish.family.name}",
+        "licence": "Apache-2.0",
+        "notes": "simulated by a generator with another form of water; what is hidden in it is kept elsewhere",
+    }
+    return Trial(meta, tables, name=name)
