@@ -257,8 +257,9 @@ def told(study: Study, v: Verdict) -> str:
 
 def solved(
     study: Study, say=lambda text: None, most: int | None = None, bars: Bars = silent
-) -> tuple[str, dict[str, Any], Outcome, Verdict]:
+) -> tuple[str, dict[str, Any], Study, Outcome, Verdict]:
     """Search, decide, report: the words, the figures, and what they come from."""
     found = investigate(study, most=most or study.rounds, say=say, bars=bars)
+    study = study.settled(found.rows[-1])
     verdict = answer(study, found)
-    return text(study, found, verdict), report(study, found, verdict), found, verdict
+    return text(study, found, verdict), report(study, found, verdict), study, found, verdict

@@ -91,8 +91,7 @@ def changed(study: StudyInput, args) -> StudyInput:
 
 def run(study: StudyInput, out: Path | None = None) -> tuple[str, dict, int]:
     """(words, figures, exit code) of a study and its variants; the report's files where `out` is given."""
-    ready = built(study)
-    words, figures, found, verdict = solved(ready, console.say, bars=watch.shown)
+    words, figures, ready, found, verdict = solved(built(study), console.say, bars=watch.shown)
     lines = [words]
     figures["study"] = study.where if study.folder != SHIPPED else study.given.name
     others = variants(study)
@@ -114,6 +113,7 @@ def variant(given: StudyInput) -> tuple[dict, str]:
     """(figures, a line) of one round of a variant."""
     other = built(given)
     found = investigate(other, most=1, bars=watch.shown)
+    other = other.settled(found.rows[-1])
     first = found.rounds[0]
     best = first.fitted.names[-1]
     kept = found.kept_aside or tuple(float(x) for x in found.unseen.mean(0))

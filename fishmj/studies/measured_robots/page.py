@@ -96,8 +96,8 @@ def candidates(study: Study, r: Round) -> Section:
         rows.append(row | {"best in folds": str(r.best.count(other)), "p of the best against it": against})
     taken = "taken into the model" if r.accepted else "not taken"
     about = (
-        f"{title(name)[:1].upper()}{title(name)[1:]} was {taken}: P(useful) = {r.useful:.2f} by the bootstrap over groups (0.95 is"
-        f" needed), exact p = {r.p_exact:.2g} ({LEVEL:g} is needed). Cost: |z|^2 left out, of the model before."
+        f"{title(name)[:1].upper()}{title(name)[1:]} was {taken}: P(useful) = {r.useful:.2f} by the bootstrap over groups (0.95"
+        f" is needed), exact p = {r.p_exact:.2g} ({LEVEL:g} is needed). Cost: |z|^2 left out, of the model before."
         " p: exact test over the groups; in brackets how many are better with the best than with this one."
     )
     return Section(f"Candidates: {title(name)}", about, [table(rows)])

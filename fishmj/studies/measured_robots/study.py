@@ -10,7 +10,7 @@ Constants of the baseline are fitted with every candidate anew: what a constant 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,8 @@ class Study:
     learn, aside: records; `aside` ones take no part but in the last figure. fold: (L,) of each record of `learn`.
     error(records, row): mean square over everything that was measured; said as its root times `factor` in `unit`, or as it is
     where `unit` is "". floor: the mean square below which nothing can be seen, and `floor_of` what says so; replicates: whether
-    it is what repeats differ by, else a sensor's noise. origin: measured or synthetic. rounds: effects to add at most.
+    it is what repeats differ by, else a sensor's noise. origin: measured or synthetic. rounds: effects to add at most. floor_at:
+    the floor and its words of another parameter row than the nominal one, where it depends on it.
     """
 
     name: str
@@ -54,6 +55,14 @@ class Study:
     replicates: bool = True
     origin: str = "measured"
     rounds: int = 2
+    floor_at: Callable[[np.ndarray], tuple[float, str]] | None = None
+
+    def settled(self, row: np.ndarray) -> "Study":
+        """The study with the floor of the model that a parameter row is: how far noise at a start goes is up to the model."""
+        if self.floor_at is None:
+            return self
+        floor, of = self.floor_at(row)
+        return replace(self, floor=floor, floor_of=of)
 
     @property
     def groups(self) -> list[str]:

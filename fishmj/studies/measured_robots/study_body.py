@@ -161,13 +161,14 @@ def smoothed_noise(study: StudyInput, h: float) -> tuple[np.ndarray, np.ndarray]
     return np.sqrt(pose) * one, np.sqrt(rate) * one
 
 
-def seen_noise(plant: PlanarBody, found: Sequence[MeanGait], pose: np.ndarray, rate: np.ndarray, seed: int = 0) -> float:
-    """The error that the sensors' noise alone makes: the nominal body from starts with and without it, noise at the ends."""
-    rng, records = np.random.default_rng(seed), list(found)
-    ends, squares = plant.ends(records, plant.null), []
+def seen_noise(plant: PlanarBody, found: Sequence[MeanGait], row: np.ndarray, noise: tuple[np.ndarray, np.ndarray]) -> float:
+    """The error that the sensors' noise alone makes: the body of a parameter row from starts with and without it, noise at the
+    ends. noise: of pose (3,) and rate (3,)."""
+    (pose, rate), rng, records = noise, np.random.default_rng(0), list(found)
+    ends, squares = plant.ends(records, row), []
     for _ in range(DRAWS):
         noisy = [r._replace(starts=r.starts + rng.normal(size=r.starts.shape) * np.concatenate([pose, rate])) for r in records]
-        for r, a, b in zip(noisy, ends, plant.ends(noisy, plant.null), strict=True):
+        for r, a, b in zip(noisy, ends, plant.ends(noisy, row), strict=True):
             last = a[0, :, :3] + rng.normal(size=a[0, :, :3].shape) * pose
             squares.append(np.mean((covered(b[0, :, :3], last, r.starts[:, 2]) / r.pose.sigma) ** 2, 1))
     return float(np.mean(np.concatenate(squares)))

@@ -145,13 +145,19 @@ def _body(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stud
     hull = Hull(**{name: given.nominal.get(name, 0.0) for name in Hull._fields})
     terms = _terms(study, *term_sizes.of_body(hull.mass, hull.inertia))
     plant = PlanarBody(hull, _constants(study), terms, dt, given.baseline.drive)
-    pose, rate = study_body.smoothed_noise(study, p.step or study_body.even_step(logs))
-    records = study_body.with_scale(records, pose)
+    noise = study_body.smoothed_noise(study, p.step or study_body.even_step(logs))
+    records = study_body.with_scale(records, noise[0])
     scale = records[0].pose.sigma
-    sensor = study_body.seen_noise(plant, records, pose, rate) if pose.any() else 0.0
     same = study_body.repeats(records, given.noise.near) if given.noise.replicates else 0.0
-    if given.noise.replicates and not same and not sensor:
+    if given.noise.replicates and not same and not noise[0].any():
         raise LogError(f"{study.where} [noise] replicates: no two runs of a group start alike; give position and heading instead")
+
+    def floor(row: np.ndarray) -> tuple[float, str]:
+        sensor = study_body.seen_noise(plant, records, row, noise) if noise[0].any() else 0.0
+        alike = "runs of one group that start alike" if same > sensor else "the sensors' noise as stated"
+        return max(sensor, same), alike
+
+    nominal, of = floor(plant.null)
     told = _told(
         study,
         records,
@@ -164,9 +170,10 @@ def _body(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stud
         records,
         plant,
         error=lambda rs, row: study_body.error(plant, rs, row),
-        floor=max(sensor, same),
-        floor_of="runs of one group that start alike" if same > sensor else "the sensors' noise as stated",
-        replicates=same > sensor,
+        floor=nominal,
+        floor_of=of,
+        floor_at=floor if noise[0].any() else None,
+        replicates=same >= nominal,
         protocol=(*told, *(["stamps: corrected by the ratio of clocks that the trial states"] if p.clock else [])),
     )
 
