@@ -22,6 +22,7 @@ from fishmj.studies.measured_robots.study_logs import Log, group_of, logs_of, sa
 from fishmj.studies.measured_robots.study_schema import FOLDS, StudyInput, offered, read_study
 
 SHIPPED = Path(__file__).resolve().parent / "shipped"
+FAR = 1e4  # mean square of the nominal model's error over that of what was measured: no guess is so far off
 TURN = 0.3  # prior of a constant, as a share of it
 
 
@@ -136,7 +137,23 @@ def _study(study: StudyInput, logs, records, plant, **more: Any) -> Study:
     search = study.given.search
     rest: dict[str, Any] = dict(ahead=search.ahead, rounds=search.rounds, origin=study.given.origin)
     rest["notes"] = tuple(note for log in logs for note in log.notes)
-    return Study(name=study.given.name, plant=plant, learn=learn, aside=aside, fold=fold, **rest, **more)
+    ready = Study(name=study.given.name, plant=plant, learn=learn, aside=aside, fold=fold, **rest, **more)
+    with np.errstate(all="ignore"):
+        off = ready.error(learn, plant.null) / _size(ready)
+    if not off < FAR:
+        times = f"{np.sqrt(off):.3g} times what was measured (rms)" if np.isfinite(off) else "beyond all numbers"
+        raise LogError(
+            f"{study.where} [nominal]: the error of the model as guessed is {times}, expected a guess right within a factor of ten; "
+            "look for a unit in [columns] or [nominal], or a step too long for so light a body"
+        )
+    return ready
+
+
+def _size(ready: Study) -> float:
+    """Mean square of what was measured, as `Study.error` counts it."""
+    sensors = [r.joint or r.pose for r in ready.learn]
+    unit = [np.ones(s.values.shape[1]) if ready.unit else s.sigma for s in sensors]
+    return float(np.mean([np.mean((s.values / u) ** 2) for s, u in zip(sensors, unit, strict=True)])) + ready.floor
 
 
 def _body(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Study:

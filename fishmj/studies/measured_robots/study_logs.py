@@ -213,13 +213,16 @@ def _number(text: str) -> str | float:
 def _of_trial(study: StudyInput, name: str, trial: Trial) -> Log:
     series, plant = {}, study.given.plant
     for key, (table, column) in TABLES[plant].items():
-        if table in trial.tables and column in trial.tables[table]:
-            columns = trial.tables[table]
-            series[key] = Series(columns["t"], columns[column])
-        elif COLUMNS[plant][key].needed:
+        columns = trial.tables.get(table, {})
+        rows = len(columns["t"]) if column in columns else 0
+        if COLUMNS[plant][key].needed and rows < LEAST_ROWS:
+            has = f"{rows} rows" if column in columns else "no such column"
             raise LogError(
-                f"trial {bare(name)}: no column {column} in a table {table}, which a {plant} needs; leave the trial out"
+                f"trial {bare(name)}: table {table}, column {column}: {has}, expected {LEAST_ROWS} rows at least for a {plant}; "
+                "leave the trial out"
             )
+        if rows:
+            series[key] = Series(columns["t"], columns[column])
     return Log(name, f"trial {bare(name)}", series, {"file": name}, trial)
 
 

@@ -143,7 +143,9 @@ class PredictionBlock(TomlTable):
 class BaselineBlock(TomlTable):
     """The model before anything is added."""
 
-    fitted: Words = listed("nominal sizes that every fit adapts, from a tenth to ten times", "names of [nominal]")
+    fitted: Annotated[Words, Field(min_length=1)] = listed(
+        "nominal sizes that every fit adapts, from a tenth to ten times", "one or more names of [nominal]"
+    )
     drive: Literal["tail", "linear", "propeller", "twin"] = listed(
         "body: what the two commands do", ", ".join(map(repr, DRIVES)), "linear"
     )
@@ -179,7 +181,7 @@ class StudyFile(TomlTable):
     held_out: HeldOutBlock = HeldOutBlock()
     noise: NoiseBlock = Field(json_schema_extra={"expected": "a block [noise]"})
     prediction: PredictionBlock = PredictionBlock()
-    baseline: BaselineBlock = BaselineBlock()
+    baseline: BaselineBlock = Field(json_schema_extra={"expected": "a block [baseline]"})
     nominal: dict[str, Size] = Field(json_schema_extra={"expected": "a block [nominal] of numbers from 0 to 1e9, SI"})
     candidates: CandidatesBlock = CandidatesBlock()
     search: SearchBlock = SearchBlock()

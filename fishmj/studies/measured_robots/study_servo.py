@@ -101,6 +101,10 @@ def _log(study: StudyInput, log: Log, group: str, most: float, dt: float) -> Pen
     volts = _at(log.series["volts"], goal.t) if "volts" in log.series else np.full(len(goal.t), study.given.nominal["voltage"])
     held = [goal.values[i], on[i].astype(float), volts[i], np.full(steps, gain), np.full(steps, most)]
     keep = angle.t >= begin
+    if keep.sum() < LEAST:
+        raise LogError(
+            f"{log.where}: {int(keep.sum())} angles after the first goal, expected {LEAST}; do both count from one zero?"
+        )
     return PendulumLog(
         name=log.name,
         group=group,
