@@ -143,7 +143,7 @@ def _study(study: StudyInput, logs, records, plant, **more: Any) -> Study:
     if not off < FAR:
         times = f"{np.sqrt(off):.3g} times what was measured (rms)" if np.isfinite(off) else "beyond all numbers"
         raise LogError(
-            f"{study.where} [nominal]: the error of the model as guessed is {times}, expected a guess right within a factor of ten; "
+            f"{study.where} [nominal]: the guessed model's error is {times}, expected a guess right within a factor of ten; "
             "look for a unit in [columns] or [nominal], or a step too long for so light a body"
         )
     return ready
