@@ -62,22 +62,23 @@ def groups(study: Study, found: Outcome) -> Section:
         row: dict = {"group": name, f"before [{unit}]": before}
         rows.append(row | ({f"after [{unit}]": after, "ratio": after / before if before else None} if taken else {}))
     about = f"{unseen(study, found)[:1].upper()}{unseen(study, found)[1:]}. Each group counts once."
-    shown = figure(_dots(u["each"], unit, taken)) if len(u["each"]) <= SHOWN else ""
+    shown = figure(_dots(u["each"], taken)) if len(u["each"]) <= SHOWN else ""
     return Section("Groups that were left out", about, [shown, table(rows)])
 
 
-def _dots(each: dict, unit: str, taken: bool):
+def _dots(each: dict, taken: bool):
     fig, axes = canvas(1, 1, (6.2, 0.28 * len(each) + 0.9))
     axis = axes[0, 0]
     at = np.arange(len(each))[::-1]
-    before, after = np.array(list(each.values())).T
+    values = np.array(list(each.values()))
+    before, after = values.T / max(float(values[:, 0].mean()), 1e-300)
     axis.plot(before, at, "s", color=BEFORE, label="the model as it was")
     if taken:
         axis.hlines(at, before, after, color=QUIET, linewidth=0.8)
         axis.plot(after, at, "o", color=AFTER, label="with what was found")
     axis.set_yticks(at, [drawn(name) for name in each])
     axis.set_xlim(left=0.0)
-    axis.set_xlabel(f"error [{unit}]")
+    axis.set_xlabel("error, of the mean before")
     axis.legend(loc="best")
     return svg(fig, "error of each group that was left out, before and after")
 
