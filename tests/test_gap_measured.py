@@ -9,10 +9,11 @@ from fishmj import console
 from fishmj.gap.__main__ import main
 from fishmj.studies.gap_benchmark import logs
 from fishmj.studies.gap_benchmark.score import score
-from fishmj.studies.measured_robots import command, servo_xl330, tail_fish, tendon_fish, usv_coastdown
+from fishmj.studies.measured_robots import command, tendon_fish, usv_coastdown
 from fishmj.studies.measured_robots.answer import answer, report
 from fishmj.studies.measured_robots.folder import trials
 from fishmj.studies.measured_robots.study import investigate
+from fishmj.studies.measured_robots.study_build import built, deleted, shipped
 
 measured = pytest.mark.skipif(not os.environ.get("FISHMJ_MEASURED"), reason="set FISHMJ_MEASURED to the folder of measured data")
 
@@ -35,7 +36,7 @@ def test_a_set_that_is_not_there_or_not_known_is_one_clear_error(monkeypatch, tm
 @pytest.mark.slow
 @measured
 def test_body_lift_is_named_on_the_tail_fish_in_every_fold():
-    study = tail_fish.study()
+    study = built(shipped("tail_fish"))
     assert len({r.group for r in study.learn}) == 20 and len({r.group for r in study.aside}) == 7
     assert not {r.group for r in study.learn} & {r.group for r in study.aside}
     found = investigate(study, most=1)
@@ -44,25 +45,26 @@ def test_body_lift_is_named_on_the_tail_fish_in_every_fold():
     assert found.kept_aside[1] <= 0.55 * found.kept_aside[0]
     assert verdict.answer == "NAMED" and verdict.effects[0].p_best > 0.9, verdict.text()
     spread = verdict.effects[0].parameters["coefficient"]
-    assert spread.high - spread.low < 0.2 * spread.value
+    assert spread.low < 10 < spread.high and spread.high - spread.low < 0.4 * spread.value
+    assert not verdict.rivals and found.rounds[0].p_exact < 1e-3
     assert report(study, found, verdict)["origin"] == "measured"
 
 
 @measured
-def test_one_effect_improves_the_servo_and_the_rest_stays_unexplained():
-    study = servo_xl330.study()
+def test_one_effect_improves_the_servo_and_three_gains_are_too_few_to_tell():
+    study = built(shipped("servo_xl330"))
     assert {r.group for r in study.learn} == {"kp100", "kp200", "kp400"} and len(study.aside) == 3
     found = investigate(study, most=1)
     verdict = answer(study, found)
     before, after = (study.figure(e) for e in found.kept_aside[:2])
     assert after <= 0.72 * before
-    assert verdict.answer == "UNEXPLAINED" and "tentative" in verdict.reason
+    assert verdict.answer == "TOO_FEW_GROUPS" and "tentative" in verdict.reason and found.rounds[0].p_exact == 0.125
     assert verdict.effects[0].name == "load_friction" and found.rounds[0].best == ("load_friction",) * 3
 
 
 @measured
 def test_the_servo_is_predicted_at_the_stamps_of_the_log():
-    study = servo_xl330.study()
+    study = built(shipped("servo_xl330"))
     raw = trials("servo_xl330")
     for r in study.learn:
         t = raw[r.name].table("joint")["t"]
@@ -100,12 +102,12 @@ def test_a_term_deleted_from_the_fitted_model_is_looked_for():
     assert row["answer"] == "NAMED" and [e["name"] for e in row["said"]] == ["body_lift"]
     assert row["true_gap"] > 3 and score([row])["coverage_all_magnitudes"]["value"] == 1.0
     value, low, high = row["said"][0]["values"]["coefficient"]
-    assert low <= row["truth"]["body_lift"]["coefficient"] <= high and high - low < 0.2 * value
+    assert low <= row["truth"]["body_lift"]["coefficient"] <= high and high - low < 0.4 * value
 
 
 @measured
 def test_a_deleted_constant_is_neither_in_the_model_nor_fitted():
-    study = tail_fish.study(without="yaw_drag")
+    study = built(shipped("tail_fish", deleted("tail_fish", "yaw_drag")))
     assert "yaw_drag" not in [c.name for c in study.plant.constants] and study.plant.hull.yaw_drag == 0.0
-    study = servo_xl330.study(aside=1, without="viscous")
+    study = built(shipped("servo_xl330", deleted("servo_xl330", "viscous")))
     assert study.plant.motor.viscous == 0.0 and len(study.aside) == 3

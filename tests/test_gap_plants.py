@@ -240,7 +240,7 @@ def test_planted_friction_is_named_across_gains(bench):
     given = row(bench, load_friction__ratio=0.25)
     logs = [
         log(bench, goal, given, gain=gain, name=f"kp{i}", seed=10 * i + j, noise=1e-3)
-        for i, gain in enumerate((0.25, 0.5, 1.0))
+        for i, gain in enumerate((0.25, 0.35, 0.5, 0.7, 1.0))
         for j, goal in enumerate(goals)
     ]
     learn, aside = [r for i, r in enumerate(logs) if i % 3 < 2], logs[2::3]
@@ -249,7 +249,7 @@ def test_planted_friction_is_named_across_gains(bench):
         seen = bench.predict(list(rs), values)
         return float(np.mean([np.mean((p["joint"][0] - r.joint.values) ** 2) for p, r in zip(seen, rs, strict=True)]))
 
-    fold = np.array([0, 0, 1, 1, 2, 2])
+    fold = np.repeat(np.arange(5), 2)
     study = Study("synthetic", bench, learn, aside, fold, error, 1e-6, "the noise", ("synthetic",), "mrad", 1e3)
     verdict = answer(study, investigate(study, most=1))
     assert verdict.answer == "NAMED" and verdict.effects[0].name == "load_friction", verdict.text()

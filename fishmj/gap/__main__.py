@@ -33,7 +33,9 @@ main = console.CommandGroup(
             "fishmj gap fetch tail_fish --out data/tail_fish",
         ),
         "measured": Command(
-            "fishmj.studies.measured_robots.command", "the workflow on measured data of real robots", "fishmj gap measured all"
+            "fishmj.studies.measured_robots.command",
+            "what a model of a machine of yours lacks, by groups of its records; published sets, too",
+            "fishmj gap measured --study my.toml --out report",
         ),
     },
 )

@@ -18,9 +18,9 @@ import numpy as np
 
 from fishmj.gap.verdict import Verdict
 from fishmj.studies.gap_benchmark.run import said
-from fishmj.studies.measured_robots import servo_xl330, tail_fish
 from fishmj.studies.measured_robots.answer import answer
 from fishmj.studies.measured_robots.study import Study, extended, investigate
+from fishmj.studies.measured_robots.study_build import built, deleted, shipped
 
 TERMS = {  # set: what its full model has beyond the baseline, and what can be deleted: effect -> (constant, parameter)
     "tail_fish": (("body_lift",), {"body_lift": ("", "coefficient"), "yaw_drag": ("yaw_drag", "coefficient"), "": ("", "")}),
@@ -45,11 +45,16 @@ def draw(count: int, seed: int) -> list[Deletion]:
     return [Deletion(f"log-{s}-{t or 'nothing'}-{k}", "single" if t else "none", s, t, k) for s, t, k in chosen]
 
 
-def studied(case: Deletion, deleted: str = "") -> Study:
-    """The set with a constant deleted, split by the case's seed."""
+TRAJECTORIES = ("lift_and_drop", "sin_sin", "sin_time_square", "up_and_down")  # of the servo's set, in alphabetical order
+
+
+def studied(case: Deletion, without: str = "") -> Study:
+    """The set split by the case's seed, a constant deleted from its baseline."""
+    changes = deleted(case.set, without) if without else {}
     if case.set == "tail_fish":
-        return tail_fish.study(seed=case.seed, without=deleted)
-    return servo_xl330.study(aside=case.seed, without=deleted)
+        return built(shipped(case.set, changes | {"search": {"seed": case.seed}}))
+    kept = TRAJECTORIES[case.seed % len(TRAJECTORIES)]
+    return built(shipped(case.set, changes | {"held_out": {"where": {"rig.trajectory": kept}}}))
 
 
 def run(case: Deletion) -> dict:

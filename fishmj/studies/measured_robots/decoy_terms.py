@@ -5,6 +5,8 @@ A short list makes it easy to be first. These stand beside the catalogue when me
 
 from fishmj.effects.effect import Effect, Parameter
 
+SLOW = 0.02  # m/s, below which a constant resistance fades out
+
 
 def _sway(xp, p, b, memory, h):
     return b._replace(fy=b.fy - b.wet * p.coefficient * b.w), memory
@@ -24,6 +26,14 @@ def _side(xp, p, b, memory, h):
 
 def _nothing(xp, p, b, memory, h):
     return b._replace(fy=b.fy + 0.0 * p.coefficient), memory
+
+
+def _resist(xp, p, b, memory, h):
+    return b._replace(fx=b.fx - b.wet * p.coefficient * b.u / xp.sqrt(b.u * b.u + SLOW * SLOW)), memory
+
+
+def _cubic(xp, p, b, memory, h):
+    return b._replace(fx=b.fx - b.wet * p.coefficient * b.u * b.u * b.u), memory
 
 
 def _rival(name: str, formula: str, unit: str, size: float, body, signed: bool = False) -> Effect:
@@ -46,4 +56,9 @@ RIVALS = (
     _rival("linear_yaw_damping", "n = -c r", "N m s", 0.003, _yaw),
     _rival("tail_side_force", "fy = c A^2 b", "N/rad3", 0.3, _side, signed=True),
     _rival("inert", "nothing", "1", 1.0, _nothing, signed=True),
+)
+COAST_RIVALS = (
+    _rival("constant_resistance", "fx = -c sign(u)", "N", 0.05, _resist),
+    _rival("cubic_drag", "fx = -c u^3", "N s3/m3", 2.0, _cubic),
+    RIVALS[-1],
 )

@@ -5,6 +5,7 @@
     (I + N) dr/dt = (X - Y) u w - torque A^2 b         - c_r |r| r + n
 
 A, b: amplitude and bias of the tail [rad], the inputs; X, Y, N: added mass; fx, fy, n: what effects of the catalogue add.
+What is driven otherwise has another thrust and torque in their place (`DRIVES`).
 Kirchhoff's body in ideal fluid, drag along the velocity (c) and across the body (c_w), thrust and torque of a small tail averaged
 over its beat: the published model of this family of robots (Wang & Tan 2015) without its lift.
 
@@ -48,12 +49,21 @@ class Hull(NamedTuple):
     yaw_drag: float
 
 
+# (A, b) -> what drives ahead, what turns clockwise; twin: A and b are the commands of the left and the right thruster
+DRIVES = {
+    "tail": lambda xp, a, b: (a * a, a * a * b),
+    "linear": lambda xp, a, b: (a, -b),
+    "propeller": lambda xp, a, b: (xp.abs(a) * a, -xp.abs(a) * a * b),
+    "twin": lambda xp, a, b: (xp.abs(a) * a + xp.abs(b) * b, xp.abs(a) * a - xp.abs(b) * b),
+}
+
+
 class MeanGait(NamedTuple):
     """K short runs under one condition.
 
     starts: (K, 6) x, y, yaw in the tank, surge, sway over ground, yaw rate. commands: (T, 2) amplitude and bias at the model's
-    steps since each start. pose: what was covered by the end of each run, in the frame of its start: ahead, left, turned; its
-    stamps tell the runs apart. span: s, length of a run.
+    steps since each start, or (K, T, 2) where each run has its own. pose: what was covered by the end of each run, in the frame
+    of its start: ahead, left, turned; its stamps tell the runs apart. span: s, length of a run.
     """
 
     name: str
@@ -86,10 +96,13 @@ class Transfer(NamedTuple):
 
 
 class PlanarBody:
-    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here."""
+    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here. drive: of
+    `DRIVES`."""
 
-    def __init__(self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, dt=0.02):
-        self.hull, self.constants, self.dt = hull, constants, dt
+    def __init__(
+        self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, dt=0.02, drive: str = "tail"
+    ):
+        self.hull, self.constants, self.dt, self.drive = hull, constants, dt, DRIVES[drive]
         chosen = acting() if catalogue is None else list(catalogue)
         self.active = effects.EffectStack(chosen, joints=1)
 
@@ -120,8 +133,7 @@ class PlanarBody:
         u, w = gu - (c * water.u + s * water.v), gw - (c * water.v - s * water.u)
         link = session.fish(Constants(HullLink((h.mass,), (h.inertia,), (0.0,)), Transfer([1.0])))
         mass, inertia, com = h.mass * link.swimmer.mass[0], link.chain.inertia[0], link.chain.com[0]
-        beat = command[0] * command[0]
-        push = beat * command[1]
+        beat, push = self.drive(jnp, command[0], command[1])
         along = h.drag * jnp.sqrt(u * u + w * w + STILL * STILL)
         fx = h.thrust * beat - along * u
         fy = -along * w - h.sway_drag * jnp.abs(w) * w
@@ -165,13 +177,18 @@ class PlanarBody:
         rows = np.atleast_2d(np.asarray(rows, float))
         runs = [len(r.starts) for r in records]
         steps = np.array([round(r.span / self.dt) for r in records])
-        longest = max(int(steps.max()), max(len(r.commands) for r in records))
-        inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
-        which = np.repeat(np.arange(len(records)), runs)
+        own = [r.commands.ndim == 3 for r in records]  # runs with commands of their own are logs of their own to the kernel
+        commands = [c for r, alone in zip(records, own, strict=True) for c in (r.commands if alone else [r.commands])]
+        longest = max(int(steps.max()), max(map(len, commands)))
+        inputs = np.stack([np.pad(c, ((0, longest - len(c)), (0, 0)), mode="edge") for c in commands])
+        which = np.repeat(
+            np.arange(len(commands)), [k for n, alone in zip(runs, own, strict=True) for k in ([1] * n if alone else [n])]
+        )
+        lengths = np.repeat(steps, [n if alone else 1 for n, alone in zip(runs, own, strict=True)])
         starts = np.concatenate([r.starts for r in records])
         state = np.concatenate([starts, np.tile(self.active.memory, (len(starts), 1))], 1)
         many = len(rows)
-        given = (np.tile(which, many), inputs, steps, np.repeat(rows, len(starts), 0), np.tile(state, (many, 1)))
+        given = (np.tile(which, many), inputs, lengths, np.repeat(rows, len(starts), 0), np.tile(state, (many, 1)))
         out = self.kernel(*given, np.zeros(many * len(starts)), stride, int(steps.max()) // stride + 1)
         each = np.split(out.reshape(many, len(starts), *out.shape[1:]), np.cumsum(runs)[:-1], axis=1)
         return [track[:, :, : n // stride + 1] for track, n in zip(each, steps, strict=True)]

@@ -74,7 +74,8 @@ def measured_rail(xp, p, s, memory, h):
 
 class OneServo:
     """Args: motor: nominal. rig: load and supply. constants: factors that a fit adapts. catalogue: effects; default, all that a
-    servo on a bench can have."""
+    servo on a bench can have. dt: s, the step. centred: a command that changes at a step acts half a step later: the rates of
+    this (leapfrog) scheme live between two steps, and would feel it half a step early."""
 
     def __init__(
         self,
@@ -82,8 +83,10 @@ class OneServo:
         rig: Pendulum,
         constants: tuple[Constant, ...] | None = None,
         catalogue: Iterable[Effect] | None = None,
+        dt: float = DT,
+        centred: bool = False,
     ):
-        self.motor, self.rig, self.dt = motor, rig, DT
+        self.motor, self.rig, self.dt, self.lag = motor, rig, dt, 0.5 * centred
         self.constants = tuple(Constant(n, 0.3) for n in ServoMotor._fields) if constants is None else constants
         self.active = effects.EffectStack(on_bench(acting() if catalogue is None else catalogue), joints=1)
 
@@ -141,7 +144,7 @@ class OneServo:
             lengths,
             np.tile(rows, (len(records), 1)),
             np.repeat(starts, len(rows), 0),
-            np.tile(late["command"] / self.dt, len(records)),
+            np.tile(late["command"] / self.dt + self.lag, len(records)),
             STRIDE,
             longest // STRIDE + 2,
         )

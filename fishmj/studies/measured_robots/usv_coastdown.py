@@ -18,6 +18,7 @@ from fishmj.gap.thresholds import thresholds
 from fishmj.log import Trial
 from fishmj.studies.measured_robots.folder import trials
 from fishmj.studies.measured_robots.planar_body import Hull, MeanGait, PlanarBody
+from fishmj.studies.measured_robots.significance import LEAST_GROUPS, LEVEL, exact_p, smallest_p
 
 RESET = 1.0  # m/s, fall of the column at a fix
 MISSED = 3.0  # m/s; the column sometimes falls to 4 to 7 m/s, which a boat pushed by hand never had
@@ -111,10 +112,13 @@ def compared(runs: list[Coast], short: list[str], say=lambda text: None) -> tupl
         say(f"{law}: c = {value[law]:.3g}, held-out log likelihood {likely[law].sum():.2f}")
     ahead = likely["quadratic"] - likely["linear"]
     weights = np.random.default_rng(0).dirichlet(np.ones(len(runs)), thresholds().likelihood.bootstrap_draws)
-    sure = float(np.mean(weights @ ahead > 0))
+    share = float(np.mean(weights @ ahead > 0))
     better = "quadratic" if ahead.sum() > 0 else "linear"
-    p = sure if better == "quadratic" else 1.0 - sure
-    told = f"{better} drag" if p >= LEAST_FOR_SURE else "CLASS: linear or quadratic drag, these runs cannot tell"
+    p = share if better == "quadratic" else 1.0 - share
+    gain = ahead if better == "quadratic" else -ahead
+    exact = exact_p(gain, np.zeros(len(gain)))
+    sure = p >= LEAST_FOR_SURE and exact <= LEVEL and len(runs) >= LEAST_GROUPS
+    told = f"{better} drag" if sure else "CLASS: linear or quadratic drag, these runs cannot tell"
     figures = {
         "name": "usv_coastdown",
         "origin": "measured",
@@ -124,6 +128,8 @@ def compared(runs: list[Coast], short: list[str], say=lambda text: None) -> tupl
         "held_out_log_likelihood": {law: float(v.sum()) for law, v in likely.items()},
         "per_run": {r.name: float(a) for r, a in zip(runs, ahead, strict=True)},
         "p_better": {better: p},
+        "p_exact": exact,
+        "smallest_p": smallest_p(len(runs)),
         "coefficient": value,
         "coefficient_folds": spread,
         "rms": rms,
@@ -138,6 +144,7 @@ def compared(runs: list[Coast], short: list[str], say=lambda text: None) -> tupl
             for law, unit in (("quadratic", "N s2/m2"), ("linear", "N s/m"))
         ),
         f"  per run, quadratic minus linear: {', '.join(f'{a:+.2f}' for a in ahead)}; P({better} is better) = {p:.2f}",
+        f"  exact p = {exact:.2g} over {len(runs)} runs ({smallest_p(len(runs)):.2g} at least), {int(np.sum(gain > 0))} for it",
         told,
     ]
     return "\n".join(lines), figures
