@@ -27,15 +27,15 @@ install: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml
 	@$(STEP) "environment" .ci/environment $(VENV)
-	@$(STEP) "install" $(PY) -m pip install --quiet --editable ".[fast,dev]"
+	@$(STEP) "install" $(PY) -m pip install --quiet --no-compile --editable ".[fast,dev]"
 	@touch $@
 
 $(EXTRAS): $(INSTALLED)
-	@$(STEP) "install extras" $(PY) -m pip install --quiet --editable ".[fast,dev,sb3,ray,bench]"
+	@$(STEP) "install extras" $(PY) -m pip install --quiet --no-compile --editable ".[fast,dev,sb3,ray,bench]"
 	@touch $@
 
 $(SITE): $(INSTALLED)
-	@$(STEP) "install docs" $(PY) -m pip install --quiet --editable ".[docs]"
+	@$(STEP) "install docs" $(PY) -m pip install --quiet --no-compile --editable ".[docs]"
 	@touch $@
 
 demo: $(INSTALLED)

@@ -25,6 +25,7 @@ N, J, TICK = CHAIN.n, CHAIN.n - 1, ROBOT.timing.bus_dt
 STEPS = round(TICK / CHAIN.dt)
 WASH, GAIN, OVERSHOOT, LAG = 0.10, 0.35, 1.2, 0.12  # m, share, coefficient, m
 NOISE = 0.01  # of a channel's rms
+FISH, SECOND = 32, round(1 / CHAIN.dt)  # swum at once, and steps: one program for all swims
 TRUE = planar_chain.nominal(ROBOT).water._replace(
     k=[0.82, 0.95, 1.0, 0.70],
     cn=[1.5, 1.0, 1.4, 2.6],
@@ -136,8 +137,7 @@ def swim(commands, *, flow=None, block="gait", split="train", water=TRUE, hidden
     start = np.zeros((6, batch))
     start[2] = 0.0 if yaw is None else yaw
     with jax.enable_x64(True):
-        out = _swim(start, targets.transpose(1, 2, 0), flow.T, water, hidden)
-        out = [np.asarray(a) for a in out]
+        out = _swum(start, targets.transpose(1, 2, 0), flow.T, water, hidden)
     return _records(out, commands, flow, (start, 0 * start), block, split, noise, seed, False)
 
 
@@ -161,9 +161,27 @@ def _nothing(batch):
     return [jnp.zeros(batch)] * (2 + N)
 
 
+def _swum(start, targets, flow, water, hidden):
+    """Swims of `FISH` fish, second by second, the last fish repeated: one program for every number of fish and every length."""
+    batch, whole = start.shape[1], len(targets)
+    more = lambda a: np.concatenate([a, np.repeat(a[..., -1:], -batch % FISH, -1)], -1)
+    targets = np.concatenate([targets, np.repeat(targets[-1:], -whole % SECOND, 0)])
+    start, targets, flow = more(start), more(targets), more(flow)
+    found = []
+    for first in range(0, start.shape[1], FISH):
+        some = slice(first, first + FISH)
+        state = (list(start[:, some]), list(0 * start[:, some]), np.full(FISH, 0.5), [np.zeros(FISH)] * (2 + N))
+        rows = []
+        for k in range(0, len(targets), SECOND):
+            state, out = _swim(state, targets[k : k + SECOND, :, some], flow[:, some], water, hidden)
+            rows.append([np.asarray(a) for a in out])
+        found.append([np.concatenate(column) for column in zip(*rows, strict=True)])
+    return [np.concatenate(column, -1)[:whole, ..., :batch] for column in zip(*found, strict=True)]
+
+
 @jax.jit
-def _swim(start, targets, flow, water, hidden):
-    sw, stream, batch = swimmer(water), [(flow[0], flow[1])] * N, start.shape[1]
+def _swim(begin, targets, flow, water, hidden):
+    sw, stream = swimmer(water), [(flow[0], flow[1])] * N
 
     def one(state, target):
         q, v, attached, memory = state
@@ -171,8 +189,7 @@ def _swim(start, targets, flow, water, hidden):
         wrench = _wrench(sw, q, v, attached, memory, stream, s.accel, hidden)
         return (s.q, s.v, s.attached, list(s.memory)), (jnp.stack(s.q), jnp.stack(s.v), wrench, s.power)
 
-    begin = (list(start), list(0 * start), jnp.full(batch, 0.5), _nothing(batch))
-    return lax.scan(one, begin, targets)[1]
+    return lax.scan(one, begin, targets)
 
 
 @jax.jit

@@ -86,6 +86,44 @@ def test_hyperbolic_tangents_are_accurate_bounded_and_mirror(precision, bound):
     assert np.isnan(each("tanh_pair", np.array([np.nan], real), np.ones(1, real))).all()
 
 
+LOOPS = """
+@{decorator}
+def {name}(w, c, row):
+    wide()
+    k = c[row, 1]
+    for i in range(LANES):
+        x = w[0 * LANES + i]
+        y = w[1 * LANES + i] * k
+        m, d = tanh_pair(x, y)
+        m += exp2(-y) / (absolute(x) + real(1.5))
+        inside = (x > y) & (y <= real(0.3))
+        w[2 * LANES + i] = where(inside, m, d - floor(x))
+        w[3 * LANES + i] = atan2(y, x) + sin(x) * cos(y) + exp(x) - sqrt(maximum(x, real(0.0)))
+"""
+
+
+@pytest.mark.parametrize("precision,bound", [(fast_math.SINGLE, 2e-6), (fast_math.DOUBLE, 4e-15)])
+def test_lanes_are_what_numba_makes_of_the_same_text(precision, bound):
+    head = (
+        numba_build.HEADER.format(real=precision.name, whole=precision.integer) + "LANES = 16\n\n\n@njit\ndef wide():\n    pass\n"
+    )
+    text = head + fast_math.source(precision)
+    text += LOOPS.format(decorator="njit(**MATH)", name="plain") + LOOPS.format(decorator="lanes", name="written")
+    text += "\n\n@njit(**MATH)\ndef call(w, c, row):\n    written(w, c, row)\n"
+    made, real = numba_build.compiled(text), np.dtype(precision.name).type
+    one = np.random.default_rng(3).normal(size=4 * 16).astype(real)
+    one[:3], other = [np.nan, 0.0, -0.0], np.array([[1.0, 2.0], [0.5, 0.7]], real)
+    two = one.copy()
+    made.plain(one, other, 1)
+    made.call(two, other, 1)
+    found = one.reshape(4, 16)[2:]
+    assert np.isnan(found[:, 0]).all() and np.isfinite(found[:, 1:]).all() and len(set(found[:, 1:].flat)) == 30
+    np.testing.assert_allclose(two, one, rtol=bound, atol=bound)
+    bad = "\n\n@lanes\ndef bad(w):\n    for i in range(LANES):\n        w[i] = [i]\n\n\n@njit\ndef call(w):\n    bad(w)\n"
+    with pytest.raises(TypeError, match=r"lanes: cannot write \[i\]"):
+        numba_build.compiled(head + bad).call(two)
+
+
 def test_racing_writers_leave_a_whole_file(tmp_path):
     text, path = "x = 1\n" * 20_000, tmp_path / "new" / "module.py"
     seen = []

@@ -205,9 +205,7 @@ def network(shape: Shape, rows: dict[str, int], wake: int) -> str:
         "join(w, weight)": joined,
         "settle(w, c)": last,
     }
-    text = "".join(
-        f"@njit(**MATH)\ndef {name}:\n    wide()\n{_loop(lines, 'row' in name)}\n\n" for name, lines in functions.items()
-    )
+    text = "".join(f"@lanes\ndef {name}:\n    wide()\n{_loop(lines, 'row' in name)}\n\n" for name, lines in functions.items())
     table = lambda name, columns: f"c[{starts[name]} : {starts[name] + sizes[name]}].reshape({sizes[name] // columns}, {columns})"
     return f"""{text}
 @njit(**MATH)

@@ -30,8 +30,11 @@ from numba import int64, njit, types, void
 from numba import float64 as item
 from numpy import absolute, floor, sqrt
 
+from fishmj.engines.lane_code import lanes
+
 real, whole = np.float64, np.int64
 MATH = dict(fastmath={"contract", "nsz"}, error_model="numpy")
+INNER = dict(MATH, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def given(n, dtype=item):
@@ -100,8 +103,8 @@ class Kernel:
 def loops() -> str:
     """The functions of loops.py as text, each with its decorator."""
     text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
-    text = re.sub(r"^def ", "@njit(**MATH)\ndef ", text[text.index("\ndef ") :], flags=re.MULTILINE)
-    return text.replace("@njit(**MATH)\ndef roll(", "@njit(ROLL, cache=CACHE, nogil=True, **MATH)\ndef roll(")
+    text = re.sub(r"^def ", "@njit(**INNER)\ndef ", text[text.index("\ndef ") :], flags=re.MULTILINE)
+    return text.replace("@njit(**INNER)\ndef roll(", "@njit(ROLL, cache=CACHE, nogil=True, **MATH)\ndef roll(")
 
 
 def hermite(values, rates, h: float, t):

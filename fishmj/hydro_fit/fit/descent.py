@@ -7,6 +7,7 @@ The state is kept now and then, and when the command is interrupted: every array
 nobody broke off. On several devices a loss's batch is sharded in equal parts, values and gradients are averaged:
 
     gradient_of = sharded(loss, devices)    value, gradient = gradient_of(net, *stacked(batches)), a batch for each device
+    state = replicated(state, devices)      before the first step: where the state of every later one lies
 """
 
 import os
@@ -20,7 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 from jax import lax
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from fishmj.cores import usable_cores
 from fishmj.errors import StoreError
@@ -118,13 +119,26 @@ def quick(platform: str) -> dict | None:
     return options
 
 
+def mesh_of(shards: Sequence) -> Mesh:
+    """The devices side by side."""
+    return Mesh(np.array(shards), ("devices",))
+
+
+def replicated(tree: Any, shards: Sequence) -> Any:
+    """The arrays of a tree, whole, on every device.
+
+    What a step on a mesh gives lies there; a first step whose state lay elsewhere would be another program, compiled by itself.
+    """
+    return jax.device_put(tree, NamedSharding(mesh_of(shards), PartitionSpec()))
+
+
 def sharded(loss: Callable, shards: Sequence) -> Callable:
     """(net, *arrays with one row a device) -> mean value and gradient of loss(net, *rows)."""
 
     def mean(net, *batch):
         return lax.pmean(jax.value_and_grad(loss)(net, *jax.tree.map(lambda a: a[0], batch)), "devices")
 
-    mesh = Mesh(np.array(shards), ("devices",))
+    mesh = mesh_of(shards)
 
     def gradient_of(net, *batches):
         specs = (PartitionSpec(), *[PartitionSpec("devices")] * len(batches))

@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import PartitionSpec
 
 from fishmj.dynamics import planar_chain
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import tolerance
-from fishmj.hydro_fit.fit.descent import devices
+from fishmj.hydro_fit.fit.descent import devices, mesh_of
 from fishmj.hydro_fit.fit.regression_rows import ambient_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
@@ -175,7 +175,7 @@ class SwimWindow:
     @partial(jax.jit, static_argnums=0)
     def _run(self, learnt, *given):
         """Swims of a batch, in equal parts on as many devices as there are."""
-        mesh, parts = Mesh(np.array(devices(len(given[0]))), ("devices",)), PartitionSpec("devices")
+        mesh, parts = mesh_of(devices(len(given[0]))), PartitionSpec("devices")
         specs = PartitionSpec(), *[parts] * len(given)
         return jax.shard_map(self._track, mesh=mesh, in_specs=specs, out_specs=parts, check_vma=False)(learnt, *given)
 

@@ -23,7 +23,7 @@ import optax
 from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.errors import DatasetError
 from fishmj.hydro_fit.fit import force_training
-from fishmj.hydro_fit.fit.descent import Loop, devices, quick, sharded, stacked
+from fishmj.hydro_fit.fit.descent import Loop, devices, quick, replicated, sharded, stacked
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, cut, is_free
@@ -212,6 +212,7 @@ class RolloutTrainer:
         swim_count, force_count = (min(most, there) for most, there in ((BATCH, len(self.share)), (FORCE_WINDOWS, count)))
         shards = devices(swim_count, force_count)
         gradient_of = sharded(self.loss, shards)
+        net, state = replicated((net, state), shards)
 
         @partial(jax.jit, compiler_options=quick(shards[0].platform))
         def step(net, state, *batches):
