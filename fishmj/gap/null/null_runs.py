@@ -36,6 +36,7 @@ from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
 from fishmj.machine_code import cache_folder
 from fishmj.store import read_npz, sha256, write_npz
+from fishmj.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 
 Tick = Callable[[int], None]
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
@@ -82,7 +83,7 @@ class SimulatedNull:
         anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
         if not anew:
             return
-        self.get_ready(model, bars)
+        self.scales_of_water(model, bars)  # they have a bar of their own
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
 
@@ -91,9 +92,9 @@ class SimulatedNull:
 
                 self.experiment(model, record, tick)
 
-    def get_ready(self, model, bars: Bars) -> None:
-        """What all runs that are made anew want, under a bar of its own."""
-        scales_for(model, bars)
+    def scales_of_water(self, model, bars: Bars = silent) -> WaterScales:
+        """By which the simulator swims as the model does."""
+        return scales_for(model, bars)
 
     def holds(self, excitation: str) -> bool:
         """Whether there can be null runs of that experiment."""
@@ -107,7 +108,7 @@ class SimulatedNull:
             return read_npz(path)
         except StoreError:
             pass
-        runs = self._run(model, what, record, tick)
+        runs = self._run(model.robot, what, record, tick, self.scales_of_water(model))
         predictions = model.predict(runs, getattr(model, "nothing", model.null))  # the floor is that of no effect at all
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
@@ -121,13 +122,14 @@ class SimulatedNull:
         write_npz(path, made)
         return made
 
-    def _run(self, model, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
-        """The experiment with every fish of the set: each is the model's robot with constants of its own."""
+    def _run(
+        self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None, scales: WaterScales = AS_IT_IS
+    ) -> list[Record]:
+        """The experiment with every fish of the set: each is `robot` with constants of its own. scales: of its water."""
         from fishmj.virtual_robot.trials import plant, trial_of
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
         stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}
-        robot, scales = model.robot, scales_for(model)
         sensors = log_sensors(record, robot, self.noise)
         index = crc32(repr((what.id, what.start)).encode()) % 100_000  # noise of its own for each experiment
 
@@ -203,14 +205,16 @@ class RecordedNull(SimulatedNull):
             raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
         return found
 
-    def get_ready(self, model, bars: Bars) -> None:
-        """The runs are there."""
+    def scales_of_water(self, model, bars: Bars = silent) -> WaterScales:
+        return AS_IT_IS  # the runs are there
 
     def holds(self, excitation: str) -> bool:
         return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
 
-    def _run(self, model, what: Excitation, record: Record, tick: Tick = lambda done: None) -> list[Record]:
-        """The experiment of every fish; noise and constants are what they were."""
+    def _run(
+        self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None, scales: WaterScales = AS_IT_IS
+    ) -> list[Record]:
+        """The experiment of every fish; noise, constants and water are what they were."""
         out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]
         if len(out) != len(self.bundles):
             held = ", ".join(sorted({str(t.value("excitation")) for t in trials_of(self.bundles[0])}))
