@@ -35,6 +35,7 @@ from fishmj.gap.watch import Bars, silent
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
 from fishmj.machine_code import cache_folder
+from fishmj.mjcf.description import Robot
 from fishmj.store import read_npz, sha256, write_npz
 from fishmj.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 
