@@ -97,7 +97,7 @@ def coasts(folder: Path, seed=0, runs=7, quadratic=2.0, linear=0.0, mass=14.0, n
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
     for k in range(runs):
-        u, t = rng.uniform(1.2, 2.2), np.arange(0.0, 40.0, 0.25)
+        u, t = rng.uniform(1.2, 2.2), np.arange(0.0, 30.0, 0.4)
         if linear:
             decay = np.exp(-linear * t / mass)
             speed = linear * u * decay / (linear + quadratic * u * (1 - decay))

@@ -1,6 +1,8 @@
 """The workflow on real recordings, found through FISHMJ_MEASURED; the full figures stand in docs/results/gap_measured.md."""
 
 import os
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,6 +33,37 @@ def test_a_set_that_is_not_there_or_not_known_is_one_clear_error(monkeypatch, tm
     assert "no such folder" in capsys.readouterr().err
     assert console.run(command.main, ["tailfish"]) == console.BAD_INPUT
     assert "Did you mean 'tail_fish'" in capsys.readouterr().err
+
+
+def part_of(name, folder, keep, change=lambda text: text):
+    """A folder of measured data that holds a part of one set."""
+    source = Path(os.environ["FISHMJ_MEASURED"]) / name
+    for path in source.rglob("*"):
+        if path.is_file() and keep(path):
+            to = folder / name / path.relative_to(source)
+            to.parent.mkdir(parents=True, exist_ok=True)
+            to.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+NO_DUTY = lambda text: re.sub(r'"load": -?\d+', '"load": 800', text)  # another make: a register that does not tell the duty
+PARTS = {
+    "one condition": ("tail_fish", lambda p: p.parent.name == "Amp15Bias0", lambda t: t, "of one group"),
+    "one gain": ("servo_xl330", lambda p: '"kp": 100' in p.read_text()[:200], lambda t: t, "of one group"),
+    "one trajectory": ("servo_xl330", lambda p: '"sin_sin"' in p.read_text()[:200], lambda t: t, "leave 0 group(s)"),
+    "another make": ("servo_xl330", lambda p: p.suffix == ".json", NO_DUTY, "the gain cannot be told"),
+    "one run": ("usv_coastdown", lambda p: p.name.endswith("_5.csv"), lambda t: t, "expected two at least"),
+    "one frequency": ("tendon_fish_markers", lambda p: "f0_50" in p.name, lambda t: t, "expected two at least"),
+}
+
+
+@measured
+@pytest.mark.parametrize("name, keep, change, words", PARTS.values(), ids=PARTS)
+def test_a_part_of_a_set_that_cannot_be_judged_is_one_clear_error(name, keep, change, words, tmp_path, monkeypatch, capsys):
+    part_of(name, tmp_path, keep, change)
+    monkeypatch.setenv("FISHMJ_MEASURED", str(tmp_path))
+    assert console.run(command.main, [name.removesuffix("_markers")]) == console.BAD_INPUT
+    err = capsys.readouterr().err
+    assert words in err and "Traceback" not in err and len(err.strip().splitlines()) == 1, err
 
 
 @pytest.mark.slow

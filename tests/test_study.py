@@ -62,6 +62,7 @@ groups = { by = ["file"] }
 noise = { speed = 0.01 }
 baseline = { fitted = ["drag"] }
 nominal = { mass = 14.0, drag = 3.0 }
+candidates = { only = ["linear_surge_drag", "constant_resistance", "inert"] }
 search = { rounds = 1 }
 [columns]
 t = { column = "t", unit = "s" }
@@ -190,7 +191,7 @@ DAMAGED = [
     ("folds", ("noise", "held_out = { folds = 51 }\nnoise"), "[held_out] folds: got 51"),
     ("name", ('name = "coast"', 'name = "<script>alert(1)</script>"'), "name: got '<script>"),
     ("path", ('name = "coast"', 'name = "../../x"'), "name: got '../../x'"),
-    ("term", ("search", 'candidates = { only = ["linear_surge_drga"] }\nsearch'), "did you mean 'linear_surge_drag'?"),
+    ("term", ('"constant_resistance"', '"linear_surge_drga"'), "did you mean 'linear_surge_drag'?"),
     ("toml", ("mass = 14.0", "mass = 14,0"), "line 9"),
     ("both", ('folder = "logs"', 'folder = "logs", set = "tail_fish"'), "both or none of folder and set"),
     ("nowhere", ('folder = "logs"', 'folder = "lgos"'), "no such folder"),
@@ -202,7 +203,7 @@ DAMAGED = [
     ("where", ("noise", 'held_out = { where = { file = "c9" } }\nnoise'), "no record has 'file' = 'c9'"),
     ("many folds", ("noise", "held_out = { folds = 8 }\nnoise"), "8 of 7 groups"),
     ("one fold", ("noise", "held_out = { folds = 1 }\nnoise"), "1 leaves nothing to fit"),
-    ("candidates", ("search", 'candidates = { only = ["inert"] }\nsearch'), "1 left, expected two"),
+    ("candidates", ('"linear_surge_drag", "constant_resistance", ', ""), "1 left, expected two"),
 ]
 
 

@@ -3,10 +3,6 @@
 A fish, a boat, an ROV, a servo on a bench, a body that coasts to rest: no simulator need know it. A study says which records
 belong together; a model is fitted without each group in turn, and a term is named only where it lowers the error of groups that
 it did not see, by a bootstrap and by an exact test over the groups.
-
-  fishmj gap measured --new my.toml --plant body        a template with every key explained
-  fishmj gap measured --study my.toml --out report      search; report.html, report.json
-  fishmj gap measured tail_fish                         a study that comes with fishmj (FISHMJ_MEASURED names its data)
 """
 
 from importlib import import_module
@@ -25,22 +21,27 @@ from fishmj.studies.measured_robots.study_schema import PLANTS, StudyInput, chec
 OWN_PROGRAM = ("usv_coastdown", "tendon_fish")  # of another form than a study: two laws; a swimming fish of two links
 SETS = ("tail_fish", "servo_xl330", *OWN_PROGRAM)
 TEMPLATES = Path(__file__).resolve().parent / "templates"
-EXAMPLES = """exit codes: 0 an answer, 2 bad input (one line says what, where, got, expected), 3 too few groups to tell
+EXAMPLES = """examples:
+  fishmj gap measured --new my.toml --plant body        a template with every key explained
+  fishmj gap measured --study my.toml --out report      search; report.html, report.json
+  fishmj gap measured tail_fish --leave-one-out         a study that comes with fishmj
+
+exit codes: 0 an answer, 2 bad input (one line says what, where, got, expected), 3 too few groups to tell
 
 A group is what varies between experiments: a day, a setting, an amplitude, a run. Records of one group are never on both sides.
 With n groups the smallest p that any test can say is 1/2^n; with fewer than five there is no verdict, only what is tentative."""
 
 
 def main(argv: list[str]) -> int:
-    parser = console.parser("gap measured", (__doc__ or "").partition("\n\n  ")[0], examples=EXAMPLES)
+    parser = console.parser("gap measured", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
     add("name", nargs="?", help=f"{', '.join(SETS)}, or all; FISHMJ_MEASURED names the folder that holds them")
-    add("--study", type=console.path, metavar="FILE", help="a study of your own (TOML); --new writes a template")
-    add("--new", type=console.out_file, metavar="FILE", help="write a commented template and stop")
-    add("--plant", choices=PLANTS, help="of --new: body (fish, boat, ROV in the plane), servo, coast (a coast-down)")
+    add("--study", type=console.path, metavar="FILE", help="a study of your own (TOML), such as --new writes (default none)")
+    add("--new", type=console.out_file, metavar="FILE", help="write a commented template and stop (default no)")
+    add("--plant", choices=PLANTS, help="of --new: body (fish, boat, ROV), servo, coast (a coast-down); no default")
     add("--out", type=console.out_folder, metavar="FOLDER", help="folder for report.html and report.json (default none)")
     add("--seed", type=console.SEED, help="of what is drawn: groups kept aside, folds (default as the study says)")
-    by = "other groups than the study's: names as in its [groups] by, such as rig.trajectory"
+    by = "names as in a study's [groups] by, such as rig.trajectory (default as the study says)"
     add("--groups", type=console.Listed(console.text, 6), metavar="NAME,..", help=by)
     once = "leave every group out in turn and keep none aside: what these records say of conditions that were not seen"
     add("--leave-one-out", action="store_true", help=once)

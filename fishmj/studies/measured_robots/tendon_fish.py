@@ -12,6 +12,7 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.calib import read_toml, resolve
+from fishmj.errors import LogError
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.log import Trial, stacked
@@ -187,6 +188,8 @@ def squares(speeds: np.ndarray, measured: np.ndarray, used: np.ndarray) -> np.nd
 def run(say) -> tuple[str, dict]:
     """Words and figures of the set; the chosen model against the speeds of the description as well, which are another average."""
     beats = [beat(name, trial) for name, trial in trials("tendon_fish_markers").items()]
+    if len(beats) < 2:
+        raise LogError(f"tendon_fish: {len(beats)} trial, expected two at least: each is predicted from the others; add trials")
     said, figures = predicted(beats, say)
     known = read_toml(resolve("tendon_fish"))["measured"]["speed"]
     if len(known) != len(beats):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import effects
+from fishmj.errors import LogError
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import Sensor
 from fishmj.gap.thresholds import thresholds
@@ -96,6 +97,11 @@ def run(say) -> tuple[str, dict]:
     """Words and figures of the set."""
     every = [coast(name, trial) for name, trial in trials("usv_coastdown").items()]
     runs = [r for r in every if len(r.t) >= ROWS]
+    if len(runs) < 2:
+        raise LogError(
+            f"usv_coastdown: {len(runs)} of {len(every)} runs with {ROWS} speeds at fixes, expected two at least; "
+            "add runs to the folder"
+        )
     return compared(runs, [r.name for r in every if len(r.t) < ROWS], say)
 
 
