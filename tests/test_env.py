@@ -48,12 +48,12 @@ def test_the_final_observation_is_from_before_the_restart():
 
 def test_time_up_is_a_truncation_and_leaving_at_that_moment_a_termination():
     env, state = raft()
-    state = state._replace(count=jnp.full(6, LIMIT - 1))
+    state = state._replace(count=jnp.full(6, LIMIT - 1, jnp.int32))
     after = env.step(state, push(f4=(0, -1, 0)))
     assert np.asarray(after.truncated).tolist() == [True, True, True, True, False, True]
     assert np.asarray(after.terminated).tolist() == [False] * 4 + [True, False]
     assert not np.any(after.count)
-    early = env.step(state._replace(count=jnp.full(6, LIMIT - 2)), push())
+    early = env.step(state._replace(count=jnp.full(6, LIMIT - 2, jnp.int32)), push())
     assert not np.any(early.truncated) and (early.count == LIMIT - 1).all()
 
 

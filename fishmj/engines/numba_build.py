@@ -198,7 +198,8 @@ def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
         numbers |= bus
         reals |= {"RANGE": servo.range, "RESOLUTION": servo.resolution}
     parts = [HEADER.format(real=precision.name, whole=precision.integer)]
-    parts += [f"{name} = {int(value)}\n" for name, value in numbers.items()]
+    # rows are no literals for numba: it would compile what takes one anew for each
+    parts += [f"{name} = {f'np.int64({value})' if name.lower() in names else int(value)}\n" for name, value in numbers.items()]
     parts += [f"{name} = real({float(v)!r})\n" for name, v in reals.items()]
     parts.append(fast_math.source(precision))
     places = {} if learnt is None else learnt.range_places()
