@@ -156,7 +156,7 @@ class Writer:
         return getattr(self.builder, names[type(op)])(left, right)
 
     def call(self, name: str, given: list) -> Any:
-        """A conversion, an instruction of LLVM, or a function of the module, written in place."""
+        """A conversion, an instruction of LLVM, or a function of the module."""
         b, first = self.builder, given[0]
         if name in ("real", "whole"):
             kind = getattr(self, name)
