@@ -77,24 +77,15 @@ def generate(
     return trials
 
 
-def commands_of(what: Excitation, joints: int) -> np.ndarray:
-    """(T, J) of an experiment for a fish of any number of joints.
-
-    Fewer joints do what the first of the experiment's do. More take the angle between those at the same place of the row, less by
-    the ratio of their numbers, so that the whole chain bends as far.
-    """
+def laid_on(fish: Fish, what: Excitation) -> np.ndarray:
+    """(T, J) commands of an experiment for the fish's joints."""
     given = np.asarray(what.commands, float)
-    known = given.shape[1]
-    if joints <= known:
-        return given[:, :joints]
-    places = np.linspace(0.0, known - 1.0, joints)
-    share = np.maximum(1.0 - np.abs(places - np.arange(known)[:, None]), 0.0)
-    return given @ share * (known / joints)
+    return given if given.shape[1] == fish.joints else excitation.bent(given, fish.joints)
 
 
 def record(fish: Fish, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> Recording:
     """What really happens in trial `index`."""
-    commands = commands_of(what, fish.joints)
+    commands = laid_on(fish, what)
     hand = noise * random_numbers.stream(seed, "placing", index).standard_normal(3)
     start = np.array(what.start) + hand * np.array([PLACED[0], PLACED[0], PLACED[1]])
     radio = random_numbers.stream(seed, "radio", index)
@@ -108,7 +99,7 @@ def trial_of(
 ) -> Trial:  # fmt: skip
     """Swim, then look through the sensors."""
     motion, draw = record(fish, what, seed, index, noise), lambda purpose: random_numbers.stream(seed, purpose, index)
-    commands = commands_of(what, fish.joints)
+    commands = laid_on(fish, what)
     tables = {
         "cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", commands)},
         "joint": sensors.joints(fish, motion, draw("joint"), noise),
