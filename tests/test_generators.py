@@ -14,7 +14,7 @@ from fishmj.generators import families
 from fishmj.generators.ellipsoid import hull, lamb
 from fishmj.generators.family import drawn
 from fishmj.generators.swim import Run
-from fishmj.generators.trials import commands_of, record, robot_of
+from fishmj.generators.trials import record, robot_of
 from fishmj.mjcf.description import Link, Robot, load_robot
 
 ROOM = Path(generators.__file__).parent
@@ -201,9 +201,9 @@ def test_chains_of_any_length_beat_their_tails(name, links):
 
 def test_the_experiments_fit_any_chain():
     given = excitation.get("gait").commands
-    assert np.array_equal(commands_of(excitation.get("gait"), 3), given)
-    assert np.array_equal(commands_of(excitation.get("gait"), 1), given[:, :1])
-    more = commands_of(excitation.get("hold_angles"), 6)
+    assert np.array_equal(excitation.get("gait", 3).commands, given)
+    assert np.array_equal(excitation.get("gait", 1).commands, given[:, :1])
+    more = excitation.get("hold_angles", 6).commands
     held = excitation.get("hold_angles").commands
     np.testing.assert_allclose(more.sum(1), held.sum(1))  # the same angle from head to tail
 
