@@ -62,7 +62,7 @@ def buildable(robot: Robot, whose: object = "") -> None:
     """Raise ConfigError, with what would work, where the second robot has no equations for this one. whose: what the user called
     it."""
     few, most = LINKS
-    name, links = f"virtual robot: {str(whose or robot.name)[:80]}", len(robot.links)
+    name, links = f"virtual robot: {str(whose or robot.name)[-80:]}", len(robot.links)
     if not few <= links <= most:
         works = "fishmj calibrate, train and replay take any number of links"
         raise ConfigError(f"{name} has {links} links; it is a chain of {few} to {most} ({works})")
