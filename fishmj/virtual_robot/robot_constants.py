@@ -17,7 +17,6 @@ from fishmj.virtual_robot.rigid_body import RigidBody, alike, body_of
 CONSTANTS = "virtual_robot"
 ROUNDED = 1e-3  # relative
 LINKS = 2, 8  # fewest and most of a chain
-LATE = 0.01  # s of latency for a nuisance of 1: at 0.1 the millisecond that `calibrate latency` leaves open
 FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on average; part of the nominal latency
 
 
@@ -106,16 +105,12 @@ def nominal(
 ) -> RobotConstants:
     """The robot without effects; `nuisance` is the half width of the relative draw of what nobody measured.
 
-    Water coefficients, friction and the period of the firmware's loop get all of it, the firmware's gains and motor resistance a
-    fifth; the latencies of commands and camera `LATE` times it.
+    Water coefficients get all of it, friction all, servo gain and motor resistance a fifth.
     """
     table = read_toml(resolve(CONSTANTS))
 
     def drawn(value, part=1.0):
         return value if rng is None else value * (1.0 + part * nuisance * rng.uniform(-1.0, 1.0))
-
-    def late():
-        return 0.0 if rng is None else LATE * nuisance * rng.uniform(-1.0, 1.0)
 
     wet = dict(table["water"]) if scales == AS_IT_IS else scales.of(table["water"])
     scale = drawn(1.0)
@@ -142,7 +137,7 @@ def nominal(
     resistance, constant = electrical(servo)
     motor = constants.MotorConstants(
         gain=drawn(servo.kp, 0.2),
-        rate_gain=servo.kv,  # the draws that came later stand last, so that a seed keeps those before
+        rate_gain=servo.kv,
         torque=servo.torque,
         resistance=drawn(resistance, 0.2),
         constant=constant,
@@ -155,9 +150,8 @@ def nominal(
         **{**raw, "dry": drawn(raw["dry"]), "viscous": drawn(raw["viscous"])},
     )
     latency = timing.command_latency - FIRMWARE_WAIT * motor.period
-    motor = motor._replace(period=drawn(motor.period), rate_gain=drawn(servo.kv, 0.2))
-    network = constants.Network(period=timing.bus_dt, latency=latency + late(), **table["network"])
-    seen = {"latency": max(timing.camera_latency + late(), 0.0), "window": float(timing.velocity_window)}
+    network = constants.Network(period=timing.bus_dt, latency=latency, **table["network"])
+    seen = {"latency": timing.camera_latency, "window": float(timing.velocity_window)}
     air = table["air"]
     return RobotConstants(
         robot=robot,
