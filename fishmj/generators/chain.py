@@ -139,3 +139,14 @@ def own_effects(head, extra, tether):
     along += head[4] * pull_x + head[5] * pull_y
     across += head[4] * pull_y - head[5] * pull_x
     return along, across, -extra[2] * abs(r) * r
+
+
+@inlined
+def finish(chain, extra, tether, work, generalised, sparse):
+    """From a water's own forces in work.force to the joints: whole-body faults on the head, accelerated water, J^T."""
+    a, b, c = own_effects(work.motion[0], extra, tether)
+    work.force[0, 0] += a
+    work.force[0, 1] += b
+    work.force[0, 2] += c
+    carried(chain, work)
+    gather(chain, work, generalised, sparse)

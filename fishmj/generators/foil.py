@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.generators.chain import carried, gather, move, own_effects
+from fishmj.generators.chain import finish, move
 from fishmj.generators.compiled import entry, inlined
 from fishmj.generators.family import Coefficient, Family, Water
 from fishmj.generators.outline import fin_of, is_fin, ragged, stations_of, swaying
@@ -173,12 +173,7 @@ def step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, spars
     """One evaluation of the water; see `family.Family`."""
     move(chain, q, rate, flow, work)
     forces(law, work.motion, memory, h, work.force)
-    a, b, c = own_effects(work.motion[0], extra, tether)
-    work.force[0, 0] += a
-    work.force[0, 1] += b
-    work.force[0, 2] += c
-    carried(chain, work)
-    gather(chain, work, generalised, sparse)
+    finish(chain, extra, tether, work, generalised, sparse)
 
 
 FAMILY = Family("foil", "plates at an angle of attack; a fin that stalls and remembers", COEFFICIENTS, build, step)

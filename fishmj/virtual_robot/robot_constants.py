@@ -112,7 +112,7 @@ def nominal(
     def drawn(value, part=1.0):
         return value if rng is None else value * (1.0 + part * nuisance * rng.uniform(-1.0, 1.0))
 
-    wet = dict(table["water"]) if scales == AS_IT_IS else scales.of(table["water"])
+    wet = scales.of(table["water"])
     scale = drawn(1.0)
     wet["sections"] = [scale * k for k in wet["sections"]]
     wet["surge"] = [drawn(1.0) * m for m in alike(wet["surge"], len(robot.links)).tolist()]
