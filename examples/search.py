@@ -20,7 +20,8 @@ if __name__ == "__main__":
     logs = generate({"coulomb_friction": {"torque": TRUE}}, SWIMS, 11)
     model = SwimmingFish(catalogue=[effects.get(name) for name in ASKED])
     verdict = investigate(model, logs, null=SimulatedNull(runs=64), say=print).verdict
-    print(f"\n{verdict.answer}; the gap goes from {verdict.gap_before:.1f} to {verdict.gap_after:.1f} (1 is agreement)")
+    gaps = f"{verdict.gap_before:.1f} to {verdict.gap_after:.1f} (up to {verdict.gap_allowed:g} agrees)"
+    print(f"\n{verdict.answer}; the gap goes from {gaps}")
     for effect in verdict.effects:
         for name, found in effect.parameters.items():
             print(f"{effect.name} {name} = {found.value:.3g} {found.unit} ({found.low:.3g} to {found.high:.3g})")

@@ -230,3 +230,8 @@ def test_the_command_line_starts_without_the_heavy_packages():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     heavy = {"jax", "mujoco", "dm_control", "numba", "torch", "matplotlib", "cv2", "meshcat", "warp"}
     assert heavy.isdisjoint(done.stdout.split())
+
+
+def test_the_blind_benchmark_of_kept_data_is_read_without_numba():
+    code = "import sys; sys.modules['numba'] = None; import fishmj.studies.gap_benchmark.command, fishmj.generators.detectability"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -87,7 +87,8 @@ def test_ways_of_the_learnt_force_are_timed_and_compared(monkeypatch, capsys):
     """On a CPU there is one way, whose single precision is 0.1 mm off after a second at most; an unknown one fails alone."""
     from fishmj.studies.bench import residual, surrogate
 
-    monkeypatch.setattr(surrogate, "FISH_CPU", 2)
+    for name, value in (("FISH_CPU", surrogate.FISH_QUICK), ("CHUNKS", 1)):  # the programs of `surrogate --quick`, compiled once
+        monkeypatch.setattr(surrogate, name, value)
     monkeypatch.setattr(residual, "SECONDS", 1.0)
     monkeypatch.setattr(residual, "SWUM", 3)
     monkeypatch.setattr(

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from fishmj.hydro_fit.fit.descent import quick
+
 FOLDER = Path(__file__).resolve().parent.parent / "examples"
 QUICK = ("own_controller", "own_effect", "own_importer", "own_reward", "read_trial", "side_by_side")
 DEAR = ("boat_study", "flow_solver", "gymnasium_policy", "mjx_batch", "search", "solver_suite")  # more than 5 s of CPU
@@ -18,7 +20,10 @@ LINES = 60
 
 @pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in DEAR)])
 def test_an_example_runs(name, tmp_path):
-    environment = os.environ | {"PYTHONPATH": str(FOLDER.parent)}
+    """What JAX compiles is compiled as a fit's programs are: in two thirds of the time."""
+    flags = [f"--{key}={str(value).lower()}" for key, value in (quick("cpu") or {}).items()]
+    flags = " ".join([os.environ.get("XLA_FLAGS", ""), *flags])
+    environment = os.environ | {"PYTHONPATH": str(FOLDER.parent), "XLA_FLAGS": flags}
     done = subprocess.run(
         [sys.executable, FOLDER / f"{name}.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )

@@ -10,6 +10,7 @@ pytest.importorskip("numba")
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "gap_answers.py"
 QUICK = ("--null-runs", "64")
+FEW = ("--null-runs", "24")  # where the answer is plain; as many as the tutorial of the search takes, which are kept
 
 
 @pytest.fixture(scope="module")
@@ -21,9 +22,23 @@ def example():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["agrees", "named", "not_repeatable"])
-def test_the_example_gets_the_answer_it_is_called_by(example, name, tmp_path):
-    assert example.tell(name, tmp_path, QUICK) == [name.upper()]
+def test_nothing_hidden_is_agreement(example, tmp_path):
+    assert example.tell("agrees", tmp_path, QUICK) == ["AGREES"]
+
+
+@pytest.mark.slow
+def test_a_latency_is_named_with_its_size(example, tmp_path):
+    assert example.tell("named", tmp_path, FEW) == ["NAMED"]
+    verdict = json.loads((tmp_path / "first" / "report" / "verdict.json").read_text())
+    (effect,) = verdict["effects"]
+    assert effect["name"] == "command_latency" and effect["parameters"]["delay"]["value"] == pytest.approx(0.03, rel=0.1)
+    assert verdict["gap_after"] < 0.5 * verdict["gap_before"]
+
+
+@pytest.mark.slow
+def test_restless_water_is_not_repeatable(example, tmp_path):
+    """Though an effect was taken, which one round finds; a second one would be another search of the same."""
+    assert example.tell("not_repeatable", tmp_path, (*FEW, "--most", "1")) == ["NOT_REPEATABLE"]
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ def test_fault_22_a_patch_that_hurts_unseen_records(data, tmp_path, capsys):  # 
     code, out, _ = command(capsys, "apply", folder)
     (kept,) = folder.glob("model.rejected-*.toml")
     scores = read_toml(kept)["version"]
-    assert code == console.FAILED_CHECK and "hurts" in out and scores["gap_after"] > scores["gap_before"]
+    assert code == console.FAILED_CHECK and "hurts" in out and scores["over_floor"][1] > scores["over_floor"][0]
     assert not list(folder.glob("fish.v*.toml"))
 
 

@@ -1,4 +1,8 @@
-"""The discrepancy search on fish whose hidden effect is known: it names it, sizes it, and stays silent when nothing is hidden."""
+"""The discrepancy search on fish whose hidden effect is known: it names it, sizes it, and stays silent when nothing is hidden.
+
+A latency, a force outside the catalogue, restless water, and one more fish without a fault: test_examples_gap.py; a current:
+test_gap_outdone.py.
+"""
 
 import numpy as np
 import pytest
@@ -44,39 +48,18 @@ def test_rollouts_are_those_of_mujoco(plant):
     assert np.abs(seen["pose"][0, 10:, 0] - late[10:]).max() < 1e-3  # straight lines between stamps against the cubic
 
 
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        pytest.param("command_latency", {"delay": 0.03}, marks=pytest.mark.slow),
-        pytest.param("steady_current", {"x": 0.03, "y": -0.01}, marks=pytest.mark.slow),
-        pytest.param("coulomb_friction", {"torque": 0.12}, marks=pytest.mark.part("search")),
-    ],
-)
-def test_a_hidden_effect_is_named_with_its_size(plant, name, values):
-    verdict = investigate(plant, hidden({name: values}, 11), null=NULL).verdict
+@pytest.mark.part("search")
+def test_a_hidden_effect_is_named_with_its_size(plant):
+    verdict = investigate(plant, hidden({"coulomb_friction": {"torque": 0.12}}, 11), null=NULL).verdict
     assert verdict.answer == "NAMED", verdict.text()
-    assert [e.name for e in verdict.effects] == [name]
-    for parameter, true in values.items():
-        assert verdict.effects[0].parameters[parameter].value == pytest.approx(true, abs=0.1 * max(map(abs, values.values())))
+    assert [e.name for e in verdict.effects] == ["coulomb_friction"]
+    assert verdict.effects[0].parameters["torque"].value == pytest.approx(0.12, rel=0.1)
     assert verdict.gap_after < 0.5 * verdict.gap_before
 
 
 def test_nothing_hidden_is_agreement(plant):
-    for seed in (21, 22):
-        verdict = investigate(plant, hidden({}, seed), null=NULL).verdict
-        assert verdict.answer == "AGREES", verdict.text()
-
-
-@pytest.mark.slow
-def test_an_effect_outside_the_catalogue_is_not_named(plant):
-    verdict = investigate(plant, hidden({"tail_yaw_cross_force": {"coefficient": -0.02}}, 31), null=NULL).verdict
-    assert verdict.answer in ("UNEXPLAINED", "CLASS"), verdict.text()
-
-
-@pytest.mark.slow
-def test_replicates_that_differ_as_much_as_the_model_are_not_repeatable(plant):
-    trials = hidden({"turbulence": {"sigma": 0.06, "time": 1.0}}, 41, ("drift_north",) * 3 + ("gait_fast",) * 3)
-    assert investigate(plant, trials, null=NULL).verdict.answer == "NOT_REPEATABLE"
+    verdict = investigate(plant, hidden({}, 22), null=NULL).verdict
+    assert verdict.answer == "AGREES", verdict.text()
 
 
 def test_a_repeatable_gap_is_repeatable(plant):
@@ -150,6 +133,17 @@ def test_the_loss_is_twice_the_negative_log_likelihood():
     white, s = whitening(factors, d), factors.T @ factors + np.diag(d**2)
     assert white.logdet == pytest.approx(np.linalg.slogdet(s)[1], rel=1e-12)
     assert np.sum(white(x) ** 2) == pytest.approx(x @ np.linalg.solve(s, x), rel=1e-9)
+
+
+def test_factors_of_one_record_each_whiten_as_if_they_were_written_out():
+    rng = np.random.default_rng(3)
+    record, factors = np.repeat([0, 1, 2], [10, 25, 5]), rng.normal(size=(4, 40))
+    by_record = [rng.normal(size=(k, n)) for k, n in ((2, 10), (0, 25), (7, 5))]
+    d, x, written = rng.uniform(0.5, 2.0, 40), rng.normal(size=40), np.zeros((9, 40))
+    written[:2, :10], written[2:, 35:] = by_record[0], by_record[2]
+    white, whole = whitening(factors, d, by_record, record), whitening(np.concatenate([factors, written]), d)
+    assert white.logdet == pytest.approx(whole.logdet, rel=1e-12)
+    assert np.sum(white(x) ** 2) == pytest.approx(np.sum(whole(x) ** 2), rel=1e-9)
 
 
 def test_around_the_model_as_it_is_the_evidence_is_the_same(plant):

@@ -194,7 +194,7 @@ def far():
     def evidence(change=lambda r: r, gap=5e3):
         perfect = [{"joint": r.joint.values[None], "pose": r.pose.values[None], "power": r.power.values[None]} for r in records]
         plant = SimpleNamespace(predict=lambda *_: perfect, null=None, joints=3)
-        return SimpleNamespace(records=[change(r) for r in records], model=plant, gap=lambda row: (gap, {"joint": gap}))
+        return SimpleNamespace(records=[change(r) for r in records], model=plant, over_floor=lambda row: (gap, {"joint": gap}))
 
     return evidence
 

@@ -1,5 +1,6 @@
 """What was found has to explain more than any free force; and an effect that can only be right may be wrong in its form."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -11,7 +12,9 @@ from test_gap import NULL, evidence_on, hidden, plant  # noqa: E402, F401
 from fishmj import effects
 from fishmj.gap.decide.decide import _answer, needs_exact_value
 from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.records.records import record_of
 from fishmj.gap.search.fit import refine
+from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.search.stepwise import Selection, converge, split
 from fishmj.gap.terms import stronger
 from fishmj.gap.terms.library import library, model_with_terms
@@ -49,6 +52,7 @@ def test_a_right_name_is_led_by_no_free_force(plant, name, values):  # noqa: F81
     assert found.best.names == (name,)
     said = stronger.challenge(e, found, verdict)
     assert said.answer == "NAMED" and said.gates["lead"] < thresholds().stronger.lead / 2
+    assert said.gates["term"] != "yaw moment ~ yaw rate squared, signed" or name != "yaw_drag"  # its own formula is not asked
 
 
 @pytest.mark.slow
@@ -74,18 +78,44 @@ def test_a_gain_is_led_by_a_servos_reading_only_where_the_reading_errs(planted, 
     assert said.gates["term"].startswith("servo reading ~ sine") or answer == "NAMED"
 
 
-@pytest.mark.slow
-def test_a_term_that_is_the_formula_of_what_was_named_is_not_asked(plant):  # noqa: F811
+def test_a_term_is_the_formula_of_what_was_named():
     mine = lambda name: {t.formula for t in library() if is_own_formula(effects.get(name), t)}
     assert mine("body_lift") == {"sway force ~ surge speed x sway speed"}  # -Y |u| w
     assert mine("yaw_drag") == {"yaw moment ~ yaw rate squared, signed"}
     assert mine("command_gain_error") == {"servo reading ~ angle"}
     assert mine("viscous_friction") == {"joint torque ~ rate"} and mine("skin_stiffness") == {"joint torque ~ angle"}
     assert mine("tether") == mine("steady_current") == mine("coulomb_friction") == mine("skin_hysteresis") == set()
-    e = evidence_on(plant, {"yaw_drag": {"coefficient": 0.01}}, 84)
+
+
+def in_a_log_scaled_by(factor: float, seed: int):
+    """Records of a healthy fish whose log has every joint's angle too large. The model in question knows a command's gain."""
+    gains = SwimmingFish(catalogue=[effects.get("command_gain_error"), effects.get("servo_gain")])
+    records = [record_of(t, gains.dt) for t in hidden({}, seed)]
+    records = [r._replace(joint=r.joint._replace(values=factor * r.joint.values)) for r in records]
+    return likelihood_of(gains, records, NULL)
+
+
+@pytest.mark.slow
+def test_a_log_with_a_wrong_scale_names_no_gain_of_the_command(monkeypatch):
+    e = in_a_log_scaled_by(1.04, 84)
     found, verdict = best(e)
-    assert found.best.names == ("yaw_drag",)
-    assert stronger.challenge(e, found, verdict).gates["term"] != "yaw moment ~ yaw rate squared, signed"
+    assert found.best.names == ("command_gain_error",)
+    said = stronger.challenge(e, found, verdict)
+    assert said.answer == "UNEXPLAINED" and said.gates["term"] == "joint log ~ angle"
+    # where a free force must lead by more, the scale is as good as what was named: neither is told from the other
+    given = thresholds().stronger._replace(lead=1e9)
+    monkeypatch.setattr(stronger, "thresholds", lambda: thresholds()._replace(stronger=given))
+    either = stronger.challenge(e, found, verdict)
+    assert either.answer == "CLASS" and [r["name"] for r in either.rivals] == ["joint log ~ angle"]
+    assert "protractor" in either.next_experiment and either.rivals[0]["instead_of"] == "command_gain_error"
+
+
+@pytest.mark.slow
+def test_a_gain_of_the_command_is_told_from_the_scale_of_the_log():
+    gains = SwimmingFish(catalogue=[effects.get("command_gain_error"), effects.get("servo_gain")])
+    e = likelihood_of(gains, [record_of(t, gains.dt) for t in hidden({"command_gain_error": {"gain": 0.04}}, 85)], NULL)
+    said = stronger.challenge(e, *best(e))
+    assert said.answer == "NAMED" and not said.rivals
 
 
 def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free):  # noqa: F811
@@ -96,16 +126,22 @@ def test_with_terms_in_place_of_the_catalogue_the_model_is_the_same(plant, free)
 
 
 @pytest.mark.slow
-def test_a_search_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
-    trials = hidden({"steady_current": {"x": 0.03, "y": -0.01}}, 11)
-    verdict = investigate(plant, trials, null=NULL).verdict
+def test_a_search_names_a_current_with_its_size_and_asks_the_free_forces(plant, monkeypatch):  # noqa: F811
+    inquiry = investigate(plant, hidden({"steady_current": {"x": 0.03, "y": -0.01}}, 11), null=NULL)
+    verdict = inquiry.verdict
     assert verdict.answer == "NAMED" and verdict.gates["lead"] < 0.0
+    (effect,) = verdict.effects
+    found = [effect.parameters[axis].value for axis in ("x", "y")]
+    assert effect.name == "steady_current" and found == pytest.approx([0.03, -0.01], abs=0.003)
+    assert verdict.gap_after < 0.5 * verdict.gap_before
     assert not verdict.gates["believed"]  # a constant force is a poor current
+    challenged = lambda: stronger.challenge(inquiry.evidence, inquiry.found, verdict).answer
     given = thresholds().stronger._replace(lead=verdict.gates["lead"] - 1.0)
-    monkeypatch.setattr(stronger, "thresholds", lambda: thresholds()._replace(stronger=given))
-    assert investigate(plant, trials, null=NULL).verdict.answer == "NAMED"
+    any_lead = replace(frozen(), min_gain_fraction=-1.0)  # of the gain
+    monkeypatch.setattr(stronger, "thresholds", lambda: thresholds()._replace(stronger=given, gates=any_lead))
+    assert challenged() == "NAMED"
     given = given._replace(form_ratio=1e3)
-    assert investigate(plant, trials, null=NULL).verdict.answer == "UNEXPLAINED"
+    assert challenged() == "UNEXPLAINED"
 
 
 def test_only_what_can_only_be_right_may_have_a_wrong_form(plant):  # noqa: F811

@@ -20,6 +20,7 @@ from fishmj.gap.report import gathered, write
 from fishmj.gap.report.report_data import parted, parts
 from fishmj.gap.report.sections import CONTRACT, gates, headline, html
 from fishmj.gap.search.likelihood import likelihood_of
+from fishmj.gap.thresholds import frozen
 from fishmj.gap.wording import quantity
 from fishmj.gap.workflow import investigate
 from fishmj.virtual_robot import generate
@@ -56,7 +57,7 @@ def planted(plant, hidden: dict, runs=RUNS):
     for name, values in hidden.items():
         for parameter, value in values.items() if name in EFFECTS else ():
             row[plant.index(name, parameter)] = value
-    return compared(plant, records, e.scale, plant.null, row)
+    return compared(e, e.with_estimated_model_error(row), plant.null, row)
 
 
 # ------------------------------------------------------------------------------------------------------------ localisation
@@ -83,19 +84,19 @@ def test_every_number_of_the_paragraph_is_a_field(material):
 
 
 def test_a_late_camera_is_downstream_of_the_joint(plant):
-    p = localise(planted(plant, {"camera_latency": {"delay": 0.04}}))
+    p = localise(planted(plant, {"camera_latency": {"delay": 0.04}}), frozen().adequacy)
     assert not significant(p.lags.joint) and 0.034 < p.lags.heading.lag < 0.052
     assert p.share[p.channels.index("heading")].sum() > 0.5 and "downstream of the joint" in p.text
 
 
 def test_a_late_joint_sensor_is_at_the_joint(plant):
-    p = localise(planted(plant, {"joint_sensor_delay": {"delay": 0.04}}))
+    p = localise(planted(plant, {"joint_sensor_delay": {"delay": 0.04}}), frozen().adequacy)
     assert significant(p.lags.joint) and not significant(p.lags.heading) and "own sensor" in p.text
 
 
 def test_a_current_is_fixed_in_the_tank(plant):
     runs = tuple(f"drift_{way}" for way in ("east", "north", "west", "south"))
-    p = localise(planted(plant, {"steady_current": {"x": 0.03, "y": 0.02}}, runs))
+    p = localise(planted(plant, {"steady_current": {"x": 0.03, "y": 0.02}}, runs), frozen().adequacy)
     towards = np.degrees(np.arctan2(p.frame.world[1], p.frame.world[0]))
     assert p.frame.points == "world" and abs(towards - np.degrees(np.arctan2(2, 3))) < 25
     assert p.share[p.channels.index("position")].sum() > 0.5 and "of the tank" in p.text
@@ -104,14 +105,16 @@ def test_a_current_is_fixed_in_the_tank(plant):
 
 @pytest.mark.parametrize("offset", [0.06, -0.06])
 def test_a_bent_joint_turns_the_robot_to_one_side(plant, offset):
-    p = localise(planted(plant, {"joint_zero_offset": {"offset1": offset}}, ("gait", "gait_mirrored", "drift_north")))
+    p = localise(
+        planted(plant, {"joint_zero_offset": {"offset1": offset}}, ("gait", "gait_mirrored", "drift_north")), frozen().adequacy
+    )
     assert np.sign(p.side.even) == -np.sign(offset) and abs(p.side.even) > 3 * p.side.even_sd
     assert p.frame.points != "world" and p.locked["heading"].locked < 0.5 and not significant(p.lags.joint)
     assert f"more to the {'right' if offset > 0 else 'left'} whichever way it goes" in p.text
 
 
 def test_agreement_has_no_place(plant):
-    p = localise(planted(plant, {}))
+    p = localise(planted(plant, {}), frozen().adequacy)
     assert p.gap < 1.25 and "nothing to place" in p.text and not significant(p.lags.joint) and not significant(p.lags.heading)
 
 
@@ -119,7 +122,7 @@ def test_a_fast_steady_beat_tells_no_lag(plant):
     """A delay of a period and none look the same: nothing is claimed rather than something wrong."""
     steady = excitation.Excitation(id="buzz", commands=excitation.gait(4.5, 0.2, 0.5, seconds=8.0), about="one fast beat")
     c = planted(plant, {"command_latency": {"delay": 0.04}}, (steady,))
-    found = localise(c).lags.joint
+    found = localise(c, frozen().adequacy).lags.joint
     assert found is None or abs(found.lag - 0.04) < 0.02
 
 
@@ -142,8 +145,8 @@ def test_a_delay_is_there_at_once_and_a_current_grows(plant, material):
 def test_parts_of_the_records_are_kept_apart(inquiry):
     fitted, held = parts(inquiry)
     assert (fitted.records, held.records) == (3, 1) and parted(inquiry).count("held out") == 1
-    assert held.before == pytest.approx(np.mean([b for b, _ in held.by_channel.values()]))
-    assert held.after < 2 < held.before and 0.3 < held.low < held.high < 3
+    channels = [before for before, _ in held.by_channel.values()]
+    assert min(channels) < held.before < max(channels) and held.after < 2 < held.before
     seen = dataclasses.replace(inquiry.verdict, gap_unseen_before=9.0, gap_after_unseen=1.5)
     more = dataclasses.replace(
         inquiry, verdict=seen, records=[*inquiry.records, inquiry.records[0]], unseen=np.array([False] * 4 + [True])

@@ -36,7 +36,17 @@ def test_a_file_of_ones_own_changes_what_it_states_alone(tmp_path):
 
 
 def test_old_names_of_gates_are_read_with_one_line_that_says_so(tmp_path, capsys):
-    old = {"rest": 1.2, "again": 0.05, "clear": 0.3, "beside": 0.01, "enough": 900.0, "joint": 500.0, "ahead": 200.0, "most": 3}
+    old = {
+        "rest": 1.2,
+        "again": 0.05,
+        "clear": 0.3,
+        "beside": 0.01,
+        "enough": 900.0,
+        "min_gain_cap": 900.0,
+        "joint": 500.0,
+        "ahead": 200.0,
+        "most": 3,
+    }
     assert set(old) == set(RENAMED) and set(RENAMED.values()) <= {field.name for field in fields(Gates)}
     gates = thresholds(written(tmp_path, "[gates]\n" + "".join(f"{k} = {v}\n" for k, v in old.items()))).gates
     assert {key: getattr(gates, RENAMED[key]) for key in old} == old

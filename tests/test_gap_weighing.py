@@ -65,7 +65,11 @@ def test_what_the_page_lacks_is_not_compared(plant):
         0
     ]
     assert only.values[0, 0] == pytest.approx(1.1205) and only.sigma[0] == pytest.approx(1.12e-3, rel=0.01)
-    assert mass_properties.sensor({}, plant) is None
+    assert mass_properties.sensor({}, plant, known=False) is None
+    described = mass_properties.sensor({}, plant)  # the model's mass counts as weighed
+    assert described.values[0, 0] == pytest.approx(sum(link.mass for link in plant.robot.links))
+    assert described.sigma[0] == pytest.approx(1e-3 * described.values[0, 0]) and np.isnan(described.values[0, 1:]).all()
+    assert "counts as weighed" in mass_properties.agreement(plant, [record._replace(weighed=described)])
     with pytest.raises(ConfigError, match=r"\[pendulum\] period"):
         mass_properties.sensor({"pendulum": {"thread": 1.2, "apart": 0.3}}, plant)
 
@@ -145,6 +149,7 @@ def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp
     given = {}
     monkeypatch.setattr(find, "investigate", lambda *_, **options: given.update(options))
     asked = {"model": "fish", "null": None, "null_runs": 64, "noise": 1.0, "seed": 0, "most": None, "anyway": False}
+    asked |= {"mass_unknown": False}
     find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), datasets.readable_trials(tmp_path / "data"))
     assert given["page"] == datasets.page_in(tmp_path / "data")
     assert len(datasets.trials_in(tmp_path / "data")) == 1 and datasets.page_in(tmp_path / "set.npz") == {}

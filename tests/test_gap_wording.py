@@ -34,13 +34,14 @@ def candidate(*names):
 
 
 def step(accepted, gap, names=("steady_current",)):
-    return SelectionStep((candidate(*names),), None, 34561418.0, accepted, gap)
+    return SelectionStep((candidate(*names),), None, 34561418.0, accepted, gap, gap)
 
 
 def verdict(before, now, **more):
     """A search that took a steady current, and what it made of the gap."""
     found = {"answer": "UNEXPLAINED", "effects": (CURRENT,), "rivals": RIVALS[:2], "reason": "made up", "gates": PASSED}
-    found |= {"gap_before": before, "gap_after": now, "explained": 0.98, "steps": (step_table(step(True, (before, now))),)}
+    found |= {"gap_before": before, "gap_after": now, "gap_allowed": 1.2, "explained": 0.98}
+    found |= {"steps": (step_table(step(True, (before, now))),)}
     return Verdict(**found | more)
 
 
@@ -62,11 +63,11 @@ def material(v, *, changed=None, steps=None, parts=()):
 
 # ------------------------------------------------------------------------------------------------------------------- rounds
 def test_a_round_is_called_accepted_only_where_it_lowers_the_gap_of_records_that_it_did_not_see():
-    assert "accepted: their gap falls from 7.27 to 1.10" in said(True, 300.0, (7.27, 1.1))
-    grown = said(True, 34561418.0, (7273.97, 42555.6))
-    assert "accepted" not in grown and "taken though" in grown and "7270 before, 42600 after" in grown
-    assert "accepted" not in said(True, 300.0, (5.0, 5.0))
-    assert said(False, 12.0, None).endswith("not enough")
+    assert "accepted: their gap goes from 7.27 to 1.10" in said(True, 300.0, (7.27, 1.1), (5.0, 1.0))
+    grown = said(True, 34561418.0, (7.2, 1.1), (7273.97, 42555.6))
+    assert "accepted" not in grown and "taken though" in grown and "7270 times the floor before, 42600 after" in grown
+    assert "accepted" not in said(True, 300.0, (5.0, 1.0), (5.0, 5.0))
+    assert said(False, 12.0, None, None).endswith("not enough")
 
 
 @pytest.mark.parametrize(("gap", "accepted"), [((7.0, 1.0), True), ((7.0, 9.0), False), ((7.0, np.nan), False)])
@@ -79,13 +80,14 @@ def test_terminal_page_and_json_call_the_same_rounds_accepted(gap, accepted):
     assert v.steps[0]["accepted"]  # what the search decided stays
 
 
-def test_the_gap_of_unseen_records_is_that_of_the_fits_which_did_not_see_them():
+def test_the_residual_of_unseen_records_is_that_of_the_fits_which_did_not_see_them():
     blocks = [SimpleNamespace(channel="joint", where=slice(0, 2)), SimpleNamespace(channel="joint", where=slice(2, 4))]
     layout = SimpleNamespace(record=np.array([0, 0, 1, 1]), blocks=blocks, residuals=lambda rows: np.array(rows))
     plant = SimpleNamespace(predict=lambda records, rows: [[1.0 * r[0]] * 4 for r in rows])
     near = SimpleNamespace(layout=layout, model=plant, records=[0, 1], scale=np.ones(4))
     fits = tuple(replace(candidate(), row=np.array([value])) for value in (2.0, 3.0))
-    assert CrossValidated(near, candidate(), fits).gap(np.array([[True, False], [False, True]])) == pytest.approx((4.0 + 9.0) / 2)
+    folds = np.array([[True, False], [False, True]])
+    assert CrossValidated(near, candidate(), fits).over_floor(folds) == pytest.approx((4.0 + 9.0) / 2)
 
 
 # --------------------------------------------------------------------------------------------------------------- percentages
@@ -119,7 +121,7 @@ def test_wherever_the_gap_was_measured_it_has_to_shrink(more):
 def test_a_share_names_what_it_is_of():
     text = SHRUNK.text()
     assert "explains 98 % of the excess log likelihood, on records that it was not fitted to" in text
-    assert "gap 1520 -> 1320 on the records searched (mean square in units of the floor, 1 = agreement)" in text
+    assert "gap 1520 -> 1320 on the records searched (|z|^2 / m, up to 1.20 agrees)" in text
     assert "13 % of what is above 1 is gone" in text
     named = replace(SHRUNK, answer="NAMED")
     assert "98 % of the excess log likelihood" in sections.meaning(material(named))
@@ -134,13 +136,13 @@ def test_a_reason_claims_a_share_only_beside_a_gap_that_shrinks():
     for shrinks, claimed in ((True, True), (False, False)):
         answer, reason = _answer(PASSED | {"rest": 5.8}, gates, (), stand, (), (), shrinks)
         assert answer == "UNEXPLAINED" and ("98 % of the excess log likelihood" in reason) is claimed
-        assert ("does not lower the gap" in reason) is not claimed and "5.8 times" in reason
+        assert ("does not lower the residual" in reason) is not claimed and "5.8 times" in reason
     good = PASSED | {"rest": 1.0, "form": 0.02, "size": 0.0}
     assert _answer(good, gates, (), stand, (), (), True) == (
         "NAMED",
         "explains records that it has not seen, and nothing else does",
     )
-    assert "not their gap smaller" in _answer(good, gates, (), stand, (), (), False)[1]
+    assert "not their residual smaller" in _answer(good, gates, (), stand, (), (), False)[1]
 
 
 @pytest.mark.parametrize("answer", ["AGREES", "NOT_REPEATABLE", "UNEXPLAINED"])

@@ -337,10 +337,10 @@ def test_the_bare_verb_end_to_end_in_the_flow_solver(tmp_path, monkeypatch, caps
     monkeypatch.setattr(plan, "TEST", short(plan.TEST, 3.2))
     monkeypatch.setattr(plan, "SETTLE", 0.4)
     boxes = domain._presets()
-    small = boxes | {"laptop": replace(boxes["laptop"], shape=(60, 36, 16))}
+    small = boxes | {"laptop": replace(boxes["laptop"], shape=(42, 36, 14))}
     monkeypatch.setattr(domain, "_presets", lambda: small)
     monkeypatch.setattr(at_hand, "CPU_TIME", 3600.0)
-    monkeypatch.setattr(at_hand, "PREVIEW_TIME", 18.0)
+    monkeypatch.setattr(at_hand, "PREVIEW_TIME", 9.5)
     monkeypatch.setattr(verb, "DATA", Path("data/hydro"))
     monkeypatch.setattr(verb, "FOLDERS", (Path("data/water"), *FOLDERS))
     given = ["--fish", "tiny.toml", "--device", "cpu", "--swims", "3", "--json"]

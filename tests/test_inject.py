@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from dataclasses import replace
 
 import jax
 import mujoco
@@ -223,10 +224,14 @@ def test_mjx_equals_closed_form_in_single(swim):
     assert_same(mjx.Engine(robot).advance(*single), expected, 2e-4)
 
 
-@pytest.mark.parametrize("learnt", [None, "swift"])
-def test_free_water_is_the_planar_water_in_the_plane(learnt):
+WING = {"edge_place": 0.6, "tail_held": 0.7, "linear_drag": 0.4}
+
+
+@pytest.mark.parametrize(("learnt", "shape"), [(None, {}), ("swift", {}), (None, WING)])
+def test_free_water_is_the_planar_water_in_the_plane(learnt, shape):
     """Same pose and velocities, nothing vertical: M_a and forces agree to 1e-12, and only buoyancy pushes out of the plane."""
     robot = mjcf.load_robot("fish")
+    robot = replace(robot, water=robot.water | shape)
     models = mjcf.build(robot), mjcf.build(robot, "free")
     flat, free = (mujoco.MjData(m) for m in models)
     residual = learnt and HydroModel.load(learnt).learnt

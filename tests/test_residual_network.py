@@ -130,10 +130,14 @@ def test_the_kernel_is_for_single_precision_on_a_graphics_card_and_its_gradient_
     net, m, z = small(10)
     assert "custom_vjp" not in str(jax.make_jaxpr(lambda *a: residual_network.mean_step(jnp, net, *a, 0.02))(m, z))
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(residual_kernel, "usable", lambda: True)
+    monkeypatch.setattr(residual_network, "FEWEST", len(m.speed))
     taken = lambda given: str(jax.make_jaxpr(lambda *a: residual_network.mean_step(jnp, net, *a, 0.02))(*given))
     assert "pallas_call" in taken((m, z)) and "pallas_call" not in taken(jax.tree.map(lambda a: a[0], (m, z)))
     with jax.enable_x64(True):
         assert "pallas_call" not in taken(jax.tree.map(lambda a: jnp.asarray(np.asarray(a, float)), (m, z)))
+    monkeypatch.setattr(residual_network, "FEWEST", len(m.speed) + 1)
+    assert "pallas_call" not in taken((m, z))
 
     def total(way):
         """Gradient of all that comes out, by the speed."""
@@ -142,3 +146,15 @@ def test_the_kernel_is_for_single_precision_on_a_graphics_card_and_its_gradient_
     by_rule = total(lambda net, m, z: residual_kernel.mean_step(0.02, residual_network.halves(np, net), m, z))
     plain = total(lambda net, m, z: residual_network.mean_by_products(jnp, net, m, z, 0.02))
     np.testing.assert_allclose(np.asarray(by_rule), np.asarray(plain), rtol=1e-5)
+
+
+def test_a_device_that_takes_no_kernel_is_told_once_and_products_take_its_place(capsys):
+    """This CPU is such a device; for an NVIDIA GPU the kernel that tries it is lowered, which needs none."""
+    residual_kernel.usable.cache_clear()
+    assert not residual_kernel.usable() and not residual_kernel.usable()
+    said = capsys.readouterr().err
+    assert said.count("Matrix products take their place") == 1 and "compute capability" in said
+    residual_kernel.usable.cache_clear()
+    table = jax.ShapeDtypeStruct((residual_kernel.BLOCK, 4), jnp.float32)
+    lowered = residual_kernel.probe.trace(table, table).lower(lowering_platforms=("cuda",))
+    assert lowered.as_text().count("xla.gpu.triton") == 1

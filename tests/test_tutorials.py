@@ -19,7 +19,7 @@ JUDGED = "--los 0,180 --duration 20"
 SHORTER = {
     "fishmj train": "--steps 8e3 --envs 64",
     "fishmj evaluate": JUDGED,
-    "fishmj gap find": "--null-runs 24",
+    "fishmj gap find": "--null-runs 24 --most 1",
     "fishmj lbm_oracle swim": "--seconds 0.2",
 }
 

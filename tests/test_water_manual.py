@@ -34,7 +34,8 @@ def test_the_example_prints_the_figures_of_the_manual(tmp_path):
 
 def test_the_manual_states_every_coefficient_with_its_value():
     stated = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", MANUAL, re.MULTILINE))
-    water = strip_forces.Coefficients._field_defaults | {key: value for key, value in ROBOT.water.items() if key != "model"}
+    unset = strip_forces.Coefficients._field_defaults | strip_forces.SHAPE
+    water = unset | {key: value for key, value in ROBOT.water.items() if key != "model"}
     assert stated.keys() == water.keys()
     for key, text in stated.items():
         assert [float(n) for n in re.findall(r"\d+\.?\d*", text)] == np.atleast_1d(water[key]).tolist(), key

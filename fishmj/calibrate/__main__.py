@@ -143,6 +143,11 @@ main = console.CommandGroup(
             "synthetic trials only: fitted against the sealed values",
             "fishmj calibrate score --model fish.calibrated.toml",
         ),
+        "families": Command(
+            "fishmj.studies.water_families",
+            "how far off water is, on robots of every generator",
+            "fishmj calibrate families --robots 3 --jobs 2",
+        ),
         "check": Command(drawn, "how far off it is, on robots drawn anew", "fishmj calibrate check --robots 16"),
     },
 )

@@ -194,7 +194,7 @@ def run_water(args) -> Answer:
         f"on swims that the fit has not seen the speed is wrong by {100 * left.value:.1f} % in the mean and"
         f" {100 * left.high:.1f} % at worst; as described by {100 * float(np.nanmean(begin)):.1f} % in the mean"
     )
-    doubt = water_fit.loose_servo(plant, found.records, found.whole.theta)
+    doubt = water_fit.loose_servo(plant, found.records, found.theta)
     earlier = {swim.trial: swim for swim in found.before}
     swims = [
         {
@@ -210,7 +210,7 @@ def run_water(args) -> Answer:
         }
         for swim in sorted(found.after)
     ]
-    turned = rows(found.whole.estimates)
+    turned = rows(found.coefficients)
     console.say(*said(logs, f"{len(names)} of them are free swims"), console.table(swims), "", console.table(turned))
     console.say("", console.table(rows(found.physical)), words, *([doubt] if doubt else []))
     tables = {"What the body feels": rows(found.physical), "Swims left out": swims, "Coefficients": turned}
@@ -224,7 +224,7 @@ def run_water(args) -> Answer:
         calibrated_model.write(args.out, text, "water", found.physical | {"speed_error": left}, {}, args.data)
     return {
         "estimates": plain(found.physical),
-        "coefficients": plain(found.whole.estimates),
+        "coefficients": plain(found.coefficients),
         "speed_error": left._asdict(),
         "swims": swims,
         "words": words,

@@ -24,6 +24,7 @@ from fishmj.calib import read_toml, resolve
 PASSES, ROUNDS = 3, 15
 DAMPINGS = (1e-6, 1e-2, 1e-1, 1.0, 10.0)
 NORMAL = 1.645  # standard deviations of a 90 % interval
+FIELDS = ("low", "high", "start", "step", "sigma")
 ENOUGH = 1e-5  # of the cost: less is no progress
 
 
@@ -105,20 +106,50 @@ def fit(
     return LeastSquaresFit(theta, _estimates(parameters, theta, spreads), before, after, rounds, spreads)
 
 
-def derived(found: LeastSquaresFit, name: str, unit: str, value: Callable[[np.ndarray], np.ndarray], steps) -> ParameterEstimate:
-    """A quantity that follows from the parameters, with the interval that their spreads give it to first order.
+class Minimum(NamedTuple):
+    """Where a descent ended. theta (K,); residual (m,) weighted; slopes (m, K) a step size; held: (K,) bool, at a bound."""
+
+    theta: np.ndarray
+    cost: float
+    residual: np.ndarray
+    slopes: np.ndarray
+    held: np.ndarray
+    rounds: int
+
+
+def minimum(
+    parameters: list[FreeParameter], residual: Residual, weight: np.ndarray, begin: np.ndarray, rounds: int, enough: float,
+) -> Minimum:  # fmt: skip
+    """Least of |weight residual|^2 + prior, by Levenberg and Marquardt; what pushes against its bound stays there.
 
     Args:
-        value: (R, K) parameter rows -> (R,). steps: (K,) for its slopes.
+        begin: (K,). rounds: at most. enough: two rounds in a row that lower the cost by a smaller share are the last.
     """
-    rows = np.tile(found.theta, (1 + len(found.theta), 1))
-    rows[1:] += np.diag(steps)
-    values = value(rows)
-    slope = (values[1:] - values[0]) / steps
-    sds = {kind: float(np.sqrt(slope @ spread.covariance @ slope)) for kind, spread in found.spreads.items()}
-    widest = max(sds, key=lambda kind: sds[kind] * found.spreads[kind].quantile)
-    half = sds[widest] * found.spreads[widest].quantile
-    return ParameterEstimate(name, unit, float(values[0]), float(values[0]) - half, float(values[0]) + half, sds[widest], widest)
+    low, high, start, step, sigma = (np.array([getattr(p, key) for p in parameters]) for key in FIELDS)
+    theta, small = np.array(begin, float), 0
+    cost = lambda values, points: np.sum(values**2, 1) + np.sum(((points - start) / sigma) ** 2, 1)
+    for done in range(rounds + 1):
+        r, jac = _linear(parameters, residual, theta, weight)
+        slope, curve = _prior(parameters, theta)
+        push = jac.T @ r + slope
+        held = ((theta <= low) & (push > 0)) | ((theta >= high) & (push < 0))
+        now, free = cost(r[None], theta[None])[0], ~held
+        if done == rounds or small == 2:
+            break
+        normal = (jac.T @ jac + curve)[np.ix_(free, free)]
+        scale, changes = np.diag(np.diag(normal)), np.zeros((len(DAMPINGS) + 1, len(theta)))
+        for change, damping in zip(changes, DAMPINGS, strict=False):
+            change[free] = -np.linalg.solve(normal + damping * scale, push[free])
+        changes[-1] = 0.5 * changes[0]
+        tried = np.clip(theta + changes * step, low, high)
+        costs = cost(residual(tried) * weight, tried)
+        best = int(np.argmin(costs))
+        small = small + 1 if not costs[best] < now * (1 - enough) else 0
+        if costs[best] < now:
+            theta = tried[best]
+        else:
+            break
+    return Minimum(theta, float(now), r, jac, held, done)
 
 
 def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:

@@ -2,32 +2,44 @@
 
     rates    velocity ahead, to the left, and yaw rate of the body over 0.2 s, and their means over 2 s
     r        (measured - simulated) / tolerance, whole free runs from the start pose
-    theta*   by least squares; a mean counts as much as `RATE`^2 of its rates, whose error is mostly the beat's: it hides a
-             mean that is wrong by a tenth
+    theta*   by least squares from two starts; a mean counts as much as (`RATE` / `MEAN`)^2 of its rates: their error is mostly
+             the beat's and hides a mean that is wrong by a tenth
 
 Coefficients stand in for each other: a fish cannot tell drag from thrust at one speed, and no strip is the real water. So what is
 told are quantities that the body feels (water_plant.physical) with intervals, and how wrong the fish still is on swims that the
 fit has not seen: the kinds of swim lie in folds, each is predicted by a fit to the others. Servo and latencies are taken as they
 are described: calibrate them first.
+
+Intervals are 90 %: what the noise leaves open (curvature) and what the fits to the folds disagree by (a jackknife, delete one
+fold, refitted), in squares. The second is the structural part: a form that is not the water's says something else on other swims.
 """
 
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.stats import t as student
 
 from fishmj.calibrate.calibration_logs import QUIET, Logs
-from fishmj.calibrate.least_squares import Block, LeastSquaresFit, ParameterEstimate, derived, fit
-from fishmj.calibrate.water_plant import PHYSICAL, WaterPlant, physical
+from fishmj.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, minimum
+from fishmj.calibrate.water_plant import PHYSICAL, WaterPlant
 from fishmj.errors import LogError
 from fishmj.gap.records.movement import pace
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.gap.watch import Bars, silent
 from fishmj.hydro_fit.fit.tolerance import of_movement
+from fishmj.log import Trial
+from fishmj.mjcf.description import Robot
+from fishmj.water.choice import STRUCTURED
 
 SHORT, LONG = 0.2, 10  # s over which places are averaged; rates of a mean
-RATE, MEAN = 4.0, 1.0  # tolerances that a rate, and a mean, may be off by
+RATE, MEAN = 8.0, 0.5  # tolerances that a rate, and a mean, may be off by
 FOLDS = 5
+ROUNDS, AGAIN = 40, 12  # of a fit, and of a fit to other swims that begins at the whole one's end
+ENOUGH, ENOUGH_AGAIN = 1e-3, 3e-3  # of the cost
 FEWEST = 4  # swims: with fewer nothing can be left out
 KINDS = 3  # kinds of swim (`excitation`) at least, or one gait's thrust and drag stand in for each other
 SLOW = 0.05  # m/s: below it a relative error of speed means nothing
@@ -58,7 +70,8 @@ class WaterFit(NamedTuple):
 
     plant: WaterPlant
     records: list[Record]
-    whole: LeastSquaresFit
+    theta: np.ndarray
+    coefficients: dict[str, ParameterEstimate]
     physical: dict[str, ParameterEstimate]
     before: list[HeldOut]
     after: list[HeldOut]
@@ -66,9 +79,13 @@ class WaterFit(NamedTuple):
     @property
     def water(self) -> dict:
         """The `[water]` table of a description."""
-        c = self.plant.water([float(value) for value in self.whole.theta])
-        angles = {f"{key}_deg": float(np.degrees(getattr(c, key))) for key in ("stall_angle", "stall_width")}
-        return {key: value for key, value in c._asdict().items() if f"{key}_deg" not in angles} | angles
+        return self.plant.table(self.theta)
+
+    @property
+    def robot(self) -> Robot:
+        """The described robot in its calibrated water, as `fishmj calibrate water --out` writes it."""
+        kept = {key: value for key, value in self.plant.robot.water.items() if key == "stations"}
+        return replace(self.plant.robot, water={**self.water, **kept, "model": STRUCTURED})
 
     @property
     def speed_error(self) -> ParameterEstimate:
@@ -79,6 +96,22 @@ class WaterFit(NamedTuple):
         return ParameterEstimate("speed_error", "share", mean, least, worst, float(errors.std()), "swims")
 
 
+def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> tuple[Robot, WaterFit]:
+    """The robot in the water that its free swims show, and what the fit says; nothing is read or written.
+
+    Args:
+        trials: free swims, as a generator or a log folder gives them; names apart, or they are numbered.
+    Raises:
+        LogError: too few swims or kinds of swim, or joints that are not the robot's.
+    """
+    listed = list(trials)
+    named = {trial.name or f"{i:03d}": trial for i, trial in enumerate(listed)}
+    if len(named) < len(listed):
+        named = {f"{i:03d}_{trial.name}": trial for i, trial in enumerate(listed)}
+    found = calibrate(Logs(Path("trials in memory"), named), WaterPlant(robot))
+    return found.robot, found
+
+
 def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent) -> WaterFit:
     """Fit the water to the free swims of `logs`.
 
@@ -86,16 +119,22 @@ def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent) -> WaterFit
         LogError: too few swims or kinds of swim.
     """
     records = logs.records(plant.dt, swims(logs))
-    folds = folded(records)
-    with bars(1 + len(folds), "water", "fits") as bar:
-        whole = fitted(plant, records, lambda share: bar.update(share))
+    folds, starts = folded(records), plant.starts()
+    with bars(len(starts) + len(folds), "water", "fits") as bar:
+        ends = []
+        for done, start in enumerate(starts, 1):
+            ends.append(fitted(plant, records, start, ROUNDS, ENOUGH))
+            bar.update(done)
+        whole = min(ends, key=lambda end: end.cost)
         after: list[HeldOut] = []
-        for done, fold in enumerate(folds, 1):
+        others = []
+        for done, fold in enumerate(folds, len(starts) + 1):
             rest = [r for i, r in enumerate(records) if i not in fold]
-            theta = fitted(plant, rest, lambda share, done=done: bar.update(done + share)).theta
-            after += predicted(plant, [records[i] for i in fold], theta)
-    start = np.array([p.start for p in plant.parameters()])
-    return WaterFit(plant, records, whole, quantities(plant, whole), predicted(plant, records, start), after)
+            others.append(fitted(plant, rest, whole.theta, AGAIN, ENOUGH_AGAIN).theta)
+            after += predicted(plant, [records[i] for i in fold], others[-1])
+            bar.update(done)
+    coefficients, physical = intervals(plant, whole, np.array(others))
+    return WaterFit(plant, records, whole.theta, coefficients, physical, predicted(plant, records, starts[0]), after)
 
 
 def swims(logs: Logs) -> list[str]:
@@ -173,8 +212,8 @@ class Movement(NamedTuple):
         return off, off[..., : whole * size].reshape(*off.shape[:2], whole, size).mean(-1)
 
 
-def fitted(plant: WaterPlant, records: list[Record], tick) -> LeastSquaresFit:
-    """The fit to some records."""
+def fitted(plant: WaterPlant, records: list[Record], begin: np.ndarray, rounds: int, enough: float) -> Minimum:
+    """The fit to some records, from parameters (K,)."""
     bare = [r._replace(joint=None, power=None, placed=None, weighed=None) for r in records]
     poses = [pose_of(r) for r in records]
     movements = [Movement.of(pose) for pose in poses]
@@ -185,40 +224,37 @@ def fitted(plant: WaterPlant, records: list[Record], tick) -> LeastSquaresFit:
         made = np.concatenate([part.reshape(len(thetas), -1) for part in parts], 1)
         return np.nan_to_num(made, nan=FAR, posinf=FAR, neginf=-FAR)
 
-    blocks, size = [], 0
-    for record, pose, m in zip(bare, poses, movements, strict=True):
-        for part, sigma in zip(m.misses(pose.values[None]), (RATE, MEAN), strict=True):
-            for _ in range(3):
-                where = slice(size, size + part.shape[2])
-                blocks.append(Block(record.name, kind_of(record), where, sigma))
-                size = where.stop
+    sizes = [part.size for m, pose in zip(movements, poses, strict=True) for part in m.misses(pose.values[None])]
+    weight = np.repeat(np.tile([1.0 / RATE, 1.0 / MEAN], len(records)), sizes)
+    return minimum(plant.parameters(), residual, weight, begin, rounds, enough)
+
+
+def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[dict, dict]:
+    """Estimates of the coefficients and of what the body feels. others: (F, K) fits, each without one fold."""
     parameters = plant.parameters()
-    first = fit(parameters, residual, blocks, lambda share: tick(0.5 * share))
-    return fit(parameters, residual, robust(blocks, first.after), lambda share: tick(0.5 + 0.5 * share), first.theta)
+    step, prior = np.array([p.step for p in parameters]), np.array([p.sigma for p in parameters])
+    free = np.flatnonzero(~whole.held)
+    normal = (whole.slopes.T @ whole.slopes + np.diag((step / prior) ** 2))[np.ix_(free, free)]
+    noise = np.zeros((len(step), len(step)))
+    noise[np.ix_(free, free)] = np.linalg.inv(normal) * np.outer(step[free], step[free])
+    rows = np.concatenate([whole.theta[None], whole.theta + np.diag(step), others])
+    quantile = float(student.ppf(0.95, len(others) - 1))
 
+    def estimate(name: str, unit: str, values: np.ndarray, low: float = -np.inf, high: float = np.inf) -> ParameterEstimate:
+        value, slope, left_out = values[0], (values[1 : 1 + len(step)] - values[0]) / step, values[1 + len(step) :]
+        curved = NORMAL * float(np.sqrt(slope @ noise @ slope))
+        n = len(left_out)
+        apart = quantile * float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
+        half = float(np.hypot(curved, apart))
+        widest = "curvature" if curved > apart else "kinds of swim"
+        return ParameterEstimate(
+            name, unit, float(value), max(float(value) - half, low), min(float(value) + half, high), half / NORMAL, widest
+        )
 
-def robust(blocks: list[Block], misses: np.ndarray) -> list[Block]:
-    """The same, each kind of swim with the less weight the further the first fit has missed it, beyond what is usual.
-
-    A kind whose forces the strips have no form for would else spoil what they can tell.
-    """
-    off: dict[str, list[np.ndarray]] = {}
-    for b in blocks:
-        if b.sigma == MEAN:
-            off.setdefault(b.group, []).append(misses[b.where])
-    rms = {kind: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for kind, parts in off.items()}
-    usual = float(np.median(list(rms.values())))
-    return [b._replace(sigma=(b.sigma or MEAN) * max(1.0, rms[b.group] / max(usual, 1e-9)) ** 2) for b in blocks]
-
-
-def quantities(plant: WaterPlant, found: LeastSquaresFit) -> dict[str, ParameterEstimate]:
-    """What the water does to the body, with intervals."""
-    steps = np.array([p.step for p in plant.parameters()])
-
-    def of(name: str):
-        return lambda rows: physical(plant.chain, plant.nominal._replace(water=plant.water(list(rows.T))))[name]
-
-    return {name: derived(found, name, unit, of(name), steps) for name, unit in PHYSICAL.items()}
+    coefficients = {p.name: estimate(p.name, p.unit, rows[:, k], p.low, p.high) for k, p in enumerate(parameters)}
+    felt = plant.physical(rows)
+    least = lambda name: -np.inf if name == "thrust" else 0.0  # water takes energy, and carried water has a mass
+    return coefficients, {name: estimate(name, unit, felt[name], least(name)) for name, unit in PHYSICAL.items()}
 
 
 def predicted(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> list[HeldOut]:

@@ -67,7 +67,7 @@ def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
     """Constants of `robot`."""
     g = geometry_of(robot) if geometry is None else geometry
     line = lambda a: tuple(float(v) for v in a)
-    strips = strip_forces.strips(g, robot.density_water)
+    strips = strip_forces.strips(g, robot.density_water, robot.water)
     if robot.water.get("model") == "none":
         strips = strips._replace(displaced=line(0.0 * g.displaced))  # a stream in air carries nothing along
     return Chain(

@@ -10,10 +10,13 @@ reactive     f_n = -mu (n.a - Omega u),  f_t = s mu w Omega,  c_z = -s mu w u   
              a straight piece and its axial force is the suction that a free leading edge would have (Polhamus 1966, NASA
              TN D-3767), of which they recover the share s. The two terms with s do no work together.
 cross-flow   f_n = -1/2 rho Cn h |w| w                                        Taylor 1952, doi 10.1098/rspa.1952.0159
+             on the last link (1 - h x) Cn: flow that stays attached does not separate (h = 0 unless a description says so)
 friction     f_t = -1/2 rho Cf P sqrt(u^2 + w^2) u                            P = perimeter
 head form    F_t = -1/2 rho Ca A |u| u,  Ca differs forwards and backwards
+linear       F_t = -c_i u, by wetted area                                     laminar, or the Reynolds number's part of Cf
 trailing     F_t = 1/2 x m_e w_e^2,  F_n = -(a + b x) m_e max(u, 0) w_e,       m_e = k_e rho pi/4 h_e^2
-edge         passive for 0 <= x <= 1 when a + b x >= x / 2
+edge         passive for 0 <= x <= 1 when a + b x >= x / 2; w_e is met at x_e: the trailing edge of a slender body (Lighthill),
+             the quarter chord of a wing
 attachment   x' = (x0(alpha) - x) V / (tau h_e),  x0 = logistic((alpha_s - |alpha|) / Delta)   Goman & Khrabrov 1994
 
 Every function takes components (scalars, NumPy or JAX arrays of one shape, or traced values) and the array namespace
@@ -28,6 +31,8 @@ import numpy as np
 from fishmj.errors import ConfigError
 from fishmj.mjcf.geometry import Geometry
 
+SHAPE = {"edge_place": 1.0, "tail_held": 0.0, "linear_drag": 0.0}  # numbers of the strips' shape, and what an unset one is
+NO_COEFFICIENT = ("model", "stations", "own", *SHAPE)  # of a `[water]` table
 SMOOTH = 1e-8  # m2/s2 inside square roots, keeps gradients finite at rest
 
 
@@ -61,11 +66,14 @@ class Strips(NamedTuple):
     frontal: float  # m2
     tail_x: float
     tail_h: float
+    edge_x: Any  # m, where the last link meets the flow whose momentum it sheds
+    held: Any = None  # share of the last link's cross-flow drag that attached flow does not have; None for 0
+    linear: Any = None  # N entries, drag of each link along it over its speed, N s/m; None where there is none
 
 
 def coefficients(water: dict, n_links: int) -> Coefficients:
     """Read a `[water]` table. Raises ConfigError where it is incomplete or not passive."""
-    table = {key: value for key, value in water.items() if key not in ("model", "stations", "own")}
+    table = {key: value for key, value in water.items() if key not in NO_COEFFICIENT}
     for key in ("stall_angle", "stall_width"):
         if f"{key}_deg" in table:
             table[key] = float(np.radians(table.pop(f"{key}_deg")))
@@ -86,8 +94,9 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
     return c
 
 
-def strips(geometry: Geometry, rho: float = 1000.0) -> Strips:
-    """The constant part of the water model as plain floats."""
+def strips(geometry: Geometry, rho: float = 1000.0, water: dict | None = None) -> Strips:
+    """The constant part of the water model as plain floats. water: the `[water]` table, for its `edge_place` and the like."""
+    table = SHAPE | {key: number for key, number in (water or {}).items() if number is not None}
     rows = lambda a: tuple(tuple(float(v) for v in row) for row in a)
     line = lambda a: tuple(float(v) for v in a)
     return Strips(
@@ -101,7 +110,16 @@ def strips(geometry: Geometry, rho: float = 1000.0) -> Strips:
         frontal=geometry.frontal,
         tail_x=geometry.tail_x,
         tail_h=geometry.tail_h,
+        edge_x=geometry.tail_x * float(table["edge_place"]),
+        held=float(table["tail_held"]) or None,
+        linear=linear_parts(geometry.strip_p, float(table["linear_drag"])) if table["linear_drag"] else None,
     )
+
+
+def linear_parts(wetted, whole) -> tuple:
+    """N entries: a linear drag shared out by wetted area (N, K) among the links. whole: N s/m, may be traced."""
+    areas = [float(np.sum(row)) for row in wetted]
+    return tuple(whole * (area / sum(areas)) for area in areas)
 
 
 def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega, rate=None):
@@ -125,7 +143,17 @@ def resistive(xp, s: Strips, c: Coefficients, i: int, u, w0, omega):
         force_t = force_t - (0.5 * s.rho * p) * xp.sqrt(u * u + w * w + SMOOTH)
         force_n = force_n + normal
         moment = moment + x * normal
-    return force_t * c.cf * u, force_n, moment
+    along = force_t * c.cf * u
+    if s.linear is not None:
+        along = along - s.linear[i] * u
+    return along, force_n, moment
+
+
+def with_held_tail(s: Strips, c: Coefficients, attached) -> Coefficients:
+    """The coefficients while the tail's flow is attached: what does not separate has no cross-flow drag, (1 - h x) C_n."""
+    if s.held is None:
+        return c
+    return c._replace(cn=[*c.cn[:-1], (1.0 - s.held * attached) * c.cn[-1]])
 
 
 def head_form(xp, s: Strips, c: Coefficients, u):
@@ -135,15 +163,15 @@ def head_form(xp, s: Strips, c: Coefficients, u):
 
 def trailing_edge(xp, s: Strips, c: Coefficients, u, w0, omega, attached):
     """Momentum shed at the trailing edge of the last link: (F_t, F_n, moment)."""
-    w = w0 + omega * s.tail_x
+    w = w0 + omega * s.edge_x
     me = c.ke * (s.rho * pi / 4 * s.tail_h**2)
     force_n = -(c.lift_a + c.lift_b * attached) * me * xp.maximum(u, 0.0) * w
-    return 0.5 * attached * me * w * w, force_n, s.tail_x * force_n
+    return 0.5 * attached * me * w * w, force_n, s.edge_x * force_n
 
 
 def attachment(xp, s: Strips, c: Coefficients, u, w0, omega, attached, dt):
     """Advance the attachment state x of the tail by dt, exactly for frozen flow. Stays in [0, 1]."""
-    w = w0 + omega * s.tail_x
+    w = w0 + omega * s.edge_x
     speed = xp.sqrt(u * u + w * w + SMOOTH)
     alpha = xp.arctan2(xp.sqrt(w * w + SMOOTH), u)
     target = 1.0 / (1.0 + xp.exp((alpha - c.stall_angle) / c.stall_width))
@@ -161,6 +189,8 @@ def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n
     """All forces on link i except those proportional to the body's own acceleration: (F_t, F_n, moment)."""
     # the body's own acceleration is left out: its factor is the added mass, which the caller puts into the matrix. The stream's
     # acceleration is known beforehand, so it is a force
+    if i == len(s.mu) - 1:
+        c = with_held_tail(s, c, attached)
     parts = [reactive(s, c, i, u, w0, omega, rate), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
     if i == 0:
         # a blunt nose has a wake of its own; the links behind have no front

@@ -8,6 +8,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from fishmj.dynamics import planar_chain
@@ -16,6 +17,9 @@ from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.residual_network import takes_kernel
+
+kernel = True  # False: in a learnt water on an NVIDIA GPU the learnt force alone is a kernel, and not the physics of a tick
 
 
 def quantise(xp, robot: Robot, commands):
@@ -53,6 +57,22 @@ def arrived(xp, buffer, delay, steps: int, ramp: bool):
     return out
 
 
+def columns(a) -> tuple:
+    """(B, C) as C columns, of an array or of a kernel's reference to one."""
+    return tuple(a[:, i] for i in range(a.shape[1]))
+
+
+def pairs(flow) -> list:
+    """(B, N, 2) as N pairs of columns."""
+    return [(flow[:, i, 0], flow[:, i, 1]) for i in range(flow.shape[1])]
+
+
+def begun(state: FishState) -> tuple:
+    """What a physics step hands to the next one, in columns: q, v, attachment, memory, power so far."""
+    attached = state.attached[...]
+    return columns(state.q), columns(state.v), attached, columns(state.memory), jnp.zeros_like(attached)
+
+
 class Engine:
     """Closed-form engine. `advance` is pure and may be called inside jit, vmap and scan."""
 
@@ -73,32 +93,51 @@ class Engine:
             (FishState, Trace with T ticks).
         """
         check_commands(commands, self.robot.n_joints)
-        sw = swimmer(params)
         commands = quantise(jnp, self.robot, commands)
-        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
+        physics = self._physics_of(state, params, current)
 
         def one_tick(carry, inputs):
             state, tick = carry
             buffer = jnp.concatenate([state.buffer[:, 1:], inputs[:, None]], 1)
             flow, ambient = sample(jnp, current, link_centres(jnp, self.chain, state.q), tick)
             targets = jnp.stack(arrived(jnp, buffer, params.delay, self.steps, self.ramp))
-            flow = [(flow[:, i, 0], flow[:, i, 1]) for i in range(self.chain.n)]
-            ambient = (ambient[:, 0], ambient[:, 1])
-
-            def one_step(inner, target):
-                q, v, attached, memory, power = inner
-                hooks = self.added.hooks(jnp, split(params.effects), memory)
-                s = planar_chain.step(jnp, self.chain, sw, q, v, attached, split(target), flow, ambient, hooks)
-                like = zip(s.memory, memory, strict=True)
-                memory = tuple(jnp.broadcast_to(value, old.shape).astype(old.dtype) for value, old in like)
-                return (tuple(s.q), tuple(s.v), s.attached, memory, power + s.power), None
-
-            # in columns, which a physics step reads and writes whole; in rows once a tick
-            start = (split(state.q), split(state.v), state.attached, split(state.memory), jnp.zeros_like(state.attached))
-            (q, v, attached, memory, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
-            q, v, memory = jnp.stack(q, -1), jnp.stack(v, -1), stacked(jnp, memory, state.memory)
+            state, power = physics(state._replace(buffer=()), params, targets, flow, ambient)
+            q, v = state.q, state.v
             out = Trace(q[:, :3], q[:, 3:] - params.zero, v[:, 3:], v[:, :3], power / self.steps)
-            return (FishState(q, v, attached, buffer, memory), tick + 1), out
+            return (state._replace(buffer=buffer), tick + 1), out
 
         (state, _), trace = lax.scan(one_tick, (state, tick), jnp.swapaxes(commands, 0, 1))
         return state, Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
+
+    def _physics_of(self, state: FishState, *given):
+        """`physics`, or, for many fish with a learnt force and no effects on an NVIDIA GPU, the kernel that is the same."""
+        if not kernel or self.added.learnt is None or self.added.active is not None or not takes_kernel(state.attached):
+            return self.physics
+        if np.dtype(float) in {a.dtype for a in jax.tree.leaves((state, *given))}:
+            return self.physics
+        from fishmj.engines import planar_kernel
+
+        return partial(planar_kernel.tick, self)
+
+    def physics(self, state: FishState, params: FishParams, targets, flow, ambient):
+        """The physics steps of one bus tick.
+
+        Args:
+            state: without the buffer. targets: (steps, B, J) servo targets, rad. flow: (B, N, 2) m/s. ambient: (B, 2) m/s2.
+
+        Returns:
+            (state, sum of the steps' power (B,) W).
+        """
+        step = partial(self.step, self.added, swimmer(params), columns(params.effects), pairs(flow), columns(ambient))
+        # in columns, which a physics step reads and writes whole; in rows once a tick
+        carry, _ = lax.scan(lambda carry, target: (step(carry, columns(target)), None), begun(state), targets, unroll=self.unroll)
+        q, v, attached, memory, power = carry
+        return FishState(jnp.stack(q, -1), jnp.stack(v, -1), attached, (), stacked(jnp, memory, state.memory)), power
+
+    def step(self, added: Extensions, sw: planar_chain.Swimmer, effects, flow, ambient, carry, target):
+        """One physics step in columns; carry: what `begun` gives."""
+        q, v, attached, memory, power = carry
+        s = planar_chain.step(jnp, self.chain, sw, q, v, attached, target, flow, ambient, added.hooks(jnp, effects, memory))
+        like = zip(s.memory, memory, strict=True)
+        memory = tuple(jnp.broadcast_to(value, old.shape).astype(old.dtype) for value, old in like)
+        return tuple(s.q), tuple(s.v), s.attached, memory, power + s.power

@@ -99,7 +99,7 @@ def experiment_score(model, sides: list[Hypothesis], record: Record, null: Simul
         open_ = [p[1:] - p[0] for p in (parts[i], parts[j])]
         wrong = [smooth(FORM_ERROR * (p[0] - seen[0]), layout) for p in (parts[i], parts[j])]
         d = np.sqrt(e.d**2 + np.maximum(*wrong) ** 2)
-        z = whitening(np.concatenate([e.factors, *open_]), d)(parts[i][0] - parts[j][0])
+        z = whitening(np.concatenate([e.factors, *open_]), d, e.by_record, layout.record)(parts[i][0] - parts[j][0])
         sigma = float(np.linalg.norm(z))
         worth += sides[i].weight * sides[j].weight * sigma**2
         if i == 0 and sigma > best[0]:
@@ -155,7 +155,7 @@ def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
 
 def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent) -> Verdict:
     """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
-    sides = normalise_weights(hypotheses_of(e, found, verdict))
+    sides = [] if verdict.next_experiment else normalise_weights(hypotheses_of(e, found, verdict))
     if len(sides) < 2:
         return verdict
     quick = experiment_scores(e.model, sides, e.records[0], hinted_experiments(sides), null, bars=bars)

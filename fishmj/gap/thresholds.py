@@ -23,7 +23,8 @@ RENAMED = {
     "again": "min_gain_per_sample",
     "clear": "uncontested_discount",
     "beside": "min_gain_fraction",
-    "enough": "min_gain_cap",
+    "enough": "certain_gain",
+    "min_gain_cap": "certain_gain",
     "ahead": "rival_margin_abs",
     "most": "max_effects",
 }  # old key of [gates] -> its name now
@@ -35,9 +36,10 @@ class Gates:
 
     A first effect must gain `gain`, or `min_joint_gain` on all records at once and on each fold given the others. A further one
 
-        max(gain + min_gain_per_sample m, min(min_gain_fraction (gain so far), min_gain_cap))
+        max(gain + min_gain_per_sample m, min_gain_fraction (gain so far))
 
     where m is the length of z, and only the share `uncontested_discount` of the second summand where nothing else comes near.
+    What gains more than `certain_gain` is no chance.
     A rival is a candidate behind the best by less than `margin` of the gain and `rival_margin_abs`, or one that wins more than
     1 - `p_best` of the bootstrap draws. adequacy, closure, residual, form, size, transfer: see decide/decide.py.
     """
@@ -48,7 +50,7 @@ class Gates:
     min_gain_per_sample: float
     uncontested_discount: float
     min_gain_fraction: float
-    min_gain_cap: float
+    certain_gain: float
     closure: float
     margin: float
     rival_margin_abs: float

@@ -29,13 +29,15 @@ class Named:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a search found. Gaps are mean squares in units of the floor: agreement is about 1.
+    """What a search found. Gaps are |z|^2 / m (search/likelihood.py): healthy robots leave about 1, up to `gap_allowed` agrees.
+    Those of measured robots (studies/measured_robots) are mean squares in units of the floor.
 
     effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, and instead of which. tentative: further
     effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best
     first (terms/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision. explained: share of the
     excess of twice the log likelihood, each record predicted without its fold, with what the formulas may be wrong by granted;
-    it is no share of the gap, and the gap may grow beside it. steps: the rounds, decide.step_table.
+    it is no share of the gap, and the residual may grow beside it. over_floor: its mean square over the floor before and after,
+    of the records searched and those unseen. steps: the rounds, decide.step_table.
     """
 
     answer: str
@@ -45,6 +47,7 @@ class Verdict:
     terms: tuple[dict, ...] = ()
     gap_before: float = 1.0
     gap_after: float = 1.0
+    gap_allowed: float = 1.0
     gap_unseen_before: float | None = None
     gap_after_unseen: float | None = None
     explained: float = 0.0
@@ -53,6 +56,7 @@ class Verdict:
     next_experiment: str = ""
     patched_model: str = ""
     gates: dict = field(default_factory=dict)
+    over_floor: dict[str, tuple[float, float]] = field(default_factory=dict)
     steps: tuple[dict, ...] = ()
 
     @property
@@ -67,14 +71,16 @@ class Verdict:
 
     @property
     def shrinks(self) -> bool:
-        """Whether the gap gets smaller with what was found, wherever it was measured."""
-        rounds = [s["gap_unseen"] for s in self.steps if s["accepted"] and s.get("gap_unseen")]
-        pairs = [(self.gap_before, self.gap_after), (self.gap_unseen_before, self.gap_after_unseen), *rounds[-1:]]
+        """Whether the gap gets smaller with what was found, wherever it was measured, and so does the residual over the floor:
+        what healthy robots are granted grows with what was found, the floor does not."""
+        rounds = [s["over_floor"] for s in self.steps if s["accepted"] and s.get("over_floor")]
+        gaps = [(self.gap_before, self.gap_after), (self.gap_unseen_before, self.gap_after_unseen)]
+        pairs = [*gaps, *self.over_floor.values(), *rounds[-1:]]
         return all(after < before for before, after in pairs if before is not None and after is not None)
 
     def plain(self) -> dict:
-        """As nested dictionaries, for JSON. A round is `accepted` where it also lowers the gap on records that did not see it."""
-        steps = [s | {"taken": s["accepted"], "accepted": s["accepted"] and lowers(s.get("gap_unseen"))} for s in self.steps]
+        """As nested dictionaries, for JSON. A round is `accepted` where the residual of records unseen shrinks, too."""
+        steps = [s | {"taken": s["accepted"], "accepted": s["accepted"] and lowers(s.get("over_floor"))} for s in self.steps]
         return asdict(self) | {"steps": steps}
 
     def told(self) -> str:
@@ -87,10 +93,11 @@ class Verdict:
     def gaps(self) -> list[str]:
         """The gap in words, before and after what was taken; as it is where nothing was."""
         where = "on the records searched" if self.searched else "on records kept aside"
-        out = [moved(self.gap_before, self.gap_after if self.taken else None, where)]
+        unit = f"|z|^2 / m, up to {level(self.gap_allowed)} agrees" if self.searched else FLOOR
+        out = [moved(self.gap_before, self.gap_after if self.taken else None, where, unit, self.shrinks)]
         if self.gap_unseen_before is not None:
             now = self.gap_after_unseen if self.taken else None
-            out.append(moved(self.gap_unseen_before, now, "on records that no decision saw"))
+            out.append(moved(self.gap_unseen_before, now, "on records that no decision saw", unit, self.shrinks))
         return out
 
     def text(self) -> str:
@@ -121,31 +128,32 @@ class Verdict:
 
 
 LIKELIHOOD = "the excess log likelihood"
-LIKELIER = "makes records that it was not fitted to likelier, its formula's error granted, but their gap does not shrink"
+FLOOR = "mean square in units of the floor, 1 = agreement"
+LIKELIER = "makes records that it was not fitted to likelier, its formula's error granted, but their residual does not shrink"
 
 
-def lowers(gap: "tuple[float, float] | None") -> bool:
-    """Whether a gap (before, after) got smaller; True where none was measured."""
-    return gap is None or gap[1] < gap[0]
+def lowers(pair: "tuple[float, float] | None") -> bool:
+    """Whether what was (before, after) got smaller; True where it was not measured."""
+    return pair is None or pair[1] < pair[0]
 
 
-def moved(before: float, after: float | None, where: str) -> str:
-    """A gap in words; after: None where nothing was changed."""
+def moved(before: float, after: float | None, where: str, unit: str, shrinks: bool) -> str:
+    """A gap in words; after: None where nothing was changed. shrinks: so does the residual."""
     if after is None:
-        return f"gap {level(before)} {where} (mean square in units of the floor, 1 = agreement)"
+        return f"gap {level(before)} {where} ({unit})"
     said = ", it grows" if after > before else ""
-    if before > max(after, 1.0):
+    if shrinks and before > max(after, 1.0):
         said = f", {percent((before - max(after, 1.0)) / (before - 1.0))} of what is above 1 is gone"
-    return f"gap {level(before)} -> {level(after)} {where} (mean square in units of the floor, 1 = agreement){said}"
+    return f"gap {level(before)} -> {level(after)} {where} ({unit}){said}"
 
 
-def said(taken: bool, gain: float, gap: "tuple[float, float] | None") -> str:
-    """One round in words. taken: into the model, for its gain. gap: before and after, of records predicted without their fold."""
+def said(taken: bool, gain: float, gap: "tuple[float, float] | None", over_floor: "tuple[float, float] | None") -> str:
+    """One round in words. taken: into the model, for its gain. gap, over_floor: before and after, of records predicted without
+    their fold."""
     text = f"gain {number(gain)} in twice the log likelihood of records not seen"
     if not taken:
         return f"{text}, not enough"
-    if gap is None:
-        return f"{text}, accepted"
-    if lowers(gap):
-        return f"{text}, accepted: their gap falls from {level(gap[0])} to {level(gap[1])}"
-    return f"{text}, taken though their gap does not fall ({level(gap[0])} before, {level(gap[1])} after)"
+    if over_floor and not lowers(over_floor):
+        left = f"{level(over_floor[0])} times the floor before, {level(over_floor[1])} after"
+        return f"{text}, taken though their residual does not shrink ({left})"
+    return f"{text}, accepted" + (f": their gap goes from {level(gap[0])} to {level(gap[1])}" if gap else "")

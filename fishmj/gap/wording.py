@@ -29,7 +29,7 @@ def number(value: float) -> str:
 
 
 def level(value: float) -> str:
-    """A mean square in units of the floor, three digits."""
+    """A mean square over what is expected, three digits."""
     return number(value) if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 

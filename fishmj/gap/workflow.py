@@ -5,7 +5,7 @@ read -> null runs -> forward selection -> gates -> free forces -> repeatable? ->
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,7 @@ class Inquiry:
     apart: Likelihood | None = None
     synthetic: bool = False
     notes: tuple[str, ...] = ()  # on the logs: what was left out, whose they are
+    gates: Gates = field(default_factory=frozen)  # by which it was decided
 
 
 def investigate(
@@ -51,6 +52,7 @@ def investigate(
     gates: Gates | None = None,
     null: SimulatedNull | None = None,
     page: dict | None = None,
+    mass_known: bool = True,
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
@@ -62,6 +64,7 @@ def investigate(
 
     Args:
         null: how null runs are drawn. page: of weighings, log/measurements.py.
+        mass_known: the description's mass counts as weighed where the page has no scales.
         further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
         bars: progress of a stage (watch.py). admit: sees the likelihood before the search, may raise. notes: kept for the report.
     Raises:
@@ -77,9 +80,12 @@ def investigate(
     say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
-    weighed = mass_properties.sensor(page or {}, model)
+    weighed = mass_properties.sensor(page or {}, model, mass_known)
+    if mass_known and "scales" not in (page or {}):
+        say(mass_properties.described(float(mass_properties.predicted(model, model.null)[0, 0])))
     e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars)
     admit(e)
+    gates = e.allowed(gates)
     with bars(gates.max_effects + 1, "search", "rounds") as bar:
         found = forward_select(e, gates, split(seen, seed), say, bar)
     verdict = decide(e, found, gates)
@@ -103,16 +109,17 @@ def investigate(
     apart = None
     if unseen.any():
         apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
-        before = apart.gap(model.null)[0]
-        after = apart.gap(found.best.row)[0]
-        verdict = replace(verdict, gap_unseen_before=before, gap_after_unseen=after)
-        near = apart.linearised_at(found.best.row, found.near.form)
+        near = apart.linearised_at(found.best.row, found.near.form) if found.best.names else apart
+        gaps = apart.gap(model.null)[0], near.gap(found.best.row)[0]
+        before, after = apart.over_floor(model.null)[0], apart.over_floor(found.best.row)[0]
+        floors = verdict.over_floor | {"unseen": (before, after)}
+        verdict = replace(verdict, gap_unseen_before=gaps[0], gap_after_unseen=gaps[1], over_floor=floors)
         grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(model.null)
         if grown and verdict.answer in ("NAMED", "CLASS"):
-            why = f"the gap grows from {level(before)} to {level(after)} on records that no decision saw; the best is tentative"
-            verdict = replace(verdict, answer="UNEXPLAINED", reason=why)
+            why = f"the residual grows from {level(before)} to {level(after)} floors on records that no decision saw"
+            verdict = replace(verdict, answer="UNEXPLAINED", reason=f"{why}; the best is tentative")
     synthetic = any(t.value("origin") == "synthetic" for t in trials)
-    return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes)
+    return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes, gates)
 
 
 def compiled(model, say: Callable[[str], None]) -> None:
@@ -145,7 +152,8 @@ def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
         rows = [i for i, r in enumerate(e.records) if r.name in names]
         if len(rows) < 2:
             continue
-        for same in zip(*([b for b in e.layout.blocks if b.record == i] for i in rows), strict=True):
+        seen = [{(b.sensor, b.column): b for b in e.layout.blocks if b.record == i} for i in rows]
+        for same in ([blocks[key] for blocks in seen] for key in seen[0] if all(key in blocks for blocks in seen)):
             n = min(len(b.t) for b in same)
             values = np.stack([residual[b.where][:n] for b in same])
             gap = float(np.mean(values**2))

@@ -5,10 +5,11 @@
     mean over records and channels of  mean s^2 / (n^2 + d^2)
 
 Detectable is a mean square above 5 (`BOUND`). Beside it stands the measure without d, which the second robot's benchmark uses.
+numba, which makes the generators' trials, is loaded at first use only: the benchmark's tables are read without it.
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -19,8 +20,7 @@ import numpy as np
 from fishmj import excitation
 from fishmj.errors import StoreError
 from fishmj.excitation import Excitation
-from fishmj.generators.sensors import sigmas
-from fishmj.generators.trials import Effects, generate, robot_of
+from fishmj.generators.family import Effects
 from fishmj.log import Trial
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
@@ -30,6 +30,7 @@ BOUND = 5.0
 HEALTHY = 8  # robots of the family
 FIRST = 700_000_000  # their seeds: beyond those that a benchmark draws
 TABLES = ("joint", "pose", "power")
+NOTHING = {"all": 0.0, "each": {}, "noise_only": 0.0, "each_noise_only": {}, "bound": BOUND, "healthy": 0}  # of no effect
 
 
 class Seen(NamedTuple):
@@ -51,8 +52,11 @@ def detectable(
     Raises:
         as `trials.generate`.
     """
+    from fishmj.generators.sensors import sigmas
+    from fishmj.generators.trials import generate, robot_of
+
     if not effects:
-        return {"all": 0.0, "each": {}, "noise_only": 0.0, "each_noise_only": {}, "bound": BOUND, "healthy": 0}
+        return dict(NOTHING)
     runs = [excitation.get(item) if isinstance(item, str) else item for item in excitations]
     described, fish = load_robot(robot), robot_of(family, {}, seed, nuisance=nuisance, robot=robot)
     sigma = sigmas(fish, noise)
@@ -60,8 +64,13 @@ def detectable(
     def seen(hidden: Effects) -> list[Seen]:
         return [s for trial in generate(family, hidden, runs, seed, 0.0, nuisance, robot) for s in channels(trial, sigma)]
 
-    plain = seen({})
     spread = [d for what in runs for d in tolerance(family, what, described, nuisance, healthy)]
+    return mean_squares(seen, spread, effects, healthy)
+
+
+def mean_squares(seen: Callable[[Effects], list[Seen]], spread: list[np.ndarray], effects: Effects, healthy: int) -> dict:
+    """What `detectable` returns, of any robots. seen: what is hidden -> channels of every record; spread: their variance."""
+    plain = seen({})
     parts = {name: {name: values} for name, values in effects.items()} if len(effects) > 1 else {}
     both = {name: shares(seen(h), plain, spread) for name, h in {"": effects, **parts}.items()}
     each = {name: both.get(name, both[""]) for name in effects}
@@ -85,6 +94,8 @@ def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, heal
         return [kept[name] for name in TABLES]
     except StoreError:
         pass
+    from fishmj.generators.trials import generate
+
     trials = [generate(family, {}, [what], FIRST + k, 0.0, nuisance, robot)[0] for k in range(healthy)]
     seen = [channels(trial, trial.meta["sigma"]) for trial in trials]
     made = {name: spreads([one[i] for one in seen], seen[0][i]) for i, name in enumerate(TABLES)}

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from fishmj.errors import SimDiverged
+from fishmj.errors import ConfigError, SimDiverged
 from fishmj.generators.chain import Chain, work_of
 from fishmj.generators.fish import Fish
 from fishmj.mjcf import passive_slot
@@ -39,7 +39,11 @@ class Recording(NamedTuple):
 
 
 def compiled(fish: Fish, step: float) -> mujoco.MjModel:
-    """MuJoCo's model of the robot, with the friction constraints on."""
+    """MuJoCo's model of the robot, with the friction constraints on.
+
+    Raises:
+        ConfigError: what is hidden leaves a body that cannot be.
+    """
     spec = build_spec(fish.robot, bare=True)
     spec.option.timestep = step
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
@@ -49,8 +53,8 @@ def compiled(fish: Fish, step: float) -> mujoco.MjModel:
         body.mass, body.inertia = body.mass * grown, np.asarray(body.inertia) * grown
     head = bodies[0]
     head.ipos = np.asarray(head.ipos) + np.array([fish.com, 0.0, 0.0])
-    head.inertia = np.asarray(head.inertia) + np.array([0.0, 0.0, fish.inertia])
-    head.inertia = np.asarray(head.inertia) + np.array([1.0, 1.0, 0.0]) * abs(fish.inertia)  # a body's inertias obey a triangle
+    # of a long body that turns in a plane its pitch inertia, which does nothing here, goes along: the three must be a body's
+    head.inertia = np.asarray(head.inertia) + np.array([0.0, 1.0, 1.0]) * fish.inertia
     for i in range(fish.joints):
         joint, actuator = spec.joint(f"j{i + 1}"), spec.actuator(f"j{i + 1}")
         joint.damping, joint.frictionloss, joint.armature = [fish.kb[i], 0, 0], fish.friction[i], fish.armature[i]
@@ -60,7 +64,10 @@ def compiled(fish: Fish, step: float) -> mujoco.MjModel:
         actuator.forcerange = [-fish.torque[i], fish.torque[i]]
     for edit in fish.specs:
         edit(spec)
-    return passive_slot.compiled(spec)
+    try:
+        return passive_slot.compiled(spec)
+    except ValueError as error:
+        raise ConfigError(f"generator {fish.family.name}: no robot can be like that, {error}; hide less") from error
 
 
 class Run:

@@ -6,7 +6,7 @@
 One seed is one robot (its constants) and one noise, whatever is hidden and for however many experiments.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from fishmj import excitation
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.excitation import Excitation
 from fishmj.generators import catalogue, families, random_numbers, sensors
+from fishmj.generators.family import Effects
 from fishmj.generators.fish import Fish, healthy
 from fishmj.generators.swim import STEP, Recording, swim
 from fishmj.log import SCHEMA, Trial, numbered
@@ -22,7 +23,6 @@ from fishmj.source import made_by
 
 LINKS = (2, 8)  # that a fish may have
 PLACED = (0.0015, 0.005)  # m, rad: how well the fish is put at its start (chosen)
-Effects = Mapping[str, Mapping[str, float]]
 
 
 def robot_of(

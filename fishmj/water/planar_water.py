@@ -166,6 +166,8 @@ class PlanarWater:
 
 def named_terms(s: strip_forces.Strips, c: strip_forces.Coefficients, i: int, u, w, omega, attached) -> dict:
     """Force of every term on link i by its name: (F_t, F_n, moment) [N, N, N m]."""
+    if i == len(s.mu) - 1:
+        c = strip_forces.with_held_tail(s, c, attached)
     out = {
         "added mass": tuple(c.k[i] * m for m in s.mu[i]),
         "reactive": strip_forces.reactive(s, c, i, u, w, omega),

@@ -6,10 +6,12 @@ In XLA the hidden units of every fish go to memory and back, some three thousand
 registers and 250 bytes go over the bus. A program takes a block of fish, a thread one or a few; the weights, the same for all,
 come from cache. Every sum is in float32. tanh x = 1 - 2 / (1 + exp 2 x), right to 2e-7, saturates without an overflow.
 
-A gradient is that of the same formulas in XLA: the kernel is forward alone.
+A gradient is that of the same formulas in XLA: the kernel is forward alone. A GPU that does not take such kernels (`usable`) is
+told once, and XLA's products take their place.
 """
 
-from functools import partial
+from functools import cache, partial
+from math import gcd
 from typing import Any
 
 import jax
@@ -17,11 +19,40 @@ import jax.numpy as jnp
 from jax import lax
 from jax.experimental import pallas as pl
 
+from fishmj import console
 from fishmj.water import residual_network
 from fishmj.water.residual_network import BOUND, WAKES, Halves, Motion
 
-BLOCK, WARPS = 256, 4  # fish a program, a power of two, and warps of 32 threads that share them
+BLOCK, WARPS = 512, 16  # fish a program, a power of two, and warps of 32 threads that share them
 HALF = WAKES // 2
+
+
+@cache
+def usable() -> bool:
+    """Whether this machine's GPU takes such kernels. The first call compiles a small one, and says so where it fails."""
+    try:
+        probe.lower(*[jax.ShapeDtypeStruct((BLOCK, 4), jnp.float32)] * 2).compile()
+    except Exception as error:  # noqa: BLE001  whatever a driver or a compiler raises: the same water goes on by other means
+        said = " ".join(str(error).split())[:200]
+        console.warn(
+            f"this GPU does not take the kernels of the fitted water ({type(error).__name__}: {said}). Matrix products take their"
+            " place: the same swim, but slower. The kernels need an NVIDIA GPU of compute capability 8.0 or more"
+        )
+        return False
+    return True
+
+
+@jax.jit
+def probe(rows, weights):
+    """A small kernel of what the large ones are made of: a loop over rows of weights, columns taken apart and joined, tanh."""
+
+    def kernel(rows, weights, out):
+        tanh = tanh_of(False)
+        first, *others = (jnp.reshape(column, BLOCK) for column in jnp.split(rows[...], 4, 1))
+        total = lax.fori_loop(0, BLOCK, lambda k, total: total + tanh(weights[k, 0] * first), sum(others))
+        out[...] = jnp.reshape(jnp.stack([first, total], -1), (BLOCK, 2))
+
+    return pl.pallas_call(kernel, out_shape=jax.ShapeDtypeStruct((BLOCK, 2), jnp.float32), **compiler(WARPS))(rows, weights)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
@@ -40,60 +71,88 @@ mean_step.defvjp(lambda dt, *given: jax.vjp(partial(_plain, dt), *given), lambda
 def step(weights: Halves, m: Motion, z: list, dt: float, *, interpret: bool = False):
     """`residual_network.mean_step` by the kernel; interpret: in plain JAX, anywhere."""
     links, shape = weights.forward.shape[1], m.speed.shape
-    ends = links + 1, HALF  # of the even features, of the even wake states
-    ordered = [*m.x[: ends[0]], *z[: ends[1]], *m.x[ends[0] :], *z[ends[1] :], m.speed]
     line = lambda a: jnp.reshape(jnp.asarray(a, jnp.float32), -1)
-    given = [line(a) for a in ordered]  # apart: stacked, they would go to memory once more
+    given = [line(a) for a in (*m.x, *z, m.speed)]  # apart: stacked, they would go to memory once more
     count = len(given[0])
     if more := -count % BLOCK:
         given = [jnp.pad(a, (0, more)) for a in given]
-    tables = [jnp.asarray(table, jnp.float32) for table in _tables(weights)]
-    whole = lambda a: pl.BlockSpec(a.shape, lambda i: (0,) * a.ndim)
+    tables = tables_of(weights)
     column, results = pl.BlockSpec((BLOCK,), lambda i: (i,)), 3 * links + 1 + WAKES
     out = pl.pallas_call(
-        partial(_kernel, dt=dt, links=links, members=len(weights.forward), inputs=len(given)),
+        partial(_kernel, dt=dt, inputs=len(given), tanh=tanh_of(interpret)),
         grid=((count + more) // BLOCK,),
         in_specs=[*[column] * len(given), *map(whole, tables)],
         out_specs=[column] * results,
         out_shape=[jax.ShapeDtypeStruct((count + more,), jnp.float32)] * results,
         interpret=interpret,
-        **({} if interpret else _compiler()),
+        **({} if interpret else compiler(WARPS)),
     )(*given, *tables)
     out = [jnp.reshape(a[:count], shape) for a in out]
     return [out[links * c : links * (c + 1)] for c in range(3)], out[3 * links], out[3 * links + 1 :]
 
 
-def _compiler() -> dict[str, Any]:
+def whole(a) -> pl.BlockSpec:
+    """An array that every program sees."""
+    return pl.BlockSpec(a.shape, lambda i: (0,) * a.ndim)
+
+
+def compiler(warps: int) -> dict[str, Any]:
+    """What `pl.pallas_call` is told of a program of so many warps."""
     from jax.experimental.pallas import triton
 
-    return {"compiler_params": triton.CompilerParams(num_warps=WARPS, num_stages=1)}
+    return {"compiler_params": triton.CompilerParams(num_warps=warps, num_stages=1)}
 
 
-def _tables(weights: Halves) -> tuple:
-    """Weights in the order in which the kernel reads them: hidden units, members, products, wake states, a row each."""
+def tables_of(weights: Halves) -> tuple:
+    """Weights in the order in which a kernel reads them: hidden units, members, products, wake states, a row each."""
     members, links, units = weights.forward.shape
     hidden = members * units
     out = jnp.concatenate([weights.forward, weights.aside], 1)  # (E, 3 N, H)
     inner = jnp.concatenate([weights.bias, weights.even, weights.odd], 1)
-    return (
+    tables = (
         jnp.concatenate([inner[:hidden], jnp.reshape(jnp.swapaxes(out, 1, 2), (hidden, -1))], 1),
         weights.forward_bias[:, :, 0],
         jnp.swapaxes(weights.squares, 0, 1),
         jnp.swapaxes(weights.crossed, 0, 1),
         jnp.concatenate([inner[hidden:], weights.length], 1),
     )
+    return tuple(jnp.asarray(table, jnp.float32) for table in tables)
 
 
-def _tanh(x):
-    return 1.0 - 2.0 / (1.0 + jnp.exp(2.0 * x))
+def tanh_of(interpret: bool):
+    """tanh inside a kernel: by the device's own exponential and reciprocal, as right and quicker."""
+    if interpret:
+        return lambda x: 1.0 - 2.0 / (1.0 + jnp.exp(2.0 * x))
+    from jax.experimental.pallas import triton
+
+    # 0f..: 2 / ln 2, 1, -2; an exponential that overflows gives 1, one that vanishes -1
+    steps = "mul.f32 t, $1, 0f4038AA3B; ex2.approx.ftz.f32 t, t; add.f32 t, t, 0f3F800000; rcp.approx.ftz.f32 t, t;"
+    asm = "{ .reg .f32 t; " + steps + " fma.rn.f32 $0, t, 0fC0000000, 0f3F800000; }"
+    shape = lambda x: [jax.ShapeDtypeStruct(x.shape, x.dtype)]
+    return lambda x: triton.elementwise_inline_asm(asm, args=[x], constraints="=f,f", pack=1, result_shape_dtypes=shape(x))[0]
 
 
-def _kernel(*refs, dt: float, links: int, members: int, inputs: int):
-    units, biases, squares, crossed, wakes = refs[inputs : inputs + 5]
-    out, size = refs[inputs + 5 :], links + 1 + HALF
-    given = [ref[...] for ref in refs[:inputs]]
-    even, odd, speed = given[:size], given[size:-1], given[-1]
-    zero = 0.0 * speed
+def _kernel(*refs, dt: float, inputs: int, tanh):
+    *x, speed = (ref[...] for ref in refs[:inputs])
+    m = Motion(x[:-WAKES], speed, [], [], [])
+    coefficients, apart, wakes = network(refs[inputs : inputs + 5], m, x[-WAKES:], dt, tanh)
+    for ref, value in zip(refs[inputs + 5 :], [*sum(coefficients, []), apart, *wakes], strict=True):
+        ref[...] = value
+
+
+def network(tables, m: Motion, z: list, dt: float, tanh, none=0, together: int = 1) -> tuple:
+    """`residual_network.mean_step` inside a kernel.
+
+    Args:
+        tables: references to what `tables_of` gives.
+        none: 0, in a loop of steps a number that the compiler cannot know: weights that are the same in every step it would read
+            before the loop, a thousand numbers for which no thread has registers.
+        together: hidden units that a round of the loop holds, at most; a divisor of their number is taken.
+    """
+    units, biases, squares, crossed, wakes = tables
+    links, zero = squares.shape[1], 0.0 * m.speed
+    even, odd = [*m.x[: links + 1], *z[:HALF]], [*m.x[links + 1 :], *z[HALF:]]
+    size = len(even)
 
     def branches(table, at):
         """tanh of one unit in both branches of the mirror."""
@@ -102,27 +161,31 @@ def _kernel(*refs, dt: float, links: int, members: int, inputs: int):
             p = p + table[at, 1 + j] * value
         for j, value in enumerate(odd):
             q = q + table[at, 1 + size + j] * value
-        return _tanh(p + q), _tanh(p - q)
+        return tanh(p + q), tanh(p - q)
 
     ahead, aside = [zero] * links, [zero] * (2 * links)
     e, o = even[: links + 1], odd[: 2 * links]
     for k, value in enumerate(part[i] * other for part in (e, o) for i in range(len(part)) for other in part[i:]):
-        ahead = [total + squares[k, j] * value for j, total in enumerate(ahead)]
+        ahead = [total + squares[k + none, j] * value for j, total in enumerate(ahead)]
     for k, value in enumerate(one * other for one in e for other in o):
-        aside = [total + crossed[k, j] * value for j, total in enumerate(aside)]
-    count, first = units.shape[0] // members, 1 + size + len(odd)
+        aside = [total + crossed[k + none, j] * value for j, total in enumerate(aside)]
+    members, first = biases.shape[0], 1 + size + len(odd)
+    count = units.shape[0] // members
+    together = gcd(count, together)
 
     def member(number, carry):
         mean, square = carry
 
-        def unit(h, sums):
-            at = number * count + h
-            plus, minus = branches(units, at)
-            both = [plus + minus] * links + [plus - minus] * (2 * links)
-            return [total + units[at, first + j] * value for j, (total, value) in enumerate(zip(sums, both, strict=True))]
+        def round_of(k, sums):
+            for h in range(together):
+                at = number * count + k * together + h
+                plus, minus = branches(units, at)
+                both = [plus + minus] * links + [plus - minus] * (2 * links)
+                sums = [total + units[at, first + j] * value for j, (total, value) in enumerate(zip(sums, both, strict=True))]
+            return sums
 
-        start = [total + biases[number, j] for j, total in enumerate(ahead)]
-        g = [BOUND * _tanh(total / BOUND) for total in lax.fori_loop(0, count, unit, [*start, *aside])]
+        start = [total + biases[number, j] for j, total in enumerate(ahead)] + aside
+        g = [BOUND * tanh(total / BOUND) for total in lax.fori_loop(0, count // together, round_of, start)]
         # Welford's sums: a variance far smaller than the mean's square keeps its digits
         off = [value - centre for value, centre in zip(g, mean, strict=True)]
         mean = [centre + away / (number + 1.0) for centre, away in zip(mean, off, strict=True)]
@@ -131,9 +194,9 @@ def _kernel(*refs, dt: float, links: int, members: int, inputs: int):
         return mean, square
 
     mean, square = lax.fori_loop(0, members, member, ([zero] * (3 * links), zero))
-    for ref, value in zip(out, [*mean, square / (3 * links * max(members - 1, 1))], strict=False):
-        ref[...] = value
+    later = []
     for k, before in enumerate([*even[-HALF:], *odd[-HALF:]]):
-        plus, minus = branches(wakes, k)
+        plus, minus = branches(wakes, k + none)
         target = 0.5 * (plus + minus if k < HALF else plus - minus)
-        out[3 * links + 1 + k][...] = target + (before - target) * jnp.exp(-dt * speed / wakes[k, first])
+        later.append(target + (before - target) * jnp.exp(-dt * m.speed / wakes[k + none, first]))
+    return [mean[links * c : links * (c + 1)] for c in range(3)], square / (3 * links * max(members - 1, 1)), later

@@ -72,7 +72,8 @@ class FreeWater(planar_water.PlanarWater):
         columns: dict[str, Any] = {
             name: [np.array(getattr(own, name)).T] for name in ("mu", "x", "h", "p", "displaced", "buoyancy")
         }
-        self._abreast = own._replace(**columns)
+        linear = own.linear if own.linear is None else [np.array(own.linear)]
+        self._abreast = own._replace(**columns, linear=linear)
 
     def forces(self, model, data) -> tuple[np.ndarray, np.ndarray]:
         """Added mass (nv, nv) and the explicit generalised force (nv,); pure."""
@@ -146,8 +147,9 @@ class FreeWater(planar_water.PlanarWater):
         Args:
             nu: (N, 6) velocities through the water. turned: (N, 3, 3) world to link.
         """
-        ch, c, g = self.chain, self.swimmer.water, self.geometry
+        ch, g = self.chain, self.geometry
         s, last = ch.strips, ch.n - 1
+        c = strip_forces.with_held_tail(s, self.swimmer.water, self.attached)
         u, v, w, roll, pitch, yaw = nu.T
         out = np.zeros((ch.n, 6))
         plane = out[:, [0, 1, 5]]

@@ -201,7 +201,8 @@ class TooDifferent(FishmjError):
 
     def __init__(self, gap: float, channels: dict[str, float], causes: list[str]):
         parts = ", ".join(f"{name} {value:.3g}" for name, value in channels.items())
-        super().__init__(f"the gap is {gap:.3g} times the floor (mean square; {parts}): too different to tell what is missing")
+        size = f"the residual is {gap:.3g} times the floor (mean square; {parts})"
+        super().__init__(f"{size}: too different to tell what is missing")
         self.gap, self.channels, self.causes = gap, channels, causes
 
     def told(self, json: bool, **more: object) -> int:
@@ -236,7 +237,7 @@ def admit(e: Likelihood, anyway: bool = False) -> None:
     Raises:
         TooDifferent: the gap is beyond BEYOND, or beyond FAR with a cause that is recognised, and nobody agreed to it.
     """
-    gap, channels = e.gap(e.model.null)
+    gap, channels = e.over_floor(e.model.null)
     if anyway or max(gap, *channels.values()) <= FAR:
         return
     causes = likely(e)

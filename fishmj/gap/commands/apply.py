@@ -102,13 +102,13 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
     null = null_of(context["null"])
     admission.null_fits(null, robot, context["model"])
     given = (trials_named(data, context["judged"]), null, context.get("water", STRUCTURED))
-    measure = lambda versions: [g for g, _ in gaps(versions, *given)]
+    measure = lambda versions: gaps(versions, *given)
     return settle(verdict, context, measure, out, folder, force)
 
 
 def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False) -> Written:
-    """Write the version to `out`, or the rejected candidate into `folder`. measure: [parent, candidate] -> their gaps on the
-    records that the report judges by."""
+    """Write the version to `out`, or the rejected candidate into `folder`. measure: [parent, candidate] -> what
+    `check.gaps` says of them on the records that the report judges by."""
     answer, parent = verdict["answer"], load_robot(context["model"])
     if not verdict["effects"]:
         return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
@@ -122,9 +122,9 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
         table |= {"gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
         draft = model_version.write(context["model"], Path(scratch) / out.name, effects, table, keep=False)
         candidate = load_robot(draft)
-        before, after = measure([parent, candidate])
-        table |= {"gap_before": float(before), "gap_after": float(after)}
-        good, reason = verdict_on(answer, before, after, which)
+        (before, _, floor), (after, _, left) = measure([parent, candidate])
+        table |= {"gap_before": float(before), "gap_after": float(after), "over_floor": [float(floor), float(left)]}
+        good, reason = verdict_on(answer, (before, after), (floor, left), which)
         if good or force:
             model_version.write(context["model"], out, effects, table)
             from fishmj.gap.commands.mjcf_patch import difference, hooked
@@ -139,9 +139,11 @@ def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force
     return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
 
 
-def verdict_on(answer: str, before: float, after: float, which: str = UNSEEN) -> tuple[bool, str]:
-    """Whether a candidate becomes a version, and why. which: the records that the gaps are of, in words."""
-    moved = f"gap {level(before)} -> {level(after)} on {which}"
+def verdict_on(answer: str, gap: tuple, over_floor: tuple, which: str = UNSEEN) -> tuple[bool, str]:
+    """Whether a candidate becomes a version, and why. gap, over_floor: (before, after). which: the records, in words."""
+    moved = f"gap {level(gap[0])} -> {level(gap[1])} on {which}"
     if answer != "NAMED":
         return False, f"{answer}: no effect explains the gap for certain ({moved})"
-    return (True, moved) if after < before else (False, f"the patch hurts: {moved}")
+    if over_floor[1] >= over_floor[0]:
+        return False, f"the patch hurts: residual {level(over_floor[0])} -> {level(over_floor[1])} floors on {which}"
+    return (True, moved) if gap[1] < gap[0] else (False, f"the patch hurts: {moved}")

@@ -17,7 +17,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull, null_of
 from fishmj.gap.records.datasets import digest, trials_in, trials_named
 from fishmj.gap.records.records import record_of
-from fishmj.gap.search.likelihood import likelihood_of
+from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.wording import level
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot, load_robot
@@ -68,20 +68,24 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
     trials = trials_named(data, stated["judged"]) if same else trials_in(data)
     notes = admission.of_this_robot(trials, robot, model, agreed)
     given = (trials, null, stated.get("water", STRUCTURED))
-    (before, _), (after, channels) = gaps([load_robot(parent), robot], *given)
+    (before, _, floor), (after, channels, left) = gaps([load_robot(parent), robot], *given)
     limit, worse = SLACK * stated["gap_after"], ""
     if same and after > limit:
         worse = f"gap {level(after)} on {len(trials)} records, stated was {level(stated['gap_after'])}"
     elif after >= before:
         worse = f"gap {level(after)} on {len(trials)} records, no smaller than its parent's {level(before)}"
+    elif left >= floor:
+        worse = f"residual {level(left)} floors on {len(trials)} records, no smaller than its parent's {level(floor)}"
     return {
         "model": str(model), "records": len(trials), "same_data": same, "gap_parent": before, "gap": after,
         "stated": stated["gap_after"], "by_channel": channels, "worse": worse, "notes": notes,
     }  # fmt: skip
 
 
-def gaps(versions: list[Robot], trials: list[Trial], null: SimulatedNull, water: str = STRUCTURED) -> list[tuple[float, dict]]:
-    """(gap, gap by channel) of each version over all trials, mean squares in units of the floor. water: that they swim in.
+def gaps(
+    versions: list[Robot], trials: list[Trial], null: SimulatedNull, water: str = STRUCTURED
+) -> list[tuple[float, dict, float]]:
+    """(gap, gap by channel, residual over the floor) of each version over all trials. water: that they swim in.
 
     Raises:
         ConfigError: the versions differ in more than their effects. LogError: no trials, or one that cannot be compared.
@@ -94,4 +98,9 @@ def gaps(versions: list[Robot], trials: list[Trial], null: SimulatedNull, water:
     listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
     model = SwimmingFish(as_described(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
     evidence = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], null)
-    return [evidence.gap(model.row(robot)) for robot in versions]
+    return measured(evidence, [model.row(robot) for robot in versions])
+
+
+def measured(e: Likelihood, rows: list) -> list[tuple[float, dict, float]]:
+    """The same of parameter rows. The gap grants a formula its own error, the floor does not: both have to shrink."""
+    return [(*e.gap_there(row), e.over_floor(row)[0]) for row in rows]

@@ -13,6 +13,7 @@ from fishmj.engines import own_effects
 from fishmj.gap import watch
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
+from fishmj.gap.commands.check import measured
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records import datasets
 from fishmj.gap.search.likelihood import likelihood_of
@@ -42,6 +43,7 @@ def main(argv: list[str]) -> int:
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
     add("--out", type=console.out_folder, help=out)
+    gap_options.of_mass(add)
     gap_options.of_null(add)
     most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
@@ -95,6 +97,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inq
         gates=frozen() if args.most is None else replace(frozen(), max_effects=args.most),
         null=null_of(drawn_of(args)),
         page=datasets.page_in(args.data),
+        mass_known=not args.mass_unknown,
         seed=args.seed,
         further=True,
         say=console.say,
@@ -129,9 +132,9 @@ def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
     verdict, model = inquiry.verdict.plain(), inquiry.evidence.model
     some = [r for r in inquiry.records if r.name in context["judged"]]
 
-    def measure(versions: list[Robot]) -> list[float]:
+    def measure(versions: list[Robot]) -> list[tuple[float, dict, float]]:
         evidence = likelihood_of(model, some, null_of(context["null"]))
-        return [evidence.gap(model.row(version))[0] for version in versions]
+        return measured(evidence, [model.row(version) for version in versions])
 
     done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
     patched = done.path.name if done.path and done.accepted else ""

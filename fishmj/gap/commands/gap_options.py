@@ -21,6 +21,12 @@ def of_null(add) -> None:
     of_seed(add, "of the split and of the null runs")
 
 
+def of_mass(add) -> None:
+    """--mass-unknown."""
+    text = "the robot never was on scales: its mass may differ from the model's (default: without scales in measurements.toml"
+    add("--mass-unknown", action="store_true", help=f"{text} the model's mass counts as weighed, to 0.1 %%)")
+
+
 def of_seed(add, what: str) -> None:
     """--seed."""
     add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help=f"{what}, from 0 (default 0)")

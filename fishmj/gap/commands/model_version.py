@@ -5,7 +5,7 @@
     parent = "fish"                 shipped name or file; parent_sha256 its hash: versions form a chain
     effects = ["coulomb_friction"]  what this version added or changed
     data, data_sha256, judged       data set, hash of its manifest, and the records on which the gaps were measured
-    gap_before, gap_after           mean squares in units of the floor: agreement is about 1
+    gap_before, gap_after           |z|^2 / m: healthy robots leave about 1
     [version.null], [version.gates], rivals
 
 The blocks [[effect]] below it are `fishmj.effects.calibration`'s. The parent's text is kept beside the version.

@@ -40,6 +40,7 @@ def main(argv: list[str]) -> int:
     which = "experiments: ids, all, or hinted, a quick look (default all)"
     add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
     add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
+    gap_options.of_mass(add)
     gap_options.of_null(add)
     add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
     own_effects.option(parser)
@@ -87,6 +88,7 @@ def _opened(args, null: SimulatedNull):
         list(given.trials.values()),
         null=null,
         page=page_in(args.source),
+        mass_known=not args.mass_unknown,
         seed=args.seed,
         say=console.say,
         bars=watch.shown,

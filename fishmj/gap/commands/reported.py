@@ -26,7 +26,15 @@ def _known(name: str) -> str:
         raise ValueError(str(error)) from error
 
 
+def _known_rival(name: str) -> str:
+    """The same, or a sensor's scale that is as likely."""
+    from fishmj.gap.terms.library import sensor_scales
+
+    return name if any(name == term.formula for term in sensor_scales()) else _known(name)
+
+
 Effect = Annotated[str, AfterValidator(_known)]
+Rival = Annotated[str, AfterValidator(_known_rival)]
 
 
 class _Table(BaseModel):
@@ -46,7 +54,7 @@ class _Named(_Table):
 
 
 class _Rival(_Table):
-    name: Effect
+    name: Rival
     p_best: Finite = 0.0
     values: dict[Effect, dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)]]] | None = None
 

@@ -12,6 +12,7 @@ its square f^2 becomes 1 / (1/f^2 + 1/s^2), and no record that is left out takes
 
 import numpy as np
 
+from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.fit import Candidate, bounds, difference_rows
 from fishmj.gap.search.likelihood import Likelihood
@@ -47,8 +48,8 @@ def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
 def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
     """(n, K) what each null run would make of the parameters whose Jacobian (K, m) is given."""
     n = e.runs
-    factors = e.factors / e.d
-    scaled = jacobian / e.d
+    alone = record_whitening(e.d, e.by_record, e.layout.record)
+    factors, scaled = alone(e.factors), alone(jacobian)
     gram = factors @ factors.T
     cross = scaled @ factors.T
     square = scaled @ scaled.T

@@ -1,6 +1,6 @@
 """Where the gap is, in words and numbers: channel and regime, lag, beat, world or body, left or right, when, how fast.
 
-    place = localise(compared(model, records, scale, before, after))
+    place = localise(compared(likelihood, linearised at after, before, after), gates.adequacy)
     place.text
 
 Nothing here decides what is missing; it says what the residual of the model looks like, before and after what was found.
@@ -21,16 +21,17 @@ THIRDS = 3
 class Localisation:
     """What the residual of the model as it is looks like.
 
-    gap, gap_after: mean square in units of the floor. channels (C,), kinds (K,): names.
-    share, time: (C, K) of the gap beyond the floor, of the channel's time. level: (C, K) mean square in units of the floor, NaN
+    gap, gap_after: |z|^2 / m of the logs; up to `allowed` model and records agree. channels (C,), kinds (K,): names.
+    share, time: (C, K) of the gap beyond 1, of the channel's time. level: (C, K) mean of z^2, NaN
     where never seen. locked: by channel, joint and heading.
-    thirds: channel -> (3,) mean square in the first, middle and last third of a record. session: channel -> slope of the mean
-    square over the session [1/s], relative to its mean, NaN when all records are of one time.
+    thirds: channel -> (3,) mean square over the floor in the first, middle and last third of a record. session: channel -> its
+    slope over the session [1/s], relative to its mean, NaN when all records are of one time.
     bias: (J,) mean residual of each joint, rad. residual_rms: channel -> RMS before, after (SI).
     """
 
     gap: float
     gap_after: float
+    allowed: float
     channels: tuple[str, ...]
     kinds: tuple[str, ...]
     share: np.ndarray
@@ -54,15 +55,15 @@ class Localisation:
         return paragraph(self)
 
 
-def localise(c: Comparison) -> Localisation:
-    """All diagnostics of a comparison."""
+def localise(c: Comparison, allowed: float) -> Localisation:
+    """All diagnostics of a comparison. allowed: gap of healthy robots."""
     channels, share, level, time = shares(c, kinds(c))
     found = stretches(c)
-    gaps = [float(np.sum(c.weights() * ratio)) for ratio in c.ratio]
+    gaps = [float(np.mean(ratio)) for ratio in c.ratio]
     locked = {name: got for name in ("joint", "heading") if (got := beat(c, name)) is not None}
     rms = {name: _rms(c, name) for name in channels}
     return Localisation(
-        *(gaps[0], gaps[1], channels, KINDS, share, level, time, lags(c), locked, frame(found), side(found)),
+        *(gaps[0], gaps[1], allowed, channels, KINDS, share, level, time, lags(c), locked, frame(found), side(found)),
         *(thirds(c), over_session(c), by_rate(c), bias(c), rms),
     )
 
@@ -78,7 +79,7 @@ def thirds(c: Comparison) -> dict[str, np.ndarray]:
     sums: dict[str, list[np.ndarray]] = {}
     for b in c.layout.blocks:
         place = np.minimum((THIRDS * b.t / (b.t[-1] + 1e-9)).astype(int), THIRDS - 1)
-        ratio = c.ratio[0][b.where]
+        ratio = c.over_floor[0][b.where]
         if len(np.unique(place)) == THIRDS:
             sums.setdefault(b.channel, []).append(np.array([ratio[place == k].mean() for k in range(THIRDS)]))
     return {name: np.mean(values, 0) for name, values in sums.items()}
@@ -90,7 +91,7 @@ def over_session(c: Comparison) -> dict[str, float]:
     out = {}
     for name in dict.fromkeys(c.layout.channel):
         mine = c.layout.channel == name
-        sums, counts = (np.bincount(c.layout.record[mine], w, len(c.records)) for w in (c.ratio[0][mine], None))
+        sums, counts = (np.bincount(c.layout.record[mine], w, len(c.records)) for w in (c.over_floor[0][mine], None))
         known = counts > 0
         level = sums / np.maximum(counts, 1)
         spread = times[known] - times[known].mean()

@@ -1,6 +1,6 @@
 """The material of a localisation, and which part of the gap lies in which channel, while the robot did what.
 
-    share(channel, regime) = max(0, sum w (r^2 / W^2 - 1)) / sum of all cells        w as in the gap, r residual, W floor
+    share(channel, regime) = max(0, sum (z^2 - 1)) / sum of all cells        z whitened residual, as in the gap: |z|^2 / m
 
 Every half second counts once, under the most telling of its labels (log/regimes.py).
 """
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.errors import LogError
+from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.log import Trial, numbered
 from fishmj.log.regimes import label
@@ -18,8 +19,8 @@ from fishmj.log.regimes import label
 class Comparison(NamedTuple):
     """Records beside two parameter rows: the model as it was (0) and with the effects found (1); the same row twice when none.
 
-    scale: (m,) floor, standard deviation of what null runs leave. rows: (2, P). predictions: `model.predict` of both rows.
-    residuals: (2, m) measured minus predicted, on `layout`.
+    layout: of the logs, without weighings. scale: (m,) floor, standard deviation of what null runs leave. rows: (2, P).
+    predictions: `model.predict` of both rows. residuals: (2, m) measured minus predicted; whitened: (2, m) z of them.
     """
 
     model: Any
@@ -29,6 +30,7 @@ class Comparison(NamedTuple):
     rows: np.ndarray
     predictions: list[dict]
     residuals: np.ndarray
+    whitened: np.ndarray
 
     @property
     def changed(self) -> bool:
@@ -37,25 +39,25 @@ class Comparison(NamedTuple):
 
     @property
     def ratio(self) -> np.ndarray:
-        """(2, m) squared residuals in units of the floor: agreement is about 1."""
+        """(2, m) z^2, whose mean is the gap: healthy robots leave about 1."""
+        return self.whitened**2
+
+    @property
+    def over_floor(self) -> np.ndarray:
+        """(2, m) squared residuals over the floor, for patterns in time: z of a moment also knows of others."""
         return (self.residuals / self.scale) ** 2
 
-    def weights(self) -> np.ndarray:
-        """(m,) such that sum(weights * ratio) is the gap: every channel alike, and in it every block."""
-        blocks = self.layout.blocks
-        channels = [b.channel for b in blocks]
-        out = np.empty(self.layout.size)
-        for b in blocks:
-            out[b.where] = 1.0 / (len(set(channels)) * channels.count(b.channel) * len(b.t))
-        return out
 
-
-def compared(model, records: list[Record], scale: np.ndarray, before, after) -> Comparison:
-    """Roll both rows out over the records."""
-    layout = ResidualLayout(records)
+def compared(e, near, before, after) -> Comparison:
+    """Roll both rows out over the records of a likelihood `e` (search/likelihood.py); weighings are left out. near: the same,
+    linearised at `after`."""
+    logs, kept = [r._replace(weighed=None) for r in e.records], e.layout.channel != mass_properties.CHANNEL
     rows = np.stack([np.asarray(before, float), np.asarray(after, float)])
-    predictions = model.predict(records, rows)
-    return Comparison(model, records, layout, scale, rows, predictions, layout.residuals(predictions))
+    predictions = e.model.predict(e.records, rows)
+    residuals = e.layout.residuals(predictions)
+    whitened = np.stack([at.subset().whiten(np.nan_to_num(r)) for at, r in zip((e, near), residuals, strict=True)])
+    layout = ResidualLayout(logs)
+    return Comparison(e.model, logs, layout, e.scale[kept], rows, predictions, residuals[:, kept], whitened[:, kept])
 
 
 PRIORITY = (  # label, words; first what says most
@@ -116,19 +118,18 @@ def kinds(c: Comparison) -> np.ndarray:
 
 
 def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
-    """Channels; (C, K) each: share of the gap beyond the floor, mean square in units of the floor (NaN where never seen), and
+    """Channels; (C, K) each: share of the gap beyond 1, mean of z^2 (NaN where never seen), and
     share of the channel's time; of the start, which is a moment, none."""
     names = tuple(dict.fromkeys(b.channel for b in c.layout.blocks))
     excess, time = np.zeros((2, len(names), len(KINDS)))
     level = np.full((len(names), len(KINDS)), np.nan)
     ratio = c.ratio[0]
-    weights = c.weights()
     for i, name in enumerate(names):
         for k in range(len(KINDS)):
             some = (c.layout.channel == name) & (kind == k)
             time[i, k] = some.sum() / (c.layout.channel == name).sum() if name != "start" else 0.0
             if some.any():
-                excess[i, k] = max(0.0, float(np.sum((weights * (ratio - 1))[some])))
+                excess[i, k] = max(0.0, float(np.sum((ratio - 1)[some])))
                 level[i, k] = float(np.mean(ratio[some]))
     total = excess.sum()
     return names, excess / total if total > 0 else excess, level, time

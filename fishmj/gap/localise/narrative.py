@@ -5,22 +5,21 @@ import math
 import numpy as np
 
 from fishmj.gap.localise.residual_patterns import compatible, significant
-from fishmj.gap.wording import number, percent, sentence
+from fishmj.gap.wording import level, number, percent, sentence
 
 LITTLE, MOST = 0.1, 0.5  # share of the gap
-AGREES = 1.25  # below this mean square there is nothing to place
 
 
 def paragraph(p) -> str:
     """Where the gap is."""
     if nothing(p):
-        return f"The residual stays within the floor ({p.gap:.2f}, agreement is about 1): there is nothing to place."
+        return f"The residual is no more than healthy robots leave (gap {level(p.gap)}): there is nothing to place."
     return " ".join(s for s in (where(p), beat(p), lag(p), frame(p), side(p), growth(p), speed(p), session(p)) if s)
 
 
 def nothing(p) -> bool:
     """Whether there is no gap to speak of."""
-    return p.gap <= AGREES or p.share.sum() == 0
+    return p.gap <= p.allowed or p.share.sum() == 0
 
 
 def where(p) -> str:

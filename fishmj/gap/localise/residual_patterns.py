@@ -190,7 +190,7 @@ def by_rate(c: Comparison) -> BeatRates | None:
         rate = np.abs(np.gradient(record.commands[:, b.column], record.dt))
         rate = maximum_filter1d(rate, width := max(round(RECENT / record.dt), 1), origin=(width - 1) // 2)
         speed.append(np.interp(b.t, np.arange(len(rate)) * record.dt, rate))
-        level.append(c.ratio[0][b.where])
+        level.append(c.over_floor[0][b.where])
     if not speed:
         return None
     rate = np.concatenate(speed)

@@ -14,7 +14,7 @@ damping: back-EMF, controller, grease) are SI here, not factors.
 
 import hashlib
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.units import G
+
+if TYPE_CHECKING:
+    from fishmj.gap.models.strip_water import GatedWater
 
 AT_ONCE = 256  # rollouts of a batch, for memory's sake
 STRIDE = 5  # physics steps between samples; between them poses follow the cubic through angles and rates
@@ -68,6 +71,7 @@ class SwimmingFish:
         self.latency = self.robot.timing.command_latency
         self.camera = self.robot.timing.camera_latency
         self.states = 2 * (self.joints + 3) + 2 + len(self.active.memory)  # q, v, attachment, energy, memory
+        self._strips: dict[tuple[str, ...], GatedWater] = {}
 
     @property
     def nothing(self) -> np.ndarray:
@@ -96,6 +100,14 @@ class SwimmingFish:
         """Changes with anything that changes the predictions of the row `nothing`."""
         return hashlib.sha256(repr((self.robot, self.camera, self.latency)).encode()).hexdigest()[:16]
 
+    def strips(self, more: tuple[str, ...]) -> "GatedWater":
+        """The same robot, the coefficients of its water and the effects `more` as numbers of a row; made once."""
+        from fishmj.gap.models.strip_water import GatedWater
+
+        if more not in self._strips:
+            self._strips[more] = GatedWater(self.robot, more)
+        return self._strips[more]
+
     @cached_property
     def kernel(self) -> Kernel:
         """Compiled rollouts; tens of seconds the first time on a machine."""
@@ -112,8 +124,12 @@ class SwimmingFish:
         hooks = Effects(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :])
         target = [hooks.session.command(j, command[j], self.dt) for j in range(self.joints)]
         flow = [(row[-2], row[-1])] * n
-        s = planar_chain.step(jnp, self.chain, self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
+        s = planar_chain.step(jnp, self._chain(row), self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
         return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
+
+    def _chain(self, row) -> planar_chain.Chain:
+        """The chain of a row; a plant whose rows turn its constants has its own."""
+        return self.chain
 
     def _look(self, state, row):
         nv = self.joints + 3
@@ -131,6 +147,14 @@ class SwimmingFish:
         water = water._replace(ca_forward=w.ca_forward * c["form_drag"])
         scaled = lambda values, factor: [value * factor for value in values]
         return s._replace(mass=scaled(s.mass, c["mass"]), kp=scaled(s.kp, c["kp"]), kv=scaled(s.kv, c["kv"]), water=water)
+
+    def added_mass(self) -> np.ndarray:
+        """(3,) of the straight fish at rest as it is described: ahead, to the side [kg], about the reference point [kg m2]."""
+        rest, still = [0.0] * (self.joints + 3), [(0.0, 0.0)] * self.chain.n
+        pose = planar_chain.kinematics(np, self.chain, rest, rest, still)
+        m = planar_chain.mass_matrix(self.chain, self.nominal, pose, rigid=False)
+        turning = range(2, self.joints + 3)  # all links turn with the head of a rigid fish
+        return np.array([m[0][0], m[1][1], sum(m[max(r, c)][min(r, c)] for r in turning for c in turning)])
 
     def predict(self, records: list[Record], rows) -> list[dict]:
         """What the sensors would have reported, for every parameter row (R, P) on every record.
@@ -263,6 +287,12 @@ class ServoStand(SwimmingFish):
         """Place of a constant in a row."""
         return [c.name for c in self.constants].index(name)
 
+    def _chain(self, row) -> planar_chain.Chain:
+        """In air no drag of the strips acts, neither what is a constant of the chain."""
+        strips, wet = self.chain.strips, row[self.place(WET)]
+        linear = None if strips.linear is None else tuple(wet * part for part in strips.linear)
+        return self.chain._replace(strips=strips._replace(linear=linear))
+
     def _swimmer(self, row) -> planar_chain.Swimmer:
         c = {constant.name: row[i] for i, constant in enumerate(self.constants)}
         s, w, wet = self.nominal, self.nominal.water, c[WET]
@@ -288,7 +318,7 @@ class ServoStand(SwimmingFish):
         hooks = Hung(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :], row[self.place(WET)])
         target = [command[j] for j in range(self.joints)]
         flow = [(row[-2], row[-1])] * n
-        s = planar_chain.step(jnp, self.chain, self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
+        s = planar_chain.step(jnp, self._chain(row), self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
         return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
 
     def predict(self, records: list[Record], rows) -> list[dict]:

@@ -61,6 +61,7 @@ class SimulatedNull:
     nuisance: float = 0.1
     noise: float = 1.0
     seed: int = 0
+    without: str | tuple[str, ...] = ""  # family whose fish take no part
 
     def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
         """(n, m) residuals of the model as it is on every null run, at the windows of `layout`. bars: of runs made anew."""

@@ -19,6 +19,7 @@ A turned camera shows what a fish swam too far ahead as too far to the side: nul
 The other effects leave the null runs as they are: what they change in them is a matter of the constants (likelihood.py).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,31 +32,69 @@ FLOOR = 0.5  # of the sensors' noise: D never goes below
 SMOOTH = 0.5  # s
 
 
-class Whitening(NamedTuple):
-    """S^-1/2 in parts: z = x / d - U (1 - g) U^T (x / d)."""
+class RecordWhitening(NamedTuple):
+    """C^-1/2 of C = D + A^T A, each row of A in one record alone: y = x / d, in each record z = y - U (1 - g) U^T y."""
 
     d: np.ndarray  # (m,)
+    parts: tuple[tuple[slice, np.ndarray, np.ndarray], ...]  # of records that have such rows: samples, U (m_l, k), g (k,)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Whiten (..., m)."""
+        z = x / self.d
+        for where, u, g in self.parts:
+            z[..., where] -= ((z[..., where] @ u) * (1.0 - g)) @ u.T
+        return z
+
+    @property
+    def logdet(self) -> float:
+        """log det C."""
+        return float(2.0 * np.sum(np.log(self.d)) - 2.0 * sum(np.sum(np.log(g)) for _, _, g in self.parts))
+
+
+def record_whitening(d: np.ndarray, by_record: Sequence[np.ndarray] = (), record: np.ndarray | None = None) -> RecordWhitening:
+    """From D's square root (m,) and factors (k, m_l) of each record. record: (m,) ascending number of each sample's."""
+    parts = []
+    for i, factors in enumerate(by_record):
+        where = slice(*np.searchsorted(np.asarray(record), [i, i + 1]).tolist())
+        if len(factors) and where.stop > where.start:
+            parts.append((where, *directions(factors / d[where])))
+    return RecordWhitening(d, tuple(parts))
+
+
+def directions(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(U, g) of 1 + F^T F, F (k, m): eigenvectors whose eigenvalues differ from 1, and 1 over their square roots."""
+    square, v = np.linalg.eigh(scaled @ scaled.T)
+    keep = square > RIDGE * max(float(square.max(initial=0.0)), 1e-300)
+    return scaled.T @ (v[:, keep] / np.sqrt(square[keep])), 1.0 / np.sqrt(1.0 + square[keep])
+
+
+class Whitening(NamedTuple):
+    """S^-1/2 in parts, S = F^T F + C: y = C^-1/2 x, z = y - U (1 - g) U^T y."""
+
+    alone: RecordWhitening  # of C
     u: np.ndarray  # (m, k)
     g: np.ndarray  # (k,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Whiten (..., m)."""
-        x = x / self.d
-        return x - ((x @ self.u) * (1.0 - self.g)) @ self.u.T
+        y = self.alone(x)
+        return y - ((y @ self.u) * (1.0 - self.g)) @ self.u.T
 
     @property
     def logdet(self) -> float:
         """log det S."""
-        return float(2.0 * np.sum(np.log(self.d)) - 2.0 * np.sum(np.log(self.g)))
+        return self.alone.logdet - float(2.0 * np.sum(np.log(self.g)))
 
 
-def whitening(factors: np.ndarray, d: np.ndarray) -> Whitening:
-    """From factors (k, m) and D's square root (m,)."""
-    scaled = factors / d
-    square, v = np.linalg.eigh(scaled @ scaled.T)
-    keep = square > RIDGE * max(float(square[-1]), 1e-300)
-    u = scaled.T @ (v[:, keep] / np.sqrt(square[keep]))
-    return Whitening(d, u, 1.0 / np.sqrt(1.0 + square[keep]))
+def whitening(
+    factors: np.ndarray, d: np.ndarray, by_record: Sequence[np.ndarray] = (), record: np.ndarray | None = None
+) -> Whitening:
+    """From factors (k, m) that records share, D's square root (m,), and factors of one record each (`record_whitening`).
+
+    Those of one record are hundreds together and a few tens in each: taken record by record they cost next to nothing.
+    """
+    alone = record_whitening(d, by_record, record)
+    return Whitening(alone, *directions(alone(factors)))
 
 
 def residual_and_tangents(model, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:

@@ -2,9 +2,11 @@
 
     weighed = (mass kg, balance point from the nose m, yaw inertia about it kg m2)      straight, dry
 
-The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first record that is searched. Its
-null runs are the instruments' errors alone: a fish from which nothing is missing weighs what its model weighs. What an effect
-does to it is what mass means and no formula of the water's, so no form error is granted (likelihood.py).
+The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first record that is searched. Without
+scales in it the mass of the description counts as weighed, unless told otherwise: a body mass that is off takes the place of
+nearly any error of the water, and takes a minute to weigh. Its null runs are the instruments' errors alone: a fish from which
+nothing is missing weighs what its model weighs. What an effect does to it is what mass means and no formula of the water's, so no
+form error is granted (likelihood.py).
 """
 
 from math import sqrt
@@ -22,13 +24,14 @@ BEYOND = 3.0  # sigma, from which it is said
 DRAWN = 0x5CA1E  # of the null runs' readings
 
 
-def sensor(page: dict, model) -> Sensor | None:
-    """(1, 3) of a page, NaN where it has no such table; None of an empty one. sigma: the instruments' or what repeats scatter.
+def sensor(page: dict, model, known: bool = True) -> Sensor | None:
+    """(1, 3) of a page, NaN where it has no such table; None of nothing. sigma: the instruments' or what repeats scatter.
 
+    known: the description's mass was weighed, to within what scales tell. It counts where the page has no scales.
     Raises:
         ConfigError: a number is missing or not positive.
     """
-    if not page.keys() & {"scales", "balance", "pendulum"}:
+    if not known and not page.keys() & {"scales", "balance", "pendulum"}:
         return None
     mass, error = float(predicted(model, model.null)[0, 0]), SCALES
     values, sigma = np.full(3, np.nan), np.full(3, np.nan)
@@ -38,6 +41,8 @@ def sensor(page: dict, model) -> Sensor | None:
         values[0] = mass = float(each.sum())
         sigma[0] = max(scatter, SCALES * mass)
         error = float(sigma[0]) / mass
+    elif known:
+        values[0], sigma[0] = mass, SCALES * mass
     if "balance" in page:
         values[1], sigma[1] = measurements.balance(page, EDGE)
     if "pendulum" in page:
@@ -62,6 +67,8 @@ def agreement(model, records: list[Record]) -> str:
     weighed = next((r.weighed for r in records if r.weighed is not None), None)
     if weighed is None:
         return ""
+    if (mass := weighed.values[0, 0]) == predicted(model, model.null)[0, 0] and np.isnan(weighed.values[0, 1:]).all():
+        return described(mass)
     rows = zip(QUANTITIES, weighed.values[0], predicted(model, model.null)[0], weighed.sigma, strict=True)
     off = [
         f"{name} is {value:.4g} {unit}, the model's {nominal:.4g} ({abs(value - nominal) / sigma:.0f} sigma)"
@@ -70,6 +77,11 @@ def agreement(model, records: list[Record]) -> str:
     ]
     known = ", ".join(name for (name, _), value in zip(QUANTITIES, weighed.values[0], strict=True) if np.isfinite(value))
     return f"Weighed: its {'; its '.join(off)}." if off else f"What was weighed agrees ({known})."
+
+
+def described(mass: float) -> str:
+    """That no scales were asked."""
+    return f"The model's mass, {mass:.4g} kg, counts as weighed; --mass-unknown where it never was on scales."
 
 
 def with_page(records: list[Record], weighed: Sensor | None) -> list[Record]:

@@ -97,17 +97,14 @@ def svg(figure, label: str) -> Markup:
     return Markup(text.replace("<svg", head, 1).strip())
 
 
-def gaps(parts: tuple[ReportPart, ...], changed: bool) -> str:
-    """Before and after on every part of the records, with the floor."""
+def gaps(parts: tuple[ReportPart, ...], changed: bool, allowed: float) -> str:
+    """Before and after on every part of the records. allowed: below it model and records agree."""
     figure, axes = canvas(1, 1, (6.2, 0.72 * len(parts) + 0.85))
     axis = axes[0, 0]
-    lows = [p.low for p in parts if np.isfinite(p.low)]
-    if lows:
-        high = max(p.high for p in parts if np.isfinite(p.high))
-        axis.axvspan(min(lows), high, color=BAND, zorder=0)
-    axis.axvline(1.0, color=QUIET, linewidth=1, linestyle=(0, (2, 2)))
+    axis.axvspan(0.01, allowed, color=BAND, zorder=0)
+    axis.axvline(allowed, color=QUIET, linewidth=1, linestyle=(0, (2, 2)))
     most = max([p.before for p in parts] + [p.after for p in parts] + [4.0])
-    least = min([p.after for p in parts] + lows + [0.6])
+    least = min([p.after for p in parts] + [p.before for p in parts] + [0.6])
     for y, p in enumerate(parts):
         if changed:
             axis.annotate("", (p.after, y), (p.before, y), arrowprops={"arrowstyle": "-", "color": "#9AA5B1", "linewidth": 1.6})
@@ -122,7 +119,7 @@ def gaps(parts: tuple[ReportPart, ...], changed: bool) -> str:
     axis.grid(axis="y", visible=False)
     axis.spines["left"].set_visible(False)
     axis.tick_params(axis="y", length=0)
-    axis.set_xlabel("gap (1 = agreement)")
+    axis.set_xlabel("gap, |z|² / m (grey: agreement)")
     return svg(figure, "Gap before and after on every part of the records")
 
 
@@ -171,7 +168,7 @@ def heat(p: Localisation) -> str:
             axis.text(j, i - 0.08, text, ha="center", va="center", color="white" if dark else INK, fontsize=10)
             if np.isfinite(p.level[i, k]):
                 quiet = "#E6EEF5" if dark else QUIET
-                axis.text(j, i + 0.27, f"{_short(p.level[i, k])} × floor", ha="center", va="center", color=quiet, fontsize=7.6)
+                axis.text(j, i + 0.27, f"z² {_short(p.level[i, k])}", ha="center", va="center", color=quiet, fontsize=7.6)
     time = np.nanmax(p.time[:, seen], 0)
     regimes = [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
     axis.set_xticks(range(len(seen)), regimes)
@@ -317,10 +314,9 @@ class Chosen(NamedTuple):
 
 def chosen(c: Comparison) -> list[Chosen]:
     """The block of each channel in which most of the gap lies, biggest first; one record twice only when there is no other."""
-    weights = c.weights()
     best: dict[str, tuple[float, ChannelBlock]] = {}
     for b in (b for b in c.layout.blocks if b.channel in UNITS):  # where the fish was put is no trace
-        excess = float(np.sum((weights * (c.ratio[0] - 1.0))[b.where]))
+        excess = float(np.sum(c.ratio[0][b.where] - 1.0))
         if b.channel not in best or excess > best[b.channel][0]:
             best[b.channel] = (excess, b)
     order = sorted(best.values(), key=lambda found: -found[0])[:MOST]

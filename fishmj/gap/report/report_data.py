@@ -11,22 +11,20 @@ from fishmj.gap.localise.error_growth import GrowthCurve, curves
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate
-from fishmj.gap.thresholds import Gates, frozen
+from fishmj.gap.thresholds import Gates
 from fishmj.gap.wording import quantity, title
 from fishmj.gap.workflow import Inquiry
 
 
 @dataclass(frozen=True)
 class ReportPart:
-    """The gap on one part of the records, before and after; low, high: between these lie nine of ten null runs, NaN unknown."""
+    """The gap on one part of the records, before and after."""
 
     name: str
     about: str
     records: int
     before: float
     after: float
-    low: float = float("nan")
-    high: float = float("nan")
     by_channel: dict | None = None  # channel -> (before, after)
 
 
@@ -76,14 +74,14 @@ class ReportData:
     weighed: str
 
 
-def gathered(inquiry: Inquiry, gates: Gates | None = None) -> ReportData:
-    """Compute everything. gates: the thresholds of the search; default, the frozen ones."""
-    gates = gates or frozen()
+def gathered(inquiry: Inquiry) -> ReportData:
+    """Compute everything."""
+    gates = inquiry.gates
     e, found = inquiry.evidence, inquiry.found
-    logs = [r._replace(weighed=None) for r in e.records]
-    c = compared(e.model, logs, e.scale[e.layout.channel != mass_properties.CHANNEL], found.base.row, after(inquiry))
-    growth, weighed = curves(e.model, logs, *c.rows), mass_properties.agreement(e.model, e.records)
-    return ReportData(inquiry, gates, c, localise(c), growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
+    c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
+    growth, weighed = curves(e.model, c.records, *c.rows), mass_properties.agreement(e.model, e.records)
+    place = localise(c, gates.adequacy)
+    return ReportData(inquiry, gates, c, place, growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
@@ -94,11 +92,7 @@ def after(inquiry: Inquiry) -> np.ndarray:
 def parts(inquiry: Inquiry) -> tuple[ReportPart, ...]:
     """Fitted, held out, never used."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
-    found_without = found.fitted.fits[0] if v.taken else found.base
-    rows = np.stack([found.base.row, found_without.row])
-    residuals = e.layout.residuals(e.model.predict(e.records, rows))
-    count = e.runs
-    null = e.factors[:count] * np.sqrt(count)
+    near, without = (found.near, found.fitted.fits[0]) if v.taken else (e, found.base)
     out = []
     for name, about, keep in (
         ("fitted", "parameters were fitted to these", ~inquiry.held),
@@ -106,18 +100,14 @@ def parts(inquiry: Inquiry) -> tuple[ReportPart, ...]:
     ):
         if not keep.any():
             continue
-        by = [likelihood.by_channel(r, e.scale, e.layout, keep) for r in residuals]
-        mean = lambda found: float(np.mean(list(found.values())))
-        reached = [mean(likelihood.by_channel(r, e.scale, e.layout, keep)) for r in null]
-        low, high = (float(q) for q in np.quantile(reached, [0.05, 0.95]))
-        both = {k: (by[0][k], by[1][k]) for k in by[0]}
-        out.append(ReportPart(name, about, int(keep.sum()), mean(by[0]), mean(by[1]), low, high, both))
+        (before, one), (ended, two) = e.gap(found.base.row, keep), near.gap(without.row, keep)
+        out.append(ReportPart(name, about, int(keep.sum()), before, ended, {k: (one[k], two[k]) for k in one}))
     if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
         what = "no decision ever saw these"
         ended = v.gap_after_unseen if v.taken else v.gap_unseen_before
         last = ReportPart("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, ended)
         if inquiry.apart is not None:
-            one, two = (inquiry.apart.gap(row)[1] for row in (found.base.row, after(inquiry)))
+            one, two = (inquiry.apart.gap_there(row)[1] for row in (found.base.row, after(inquiry)))
             last = replace(last, by_channel={name: (one[name], two[name]) for name in one})
         out.append(last)
     return tuple(out)

@@ -49,13 +49,14 @@ def value(m: ReportData) -> str:
 def figures(m: ReportData) -> list[tuple[str, str]]:
     """The few numbers that one asks for first."""
     v, last = m.inquiry.verdict, m.parts[-1]
+    about = f"gap on records {last.name}; up to {level(m.gates.adequacy)} is agreement"
     out = []
     if m.comparison.changed:
-        out.append((f"{level(last.before)} → {level(last.after)}", f"gap on records {last.name}; 1 is agreement"))
+        out.append((f"{level(last.before)} → {level(last.after)}", about))
         if v.shrinks and last.after < last.before:
             out.append((f"{percent(v.explained)}", f"of {LIKELIHOOD} is explained, on records not fitted to"))
     else:
-        out.append((level(last.before), f"gap on records {last.name}; 1 is agreement"))
+        out.append((level(last.before), about))
     if v.answer in ("NAMED", "CLASS") and v.effects:
         out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): how surely the best of the catalogue"))
     seconds, effects = sum(r.seconds for r in m.inquiry.records), len(m.inquiry.evidence.model.active.effects)
@@ -69,12 +70,12 @@ def gap(m: ReportData) -> Section:
     pair = lambda both: " → ".join(map(level, both if m.comparison.changed else both[:1])) if both else "-"
     rows = [{"gap": part("strong", "all")} | {p.name: part("strong", pair((p.before, p.after))) for p in m.parts}]
     rows += [{"gap": k} | {p.name: pair((p.by_channel or {}).get(k)) for p in m.parts} for k in channels]
-    about = "Mean square of measured minus model in units of the floor; every channel and record counts alike, 1 is agreement. "
-    about += "The floor is what an independent simulation of this very fish leaves, with nothing hidden in it. "
+    about = "|z|² / m: mean square of measured minus model, whitened by what healthy robots differ from their models by, so that "
+    about += f"they leave about 1 and hardly ever more than {level(m.gates.adequacy)}: up to there model and records agree. "
     if m.comparison.changed:
         about += "Square: the model as it was. Circle: with what was found, fitted without the records held out. "
-    about += "Grey: where nine of ten null runs lie."
-    drawn = figure(pictures.gaps(m.parts, m.comparison.changed))
+    about += "Grey: agreement."
+    drawn = figure(pictures.gaps(m.parts, m.comparison.changed, m.gates.adequacy))
     shown = part("beside", drawn, table(rows), "two")
     return Section("The gap" + (", before and after" if m.comparison.changed else ""), about, [shown, *warnings(m)])
 
@@ -102,7 +103,7 @@ def where(m: ReportData) -> Section:
     detail = pictures.details(p, m.comparison.changed)
     about = "What the residual of the model looks like, before anything is named."
     keys = (
-        "Each cell: its share of the gap beyond the floor, and its mean square. Every half second counts once."
+        "Each cell: its share of the gap beyond 1, and its mean z². Every half second counts once."
         " Grey in the left panel: lags within which a servo's tolerance lies."
     )
     return Section("Where it is", about, [text, figure(pictures.heat(p)), figure(detail) if detail else "", keys])
@@ -136,7 +137,7 @@ def candidates(m: ReportData) -> Section:
         " that an effect wins, all seen in the evidence around the one that was tried. Behind: how much less likely than that one"
         " it makes the records, each in the evidence around itself, as a share of what that one gains; below zero, likelier."
         " Values are those of the round; what the head of the page says was fitted once more, with all that was taken."
-        " The map is the cosine between what two of them change, seen through the floor: near 1 these records can hardly tell"
+        " The map is the cosine between what two of them change, whitened: near 1 these records can hardly tell"
         " them apart."
     )
     name = "What came closest" if m.inquiry.verdict.answer == "AGREES" else "What it could be"
@@ -155,9 +156,9 @@ def forces(m: ReportData) -> Section:
         rows.append(row | {"chosen in": percent(t["stability"]), "": part("tag", "firm" if t["firm"] else "weak")})
     about = (
         "Forces and torques written as products of what the robot does, the largest gain on records not seen first: a description"
-        " of what is missing, not a name. Takes off: share of the excess of |z|² over chance, against the floor of null runs, on"
-        " the records that it was fitted to. Chosen in: share of half-samples of the records in which a term is among the first"
-        " two. Firm: it passes every doubt."
+        " of what is missing, not a name. Takes off: share of the excess of |z|² over chance, against what healthy robots leave,"
+        " on the records that it was fitted to. Chosen in: share of half-samples of the records in which a term is among the"
+        " first two. Firm: it passes every doubt."
     )
     return Section("As a force", about, [table(rows)])
 
@@ -207,7 +208,7 @@ def records(m: ReportData) -> Section:
     found += [(r, "-") for r, u in zip(m.inquiry.records, m.inquiry.unseen, strict=True) if u]
     rows = [
         {"record": part("strong", r.name), "experiment": r.excitation, "use": use[r.name], "length": f"{r.seconds:.1f} s"}
-        | {"mean square, × floor": pair}
+        | {"mean z²": pair}
         for r, pair in found
     ]
     return Section("The records", "", [table(rows, left=3)])

@@ -5,11 +5,16 @@
 S comes from the null runs (null/whitening.py) and depends on where it is linearised, since a fish that is late, stiff or slow
 answers to its constants in another way:
 
-    S(theta) = F^T F + D,   F: null runs, seen through the sensors of theta; and the change of the constants' tangents with theta
-                            D: what null runs leave unexplained, the response to the constants that is not linear, and
-                            (form c)^2 where c is what theta changes: no formula is the robot's (model_error.py)
+    S(theta) = F^T F + D,   F: null runs, seen through the sensors of theta; the structural error (null/structural_error.py); and
+                            the change of the constants' tangents with theta
+                            D: what null runs leave unexplained, what the structural error does, the response to the constants
+                            that is not linear, and (form c)^2 where c is what theta changes: no formula is the robot's
+                            (model_error.py)
 
-gap       mean over records and channels of mean_t (r / W)^2,  W^2(t) the null's own mean square: agreement is about 1
+gap       |z|^2 / m, before in the S of the model as it is and after in that of the fish with the effects: what the gates
+          `adequacy` and `rest` ask. Healthy robots leave about 1
+floor     W(t), root mean square of null runs and structural error. The residual has to shrink over it, too: S grows with what
+          was found, the floor does not
 closure   gain / (|z_0|^2 - m): share of what is unexpected that an effect explains, m = length of z
 p_best    share of Bayesian bootstrap draws over records (Rubin 1981) in which a candidate has the least cost
 """
@@ -18,12 +23,14 @@ from copy import copy
 
 import numpy as np
 
+from fishmj.gap.null import structural_error
+from fishmj.gap.null.structural_error import Widths
 from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
 from fishmj.gap.search.model_error import ModelError, ModelResponse
-from fishmj.gap.thresholds import thresholds
+from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.watch import Bars, silent
 
 
@@ -31,10 +38,10 @@ class Likelihood:
     """Of records with their null; fitters on any part of them.
 
     null: (n, m) residuals of null runs on the layout of all records. form: relative error of each sample of what the effects
-    change. origin: the likelihood at the model as it is.
+    change. widths: of the structural error; by default as measured on all families. origin: the likelihood at the model as it is.
     """
 
-    def __init__(self, model, records: list[Record], null: np.ndarray, form: float | None = None):
+    def __init__(self, model, records: list[Record], null: np.ndarray, form: float | None = None, widths: Widths | None = None):
         limits = thresholds().likelihood
         self.model = model
         self.records = records
@@ -46,10 +53,21 @@ class Likelihood:
         # difference is not the draws'.
         self._draws = np.random.default_rng(0).standard_normal((limits.nonlinearity_draws, len(model.constants)))
         self._null_tangents, self._null_nonlinear = self._constants(getattr(model, "nothing", model.null))
-        self.factors = null / np.sqrt(len(null))
-        self.d = leftover(null, self.layout)
-        self.scale = np.sqrt(np.mean(null**2, 0) + self.d**2)
-        self.response = ModelResponse(self.factors, self.d**2, *np.zeros((2, self.layout.size)))
+        left = leftover(null, self.layout)
+        self._null_factors = null / np.sqrt(len(null))
+        self.widths = structural_error.widths() if widths is None else widths
+        self._structural = structural_error.of(model, records, self.layout, null, left, self.widths)
+        self.factors = np.concatenate([self._null_factors, self._structural.shared])
+        self.by_record = self._structural.by_record
+        self.d = np.sqrt(left**2 + self._structural.variance)
+        self.scale = np.sqrt(np.mean(null**2, 0) + left**2 + self._structural.total)
+        self.response = ModelResponse(
+            self.factors, self.by_record, self.layout.record, self.d**2, *np.zeros((2, self.layout.size))
+        )
+
+    def allowed(self, gates: Gates) -> Gates:
+        """The gates with what the structural error leaves of healthy robots; of a model without one, as they are."""
+        return structural_error.allowed(gates, self.widths) if structural_error.applies(self.model) else gates
 
     def with_model(self, model) -> "Likelihood":
         """The same records and null with other effects in question; `model` at its null is the same model."""
@@ -80,20 +98,21 @@ class Likelihood:
         tangents, nonlinear = self._constants(row)
         # Only the change of the tangents is added: the null fish already differ by their constants, so the tangents
         # themselves would count that scatter twice.
-        factors = np.concatenate([self._null_through_sensors(row), tangents - start._null_tangents])
+        factors = [self._null_through_sensors(row), self._structural.shared, tangents - start._null_tangents]
         # When a joint slips or a gear's play is taken up hangs on all constants, and no two fish do it at the same moment.
         # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
         known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear, 0.0)
         # A weighing is what mass means, no formula of the water's: no form error is granted there.
         change = self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
         there = copy(self)
-        there.factors = factors
-        there.response = ModelResponse(factors, known, change, smooth(change, self.layout))
+        there.factors = np.concatenate(factors)
+        scatter = smooth(change, self.layout)
+        there.response = ModelResponse(there.factors, self.by_record, self.layout.record, known, change, scatter)
         return there.with_model_error(start.form if form is None else form)
 
     def _null_through_sensors(self, row: np.ndarray) -> np.ndarray:
         """(n, m) null runs over sqrt(n), through the sensors of a parameter row."""
-        null = self.origin.factors
+        null = self._null_factors
         root = np.sqrt(self.runs)
         if not changes_sensing(self.model, row):
             return null
@@ -128,9 +147,10 @@ class Likelihood:
         keep = np.ones(len(self.records), bool) if keep is None else keep
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
-        factors = self.factors[:, columns]
+        factors, layout = self.factors[:, columns], ResidualLayout(records)
         factors = factors if more is None else np.concatenate([factors, more])
-        return EffectFitter(self.model, records, ResidualLayout(records), whitening(factors, self.d[columns]))
+        by_record = [mine for mine, kept in zip(self.by_record, keep, strict=True) if kept] if self.by_record else ()
+        return EffectFitter(self.model, records, layout, whitening(factors, self.d[columns], by_record, layout.record))
 
     def loss(self, row: np.ndarray) -> float:
         """Twice the negative log likelihood of all records, of one parameter row."""
@@ -149,15 +169,25 @@ class Likelihood:
         before, after = self._residuals(np.stack([start, end]))
         return after - before
 
-    def gap(self, row) -> tuple[float, dict]:
-        """The gap of a parameter row over all records and by channel, in units of the floor."""
-        residual = self.layout.residuals(self.model.predict(self.records, row))[0]
-        return gap(residual, self.scale, self.layout), by_channel(residual, self.scale, self.layout)
+    def gap(self, row, keep: np.ndarray | None = None) -> tuple[float, dict]:
+        """The gap of a parameter row, and by channel. keep: (L,) bool, records that count; default, all."""
+        part = self.subset(keep)
+        return by_channel(part.z(row[None])[0] ** 2, part.layout)
+
+    def gap_there(self, row) -> tuple[float, dict]:
+        """The same, linearised at the row, with the form error that makes the records most likely."""
+        there = self if np.array_equal(row, self.model.null) else self.with_estimated_model_error(row)
+        return there.gap(row)
+
+    def over_floor(self, row) -> tuple[float, dict]:
+        """Mean square of the residual of a row over the floor, records and channels alike, and by channel."""
+        return over_floor(self._residuals(row[None])[0], self.scale, self.layout)
 
 
 def likelihood_of(model, records: list[Record], null, bars: Bars = silent) -> Likelihood:
     """Of records with the null runs that `null` (a `SimulatedNull`) makes of them. bars: of runs made anew."""
-    return Likelihood(model, records, null.residuals(model, records, ResidualLayout(records), bars))
+    widths = structural_error.widths(null.without if isinstance(null.without, str) else "")
+    return Likelihood(model, records, null.residuals(model, records, ResidualLayout(records), bars), widths=widths)
 
 
 def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tuple[Likelihood, Candidate]:
@@ -180,19 +210,20 @@ def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tup
     return near, on_records(near.subset(), best)
 
 
-def gap(residual: np.ndarray, scale: np.ndarray, layout) -> float:
-    """Mean square in units of the floor; every record and channel counts alike."""
-    return float(np.mean(list(by_channel(residual, scale, layout).values())))
+def by_channel(squared: np.ndarray, layout) -> tuple[float, dict]:
+    """(mean, {channel: mean}) of z^2 (m,)."""
+    channels = dict.fromkeys(layout.channel.tolist())
+    return float(np.mean(squared)), {str(c): float(np.mean(squared[layout.channel == c])) for c in channels}
 
 
-def by_channel(residual: np.ndarray, scale: np.ndarray, layout, keep: np.ndarray | None = None) -> dict[str, float]:
-    """The same for each channel: joint, position, heading, power. keep: (L,) bool, records that count; default, all."""
+def over_floor(residual: np.ndarray, scale: np.ndarray, layout) -> tuple[float, dict]:
+    """Mean square in units of the floor: of all, every record and channel alike, and of each channel."""
     ratio = (residual / scale) ** 2
     found: dict[str, list] = {}
     for b in layout.blocks:
-        if keep is None or keep[b.record]:
-            found.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
-    return {channel: float(np.mean(values)) for channel, values in found.items()}
+        found.setdefault(b.channel, []).append(float(np.mean(ratio[b.where])))
+    channels = {channel: float(np.mean(values)) for channel, values in found.items()}
+    return float(np.mean(list(channels.values()))), channels
 
 
 def costs(z: np.ndarray, layout) -> np.ndarray:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.thresholds import Gates, thresholds
 
 PATH = ("position", "heading")  # channels
@@ -38,23 +39,34 @@ class ModelError(NamedTuple):
 class ModelResponse(NamedTuple):
     """What is known without the effects, and what they change.
 
-    factors (K, m), known (m,): F and D. change, scatter (m,): what they change, and its running root mean square.
+    factors (K, m), by_record (K_l, m_l), known (m,): F, A of each record and D. record (m,): number of each sample's. change,
+    scatter (m,): what they change, and its running root mean square.
     """
 
     factors: np.ndarray
+    by_record: tuple[np.ndarray, ...]
+    record: np.ndarray
     known: np.ndarray
     change: np.ndarray
     scatter: np.ndarray
 
     def subset(self, columns: np.ndarray) -> "ModelResponse":
         """The same on a part of the samples, columns (m,) bool."""
-        return ModelResponse(*(values[..., columns] for values in self))
+        by_record = tuple(mine[:, columns[self.record == i]] for i, mine in enumerate(self.by_record))
+        whole = (values[..., columns] for values in (self.record, self.known, self.change, self.scatter))
+        return ModelResponse(self.factors[:, columns], by_record, *whole)
 
     def d(self, form: float) -> np.ndarray:
         """D^1/2 (m,)."""
         # The running mean of the change, not the change itself: at its zero crossings a formula is no better known than beside
         # them, and D must not vanish there.
         return np.sqrt(self.known + (form * self.scatter) ** 2)
+
+    def products(self, factors: np.ndarray, form: float, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Of factors (K, m) over C^1/2: their Gram matrix, with the residual over C^1/2, and |C^-1/2 r|^2 + log det C."""
+        alone = record_whitening(self.d(form), self.by_record, self.record)
+        scaled, r = alone(factors), alone(residual)
+        return scaled @ scaled.T, scaled @ r, float(r @ r + alone.logdet)
 
     def losses(self, residual: np.ndarray, forms, gains=(0.0,), channels: np.ndarray | None = None) -> np.ndarray:
         """|z|^2 + log det S, twice the negative log likelihood, of a residual (m,) for each of gains (rows) and of forms.
@@ -66,7 +78,7 @@ class ModelResponse(NamedTuple):
         out = np.empty((len(gains), len(forms)))
         factors = self.factors if channels is None else np.concatenate([self.factors, channels])
         for j, form in enumerate(forms):
-            gram, projected, rest = products(factors, self.d(form), residual)
+            gram, projected, rest = self.products(factors, form, residual)
             for i, gain in enumerate(gains):
                 weight = np.where(np.arange(len(factors)) < len(self.factors), 1.0, gain)
                 # Woodbury: S is m x m with m in the thousands, its factors number in the hundreds.
@@ -103,20 +115,13 @@ class ModelResponse(NamedTuple):
     def _gain_error_rms(self, residual: np.ndarray, channels: np.ndarray, form: float, gain: float) -> float:
         """Root mean square of the channels' gain errors, each weighted by the information on it that all else leaves."""
         n = len(self.factors)
-        gram, projected, _ = products(np.concatenate([self.factors, channels]), self.d(form), residual)
+        gram, projected, _ = self.products(np.concatenate([self.factors, channels]), form, residual)
         weight = np.where(np.arange(len(gram)) < n, 1.0, gain)
         estimate = weight * np.linalg.solve(np.eye(len(gram)) + weight[:, None] * gram * weight, weight * projected)
         # Schur complement: what a channel says of its gain beyond what the fish's constants could make up for.
         inner = np.linalg.solve(np.eye(n) + gram[:n, :n], gram[:n, n:])
         information = np.diag(gram)[n:] - np.sum(gram[:n, n:] * inner, 0)
         return float(np.sqrt(np.sum(information * estimate[n:] ** 2) / max(float(np.sum(information)), 1e-300)))
-
-
-def products(factors: np.ndarray, d: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Of factors (K, m) over d (m,): their Gram matrix, with the residual over d, and |r / d|^2 + log det D."""
-    scaled = factors / d
-    r = residual / d
-    return scaled @ scaled.T, scaled @ r, float(r @ r + 2.0 * np.sum(np.log(d)))
 
 
 def channel_changes(layout, change: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ import numpy as np
 from fishmj.effects.ambiguity import together
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
-from fishmj.gap.search.likelihood import Likelihood, costs, gap, relinearise
+from fishmj.gap.search.likelihood import Likelihood, costs, over_floor, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import said
 from fishmj.gap.watch import Bar
@@ -55,7 +55,13 @@ class CrossValidated(NamedTuple):
 
     def loss(self, folds: np.ndarray) -> float:
         """Over all records, each held out."""
-        return sum(c.cost + fitter.whiten.logdet for fitter, c in self.held_out(folds))
+        return self.loss_and_gap(folds)[0]
+
+    def loss_and_gap(self, folds: np.ndarray) -> tuple[float, float]:
+        """The same, and |z|^2 / m of the records, each held out."""
+        parts = self.held_out(folds)
+        gap = sum(c.cost for _, c in parts) / self.near.layout.size
+        return sum(c.cost + fitter.whiten.logdet for fitter, c in parts), gap
 
     def conditional_loss(self, folds: np.ndarray) -> float:
         """The same, given what the other records tell of the fish's constants, which all of them share."""
@@ -66,13 +72,13 @@ class CrossValidated(NamedTuple):
             out += near.subset(more=more).loss(fit.row) - others.loss(fit.row)
         return out
 
-    def gap(self, folds: np.ndarray) -> float:
-        """The gap, in units of the floor, each fold (F, L) by the fit that did not see it."""
+    def over_floor(self, folds: np.ndarray) -> float:
+        """Mean square of the residual over the floor, each fold (F, L) by the fit that did not see it."""
         layout = self.near.layout
         predicted = self.near.model.predict(self.near.records, np.stack([fit.row for fit in self.fits]))
         whole = layout.residuals(predicted)
         mine = np.where(folds[:, layout.record], whole, 0.0).sum(0)
-        return gap(mine, self.near.scale, layout)
+        return over_floor(mine, self.near.scale, layout)[0]
 
 
 def converge(e: Likelihood, folds: np.ndarray, best: Candidate, fits: tuple[Candidate, ...]) -> CrossValidated:
@@ -119,8 +125,8 @@ class SelectionStep:
 
     ranked: candidates on all records, the one that was tried first, then by cost. fitted: it with its fits; None when no
     candidate was worth comparing. gain: what it takes off the loss of all records, each predicted without its fold; or,
-    where only that was enough, on all at once or given the others. gap: where it is accepted, the gap of records that are
-    predicted without their fold, before (of the model as it is, where that is smaller) and after; it decides nothing.
+    where only that was enough, on all at once or given the others. Where it is accepted, of records that are predicted without
+    their fold, before (of the model as it is, where that is smaller) and after: gap; over_floor, the same over the floor.
     """
 
     ranked: tuple[Candidate, ...]
@@ -128,10 +134,12 @@ class SelectionStep:
     gain: float
     accepted: bool
     gap: tuple[float, float] | None = None
+    over_floor: tuple[float, float] | None = None
+    asked: float = 0.0  # that it had to gain, in the way by which it was accepted or refused
 
     def text(self) -> str:
         """In words."""
-        return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.gap)}"
+        return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.gap, self.over_floor)}"
 
 
 @dataclass(frozen=True)
@@ -221,33 +229,35 @@ def propose(
     order = np.argsort(loss)
 
     # Not the first alone is cross-validated: a mimic may be likelier on all records and not carry over to those held out.
-    before = known.loss(folds)
-    tried: list[tuple[int, CrossValidated, float]] = []
+    before, gap_before = known.loss_and_gap(folds)
+    tried: list[tuple[int, CrossValidated, float, float]] = []
     for i in order[: limits.attempts]:
         near, best = finalists[i]
         fitted = CrossValidated(near, best, tuple(refine(near.subset(~f), best) for f in folds))
-        tried.append((i, fitted, before - fitted.loss(folds)))
+        after, gap = fitted.loss_and_gap(folds)
+        tried.append((i, fitted, before - after, gap))
         report(0.7 + 0.3 * len(tried) / limits.attempts)
         if tried[-1][2] > required:
             break
     else:
         tried = tried[:1]
-    first, fitted, gain = tried[-1]
+    first, fitted, gain, gap = tried[-1]
 
     lead = lead_of(first, finalists, loss)
-    accepted = gain > required_gain(gates, known, gain_so_far, lead > limits.uncontested_lead * gain)
+    asked = required_gain(gates, known, gain_so_far, lead > limits.uncontested_lead * gain)
+    accepted = gain > asked
     if not accepted and not known.best.names:
         # A fold by itself knows nothing of this fish's constants, so that a small gap that all records share may be lost in
         # each of them. Asked twice, with all records and with each fold given the others, and the less of both counts.
         joint = min(whole.loss(known.best.row) - loss[first], known.conditional_loss(folds) - fitted.conditional_loss(folds))
         if joint > gates.min_joint_gain:
-            accepted = True
-            gain = joint
+            accepted, gain, asked = True, joint, gates.min_joint_gain
     ranked = [replace(finalists[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
-    moved = None
-    if accepted:
-        moved = (min(known.near.gap(known.near.model.null)[0], known.gap(folds)), fitted.gap(folds))
-    return SelectionStep(tuple(ranked), fitted, gain, accepted, moved)
+    if not accepted:
+        return SelectionStep(tuple(ranked), fitted, gain, False, asked=asked)
+    near, moved = known.near, fitted.over_floor(folds)
+    as_it_is = min(near.over_floor(near.model.null)[0], known.over_floor(folds))
+    return SelectionStep(tuple(ranked), fitted, gain, True, (gap_before, gap), (as_it_is, moved), asked)
 
 
 def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncontested: bool) -> float:
@@ -255,10 +265,10 @@ def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncon
     if not known.best.names:
         return gates.gain
     # A wrong formula leaves a residual in proportion to what it explains, and that looks like a further effect: hence a share
-    # of the gain so far. It is capped, since no second effect would be found beside a very large first one.
+    # of the gain so far.
     share = gates.uncontested_discount if uncontested else 1.0
     by_samples = gates.gain + share * gates.min_gain_per_sample * known.near.layout.size
-    return max(by_samples, min(gates.min_gain_fraction * gain_so_far, gates.min_gain_cap))
+    return max(by_samples, gates.min_gain_fraction * gain_so_far)
 
 
 def lead_of(first: int, finalists, loss: list[float]) -> float:

@@ -10,6 +10,7 @@ Admissible are
     aging      a rate squared times the time of the session
     joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
     reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same
+    scale      of a sensor, in the log alone: every joint's angle, or one axis of the camera
 Parity is +1 even, -1 odd when port and starboard are exchanged. A robot that is its own mirror image has only products of the
 force's own parity. The others are kept as *one-sided* terms: they say that port and starboard differ, and have to gain more to
 stand before a mirror-symmetric one (select.py).
@@ -25,6 +26,7 @@ Whose sensor it is decides what the log shows:
 
     servo reading     its own sensor errs, the log has the joint's angle from another one
     encoder reading   one sensor for both: the log has r
+    joint log         neither: the log's own scale is wrong, and the robot does what its model does
 """
 
 import hashlib
@@ -153,7 +155,8 @@ _COMPILED: dict[str, SwimmingFish] = {}  # fingerprint -> the model with the lib
 @cache
 def library() -> tuple[Effect, ...]:
     """All provisional effects."""
-    return (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep(), *reading_terms())
+    forces = (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep())
+    return (*forces, *reading_terms(), *sensor_scales())
 
 
 def model_with_terms(robot: Robot) -> SwimmingFish:
@@ -247,6 +250,15 @@ def reading_terms() -> list[Effect]:
     ]
 
 
+@cache
+def sensor_scales() -> tuple[Effect, ...]:
+    """Scales of the joints' log and of each axis of the camera."""
+    made = (("joint log", ANGLE, "joint"), ("camera along x", X, "x"), ("camera along y", Y, "y"))
+    return tuple(
+        provisional(sensor, f, USUAL.reading, True, stage="measurement", measure=_scaled(field)) for sensor, f, field in made
+    )
+
+
 def provisional(
     force: str, f: Factor | ReadingCurve, size: float, symmetric: bool, stage: str = "hydrodynamics", **site
 ) -> Effect:
@@ -266,6 +278,17 @@ def provisional(
         shows=("joint",) if {"gear", "servo"} & set(site) else ("position", "heading"),
         **site,
     )
+
+
+def _scaled(field: str):
+    def measure(xp, p, seen):
+        if not xp.any(p.coefficient):  # as of a reading
+            return seen
+        read = getattr(seen, field)
+        scale = 1.0 + p.coefficient
+        return seen._replace(**{field: read * (xp.expand_dims(scale + 0.0, -1) if field == "joint" else scale)})
+
+    return measure
 
 
 def _body(field: str, f: Factor):

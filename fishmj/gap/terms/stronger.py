@@ -8,6 +8,9 @@ model as it is and judged as the name was, held out and by the likelihood linear
 more, or a term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest
 to that, and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
 
+A sensor's scale is no force, and takes the place of an effect where it makes the records as likely: a command's gain or a log in
+which every angle is 4 % too large, the camera's height or one of its axes. Then the answer is a CLASS with both in it.
+
 Nor does a term that is an effect's own formula say anything against the effect. Alike are what both do in states drawn at
 random: the push on a body that swims ahead (surge force, sway force, yaw moment over a body length), the torque on a joint, or
 where a joint comes to rest and what the log says of it. -Y |u| w is a sway force ~ surge speed x sway speed, whatever either does
@@ -23,14 +26,30 @@ import numpy as np
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import BodyMotion, Gear, Measured, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, relinearise
 from fishmj.gap.search.stepwise import CrossValidated, Selection, informative_records
-from fishmj.gap.terms.library import ANGLE, BEND, LOAD, RATE, SURGE, SWAY, TAIL, YAW, Factor, library, model_with_terms
+from fishmj.gap.terms.library import (
+    ANGLE,
+    BEND,
+    LOAD,
+    RATE,
+    SURGE,
+    SWAY,
+    TAIL,
+    YAW,
+    Factor,
+    library,
+    model_with_terms,
+    sensor_scales,
+)
 from fishmj.gap.terms.select import shortlist, signatures
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import number
+
+RULER = "a known length in the picture, along x and along y, and a held angle read with a protractor: no log tells its own scale"
 
 
 class StrongerTerm(NamedTuple):
@@ -47,13 +66,14 @@ def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
     if not isinstance(e.model, SwimmingFish):
         return verdict
     limits = thresholds()
-    free = strongest_term(model_with_terms(e.model.robot), e, found)
+    model = model_with_terms(e.model.robot)
+    free = strongest_term(model, e, found)
     lead = free.gain - verdict.gates["gain"]
     allowed = max(limits.likelihood.model_error, limits.stronger.form_ratio * found.near.form)
     checks = {"lead": lead, "term": free.name, "believed": free.form <= allowed}
     verdict = replace(verdict, gates=verdict.gates | checks)
     if not outdone(verdict.gates):
-        return verdict
+        return beside_sensor_scales(model, e, found, verdict)
     gains = f"gains {number(lead)} more in twice the log likelihood of records not seen"
     why = f"a free force, {free.name}, {gains}; the best is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
@@ -61,7 +81,32 @@ def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
 
 def outdone(checks: dict) -> bool:
     """Whether a term explains more than what was found, by the gates of a verdict; not where they were never asked."""
-    return checks.get("lead", 0.0) > thresholds().stronger.lead and checks["believed"]
+    least = max(thresholds().stronger.lead, thresholds().gates.min_gain_fraction * checks.get("gain", 0.0))
+    return checks.get("lead", 0.0) > least and checks["believed"]
+
+
+def beside_sensor_scales(model: SwimmingFish, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
+    """CLASS where a sensor's scale makes the records as likely as the one effect that was named, each linearised at itself."""
+    if verdict.answer != "NAMED" or len(found.best.names) > 1:
+        return verdict
+    (named,), gates, start = found.best.names, thresholds().gates, e.with_model(model)
+    best = found.near.loss(found.best.row)
+    gain = found.base.cost + found.start_logdet - best
+    whole, own = start.subset(), likelihood.costs(on_records(found.near.subset(), found.best).z, e.layout)
+    rivals = []
+    for c in whole.refine(whole.screen(whole.base(), sensor_scales()), 3):
+        if found.base.cost - c.cost < thresholds().stronger.scale_share * gain:
+            continue
+        near, fitted = relinearise(start, c, 1)
+        behind = (near.loss(fitted.row) - best) / gain
+        share = likelihood.p_best(np.stack([own, likelihood.costs(fitted.z, e.layout)]))[1]
+        if behind < min(gates.margin, gates.rival_margin_abs / gain):
+            term = next(x for x in sensor_scales() if x.name == c.names[-1])
+            rivals.append({"name": term.formula, "p_best": float(share), "behind": float(behind), "instead_of": named})
+    if not rivals:
+        return verdict
+    why = "these records cannot tell apart what is listed"
+    return replace(verdict, answer="CLASS", reason=why, rivals=(*verdict.rivals, *rivals), next_experiment=RULER)
 
 
 def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> StrongerTerm:

@@ -121,7 +121,7 @@ def _on_gpu() -> bool:
 @benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
 def engine_planar(quick: bool) -> Work:
     """Closed-form planar fish in JAX."""
-    return _engine("planar", 65536 if _on_gpu() else 256, 2 if quick else 10)
+    return _engine("planar", 131072 if _on_gpu() else 256, 2 if quick else 10)
 
 
 @benchmark("engine_compiled", "control steps/s", baseline=bare_mujoco)

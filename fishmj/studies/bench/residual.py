@@ -3,6 +3,7 @@
     strips         no learnt force: what is left to win            products       matrix products in float32, as on a CPU
     rounded        the same, rounded to ten bits where the device may      split     the same, in three products of ten bits
     kernel B/W     one Pallas kernel, B fish a program of W warps (residual_kernel.py), on an NVIDIA GPU alone
+    tick B/W/U     the physics of a whole tick in such a kernel (engines/planar_kernel.py), U hidden units a round of its loop
 
 Rates are control steps (0.2 s) a second, best of the rounds. `off` is how far the worst of a school swims in `SECONDS` from where
 `products` in double precision takes it, mm: a way that is quicker and less exact shows here.
@@ -11,7 +12,7 @@ Rates are control steps (0.2 s) a second, best of the rounds. `off` is how far t
 import argparse
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from typing import Any
 from unittest.mock import patch
 
@@ -21,7 +22,8 @@ from fishmj import console
 from fishmj.studies.bench import surrogate
 
 SECONDS, SWUM = 10.0, 64  # of the swims that are compared, and fish
-BLOCKS = ((128, 4), (256, 4), (512, 4), (64, 2), (128, 2), (256, 8))
+BLOCKS = ((256, 4), (512, 16))  # fish a program and warps, of the kernel of a step
+TICKS = ((128, 4, 8), (128, 4, 1), (64, 2, 4), (256, 4, 1), (256, 8, 4), (512, 16, 4))  # and of that of a tick; hidden units
 
 
 def ways(gpu: bool) -> dict[str, dict]:
@@ -32,25 +34,25 @@ def ways(gpu: bool) -> dict[str, dict]:
     if gpu:
         found["rounded"] = {"kernel": False, "PRECISION": "default"}
         found["split"] = {"kernel": False, "PRECISION": DotAlgorithmPreset.TF32_TF32_F32_X3}
-        found |= {f"kernel {block}/{warps}": {"kernel": True, "BLOCK": block, "WARPS": warps} for block, warps in BLOCKS}
+        few = {"FEWEST": 1}  # the fish whose swim is compared are few
+        found |= {f"kernel {b}/{w}": {**few, "tick kernel": False, "BLOCK": b, "WARPS": w} for b, w in BLOCKS}
+        found |= {f"tick {b}/{w}/{u}": {**few, "tick BLOCK": b, "tick WARPS": w, "tick UNITS": u} for b, w, u in TICKS}
     return found
 
 
 @contextmanager
-def chosen(kernel: bool, **more: Any) -> Iterator[None]:
+def chosen(settings: dict[str, Any]) -> Iterator[None]:
     """Engines that are made inside compute so."""
+    from fishmj.engines import planar, planar_kernel
     from fishmj.water import residual_kernel, residual_network
 
-    rooms = {"PRECISION": residual_network, "BLOCK": residual_kernel, "WARPS": residual_kernel}
-    with patch.object(residual_network, "kernel", kernel):
-        patches = [patch.object(rooms[name], name, value) for name, value in more.items()]
-        for one in patches:
-            one.start()
-        try:
-            yield
-        finally:
-            for one in patches:
-                one.stop()
+    rooms = {"kernel": residual_network, "PRECISION": residual_network, "FEWEST": residual_network, "tick kernel": planar}
+    rooms |= {"BLOCK": residual_kernel, "WARPS": residual_kernel}
+    rooms |= {f"tick {name}": planar_kernel for name in ("BLOCK", "WARPS", "UNITS")}
+    with ExitStack() as patches:
+        for name, value in settings.items():
+            patches.enter_context(patch.object(rooms[name], name.removeprefix("tick "), value))
+        yield
 
 
 def timed(name: str, learnt: bool, fish: int, unroll: int, rounds: int) -> dict:
@@ -97,18 +99,18 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--fish", type=int, nargs="*", default=[surrogate.FISH], help="of a batch; fewer on a CPU")
     parser.add_argument("--unroll", type=int, nargs="*", default=[1], help="physics steps that a round of the loop holds")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--only", nargs="*", metavar="WAY", help='of the ways above, such as "kernel 128/4"; default: all')
+    parser.add_argument("--only", nargs="*", metavar="WAY", help='of the ways above, such as "tick 128/4/8"; default: all')
     args = parser.parse_args(argv)
     device = jax.devices()[0]
     console.say(f"{device.device_kind}, jax {jax.__version__}")
     there = {way: set_to for way, set_to in ways(device.platform == "gpu").items() if args.only is None or way in args.only}
     todo = [("strips", None), *there.items()]
-    with chosen(kernel=False):
+    with chosen({"kernel": False}):
         exact = places(double=True)
     off = {}
     for way, settings in there.items():
         try:
-            with chosen(**settings):
+            with chosen(settings):
                 off[way] = f"{1e3 * np.abs(places(double=False) - exact)[:, :2].max():.3g}"
         except Exception as error:  # noqa: BLE001  one way that fails does not take the others with it
             off[way] = _words(error)
@@ -118,7 +120,7 @@ def main(argv: list[str] | None = None) -> int:
                 for way, setting in todo:
                     row = {"engine": engine, "fish": fish, "unroll": unroll, "way": way, "off, mm": off.get(way, "")}
                     try:
-                        with chosen(**setting) if setting else nullcontext():
+                        with chosen(setting) if setting else nullcontext():
                             row |= timed(engine, setting is not None, fish, unroll, args.rounds)
                     except Exception as error:  # noqa: BLE001
                         row["failed"] = _words(error)

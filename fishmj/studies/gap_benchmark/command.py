@@ -1,6 +1,13 @@
 """`gap bench`: how often the search is right, wrong or silent on data whose answer it does not know.
 
 fishmj gap bench --cases 40 --small --jobs 0 --out bench
+
+With --generator families, or some of them, robots are drawn: half of them the shipped fish, half a chain of 2 to 6 links. Each is
+calibrated to free swims of its own, then something is hidden in it; the null is told to leave its family out. It exits 1 below
+its aims, but with --small.
+
+fishmj gap bench --generator families --jobs 0 --shard 0/4 --out bench0        a quarter of it, one of four machines
+fishmj gap bench --score bench0 bench1 bench2 bench3                            all of it
 """
 
 import argparse
@@ -19,14 +26,20 @@ from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_text
-from fishmj.studies.gap_benchmark import cases, logs, solver
+from fishmj.studies.gap_benchmark import cases, families, family_command, logs, solver
 from fishmj.studies.gap_benchmark.rows import keep, kept
 from fishmj.studies.gap_benchmark.run import fish, run
 from fishmj.studies.gap_benchmark.score import score
 from fishmj.studies.gap_benchmark.workers import answered
 
-GENERATORS = ("second", "lbm", "log")
-GENERATED = "second: the second robot; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a term deleted"
+ALONE = ("second", "lbm", "log")  # benchmarks of their own
+GENERATORS = (*ALONE, *families.NAMES, family_command.ALL)
+GENERATED = (
+    "second: the second robot, model as described; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a"
+    f" term deleted; or, with drawn and calibrated models, some of {', '.join(families.NAMES)}; families: all four"
+)
+CASES = 400
+SECOND_TOO = f"the second robot with drawn and calibrated models is {families.SECOND}"
 MOST, MOST_JOBS = 100_000, 1024
 A_LOG = 3.3  # s of a core: 720 cases of 9 logs on average take one 30 s each (docs/results/gap_benchmark.md)
 ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
@@ -35,15 +48,23 @@ ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
 def main(argv: list[str]) -> int:
     parser = console.parser("gap bench", __doc__)
     add = parser.add_argument
-    add("--cases", type=console.whole(1, MOST), default=400, metavar="N", help=f"how many, 1 to {MOST} (default 400)")
+    many = f"how many, 1 to {MOST} (default {CASES}; of families {family_command.CASES}, {family_command.FEW} with --small)"
+    add("--cases", type=console.whole(1, MOST), metavar="N", help=many)
     gap_options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
     kinds = f"only {', '.join(cases.KINDS)} (default all, in their shares)"
     add("--kinds", type=_kinds, default=dict(cases.KINDS), metavar="KIND,..", help=kinds)
     hiding = "only cases in which one of these effects is hidden, of those dealt; the others stay as they are (default all)"
     add("--effects", type=_effects, default=None, metavar="NAME,..", help=hiding)
-    add("--generator", choices=GENERATORS, default="second", help=f"{GENERATED} (default second)")
+    listed = console.Listed(console.OneOf(GENERATORS))
+    add("--generator", type=listed, default=["second"], metavar="NAME,..", help=f"{GENERATED} (default second)")
     add("--model", type=console.text, default="fish", help="--generator second: the robot, name or TOML file (default fish)")
-    add("--small", action="store_true", help="half a session, usual noise: a case takes seconds")
+    add("--small", action="store_true", help="half a session, usual noise: a case takes seconds; of families 4 logs a case")
+    session = f"of families: logs of a case, 4 to 12 (default {family_command.LOGS}, {family_command.SHORT} with --small)"
+    add("--logs", type=console.whole(4, 12), metavar="N", help=session)
+    add("--uncalibrated", action="store_true", help="of families: question the description as it is")
+    add("--strict", action="store_true", help="of families: exit 1 below the aims with --small, --shard or --effects, too")
+    scoring = "score what runs of --generator families kept in these folders, all together; search nothing (default none)"
+    add("--score", nargs="+", type=console.path, metavar="DIR", help=scoring)
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
     add("--shard", type=_shard, default=(0, 1), metavar="I/N", help=shard)
@@ -54,6 +75,17 @@ def main(argv: list[str]) -> int:
     add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
     add("--yes", action="store_true", help="begin also what takes longer than a week")
     args = parser.parse_args(argv)
+    if args.score:
+        return family_command.together(args.score, args)
+    if names := family_command.named(args.generator):
+        refuse(args, names)
+        return family_command.bench(args, names)
+    if len(args.generator) > 1:
+        raise ConfigError(f"gap bench: --generator {','.join(args.generator)}: {', '.join(ALONE)} are scored alone")
+    for option in ("logs", "uncalibrated", "strict"):
+        if getattr(args, option):
+            raise ConfigError(f"gap bench: --{option} goes with --generator {', '.join(families.NAMES)} or {family_command.ALL}")
+    args.generator, args.cases = args.generator[0], args.cases or CASES
     if args.effects and args.generator == "log":
         raise ConfigError("gap bench: --effects goes with --generator second or lbm; from measured sets a term is deleted")
     if args.baselines and args.generator != "second":
@@ -91,6 +123,16 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if args.small and fails else console.OK
 
 
+def refuse(args, names: tuple[str, ...]) -> None:
+    """Raise ConfigError where an option does not go with families."""
+    mixed = [name for name in args.generator if name in ALONE]
+    if mixed:
+        raise ConfigError(f"gap bench: --generator {','.join(args.generator)}: {', '.join(mixed)} is scored alone; {SECOND_TOO}")
+    if args.model != "fish" or args.baselines:
+        option = "--baselines" if args.baselines else "--model"
+        raise ConfigError(f"gap bench: {option} is for --generator second; families ({', '.join(names)}) draw their models")
+
+
 def agree(args, many: int, jobs: int) -> None:
     """Have weeks agreed to, before a case is drawn; of the flow solver there are as many as are shipped.
 
@@ -112,10 +154,11 @@ def _kinds(text: str) -> dict[str, float]:
 
 
 def _effects(text: str) -> tuple[str, ...]:
-    """The `type=` of --effects: ids of the second robot."""
+    """The `type=` of --effects: what any generator can hide."""
+    known = {name: None for family in families.NAMES for source in families.pool(family) for name in source}
     from fishmj.virtual_robot import EFFECTS
 
-    return tuple(console.Listed(console.OneOf(tuple(EFFECTS)))(text))
+    return tuple(console.Listed(console.OneOf(tuple(EFFECTS | known)))(text))
 
 
 def hiding_any(dealt: list, effects: tuple[str, ...] | None) -> list:

@@ -11,7 +11,7 @@ from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import residual_and_tangents
 from fishmj.gap.records.records import Record, ResidualLayout, record_of
 from fishmj.gap.thresholds import Gates
-from fishmj.gap.verdict import Named
+from fishmj.gap.verdict import Named, Verdict
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial
 from fishmj.studies.gap_benchmark.cases import Case
@@ -44,12 +44,20 @@ def run(plant, case: Case, gates: Gates, null: SimulatedNull, trials: list[Trial
     except SimDiverged as error:
         return row | {"answer": "DIVERGED", "reason": str(error)}
     page = weighings(case.effects, case.seed, robot=plant.robot) if weighed else None
-    verdict = investigate(plant, trials, gates=gates, null=null, page=page, seed=case.seed).verdict
-    row |= {"answer": verdict.answer, "said": [said(e) for e in verdict.effects], "rivals": [r["name"] for r in verdict.rivals]}
-    row |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
-    row["gap_unseen_before"] = verdict.gap_unseen_before
-    row |= {"explained": verdict.explained, "gates": verdict.gates, "steps": verdict.steps}
-    return row | {"warnings": verdict.warnings, "seconds": time.monotonic() - start}
+    verdict = investigate(plant, trials, gates=gates, null=null, page=page, mass_known=False, seed=case.seed).verdict
+    return row | answered_by(verdict) | {"seconds": time.monotonic() - start}
+
+
+def answered_by(verdict: Verdict) -> dict:
+    """What a row says of a search's answer."""
+    out: dict = {
+        "answer": verdict.answer,
+        "said": [said(e) for e in verdict.effects],
+        "rivals": [r["name"] for r in verdict.rivals],
+    }
+    out |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
+    out |= {"gap_unseen_before": verdict.gap_unseen_before, "explained": verdict.explained, "gates": verdict.gates}
+    return out | {"steps": verdict.steps, "warnings": verdict.warnings}
 
 
 def sizes(gap: Callable, plant, case: Case) -> tuple[float, dict]:

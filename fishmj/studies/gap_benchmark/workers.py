@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.connection import wait
 from multiprocessing.resource_tracker import ensure_running
+from typing import Any
 
 ALONE = {
     "OMP_NUM_THREADS": "1",
@@ -22,8 +23,8 @@ ALONE = {
 }
 
 
-def answered(todo: list, ask: Callable[..., dict], jobs: int) -> Iterator[dict]:
-    """A row of each, as they are done; ask and all of todo can be pickled. One job works here, in order.
+def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
+    """What is made of each, as they are done; ask and all of todo can be pickled. One job works here, in order.
 
     Raises:
         what `ask` raises, once; the others are stopped where they are, as by Ctrl-C.

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.gap import watch
-from fishmj.gap.null.whitening import Whitening
+from fishmj.gap.null.whitening import whitening
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, EffectFitter
@@ -131,7 +131,7 @@ class Fold:
         self.study, self.records = study, list(records)
         self.layout = ResidualLayout(self.records)
         self.groups = [r.group for r in self.records]
-        plain = Whitening(self.layout.noise(), np.zeros((self.layout.size, 0)), np.zeros(0))
+        plain = whitening(np.zeros((0, self.layout.size)), self.layout.noise())
         first = EffectFitter(study.plant, self.records, self.layout, plain)
         bare = Candidate((), tuple(range(len(study.plant.constants))), study.plant.null, 0.0, np.zeros(0))
         fit = first.refine([scored(first, start or bare)], FIT)[0]

@@ -1,0 +1,116 @@
+"""The physics steps of a bus tick in one kernel of an NVIDIA GPU, by Pallas and Triton.
+
+    state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.Engine.physics`, float32
+
+`Engine.step` is traced as it stands on a block of fish: the physics is not written here. What a fish is and what a step leaves
+for the next one stay in registers; the weights of the learnt force, the same for all, come from cache. A gradient is that of
+the same steps in XLA: the kernel is forward alone.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.experimental import pallas as pl
+
+from fishmj.engines import FishState, planar, swimmer
+from fishmj.water import residual_kernel, residual_network
+from fishmj.water.residual_hooks import Residual
+
+BLOCK, WARPS = 128, 4  # fish a program, a power of two, and warps of 32 threads that share them
+UNITS = 8  # hidden units that a round of the loop holds
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def tick(engine: planar.Engine, *given):
+    """`engine.physics` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
+    return lax.platform_dependent(*given, cuda=partial(physics, engine), default=engine.physics)
+
+
+tick.defvjp(lambda engine, *given: jax.vjp(engine.physics, *given), lambda engine, pull, off: pull(off))
+
+
+def physics(engine: planar.Engine, state, params, targets, flow, ambient, *, interpret: bool = False):
+    """`engine.physics` by the kernel; interpret: in plain JAX, anywhere."""
+    count, learnt = len(state.attached), engine.added.learnt
+    # two tables: parameters stay from tick to tick, so theirs can be made once
+    given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=(), effects=())
+    tables, places = zip(*map(_side_by_side, given), strict=True)
+    weights = residual_kernel.tables_of(residual_network.halves(np, learnt.net))
+    nones = jnp.zeros(engine.steps, jnp.int32)
+    reach = jax.tree.map(lambda a: np.asarray(a).tolist(), learnt.reach)  # a kernel takes no arrays but its arguments
+
+    def kernel(*refs):
+        held = [_held(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
+        (state, targets, flow, ambient), params = held
+        nones, *weights, out = refs[len(held) :]
+        fixed = swimmer(params), (), planar.pairs(flow), planar.columns(ambient)
+        tanh = residual_kernel.tanh_of(interpret)
+
+        def step(k, carry):
+            carry, (target, *later) = carry
+            network = partial(residual_kernel.network, weights, tanh=tanh, none=nones[k] & 1, together=UNITS)
+            added = replace(engine.added, learnt=Residual(network, reach))
+            return engine.step(added, *fixed, carry, target), [*later, target]
+
+        _, steps, joints = targets.shape
+        commands = [[targets[:, k, j] for j in range(joints)] for k in range(steps)]
+        carry, _ = lax.fori_loop(0, steps, step, (planar.begun(state), commands))
+        out[...] = _joined(jax.tree.leaves(carry))
+
+    # the last fish fills up the last block: numbers that every division bears
+    rows = [jnp.pad(table, ((0, -count % BLOCK), (0, 0)), mode="edge") for table in tables]
+    ends = np.cumsum([state.q.shape[1], state.v.shape[1], 1, state.memory.shape[1]])  # of what comes out, power the last
+    block = lambda width: pl.BlockSpec((BLOCK, width), lambda i: (i, 0))
+    out = pl.pallas_call(
+        kernel,
+        grid=(len(rows[0]) // BLOCK,),
+        in_specs=[*(block(table.shape[1]) for table in rows), *map(residual_kernel.whole, (nones, *weights))],
+        out_specs=block(_power(ends[-1] + 1)),
+        out_shape=jax.ShapeDtypeStruct((len(rows[0]), _power(ends[-1] + 1)), jnp.float32),
+        interpret=interpret,
+        **({} if interpret else residual_kernel.compiler(WARPS)),
+    )(*rows, nones, *weights)
+    q, v, attached, memory, power = jnp.split(out[:count, : ends[-1] + 1], ends, 1)
+    return FishState(q, v, attached[:, 0], (), memory), power[:, 0]
+
+
+def _power(count: int) -> int:
+    """The next power of two: Triton has no other shapes, and is slow to compile many loads and stores."""
+    return 1 << (int(count) - 1).bit_length()
+
+
+def _side_by_side(tree):
+    """Arrays (B, ..) as columns of one, filled up to a power of two, and the numbers of their columns, (1, ..) each."""
+    leaves, shape = jax.tree.flatten(tree)
+    ends = np.cumsum([a.size // len(a) for a in leaves])
+    numbers = [np.arange(end - a.size // len(a), end).reshape(1, *a.shape[1:]) for a, end in zip(leaves, ends, strict=True)]
+    fill = jnp.zeros((len(leaves[0]), _power(ends[-1]) - ends[-1]), jnp.float32)
+    return jnp.concatenate([*(jnp.reshape(a, (len(a), -1)) for a in leaves), fill], 1), shape.unflatten(numbers)
+
+
+class _Held:
+    """An array whose columns are values in a kernel: a[:, i] or a[:, i, j], one value a fish."""
+
+    def __init__(self, numbers, values: list):
+        self.numbers, self.values, self.shape = numbers, values, numbers.shape
+
+    def __getitem__(self, at):
+        return self.values[self.numbers[at].item()]
+
+
+def _held(rows, numbers):
+    """What `_side_by_side` was given, out of a block of rows."""
+    values = [jnp.reshape(column, len(rows)) for column in jnp.split(rows, rows.shape[1], 1)]
+    return jax.tree.map(lambda place: _Held(place, values), numbers)
+
+
+def _joined(values: list):
+    """Values, one a fish, as columns of a block of rows, filled up to a power of two: Triton joins pairs."""
+    values = [*values, *[jnp.zeros_like(values[0])] * (_power(len(values)) - len(values))]
+    while half := len(values) // 2:
+        values = [jnp.reshape(jnp.stack(pair, -1), (len(pair[0]), -1)) for pair in zip(values[:half], values[half:], strict=True)]
+    return values[0]

@@ -1,0 +1,146 @@
+"""The swimming fish whose water can be turned: each coefficient of its strips is a number of a row.
+
+row = [k and cn of head, body and tail as factors; the other coefficients as they are; the effects that the description lists]
+"""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.calib import calib_folder, read_toml
+from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.gap.models.kernel import Kernel
+from fishmj.gap.models.swimming_fish import Constant, SwimmingFish
+from fishmj.gap.records.records import Record
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water import prior
+
+WHERE = ("head", "body", "tail")
+LIFT = 0.5  # that lift_a + lift_b are at least
+LEAST = 0.05  # of the highest value allowed: what a coefficient that is described as zero may still be, one standard deviation
+
+
+class Free(NamedTuple):
+    """A number of the water that is turned: its coefficient, and of a list the place (head, body, tail)."""
+
+    name: str
+    coefficient: str
+    where: str
+
+
+class Range(NamedTuple):
+    """Of a number: what it is described as, its bounds, and one standard deviation of its prior (data/calib/hydro_fit.toml; of
+    the strips' shape calibrate.toml)."""
+
+    start: float
+    low: float
+    high: float
+    sigma: float
+    unit: str
+
+
+def places(links: int) -> list[str]:
+    """Where each link is: head, body or tail."""
+    return ["head", *["body"] * (links - 2), "tail"]
+
+
+def free_numbers(links: int) -> list[Free]:
+    """All of them for a fish of so many links."""
+    lists = [Free(f"{c}_{w}", c, w) for c in ("k", "cn") for w in WHERE if w in places(links)]
+    return lists + [Free(c, c, "") for c in strip_forces.Coefficients._fields[2:] if c not in prior.FIXED]
+
+
+class StripWater(SwimmingFish):
+    """Args: robot: description, path or name, in the water of its own strips. more: names of effects that a row also has."""
+
+    def __init__(self, robot: "Robot | str" = "fish", more: tuple[str, ...] = ()):
+        robot = load_robot(robot)
+        super().__init__(robot, [effects.get(name) for name in dict.fromkeys([*(f.name for f in robot.effects), *more])])
+        self.free = free_numbers(len(robot.links))
+        self.constants = tuple(Constant(name, np.inf) for name in (*(f.name for f in self.free), *strip_forces.SHAPE))
+
+    @property
+    def nothing(self) -> np.ndarray:
+        """(P,) the robot as it is described, without any effect."""
+        described = [1.0 if f.where else float(getattr(self.nominal.water, f.coefficient)) for f in self.free]
+        shape = [float(self.robot.water.get(name, default)) for name, default in strip_forces.SHAPE.items()]
+        return np.array([*described, *shape, *self.active.null])
+
+    def ranges(self) -> list[Range]:
+        """Of every number, within the prior of its coefficient."""
+        out = []
+        for f, start in zip(self.free, self.nothing, strict=False):
+            row, values = prior.table()[f.coefficient], np.atleast_1d(getattr(self.nominal.water, f.coefficient))
+            low, high = row["low"], row["high"]
+            if f.where:  # a factor on the coefficients of these links
+                mine = [v for v, w in zip(values, places(self.chain.n), strict=True) if w == f.where]
+                low, high = low / max(min(mine), 1e-9), high / max(max(mine), 1e-9)
+            sigma = row["sd"] * max(start, LEAST * high)
+            out.append(Range(float(start), float(low), float(high), float(sigma), "factor" if f.where else row["unit"]))
+        of_shape = read_toml(calib_folder() / "calibrate.toml")["water"]
+        for name, start in zip(strip_forces.SHAPE, self.nothing[len(self.free) :], strict=False):
+            row = of_shape[name]
+            out.append(Range(float(start), row["low"], row["high"], row["sd"], row["unit"]))
+        return out
+
+    def rows(self, thetas: np.ndarray) -> np.ndarray:
+        """(R, P) of numbers (R, K)."""
+        rows = np.tile(self.null, (len(thetas), 1))
+        rows[:, : len(self.constants)] = thetas
+        return rows
+
+    def water(self, values) -> strip_forces.Coefficients:
+        """Coefficients of the free numbers; entries may be arrays."""
+        given, w = {f.name: value for f, value in zip(self.free, values, strict=False)}, self.nominal.water
+        spread = lambda c: [v * given[f"{c}_{at}"] for v, at in zip(getattr(w, c), places(self.chain.n), strict=True)]
+        single = {f.coefficient: given[f.name] for f in self.free if not f.where}
+        # less normal force than that would feed energy to the fish (docs/methods/water.md)
+        short = LIFT - single["lift_a"] - single["lift_b"]
+        single["lift_b"] = single["lift_b"] + 0.5 * (short + abs(short))
+        return w._replace(k=spread("k"), cn=spread("cn"), **single)
+
+    def _chain(self, row) -> planar_chain.Chain:
+        edge, held, linear = (row[len(self.free) + i] for i in range(len(strip_forces.SHAPE)))
+        strips = self.chain.strips
+        strips = strips._replace(edge_x=strips.tail_x * edge, held=held, linear=strip_forces.linear_parts(strips.p, linear))
+        return self.chain._replace(strips=strips)
+
+    def _swimmer(self, row) -> planar_chain.Swimmer:
+        return self.nominal._replace(water=self.water([row[i] for i in range(len(self.free))]))
+
+
+class GatedWater(StripWater):
+    """The same, whose numbers may also differ from one moment to the next: theta_k(t) = theta_k + delta_k g(t).
+
+    row = [numbers theta, swings delta of each, effects]; g(t) is the last column of a record's commands.
+    """
+
+    def __init__(self, robot: "Robot | str" = "fish", more: tuple[str, ...] = ()):
+        super().__init__(robot, more)
+        self.numbers = self.constants
+        self.constants = (*self.numbers, *(Constant(f"{c.name} swing", np.inf) for c in self.numbers))
+
+    @property
+    def nothing(self) -> np.ndarray:
+        """(P,) the robot as it is described, without any effect."""
+        described = super().nothing
+        at = len(self.numbers)
+        return np.concatenate([described[:at], np.zeros(at), described[at:]])
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """As of a swimming fish, with the gate as one more input."""
+        n = len(self.constants) + len(self.active.null) + 2
+        watched = 2 * (self.joints + 3) + 1
+        return Kernel(self._step, self._look, states=self.states, inputs=self.joints + 1, parameters=n, watched=watched)
+
+    def _step(self, state, command, row):
+        at = len(self.numbers)
+        turned = [row[k] + command[self.joints] * row[at + k] for k in range(at)]
+        return super()._step(state, command[: self.joints], [*turned, *row[at:]])
+
+    def gated(self, record: Record, gate: np.ndarray) -> Record:
+        """The record with g (T,) as one more command."""
+        return record._replace(commands=np.concatenate([record.commands, gate[:, None]], 1))

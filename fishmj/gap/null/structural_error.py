@@ -1,0 +1,155 @@
+"""Structural error: what another hand's water and servos do to the records, though nothing is missing in the robot.
+
+A calibrated water is right on average. Another form of water asks for other coefficients of the strips in each kind of motion,
+and from moment to moment where the wake remembers; every servo has some friction and is some milliseconds late:
+
+    theta_lk(t) = theta_k + sigma_k (w_k e_lk + s_k sum_i a_lki B_i(t))     record l, number k of the strips (strip_water.py)
+    phi_j       = v_j e_j                       parameter j of an effect that healthy robots have a little of; all e, a ~ N(0, 1)
+    B_i         hat functions every `SPACING`   t between them: straight
+    S          += sum over all of these of c c^T, c their tangents, + diag(rho_c^2 R^2)       R rms of the null runs, smoothed
+
+The first are correlated over time, as the error of a force law is, and different from record to record, so that an effect which
+is the same in all of them stands out. The second are the same in all. The last is what neither makes up for, by channel c.
+w, s, v and rho are measured (`python -m fishmj.studies.structural_error`): the most likely ones for healthy robots of independent
+waters, each calibrated to its own free swims. data/calib/structural_error.toml has them, and those without each family, by which
+a benchmark scores it.
+
+Directions of a record that do less than `STRONG` of D^1/2 go onto the diagonal: they are not worth a factor.
+"""
+
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.calib import calib_folder, read_toml
+from fishmj.errors import UnknownName
+from fishmj.gap.null.whitening import smooth
+from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.thresholds import Gates
+from fishmj.water.choice import STRUCTURED
+
+FILE = "structural_error.toml"
+SCHEMA = "fishmj.structural_error/1"
+ALL = "all"
+NEVER = ("", "second_robot")  # no robot of theirs took part: the null runs are the second robot's
+STEP = 0.02  # of sigma, of the finite differences
+SPACING = 1.5  # s: a body length at the speed of a gait (chosen)
+STRONG = 1.0  # of D^1/2, singular value from which a direction of a record is a factor of its own
+
+
+class Widths(NamedTuple):
+    """numbers, swings: w and s by name of a number of the strips. effects: v, SI, by effect and parameter. channels: rho.
+
+    adequacy: |z|^2 / m that 19 of 20 healthy robots of a family which took no part do not reach.
+    """
+
+    numbers: dict[str, float]
+    swings: dict[str, float]
+    effects: dict[str, dict[str, float]]
+    channels: dict[str, float]
+    adequacy: float = 0.0
+
+
+class StructuralError(NamedTuple):
+    """shared (J, m), by_record (K_l, m_l) of each record, variance (m,): S += the squares of the first two + diag(variance)."""
+
+    shared: np.ndarray
+    by_record: tuple[np.ndarray, ...]
+    variance: np.ndarray
+
+    @property
+    def total(self) -> np.ndarray:
+        """(m,) variance of each sample."""
+        alone = np.concatenate([np.sum(factors**2, 0) for factors in self.by_record]) if self.by_record else 0.0
+        return self.variance + np.sum(self.shared**2, 0) + alone
+
+
+@cache
+def widths(without: str = "") -> Widths:
+    """Of all families, or as measured without one of them. Raises UnknownName."""
+    table = read_toml(calib_folder() / FILE)
+    if (key := ALL if without in NEVER else without) not in table:
+        raise UnknownName("family of the structural error", without, sorted(set(table) - {ALL, "schema"}))
+    return Widths(**table[key])
+
+
+def applies(model) -> bool:
+    """Whether the model is a swimming fish whose water was calibrated. One of literature values may be wrong by any amount: its
+    null runs, in a water of that kind, stand alone."""
+    return hasattr(model, "strips") and model.robot.water.get("model") == STRUCTURED
+
+
+def of(model, records, layout, null: np.ndarray, leftover: np.ndarray, given: Widths) -> StructuralError:
+    """Nothing where it does not apply. null: (n, m) residuals of null runs; leftover: (m,) D^1/2 without it."""
+    if not applies(model):
+        return StructuralError(np.zeros((0, layout.size)), (), np.zeros(layout.size))
+    share = np.array([given.channels.get(str(c), 0.0) for c in layout.channel])
+    variance = (share * smooth(np.sqrt(np.mean(null**2, 0)), layout)) ** 2
+    moved = tangents(model.strips(tuple(given.effects)), records, layout, given.effects)
+    by_record, d = [], np.sqrt(leftover**2 + variance)
+    for i, part in enumerate(moved.parts):
+        mine = layout.record == i
+        large, variance_left = strong(part * moved.widths(given, i)[:, None], d[mine])
+        by_record.append(large)
+        variance[mine] += variance_left
+    return StructuralError(moved.shared, tuple(by_record), variance)
+
+
+def allowed(gates: Gates, given: Widths) -> Gates:
+    """The gates with what healthy robots of an unknown water leave: before a search, and after it."""
+    return replace(gates, adequacy=max(gates.adequacy, given.adequacy), residual=max(gates.residual, given.adequacy))
+
+
+class Tangents(NamedTuple):
+    """parts: of each record (K (1 + windows), m_l), what sigma of each number does throughout, then in each window. names: of the
+    numbers (K,). shared: (J, m) what each effect does at its size."""
+
+    parts: list[np.ndarray]
+    names: list[str]
+    shared: np.ndarray
+
+    def widths(self, given: Widths, record: int) -> np.ndarray:
+        """(K (1 + windows),) of the parts of a record."""
+        throughout, swings = ([table.get(name, 0.0) for name in self.names] for table in (given.numbers, given.swings))
+        windows = len(self.parts[record]) // len(self.names) - 1
+        return np.concatenate([throughout, np.tile(swings, windows)])
+
+
+def tangents(strips, records, layout, sizes: dict[str, dict[str, float]]) -> Tangents:
+    """Of every record. strips: `GatedWater`. sizes: v of the effects that `strips` has, SI."""
+    sigma = np.array([r.sigma for r in strips.ranges()])
+    count = len(sigma)
+    throughout, swings = (np.tile(strips.null, (1 + count, 1)) for _ in range(2))
+    throughout[1:, :count] += STEP * np.diag(sigma)
+    swings[1:, count : 2 * count] += STEP * np.diag(sigma)
+    places = [strips.index(effect, name) for effect, values in sizes.items() for name in values]
+    effects = np.tile(strips.null, (len(places), 1))
+    for row, place, size in zip(effects, places, [v for values in sizes.values() for v in values.values()], strict=True):
+        row[place] += size  # as large as it is: dry friction has no slope at none
+
+    parts, shared = [], np.zeros((len(places), layout.size))
+    for i, record in enumerate(records):
+        alone = ResidualLayout([record])
+        t = np.arange(len(record.commands)) * record.dt
+        gates = [np.maximum(0.0, 1.0 - np.abs(t - at) / SPACING) for at in np.arange(0.0, t[-1] + SPACING, SPACING)]
+        still = strips.predict([strips.gated(record, 0.0 * t)], np.concatenate([throughout, effects]))
+        seen = np.nan_to_num(alone.residuals(still))
+        moved = [(seen[1 : 1 + count] - seen[0]) / STEP]
+        shared[:, layout.record == i] = seen[1 + count :] - seen[0]
+        for one in strips.predict([strips.gated(record, gate) for gate in gates], swings):
+            seen = np.nan_to_num(alone.residuals([one]))
+            moved.append((seen[1:] - seen[0]) / STEP)
+        parts.append(np.concatenate(moved))
+    return Tangents(parts, [constant.name for constant in strips.numbers], shared)
+
+
+def strong(moved: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(factors (K, m), variance (m,) of what is left) of the tangents (k, m) of one record, over D^1/2 (m,).
+
+    The singular vectors have the same scatter as the tangents, and most of them do next to nothing.
+    """
+    _, size, shape = np.linalg.svd(moved / d, full_matrices=False)
+    directions, large = size[:, None] * shape * d, size >= STRONG
+    return directions[large], np.sum(directions[~large] ** 2, 0)

@@ -1,0 +1,130 @@
+"""The cases of one robot, one after another: describe it, calibrate it, hide, ask, write down.
+
+    rows(Asked(robot)) -> [row]         one row a case, all in the process that calibrated the robot; kept as each is done
+
+The null runs of a robot are made for its first case and read from disk for the others. They are told to leave fish of the
+robot's own family out (`SimulatedNull.without`).
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from fishmj import console
+from fishmj.errors import ConfigError, LogError, SimDiverged
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.watch import Quiet
+from fishmj.gap.workflow import investigate
+from fishmj.mjcf.description import Robot
+from fishmj.studies.gap_benchmark import calibrated, families
+from fishmj.studies.gap_benchmark.cases import Case
+from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot, described, number_of, searched
+from fishmj.studies.gap_benchmark.rows import keep
+from fishmj.studies.gap_benchmark.run import answered_by
+
+UNABLE = (ConfigError, LogError, SimDiverged)  # of one robot or its logs; anything else stops the benchmark
+APART = 1000  # trials from one case of a robot to the next, so that each has noise of its own
+
+
+class Asked(NamedTuple):
+    """Work of one process: a robot with the cases that are to be done.
+
+    calibrate: its water first. weighed: with a page of weighings. out: folder of rows.jsonl.
+    """
+
+    robot: BenchRobot
+    calibrate: bool = True
+    weighed: bool = False
+    out: Path | None = None
+
+
+class Laps:
+    """Bars that nobody sees, which add up the process's time by stage."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, total: float, label: str, unit: str = "") -> Iterator[Quiet]:
+        begin = time.process_time()
+        yield Quiet()
+        self.seconds[label] = self.seconds.get(label, 0.0) + time.process_time() - begin
+
+
+def rows(one: Asked) -> list[dict]:
+    """A row of every case. What cannot be searched, or cannot swim, says so in its row."""
+    made = []
+    for row in _rows(one):
+        made.append(console.plain(row))
+        if one.out:
+            keep(one.out / "rows.jsonl", made[-1])
+    return made
+
+
+def _rows(one: Asked) -> Iterator[dict]:
+    robot = one.robot
+    about = {"model": "drawn" if robot.drawn else "fish"}
+    try:
+        known, model, more = questioned(one)
+    except UNABLE as error:
+        yield from (begun(case, one) | about | refused(error) for case in robot.cases)
+        return
+    for case in robot.cases:
+        yield begun(case, one) | about | more | row(one, case, known, model)
+
+
+def questioned(one: Asked) -> tuple[Robot, object, dict]:
+    """(true description, the model that is questioned, what rows say of both)."""
+    from fishmj.gap.models.swimming_fish import SwimmingFish
+
+    begin = time.process_time()
+    known, redraws, speed = described(one.robot)
+    facts: dict = {"links": len(known.links), "length": known.length, "mass": known.mass, "redraws": redraws}
+    facts |= {"lengths_a_second": speed, "calibrated": None}
+    believed = known
+    if one.calibrate:
+        believed, facts["calibrated"] = calibrated.calibrated(one.robot.family, one.robot.seed, known)
+    model = SwimmingFish(believed)
+    _ = model.kernel
+    return known, model, facts | {"robot_cpu_seconds": time.process_time() - begin}
+
+
+def row(one: Asked, case: Case, known: Robot, model) -> dict:
+    """What a row says of one case of a robot."""
+    robot, begin, start = one.robot, time.process_time(), time.monotonic()
+    try:
+        number = APART * (1 + number_of(case))
+        trials = families.trials(robot.family, case.effects, case.logs, robot.seed, known, first=number, noise=case.noise)
+        seen = families.detectable(robot.family, case.effects, case.logs, robot.seed, known)
+    except (ConfigError, SimDiverged) as error:  # what is hidden leaves no robot, or one that does not swim
+        return {"answer": "DIVERGED", "reason": str(error)}
+    about = {"detectable": seen["all"], "each_detectable": seen["each"]}
+    about |= {"noise_only": seen["noise_only"], "each_noise_only": seen["each_noise_only"]}
+    if not searched(case, seen["each"]):
+        return about | {"answer": "NOT_SEARCHED"}
+    page = families.page(robot.family, case.effects, robot.seed, known) if one.weighed else None
+    made, laps = time.process_time(), Laps()
+    null = SimulatedNull(noise=case.noise, without=robot.family)
+    try:
+        asked = partial(investigate, model, trials, gates=frozen(), null=null, seed=robot.seed, bars=laps)
+        verdict = asked(page=page, mass_known=False).verdict
+    except UNABLE as error:
+        return about | refused(error)
+    cpu = {"data": made - begin, **laps.seconds, "whole search": time.process_time() - made}
+    return about | answered_by(verdict) | {"cpu_seconds": cpu, "seconds": time.monotonic() - start}
+
+
+def begun(case: Case, one: Asked) -> dict:
+    """What a row says of a case before anything is asked: two rows of one id that differ in it are of two benchmarks."""
+    out = {"id": case.id, "kind": case.kind, "truth": case.effects, "noise": case.noise, "logs": len(case.logs)}
+    out |= {"experiments": list(case.logs), "weighed": one.weighed, "as_described": not one.calibrate}
+    return out | {"family": one.robot.family, "robot": one.robot.id, "seed": one.robot.seed}
+
+
+def refused(error: Exception) -> dict:
+    """Of a search that was refused: it named nothing, and agreed with nothing."""
+    return {"answer": "REFUSED", "reason": str(error), "said": [], "rivals": []}

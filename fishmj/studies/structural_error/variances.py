@@ -1,0 +1,106 @@
+"""Most likely widths of a covariance that is a sum of parts, over robots.
+
+    S_i = F_i^T F_i + sum_g u_g sum_(k in g) a_ik a_ik^T + diag(d_i + sum_c p_c R_ic)       robot i, residual r_i
+        = F_i^T F_i + sum_j u_j f_ij f_ij^T + C_i,    C_i: what lies in one record each, block by block
+    -2 log L = sum_i r_i^T S_i^-1 r_i + log det S_i
+
+By the MM algorithm of Zhou, Hu, Zhou & Lange (2019): each variance times the square root of what the residuals ask of its part
+over what the covariance expects,
+
+    u_g <- u_g (sum_ik (a_ik^T S_i^-1 r_i)^2 / sum_ik a_ik^T S_i^-1 a_ik)^1/2
+
+which never makes the robots less likely and keeps every variance positive.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+TINY = 1e-300
+
+
+class Sample(NamedTuple):
+    """One robot. null (n, m) F; shared (J, m) f and group (J,) the number of each one's variance; parts (K_l, m_l) a of each
+    record and groups (K_l,); record (m,); variance (m,) d; spread (m,) R^2; channel (m,) number of each sample's p; residual
+    (m,)."""
+
+    null: np.ndarray
+    shared: np.ndarray
+    group: np.ndarray
+    parts: list[np.ndarray]
+    groups: list[np.ndarray]
+    record: np.ndarray
+    variance: np.ndarray
+    spread: np.ndarray
+    channel: np.ndarray
+    residual: np.ndarray
+
+
+class Asked(NamedTuple):
+    """Of one robot: -2 log L, |z|^2 / m, and what residuals and covariance say of each variance, (G + C,) each."""
+
+    loss: float
+    adequacy: float
+    seen: np.ndarray
+    expected: np.ndarray
+
+
+def asked(sample: Sample, u: np.ndarray, p: np.ndarray) -> Asked:
+    """The sums of the formula above at variances u (G,) of the parts and p (C,) of the channels."""
+    d = sample.variance + p[sample.channel] * sample.spread
+    factors = np.concatenate([sample.null, sample.shared * np.sqrt(u[sample.group])[:, None]])
+    solved, residual, white, logdet = np.empty_like(factors), np.empty_like(d), np.empty_like(d), float(np.sum(np.log(d)))
+    kept = []  # of each record: its samples, and 1 - diag M^-1, which is u diag(a^T C^-1 a)
+    for i, (part, group) in enumerate(zip(sample.parts, sample.groups, strict=True)):
+        # C^-1 = 1/d - own^T own, own = M^-1/2 u^1/2 a / d, M = 1 + u^1/2 a d^-1 a^T u^1/2
+        mine, wide = sample.record == i, part * np.sqrt(u[group])[:, None]
+        root = np.linalg.cholesky(np.eye(len(wide)) + (wide / d[mine]) @ wide.T)
+        own = solve_triangular(root, wide / d[mine], lower=True)
+        logdet += 2.0 * float(np.sum(np.log(np.diag(root))))
+        less = 1.0 - np.sum(solve_triangular(root, np.eye(len(root)), lower=True) ** 2, 0)
+        kept.append((mine, less))
+        solved[:, mine] = factors[:, mine] / d[mine] - (factors[:, mine] @ own.T) @ own
+        residual[mine] = sample.residual[mine] / d[mine] - (own @ sample.residual[mine]) @ own
+        white[mine] = 1.0 / d[mine] - np.sum(own**2, 0)
+    # S^-1 = C^-1 - half^T half: the factors that all records share, by Woodbury
+    root = np.linalg.cholesky(np.eye(len(factors)) + solved @ factors.T)
+    half = solve_triangular(root, solved, lower=True)
+    logdet += 2.0 * float(np.sum(np.log(np.diag(root))))
+    residual = residual - half.T @ (half @ sample.residual)
+    seen, expected = np.zeros(len(u)), np.zeros(len(u))
+    for (mine, less), part, group in zip(kept, sample.parts, sample.groups, strict=True):
+        trace = less / np.maximum(u[group], TINY) - np.sum((part @ half[:, mine].T) ** 2, 1)
+        seen += np.bincount(group, (part @ residual[mine]) ** 2, len(u))
+        expected += np.bincount(group, trace, len(u))
+        white[mine] -= np.sum(half[:, mine] ** 2, 0)
+    own = solved[len(sample.null) :] / np.sqrt(np.maximum(u[sample.group], TINY))[:, None]  # f C^-1
+    trace = np.sum(own * sample.shared, 1) - np.sum((sample.shared @ half.T) ** 2, 1)
+    seen += np.bincount(sample.group, (sample.shared @ residual) ** 2, len(u))
+    expected += np.bincount(sample.group, trace, len(u))
+    of_channel = lambda values: np.bincount(sample.channel, sample.spread * values, len(p))
+    squared = float(sample.residual @ residual)
+    both = np.append(seen, of_channel(residual**2)), np.append(expected, of_channel(white))
+    return Asked(squared + logdet, squared / len(d), *both)
+
+
+class Found(NamedTuple):
+    """Variances u (G,), p (C,); loss: -2 log L over all robots; adequacy: |z|^2 / m of each."""
+
+    u: np.ndarray
+    p: np.ndarray
+    loss: float
+    adequacy: list[float]
+
+
+def most_likely(ask: Callable[..., list[Asked]], u: np.ndarray, p: np.ndarray, rounds: int, tick=lambda done: None) -> Found:
+    """From where to begin. ask(u, p) -> [Asked] of every robot; rounds: of the algorithm."""
+    for done in range(rounds):
+        told = ask(u, p)
+        seen, expected = (np.sum([getattr(one, key) for one in told], 0) for key in ("seen", "expected"))
+        factor = np.sqrt(seen / np.maximum(expected, TINY))
+        u, p = u * factor[: len(u)], p * factor[len(u) :]
+        tick(done + 1)
+    told = ask(u, p)
+    return Found(u, p, sum(one.loss for one in told), [one.adequacy for one in told])

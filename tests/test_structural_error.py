@@ -1,0 +1,138 @@
+"""Structural error of the search: its covariance, its widths, and what it does to a healthy robot of another water."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fishmj import generators
+from fishmj.calibrate.water_fit import calibrate_trials
+from fishmj.errors import UnknownName
+from fishmj.gap.models.swimming_fish import SwimmingFish
+from fishmj.gap.null import structural_error
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.null.structural_error import strong, widths
+from fishmj.gap.null.whitening import leftover
+from fishmj.gap.records.records import ResidualLayout, record_of
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.thresholds import frozen
+from fishmj.mjcf.description import load_robot
+from fishmj.studies.structural_error.variances import Sample, asked, most_likely
+from fishmj.virtual_robot import generate
+from fishmj.water.choice import STRUCTURED
+
+NULL = SimulatedNull(runs=12)
+
+
+def calibrated():
+    """The shipped description, said to be calibrated."""
+    robot = load_robot("fish")
+    return replace(robot, water=robot.water | {"model": STRUCTURED})
+
+
+def a_sample(rng, u=(0.5, 2.0, 0.0, 1.0), p=(0.3, 0.0), m=120) -> Sample:
+    """A robot drawn from the covariance itself; the last variance is of what its three records share."""
+    null, shared, record, channel = rng.normal(size=(4, m)), rng.normal(size=(2, m)), np.arange(m) // 40, np.arange(m) % 2
+    parts, groups, d = [rng.normal(size=(6, 40)) for _ in range(3)], [np.arange(6) % 3] * 3, np.full(m, 0.2)
+    residual = null.T @ rng.normal(size=4) + np.sqrt(u[3]) * shared.T @ rng.normal(size=2)
+    residual += np.concatenate(
+        [(a * np.sqrt(np.array(u)[:3])[g][:, None]).T @ rng.normal(size=6) for a, g in zip(parts, groups, strict=True)]
+    )
+    residual += np.sqrt(d + np.array(p)[channel]) * rng.normal(size=m)
+    return Sample(null, shared, np.full(2, 3), parts, groups, record, d, np.ones(m), channel, residual)
+
+
+def whole_of(s: Sample, u, p) -> np.ndarray:
+    """S, written out."""
+    parts = np.zeros((len(s.residual), len(s.residual)))
+    for i, (a, g) in enumerate(zip(s.parts, s.groups, strict=True)):
+        mine = np.flatnonzero(s.record == i)
+        parts[np.ix_(mine, mine)] = (a.T * u[g]) @ a
+    return s.null.T @ s.null + u[3] * s.shared.T @ s.shared + parts + np.diag(s.variance + p[s.channel] * s.spread)
+
+
+def test_the_sums_are_those_of_the_whole_covariance():
+    s, u, p = a_sample(np.random.default_rng(0)), np.array([0.4, 1.5, 0.1, 0.7]), np.array([0.2, 0.05])
+    whole = whole_of(s, u, p)
+    inverse, told = np.linalg.inv(whole), asked(s, u, p)
+    solved = inverse @ s.residual
+    assert told.loss == pytest.approx(s.residual @ solved + np.linalg.slogdet(whole)[1])
+    assert told.adequacy == pytest.approx(s.residual @ solved / len(solved))
+    for g in range(3):
+        mine = [(a[group == g], s.record == i) for i, (a, group) in enumerate(zip(s.parts, s.groups, strict=True))]
+        assert told.seen[g] == pytest.approx(sum(np.sum((a @ solved[w]) ** 2) for a, w in mine))
+        assert told.expected[g] == pytest.approx(sum(np.trace(a @ inverse[np.ix_(w, w)] @ a.T) for a, w in mine))
+    assert told.seen[3] == pytest.approx(np.sum((s.shared @ solved) ** 2))
+    assert told.expected[3] == pytest.approx(np.trace(s.shared @ inverse @ s.shared.T))
+    for c in range(2):
+        assert told.seen[4 + c] == pytest.approx(np.sum(solved[s.channel == c] ** 2))
+        assert told.expected[4 + c] == pytest.approx(np.sum(np.diag(inverse)[s.channel == c]))
+
+
+def test_each_round_makes_the_robots_likelier_and_widths_come_back():
+    rng = np.random.default_rng(1)
+    samples, losses = [a_sample(rng) for _ in range(40)], []
+
+    def ask(u, p):
+        told = [asked(s, u, p) for s in samples]
+        losses.append(sum(one.loss for one in told))
+        return told
+
+    found = most_likely(ask, np.ones(4), np.full(2, 0.1), 40)
+    assert np.all(np.diff(losses) < 1e-6)
+    np.testing.assert_allclose(found.u[[0, 1, 3]], [0.5, 2.0, 1.0], rtol=0.3)
+    assert found.u[2] < 1e-2 and found.p[0] == pytest.approx(0.3, rel=0.25) and found.p[1] < 0.03
+    assert np.mean(found.adequacy) == pytest.approx(1.0, abs=0.05)
+
+
+def test_strong_directions_and_the_rest_have_the_scatter_of_the_tangents():
+    rng = np.random.default_rng(2)
+    moved, d = rng.normal(size=(5, 40)) * np.array([6, 2, 1, 0.3, 0.03])[:, None], np.full(40, 1.5)
+    factors, variance = strong(moved, d)
+    assert 1 <= len(factors) < 5
+    np.testing.assert_allclose(np.sum(factors**2, 0) + variance, np.sum(moved**2, 0))
+    apart = moved.T @ moved - factors.T @ factors
+    assert np.linalg.eigvalsh(apart / 1.5**2).max() < structural_error.STRONG**2 + 1e-9
+
+
+def test_a_family_left_out_has_widths_of_its_own():
+    everything = widths()
+    assert widths("second_robot") == everything
+    for name in generators.NAMES:
+        assert widths(name) != everything and set(widths(name).numbers) == set(everything.numbers)
+    with pytest.raises(UnknownName, match="morison"):
+        widths("trout")
+
+
+def test_a_water_of_literature_values_has_no_structural_error():
+    trials = generate({}, ["gait"], seed=3)
+    for robot, has in ((load_robot("fish"), False), (calibrated(), True)):
+        plant = SwimmingFish(robot)
+        records = [record_of(t, plant.dt) for t in trials]
+        null = NULL.residuals(SwimmingFish(load_robot("fish")), records, ResidualLayout(records))
+        e = Likelihood(plant, records, null)
+        assert (len(e.factors) > len(null)) == has
+        gates = e.allowed(frozen())
+        assert (gates == frozen()) != has and gates.adequacy >= frozen().adequacy
+        if has:
+            bare = Likelihood(SwimmingFish(load_robot("fish")), records, null)
+            assert np.all(e.d >= bare.d - 1e-12) and np.all(e.scale >= bare.scale) and np.median(e.scale / bare.scale) > 1.001
+            assert [len(mine.T) for mine in e.by_record] == np.bincount(e.layout.record).tolist()
+            near = e.linearised_at(plant.null)
+            np.testing.assert_allclose(near.factors[: len(e.factors)], e.factors)
+
+
+@pytest.mark.slow
+def test_a_healthy_robot_of_an_unseen_water_is_what_the_structural_error_expects():
+    swims = ["gait_slow", "gait_small", "turn_right", "tow_ahead", "tow_sideways", "ramps_2"]
+    robot, _ = calibrate_trials(generators.generate("foil", {}, swims, 5), "fish")
+    plant = SwimmingFish(robot)
+    trials = generators.generate("foil", {}, ["gait_fast", "turn_left", "burst_and_coast"], 5)
+    records = [record_of(t, plant.dt) for t in trials]
+    layout = ResidualLayout(records)
+    null = NULL.residuals(plant, records, layout)
+    with_it = Likelihood(plant, records, null, widths=structural_error.widths("foil"))
+    adequacy = with_it.subset().base().cost / layout.size
+    assert adequacy < with_it.allowed(frozen()).adequacy
+    with_it.factors, with_it.by_record, with_it.d = with_it.factors[: len(null)], (), leftover(null, layout)
+    assert with_it.subset().base().cost / layout.size > 4 * frozen().adequacy
