@@ -181,7 +181,7 @@ def test_what_healthy_robots_differ_by_is_made_once(tmp_path, monkeypatch):
 def test_gap_plant_writes_a_set_and_its_truth(tmp_path, capsys):
     out = tmp_path / "hidden"
     command = ["gap", "plant", "command_latency=0.04", "--generator", "ellipsoid", "--excitations", "tow_ahead", "--logs", "1"]
-    assert main([*command, "--seed", "3", "--weigh", "--out", str(out), "--json"]) == 0
+    assert main([*command, "--seed", "3", "--weigh", "--drop", "0.3", "--out", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     truth = json.loads((tmp_path / "hidden.truth.json").read_text())
     assert told["generator"] == truth["generator"] == "ellipsoid" and truth["origin"] == "synthetic"
@@ -190,6 +190,10 @@ def test_gap_plant_writes_a_set_and_its_truth(tmp_path, capsys):
 
     assert "fishmj.generators, ellipsoid" in (out / "measurements.toml").read_text()
     trial = read_trial(out / "01_tow_ahead")
+    whole = generators.generate("ellipsoid", truth["effects"], ["tow_ahead"], 3)[0]
+    for sensor in ("joint", "pose", "power"):
+        kept = np.isin(whole.table(sensor)["t"], trial.table(sensor)["t"])
+        assert 0.6 < kept.mean() < 0.8 and kept.sum() == len(trial.table(sensor)["t"])
     assert trial.meta["origin"] == "synthetic" and "latency" not in (out / "01_tow_ahead" / "meta.toml").read_text()
 
 

@@ -7,7 +7,9 @@ import pytest
 
 from fishmj import generators
 from fishmj.calibrate.water_fit import calibrate_trials
+from fishmj.effects import STAGES
 from fishmj.errors import UnknownName
+from fishmj.gap.decide.decide import Support, as_in_healthy_robots
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull
@@ -100,6 +102,7 @@ def test_a_family_left_out_has_widths_of_its_own():
     assert widths("second_robot") == everything
     for name in generators.NAMES:
         assert widths(name) != everything and set(widths(name).numbers) == set(everything.numbers)
+        assert set(widths(name).gains) == set(STAGES) and min(widths(name).gains.values()) >= 0.0
     with pytest.raises(UnknownName, match="morison"):
         widths("trout")
 
@@ -114,6 +117,10 @@ def test_a_water_of_literature_values_has_no_structural_error():
         assert (len(e.factors) > len(null)) == has
         gates = e.allowed(frozen())
         assert (gates == frozen()) != has and gates.adequacy >= frozen().adequacy
+        e.widths = e.widths._replace(gains={"timing": 30.0})
+        assert (e.healthy_gain("timing"), e.healthy_gain("actuator")) == (30.0 * len(records) * has, 0.0)
+        stand = {"command_latency": Support(29.0 * len(records), 1.0, ()), "servo_gain": Support(5.0, 1.0, ())}
+        assert as_in_healthy_robots(e, stand) == ({"command_latency"} if has else set())
         if has:
             bare = Likelihood(SwimmingFish(load_robot("fish")), records, null)
             assert np.all(e.d >= bare.d - 1e-12) and np.all(e.scale >= bare.scale) and np.median(e.scale / bare.scale) > 1.001

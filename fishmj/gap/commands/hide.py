@@ -76,8 +76,9 @@ def main(argv: list[str]) -> int:
         raise ConfigError(f"gap plant: --from is for --generator log, not {args.generator}")
     if args.generator == "log" and args.source is None:
         raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
-    if args.drop and args.generator not in ("independent", "log") or rates(args) and args.generator != "independent":
-        raise ConfigError(f"gap plant: --drop and the rates of sensors are not for --generator {args.generator}")
+    if args.drop and args.generator == "lbm" or rates(args) and args.generator != "independent":
+        what = "--drop" if args.drop else "a sensor's rate"
+        raise ConfigError(f"gap plant: {what} is not for --generator {args.generator}")
     if args.model != "fish" and args.generator in ("log", "lbm"):
         raise ConfigError(f"gap plant: --model is not for --generator {args.generator}, which has a robot of its own")
     if args.generator not in generators.NAMES:
@@ -169,9 +170,10 @@ def solver(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 def other_water(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
     """(trials, facts) of a robot in another form of water; the facts say how much of what is hidden can be seen."""
     runs, numbers = experiments(args), (args.seed, args.noise, args.nuisance, args.model)
-    trials = generators.generate(args.generator, hidden, runs, *numbers, tick=tick)
-    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
-    return trials, facts | {"detectable": generators.detectable(args.generator, hidden, runs, *numbers)}
+    whole, rng = generators.generate(args.generator, hidden, runs, *numbers, tick=tick), np.random.default_rng([args.seed, 19])
+    facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model), "drop": args.drop}
+    facts["detectable"] = generators.detectable(args.generator, hidden, runs, *numbers)
+    return [with_lost_rows(trial, args.drop, rng) for trial in whole], facts
 
 
 def experiments(args) -> list[str]:

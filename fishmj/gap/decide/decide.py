@@ -34,6 +34,8 @@ Secondary effects: what the formula of one effect leaves may look like another. 
     is below `weak_size` and brings less than that, beside one that is not so small and that it is taken for or that turns the
     same gears: the little dry friction that every gear train has shows beside play, where nothing else holds the link
 
+    brings no more than one of its stage does in a healthy robot of another water, unless all do (null/structural_error.py)
+
 Nor does it spoil the name of those that bring much. The thresholds are those of [secondary] in data/calib/gap.toml.
 """
 
@@ -44,7 +46,6 @@ import numpy as np
 from fishmj.effects.ambiguity import containing, together
 from fishmj.effects.effect import Parameter
 from fishmj.gap.decide.intervals import estimate
-from fishmj.gap.null import structural_error
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood
@@ -99,12 +100,16 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.certain_gain) for n in effects}
     dropped = negligible(found, effects, stand, doubts, gates)
     checks |= held_out_checks(e, found)
-    # Healthy robots of another water leave as much, and something of the catalogue always explains a part of it.
-    if structural_error.applies(e.model) and checks["adequacy"] <= gates.adequacy and checks["closure"] < gates.closure:
-        why = (
-            f"the gap is one that healthy robots leave, and {title(effects[0].name)} explains {percent(checks['closure'])} of it"
-        )
-        return Verdict("AGREES", reason=why, tentative=effects, **plain)
+    # Healthy robots of another water leave a gap, too, and something of the catalogue always explains a part of it.
+    usual = as_in_healthy_robots(e, stand)
+    if usual | dropped < set(stand):
+        dropped |= usual
+    elif usual and checks["closure"] < gates.closure:
+        most = max(usual, key=lambda name: stand[name].gain)
+        why = f"{title(most)} gains {number(stand[most].gain)}, as an effect of its stage may in a healthy robot of another water"
+        if checks["adequacy"] <= gates.adequacy:
+            return Verdict("AGREES", reason=why, tentative=effects, **plain)
+        return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
     wrong, outliers = error_without_outliers(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
     kept = tuple(n for n in effects if n.name not in dropped)
@@ -309,6 +314,12 @@ def on_bound(model, c: Candidate) -> bool:
     tolerance = thresholds().decide.bound_tolerance
     near = lambda place, edge: edge != model.null[place] and abs(c.row[place] - edge) < tolerance * size[place]
     return any(near(place, low[place]) or near(place, high[place]) for place in c.places)
+
+
+def as_in_healthy_robots(e: Likelihood, stand: dict[str, Support]) -> set[str]:
+    """Names of those that gain no more than an effect of their stage may in a healthy robot of another water."""
+    stages = {x.name: x.stage for x in e.model.active.effects}
+    return {name for name, s in stand.items() if s.gain <= e.healthy_gain(stages[name])}
 
 
 # -------------------------------------------------------------------------------------------------------------- secondary effects

@@ -42,7 +42,8 @@ STRONG = 1.0  # of D^1/2, singular value from which a direction of a record is a
 class Widths(NamedTuple):
     """numbers, swings: w and s by name of a number of the strips. effects: v, SI, by effect and parameter. channels: rho.
 
-    adequacy: |z|^2 / m that 19 of 20 healthy robots of a family which took no part do not reach.
+    adequacy: |z|^2 / m that 19 of 20 healthy robots of a family which took no part do not reach. gains: |z|^2 a record that, in
+    all of these, no effect of a stage takes off.
     """
 
     numbers: dict[str, float]
@@ -50,6 +51,7 @@ class Widths(NamedTuple):
     effects: dict[str, dict[str, float]]
     channels: dict[str, float]
     adequacy: float = 0.0
+    gains: dict[str, float] = {}  # noqa: RUF012 (of a tuple, never changed)
 
 
 class StructuralError(NamedTuple):

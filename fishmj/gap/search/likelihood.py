@@ -69,6 +69,10 @@ class Likelihood:
         """The gates with what the structural error leaves of healthy robots; of a model without one, as they are."""
         return structural_error.allowed(gates, self.widths) if structural_error.applies(self.model) else gates
 
+    def healthy_gain(self, stage: str) -> float:
+        """What an effect of a stage takes off |z|^2 of a healthy robot of another water, at most; 0 where that is not known."""
+        return self.widths.gains.get(stage, 0.0) * len(self.records) if structural_error.applies(self.model) else 0.0
+
     def with_model(self, model) -> "Likelihood":
         """The same records and null with other effects in question; `model` at its null is the same model."""
         there = copy(self.origin)

@@ -36,10 +36,10 @@ from fishmj.studies.structural_error.sample import (
     SOLVER,
     WHITE,
     SolverFish,
-    first_gains,
     measured,
     sample,
     solver_fish,
+    stage_gains,
 )
 from fishmj.studies.structural_error.variances import Asked, Found, Sample, asked, most_likely
 
@@ -84,10 +84,10 @@ def main(argv: list[str]) -> int:
     gains = gained([one for one in todo if one.id in robots], found, args.out, jobs)
     healthy: dict[Left, Healthy] = {}
     for out in LEFT_OUT[: 1 + len(NAMES)]:
-        # by fits that have seen neither their family nor the one left out
+        # |z|^2 / m by fits that have seen neither their family nor the one left out; gains by one that has not seen their family
         unseen = [(name, both(out, family)) for name, family in robots.items() if family not in out]
         left = [asked(samples[name], found[told].u, found[told].p).adequacy for name, told in unseen]
-        healthy[out] = Healthy(left, [gains[name][key(told)] for name, told in unseen])
+        healthy[out] = Healthy(left, [gains[name] for name, _ in unseen])
     write_text(args.out / structural_error.FILE, toml({out: found[out] for out in healthy}, healthy))
     lines = [line(out, found[out], one) for out, one in healthy.items()]
     console.say(console.table(lines))
@@ -107,10 +107,15 @@ def kept(folder: Path, of: list[str], search: Callable[[], Found]) -> Found:
 
 
 class Healthy(NamedTuple):
-    """Of robots of families that a fit has not seen: |z|^2 / m, and what a first effect gains over what the gates ask of any."""
+    """Of robots of families that a fit has not seen: |z|^2 / m, and |z|^2 a record that an effect of each stage takes off."""
 
     adequacy: list[float]
-    gain: list[float]
+    gains: list[dict[str, float]]
+
+    @property
+    def most(self) -> dict[str, float]:
+        """By stage, of all robots."""
+        return {stage: max(one[stage] for one in self.gains) for stage in self.gains[0]}
 
 
 def both(out: Left, family: str) -> Left:
@@ -124,16 +129,14 @@ def key(out: Left) -> str:
 
 
 def gained(todo: list, found: dict[Left, Found], folder: Path, jobs: int) -> dict[str, dict[str, float]]:
-    """What a first effect gains of each healthy robot, over what the gates ask of any, with the widths of every fit that has not
-    seen its family. Kept in `folder` under the widths' hash."""
-    of = lambda one: [both(out, one.family) for out in LEFT_OUT[: 1 + len(NAMES)] if one.family not in out]
+    """What the best effect of each stage gains of each healthy robot, by the widths without its family. Kept in `folder` under
+    the widths' hash."""
     text = toml(found, {})
     tables = {name: Widths(**table) for name, table in tomllib.loads(text).items() if isinstance(table, dict)}
-    asked_of = [(one, {key(out): tables[key(out)] for out in of(one)}) for one in todo]
-    ask = partial(first_gains, folder=folder, mark=hashlib.sha256(text.encode()).hexdigest()[:12])
+    ask = partial(stage_gains, folder=folder, mark=hashlib.sha256(text.encode()).hexdigest()[:12])
     gains: dict[str, dict[str, float]] = {}
     with watch.shown(len(todo), "gains", "robots") as bar:
-        for row in answered(asked_of, ask, jobs):
+        for row in answered([(one, tables[one.family]) for one in todo], ask, jobs):
             gains[row["robot"]] = row["gains"]
             bar.update(len(gains))
     return gains
@@ -167,7 +170,7 @@ def line(out: Left, found: Found, healthy: Healthy) -> dict:
         "robots": len(found.adequacy),
         "|z|^2 / m": shown(found.adequacy),
         "of a family left out": shown(healthy.adequacy),
-        "their first gain, over 300": shown(healthy.gain),
+        **{f"gain, {stage}": round(most) for stage, most in healthy.most.items()},
         "-2 log L a robot": round(found.loss / len(found.adequacy)),
     }
 
@@ -184,6 +187,8 @@ def toml(tables: dict[Left, Found], healthy: dict[Left, Healthy]) -> str:
         if left in healthy:
             about = f"{HEALTHY:.0%} of healthy robots of a family left out are below"
             out += [f"adequacy = {float(np.quantile(healthy[left].adequacy, HEALTHY)):.3g}  # |z|^2 / m: {about}"]
+            out += ["", f"[{name}.gains]  # |z|^2 a record that effects of a stage take off: of all of these at most"]
+            out += [f"{stage} = {most:.3g}" for stage, most in healthy[left].most.items()]
         halves = width[: 2 * len(NUMBERS)].reshape(2, -1)
         for table, about, mine in zip(("numbers", "swings"), ABOUT, halves, strict=True):
             out += ["", f"[{name}.{table}]  # of one standard deviation of the prior, {about}"]

@@ -1,5 +1,6 @@
 """One healthy robot: what its calibrated model leaves of the designed experiments, and the parts that may explain it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from fishmj import excitation
 from fishmj.calibrate.water_fit import calibrate_trials
+from fishmj.effects import STAGES
 from fishmj.errors import FishmjError, StoreError
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
@@ -15,8 +17,9 @@ from fishmj.gap.null.structural_error import Widths
 from fishmj.gap.null.whitening import leftover, smooth
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of
-from fishmj.gap.search.likelihood import Likelihood
-from fishmj.gap.search.stepwise import CrossValidated, is_absent, propose, split
+from fishmj.gap.search.fit import drop_effect, on_records
+from fishmj.gap.search.likelihood import Likelihood, relinearise
+from fishmj.gap.search.stepwise import is_absent, shortlist
 from fishmj.gap.thresholds import frozen
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
@@ -53,6 +56,7 @@ EFFECTS: dict[str, dict[str, float]] = {  # that healthy robots may have a littl
 }
 BEGIN = 0.8  # w of every number of the strips
 WHITE = 0.05  # rho of every channel
+FEW = 4  # effects of a stage that are fitted to all records
 
 
 class SolverFish(NamedTuple):
@@ -104,28 +108,32 @@ def questioned(one: "BenchRobot | SolverFish") -> tuple[Robot, list[Trial]]:
     return believed, families.trials(one.family, {}, excitation.DESIGNED, one.seed, known)
 
 
-def first_gains(asked: "tuple[BenchRobot | SolverFish, dict[str, Widths]]", folder: Path, mark: str) -> dict:
-    """Of a healthy robot, what the first effect of a search gains with each of the widths, over what the gates ask of any.
-
-    Kept in `folder` under `mark`.
-    """
+def stage_gains(asked: "tuple[BenchRobot | SolverFish, Widths]", folder: Path, mark: str) -> dict:
+    """Of a healthy robot, what the best effect of each stage gains a record with these widths. Kept in `folder` under `mark`."""
     one, widths = asked
-    path, gates = folder / f"{one.id}.gains-{mark}.json", frozen()
+    path = folder / f"{one.id}.gains-{mark}.json"
     if path.is_file():
         return read_json(path)
     believed, trials = questioned(one)
     model = SwimmingFish(believed)
     records = [record_of(trial, model.dt) for trial in trials]
     records = mass_properties.with_page(records, mass_properties.sensor({}, model))
-    null, folds, gains = SimulatedNull().residuals(model, records, ResidualLayout(records)), split(records), {}
-    for key, mine in widths.items():
-        e = Likelihood(model, records, null, widths=mine)
-        base = e.subset().base()
-        known = CrossValidated(e, base, (base,) * len(folds))
-        step = propose(known, folds, [x for x in model.active.effects if is_absent(model, x)], gates, 0.0)
-        gains[key] = step.gain / step.asked if step.asked else 0.0
+    null = SimulatedNull().residuals(model, records, ResidualLayout(records))
+    gains = by_stage(Likelihood(model, records, null, widths=widths))
     write_json(path, row := {"robot": one.id, "family": one.family, "gains": gains})
     return row
+
+
+def by_stage(e: Likelihood) -> dict[str, float]:
+    """|z|^2 a record that the best effect of each stage takes off, as `decide.support_of` counts it."""
+    gates, base, gains = replace(frozen(), shortlist=FEW), e.subset().base(), {}
+    for stage in STAGES:
+        short = shortlist(e, base, [x for x in e.model.active.effects if x.stage == stage and is_absent(e.model, x)], gates)
+        near, best = relinearise(e, short[0], 1)
+        whole = near.subset()
+        best = on_records(whole, best)
+        gains[stage] = max(drop_effect(whole, best, best.names[-1]).cost - best.cost, 0.0) / len(e.records)
+    return gains
 
 
 def arrays(model: SwimmingFish, trials: list) -> dict[str, np.ndarray]:
