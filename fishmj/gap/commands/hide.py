@@ -77,8 +77,8 @@ def main(argv: list[str]) -> int:
     if args.generator == "log" and args.source is None:
         raise ConfigError("gap plant: --generator log works on a data set; name it with --from DATA")
     if args.drop and args.generator == "lbm" or rates(args) and args.generator != "independent":
-        what = "--drop" if args.drop else "a sensor's rate"
-        raise ConfigError(f"gap plant: {what} is not for --generator {args.generator}")
+        what = "--drop and the rates of sensors" if args.generator == "lbm" else "the rates of sensors"
+        raise ConfigError(f"gap plant: {what} are not for --generator {args.generator}")
     if args.model != "fish" and args.generator in ("log", "lbm"):
         raise ConfigError(f"gap plant: --model is not for --generator {args.generator}, which has a robot of its own")
     if args.generator not in generators.NAMES:
