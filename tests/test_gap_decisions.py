@@ -12,10 +12,9 @@ from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F40
 
 from fishmj import effects
 from fishmj.gap.decide.decide import confused, decide, masked_by, sanity
-from fishmj.gap.null import structural_error
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import model_error
-from fishmj.gap.search.likelihood import likelihood_of, relinearise
+from fishmj.gap.search.likelihood import Likelihood, likelihood_of, relinearise
 from fishmj.gap.search.stepwise import CrossValidated, Selection, SelectionStep, forward_select, propose, required_gain, split
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value
@@ -157,7 +156,10 @@ def test_a_gap_that_healthy_robots_of_another_water_leave_is_agreement_unless_mo
         found = forward_select(e, gates, split(e.records), lambda text: None, bar)
     wide = replace(gates, adequacy=1e9)
     assert decide(e, found, wide).answer == "NAMED"  # of a water of literature values an accepted effect goes on
-    monkeypatch.setattr(structural_error, "applies", lambda model: True)
-    assert decide(e, found, wide).answer == decide(e, found, replace(gates, closure=1.1)).answer == "NAMED"
+    monkeypatch.setattr(Likelihood, "healthy_gain", lambda e, stage: 1e9)
+    assert decide(e, found, wide).answer == decide(e, found, replace(gates, closure=0.1)).answer == "NAMED"  # it closes most
     verdict = decide(e, found, replace(wide, closure=1.1))
-    assert verdict.answer == "AGREES" and not verdict.effects and "command latency explains" in verdict.reason
+    assert verdict.answer == "AGREES" and not verdict.effects and "command latency gains" in verdict.reason
+    assert decide(e, found, replace(gates, adequacy=-1.0, closure=1.1)).answer == "UNEXPLAINED"
+    monkeypatch.setattr(Likelihood, "healthy_gain", lambda e, stage: 1.0)
+    assert decide(e, found, replace(wide, closure=1.1)).answer == "NAMED"  # it gains more than any in a healthy robot
