@@ -84,10 +84,10 @@ def main(argv: list[str]) -> int:
     gains = gained([one for one in todo if one.id in robots], found, args.out, jobs)
     healthy: dict[Left, Healthy] = {}
     for out in LEFT_OUT[: 1 + len(NAMES)]:
-        # |z|^2 / m by fits that have seen neither their family nor the one left out; gains by one that has not seen their family
+        # by fits that have seen neither their family nor the one left out
         unseen = [(name, both(out, family)) for name, family in robots.items() if family not in out]
         left = [asked(samples[name], found[told].u, found[told].p).adequacy for name, told in unseen]
-        healthy[out] = Healthy(left, [gains[name] for name, _ in unseen])
+        healthy[out] = Healthy(left, [gains[name][key(told)] for name, told in unseen])
     write_text(args.out / structural_error.FILE, toml({out: found[out] for out in healthy}, healthy))
     lines = [line(out, found[out], one) for out, one in healthy.items()]
     console.say(console.table(lines))
@@ -128,15 +128,16 @@ def key(out: Left) -> str:
     return "-".join(out) or structural_error.ALL
 
 
-def gained(todo: list, found: dict[Left, Found], folder: Path, jobs: int) -> dict[str, dict[str, float]]:
-    """What the best effect of each stage gains of each healthy robot, by the widths without its family. Kept in `folder` under
+def gained(todo: list, found: dict[Left, Found], folder: Path, jobs: int) -> dict[str, dict[str, dict[str, float]]]:
+    """What the best effect of each stage gains of each healthy robot, by all widths without its family. Kept in `folder` under
     the widths' hash."""
     text = toml(found, {})
     tables = {name: Widths(**table) for name, table in tomllib.loads(text).items() if isinstance(table, dict)}
     ask = partial(stage_gains, folder=folder, mark=hashlib.sha256(text.encode()).hexdigest()[:12])
-    gains: dict[str, dict[str, float]] = {}
+    unseen = {name: {key(out): tables[key(out)] for out in LEFT_OUT if name in out} for name in NAMES}
+    gains: dict[str, dict[str, dict[str, float]]] = {}
     with watch.shown(len(todo), "gains", "robots") as bar:
-        for row in answered([(one, tables[one.family]) for one in todo], ask, jobs):
+        for row in answered([(one, unseen[one.family]) for one in todo], ask, jobs):
             gains[row["robot"]] = row["gains"]
             bar.update(len(gains))
     return gains

@@ -108,9 +108,10 @@ def questioned(one: "BenchRobot | SolverFish") -> tuple[Robot, list[Trial]]:
     return believed, families.trials(one.family, {}, excitation.DESIGNED, one.seed, known)
 
 
-def stage_gains(asked: "tuple[BenchRobot | SolverFish, Widths]", folder: Path, mark: str) -> dict:
-    """Of a healthy robot, what the best effect of each stage gains a record with these widths. Kept in `folder` under `mark`."""
-    one, widths = asked
+def stage_gains(asked: "tuple[BenchRobot | SolverFish, dict[str, Widths]]", folder: Path, mark: str) -> dict:
+    """Of a healthy robot, what the best effect of each stage gains a record, with each of these widths. Kept in `folder` under
+    `mark`."""
+    one, tables = asked
     path = folder / f"{one.id}.gains-{mark}.json"
     if path.is_file():
         return read_json(path)
@@ -119,7 +120,7 @@ def stage_gains(asked: "tuple[BenchRobot | SolverFish, Widths]", folder: Path, m
     records = [record_of(trial, model.dt) for trial in trials]
     records = mass_properties.with_page(records, mass_properties.sensor({}, model))
     null = SimulatedNull().residuals(model, records, ResidualLayout(records))
-    gains = by_stage(Likelihood(model, records, null, widths=widths))
+    gains = {name: by_stage(Likelihood(model, records, null, widths=widths)) for name, widths in tables.items()}
     write_json(path, row := {"robot": one.id, "family": one.family, "gains": gains})
     return row
 
