@@ -19,7 +19,7 @@ CONSTANT = {  # of docs/methods/water.md, "Prior coefficients"; the same for eve
     "cf": 0.012,
     "ca_forward": 0.40,
     "ca_backward": 0.65,
-    "ke": 0.5,
+    "ke": 0.7,
     "lift_a": 0.3,
     "lift_b": 0.7,
     "stall_angle_deg": 35.0,
@@ -46,6 +46,9 @@ def water_prior(links: Sequence[Link]) -> dict:
     - k: 0.9 for the whole hull (Lamb's integral for the default fish as an ellipsoid gives 0.93 of the strips), 0.7 to 0.85 for a
       plate of finite span; cn: ellipses 1.1 to 1.3 (circular cylinder 1.20), steady plates 1.17 (square) to 1.98 (long), more
       when they flap, which is why a plate has 2.0. Sources and what of them was read: docs/methods/water.md.
+    - ke: 0.7 of the range 0.4 to 0.9; with it unfitted shapes swim about as fast as in the flow solver at the slip ratio of a
+      real fish (`fishmj/studies/new_shapes.py`; docs/results/new_shapes.md). The shipped descriptions have 0.5, on which their
+      results rest.
     - 3 and 13 are chosen; nothing in the literature read here gives the drag of sections between. They give the
       default fish and the tendon fish the values that stand in their descriptions: k rounded to 0.05, cn to 0.1, which is
       finer than the ranges above.
