@@ -148,6 +148,8 @@ def test_detectable_of_the_second_robot_is_the_generators_measure():
     assert weak["all"] < 0.1 * found["all"]
     assert families.detectable(families.SECOND, {}, runs, 4, robot)["all"] == 0.0
     assert set(found) == set(families.detectable("morison", late, runs, 4, robot))
+    longer = next(one for one in (drawn_robots.chain(np.random.default_rng(k), "longer") for k in range(20)) if one.n_joints > 3)
+    assert families.detectable(families.SECOND, late, runs, 4, longer)["all"] > detectability.BOUND
 
 
 # ------------------------------------------------------------ the score

@@ -94,24 +94,24 @@ def detectable(family: str, effects: Effects, experiments, seed: int, robot: Rob
 
     Of the second robot the same figure, by its own healthy robots.
     """
-    runs = runs_of(experiments, robot)
     if family != SECOND:
-        return generators.detectable(family, effects, runs, seed, 1.0, NUISANCE, robot)
+        return generators.detectable(family, effects, runs_of(experiments, robot), seed, 1.0, NUISANCE, robot)
     if not effects:
         return dict(NOTHING)
-    sigma = trials(SECOND, {}, runs[:1], seed, robot)[0].meta["sigma"]
+    sigma = trials(SECOND, {}, experiments[:1], seed, robot)[0].meta["sigma"]
 
     def seen(hidden: Effects) -> list[Seen]:
-        return [s for t in trials(SECOND, hidden, runs, seed, robot, noise=0.0) for s in channels(t, sigma)]
+        return [s for t in trials(SECOND, hidden, experiments, seed, robot, noise=0.0) for s in channels(t, sigma)]
 
-    return mean_squares(seen, _second_spread(runs, robot), effects, HEALTHY)
+    return mean_squares(seen, _second_spread(experiments, robot), effects, HEALTHY)
 
 
-def _second_spread(runs: list[Excitation], robot: Robot) -> list[np.ndarray]:
+def _second_spread(experiments, robot: Robot) -> list[np.ndarray]:
     """Variance of the second robot's healthy fish, (K, C) of every record's joints, pose and power; of one robot at a time."""
+    runs = runs_of(experiments, robot)
     key = repr((robot, [(run.id, run.start, run.push, len(run.commands)) for run in runs]))
     if key not in _spreads:
-        fish = [trials(SECOND, {}, runs, FIRST + k, robot, noise=0.0) for k in range(HEALTHY)]
+        fish = [trials(SECOND, {}, experiments, FIRST + k, robot, noise=0.0) for k in range(HEALTHY)]
         seen = [[s for t in swum for s in channels(t, t.meta["sigma"])] for swum in fish]
         _spreads.clear()
         _spreads[key] = [spreads(list(same), same[0]) for same in zip(*seen, strict=True)]
