@@ -1,17 +1,20 @@
 """Typed terms for what no effect explains: well-formed, the identity at zero, found where they are, silent where nothing is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("numba")
 
-from fishmj.effects.sites import BodyMotion, Gear, LocalWater, ServoDrive
+from fishmj.effects.sites import BodyMotion, Gear, LocalWater, Measured, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.terms import select
-from fishmj.gap.terms.library import CURVES, library, model_with_terms, one_sided, sensor_scales
+from fishmj.gap.terms.library import CURVES, library, model_with_terms, one_sided, sensor_terms
 from fishmj.gap.terms.select import terms_of
+from fishmj.gap.thresholds import thresholds
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark.free_terms import RIGHT
 
@@ -67,7 +70,7 @@ def test_terms_have_names_of_their_own():
 def test_a_symmetric_term_does_to_the_mirror_image_the_mirror_image_of_what_it_does():
     flips = {3: np.array([1.0, -1.0, -1.0]), 1: np.array([-1.0])}
     for effect in library():
-        if effect.stage == "environment" or effect in sensor_scales():
+        if effect.stage == "environment" or effect in sensor_terms():
             continue  # a tank has no mirror, and a log does nothing to the fish
         here, there = forces(effect, 1.0), forces(effect, -1.0)
         assert np.any(here != 0), effect.formula
@@ -98,6 +101,18 @@ def test_a_slope_is_what_the_reading_changes_by():
     for curve in CURVES:
         change = (curve.value(np, a + 1e-5) - curve.value(np, a - 1e-5)) / 2e-5
         assert np.allclose(change, curve.slope(np, a), atol=1e-8), curve.name
+
+
+def test_slack_of_an_encoder_is_play_at_every_turn():
+    angle = np.column_stack([0.2 * np.sin(np.linspace(0, 9, 200)), np.linspace(0, 0.005, 200)])
+    behind, gap = angle.copy(), thresholds().library.slack
+    for k in range(1, len(angle)):
+        behind[k] = np.clip(behind[k - 1], angle[k] - gap, angle[k] + gap)
+    slack = next(x for x in sensor_terms() if "turn" in x.formula)
+    seen = Measured(t=None, x=None, y=None, yaw=None, joint=angle[None], power=None)
+    read = lambda c: slack.measure(np, SimpleNamespace(coefficient=np.array([[c]])), seen).joint[0]
+    assert np.allclose(read(gap), behind, atol=1e-12) and np.array_equal(read(0.0), angle)
+    assert np.allclose(read(2 * gap) - angle, 2 * (behind - angle), atol=1e-12)
 
 
 def test_without_coefficients_it_is_the_plain_fish(plant):

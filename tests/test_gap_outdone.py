@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("numba")
@@ -62,6 +63,28 @@ def test_what_stands_in_for_a_force_is_led_by_its_term(plant):  # noqa: F811
     said = stronger.challenge(e, found, verdict)
     assert said.answer == "UNEXPLAINED" and said.gates["lead"] > 10 * thresholds().stronger.lead
     assert said.gates["believed"] and said.gates["term"].startswith("sway force") and said.gates["term"] in said.reason
+
+
+@pytest.mark.slow
+def test_an_encoder_with_slack_is_not_named_dry_friction(plant):  # noqa: F811
+    trials = hidden({}, 84)
+    for trial in trials:
+        joints = trial.tables["joint"]
+        for name in [name for name in joints if name != "t"]:
+            joints[name] = behind(np.array(joints[name]), 0.007)
+    e = likelihood_of(plant, [record_of(t, plant.dt) for t in trials], NULL)
+    found, verdict = best(e)
+    assert found.best.names == ("coulomb_friction",)
+    said = stronger.challenge(e, found, verdict)
+    assert said.answer == "UNEXPLAINED" and said.gates["term"] == "joint log ~ direction of the last turn"
+
+
+def behind(angle, gap):
+    """What an encoder shows that hangs on its joint with play of half a gap, rad."""
+    out = angle.copy()
+    for k in range(1, len(angle)):
+        out[k] = np.clip(out[k - 1], angle[k] - gap, angle[k] + gap)
+    return out
 
 
 @pytest.mark.slow

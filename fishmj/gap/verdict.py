@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from fishmj.gap.wording import level, number, percent, sizes, title
 
 ANSWERS = ("AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE")
+SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,8 @@ class Verdict:
         for t in self.terms[:3]:
             also = f"; or {t['alike'][0]}" if t["alike"] else ""
             share = f"takes off {percent(t['closure'])} of the excess of |z|^2 of the records that it was fitted to"
-            lines.append(f"  as a force: {t['name']}, {share}, {'firm' if t['firm'] else 'weak'}{also}")
+            about = "a sensor's error" if t["name"].startswith(SENSORS) else "a force"
+            lines.append(f"  as {about}: {t['name']}, {share}, {'firm' if t['firm'] else 'weak'}{also}")
         lines += [f"  {gap}" for gap in self.gaps()]
         lines += [f"  warning: {w}" for w in self.warnings]
         if self.next_experiment:

@@ -27,10 +27,10 @@ def _known(name: str) -> str:
 
 
 def _known_rival(name: str) -> str:
-    """The same, or a sensor's scale that is as likely."""
-    from fishmj.gap.terms.library import sensor_scales
+    """The same, or a sensor's own error that is as likely."""
+    from fishmj.gap.terms.library import sensor_terms
 
-    return name if any(name == term.formula for term in sensor_scales()) else _known(name)
+    return name if any(name == term.formula for term in sensor_terms()) else _known(name)
 
 
 Effect = Annotated[str, AfterValidator(_known)]

@@ -10,7 +10,7 @@ Admissible are
     aging      a rate squared times the time of the session
     joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
     reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same
-    scale      of a sensor, in the log alone: every joint's angle, or one axis of the camera
+    log        of a sensor alone: the scale of every joint's angle or of one axis of the camera, slack of the joints' encoders
 Parity is +1 even, -1 odd when port and starboard are exchanged. A robot that is its own mirror image has only products of the
 force's own parity. The others are kept as *one-sided* terms: they say that port and starboard differ, and have to gain more to
 stand before a mirror-symmetric one (select.py).
@@ -26,7 +26,9 @@ Whose sensor it is decides what the log shows:
 
     servo reading     its own sensor errs, the log has the joint's angle from another one
     encoder reading   one sensor for both: the log has r
-    joint log         neither: the log's own scale is wrong, and the robot does what its model does
+    joint log         neither: the log's own scale is wrong, or its encoder hangs on the joint with play, and the robot does what
+                      its model does. Play of half a gap b reads a - b z, z' = clip(z + da / b, +-1); b in z is fixed, so that the
+                      coefficient before it is linear
 """
 
 import hashlib
@@ -61,6 +63,8 @@ MOTION = (SURGE, SWAY, YAW, TAIL)
 ANGLE = Factor("angle", lambda xp, g: g.angle, -1, 0.4)
 RATE = Factor("rate", lambda xp, g: g.rate, -1, 2.5)
 LOAD = Factor("motor torque", lambda xp, g: g.drive, -1, 0.4)
+
+TURNED = Factor("direction of the last turn", lambda xp, g: xp.sign(g.rate), -1, 1.0)
 
 TIP = thresholds().library.trailing_edge
 SLIP = Factor("tail speed sideways", lambda xp, k: k.w[-1] + k.omega[-1] * TIP, -1, 0.3)
@@ -156,7 +160,7 @@ _COMPILED: dict[str, SwimmingFish] = {}  # fingerprint -> the model with the lib
 def library() -> tuple[Effect, ...]:
     """All provisional effects."""
     forces = (*body_terms(), *tail_terms(), *world_terms(), *joint_terms(), hysteresis(), creep())
-    return (*forces, *reading_terms(), *sensor_scales())
+    return (*forces, *reading_terms(), *sensor_terms())
 
 
 def model_with_terms(robot: Robot) -> SwimmingFish:
@@ -251,12 +255,15 @@ def reading_terms() -> list[Effect]:
 
 
 @cache
-def sensor_scales() -> tuple[Effect, ...]:
-    """Scales of the joints' log and of each axis of the camera."""
-    made = (("joint log", ANGLE, "joint"), ("camera along x", X, "x"), ("camera along y", Y, "y"))
-    return tuple(
-        provisional(sensor, f, USUAL.reading, True, stage="measurement", measure=_scaled(field)) for sensor, f, field in made
+def sensor_terms() -> tuple[Effect, ...]:
+    """Scales of the joints' log and of each axis of the camera, and the slack of the joints' encoders."""
+    made = (
+        ("joint log", ANGLE, _scaled("joint")),
+        ("joint log", TURNED, _slack),
+        ("camera along x", X, _scaled("x")),
+        ("camera along y", Y, _scaled("y")),
     )
+    return tuple(provisional(sensor, f, USUAL.reading, True, stage="measurement", measure=site) for sensor, f, site in made)
 
 
 def provisional(
@@ -289,6 +296,16 @@ def _scaled(field: str):
         return seen._replace(**{field: read * (xp.expand_dims(scale + 0.0, -1) if field == "joint" else scale)})
 
     return measure
+
+
+def _slack(xp, p, seen):
+    """The encoder stays behind at every turn, a - c z (see above)."""
+    if seen.joint.shape[-2] < 2 or not xp.any(p.coefficient):
+        return seen
+    z = [xp.zeros_like(seen.joint[..., 0, :])]
+    for turn in xp.moveaxis(xp.diff(seen.joint, axis=-2), -2, 0) / USUAL.slack:
+        z.append(xp.clip(z[-1] + turn, -1.0, 1.0))
+    return seen._replace(joint=seen.joint - xp.expand_dims(p.coefficient + 0.0, -1) * xp.stack(z, -2))
 
 
 def _body(field: str, f: Factor):

@@ -8,8 +8,9 @@ model as it is and judged as the name was, held out and by the likelihood linear
 more, or a term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest
 to that, and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
 
-A sensor's scale is no force, and takes the place of an effect where it makes the records as likely: a command's gain or a log in
-which every angle is 4 % too large, the camera's height or one of its axes. Then the answer is a CLASS with both in it.
+A sensor's own error is no force, and takes the place of an effect where it makes the records as likely: a command's gain or a
+log in which every angle is 4 % too large, the camera's height or one of its axes, dry friction or an encoder with slack. Then the
+answer is a CLASS with both in it.
 
 Nor does a term that is an effect's own formula say anything against the effect. Alike are what both do in states drawn at
 random: the push on a body that swims ahead (surge force, sway force, yaw moment over a body length), the torque on a joint, or
@@ -42,7 +43,7 @@ from fishmj.gap.terms.library import (
     Factor,
     library,
     model_with_terms,
-    sensor_scales,
+    sensor_terms,
 )
 from fishmj.gap.terms.select import shortlist, signatures
 from fishmj.gap.thresholds import thresholds
@@ -73,7 +74,7 @@ def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
     checks = {"lead": lead, "term": free.name, "believed": free.form <= allowed}
     verdict = replace(verdict, gates=verdict.gates | checks)
     if not outdone(verdict.gates):
-        return beside_sensor_scales(model, e, found, verdict)
+        return beside_sensor_terms(model, e, found, verdict)
     gains = f"gains {number(lead)} more in twice the log likelihood of records not seen"
     why = f"a free force, {free.name}, {gains}; the best is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
@@ -85,8 +86,8 @@ def outdone(checks: dict) -> bool:
     return checks.get("lead", 0.0) > least and checks["believed"]
 
 
-def beside_sensor_scales(model: SwimmingFish, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
-    """CLASS where a sensor's scale makes the records as likely as the one effect that was named, each linearised at itself."""
+def beside_sensor_terms(model: SwimmingFish, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
+    """CLASS where a sensor's own error makes the records as likely as the one effect named, each linearised at itself."""
     if verdict.answer != "NAMED" or len(found.best.names) > 1:
         return verdict
     (named,), gates, start = found.best.names, thresholds().gates, e.with_model(model)
@@ -94,14 +95,14 @@ def beside_sensor_scales(model: SwimmingFish, e: Likelihood, found: Selection, v
     gain = found.base.cost + found.start_logdet - best
     whole, own = start.subset(), likelihood.costs(on_records(found.near.subset(), found.best).z, e.layout)
     rivals = []
-    for c in whole.refine(whole.screen(whole.base(), sensor_scales()), 3):
+    for c in whole.refine(whole.screen(whole.base(), sensor_terms()), 3):
         if found.base.cost - c.cost < thresholds().stronger.scale_share * gain:
             continue
         near, fitted = relinearise(start, c, 1)
         behind = (near.loss(fitted.row) - best) / gain
         share = likelihood.p_best(np.stack([own, likelihood.costs(fitted.z, e.layout)]))[1]
         if behind < min(gates.margin, gates.rival_margin_abs / gain):
-            term = next(x for x in sensor_scales() if x.name == c.names[-1])
+            term = next(x for x in sensor_terms() if x.name == c.names[-1])
             rivals.append({"name": term.formula, "p_best": float(share), "behind": float(behind), "instead_of": named})
     if not rivals:
         return verdict
