@@ -7,7 +7,7 @@ Every shape swims every gait from rest in still water, driven by its servos: in 
 shape gives (`fishmj/mjcf/priors.py`), and in the flow solver at each slip ratio. `tendon_fish` has the measured gaits and speeds
 of a real robot (data/calib/tendon_fish.toml): at the slip ratio that gives it its speeds, 0.99, the solver's hull has a real
 hull's friction. The last two of five beats count. Each finished swim is a row of OUT/new_shapes_PRESET.csv; the same command
-does the missing ones. A swim of a shape beyond a factor of `WITHIN` ends with exit status 1.
+does the missing ones, and the picture. A swim of a shape beyond a factor of `WITHIN` ends with exit status 1.
 """
 
 import csv
@@ -22,6 +22,7 @@ import numpy as np
 from fishmj import console
 from fishmj.calib import read_toml, resolve
 from fishmj.errors import ConfigError, OracleUnstable, SimDiverged
+from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
@@ -180,7 +181,8 @@ def main(argv: list[str]) -> int:
             bar.update(number, ratio=row["ratio"] or 0.0)
     told = [rows[swim.fish, swim.name, slip] for swim, slip in asked]
     found = judged(told)
-    console.say(console.table(told, COLUMNS), f"wrote {path}", console.table(found))
+    picture = drawn(told, path.with_suffix(".png"))
+    console.say(console.table(told, COLUMNS), f"wrote {path} and {picture}", console.table(found))
     if args.json:
         console.emit_json({"rows": told, "judged": found, "out": path})
     return console.OK if all(row["within"] == row["of"] for row in found) else console.FAILED_CHECK
@@ -199,6 +201,26 @@ def judged(rows: list[dict]) -> list[dict]:
             told[f"{water} / measured"] = spread([v and v / row["measured_m_s"] for row in real for v in [row[f"{water}_m_s"]]])
         out.append(told)
     return out
+
+
+def drawn(rows: list[dict], path: Path) -> Path:
+    """Speeds in the solver over those in the strips at the least slip ratio, a colour a gait; the band is `WITHIN`."""
+    plt = pyplot()
+    figure, axis = plt.subplots(figsize=(5.5, 4.5), layout="constrained")
+    least = min(row["slip"] for row in rows)
+    here = [row for row in rows if row["slip"] == least and row["ratio"]]
+    groups = {name: [row for row in here if row["gait"] == name] for name in GAITS}
+    groups["a real fish: measured over strips"] = [
+        row | {"solver_m_s": row["measured_m_s"]} for row in here if row["fish"] == REAL
+    ]
+    for (name, group), colour in zip(groups.items(), COLOURS, strict=False):
+        x, y = ([row[key] for row in group] for key in ("strips_m_s", "solver_m_s"))
+        axis.loglog(x, y, "o", ms=5, color=colour, label=name)
+    ends = np.array([0.8 * min(row["strips_m_s"] for row in here), 1.25 * max(row["strips_m_s"] for row in here)])
+    axis.fill_between(ends, ends / WITHIN, ends * WITHIN, color="0.9", zorder=0, label=f"within a factor of {WITHIN:g}")
+    axis.set(xlabel="unfitted strips [m/s]", ylabel=f"flow solver, slip ratio {least:g} [m/s]")
+    axis.legend(frameon=False, fontsize=8)
+    return save(figure, path)
 
 
 def spread(values: list[float | None]) -> str:
