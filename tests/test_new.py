@@ -145,8 +145,10 @@ def test_a_description_that_is_there_is_kept(capsys, tmp_path):
 
 
 def test_a_hull_that_cannot_float_its_mass_is_marked(capsys):
-    assert new("pike", *sized(mass="3.0"), "--json") == console.OK
-    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert new("heavy", *sized(mass="3.0"), "--json") == console.OK
+    said = capsys.readouterr()
+    assert said.err.count("to float") == 1 and said.err.startswith("fishmj: heavy.toml [[link]] mass")
+    told = json.loads(said.out.splitlines()[-1])
     assert next(c for c in told["checks"] if c["what"] == "width scale")["verdict"] == "look"
 
 

@@ -203,14 +203,15 @@ def checked(robot: Robot) -> Robot:
 
 
 _SOUND = "_sound"  # attribute of a robot that passed; `dataclasses.replace` leaves it behind
-_TOLD: set[str] = set()
+_TOLD: set[tuple[str, str]] = set()  # robot, note without where it was read: a copy of a robot has the same to say
 
 
 def _sound(robot: Robot) -> Robot:
     object.__setattr__(robot, _SOUND, True)
     for note in robot.notes:
-        if note not in _TOLD:
-            _TOLD.add(note)
+        said = (robot.name, note.partition(" [")[2])
+        if said not in _TOLD:
+            _TOLD.add(said)
             console.warn(note)
     return robot
 

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-import tempfile
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -128,14 +128,13 @@ def main(argv: list[str]) -> int:
 def finish(args, files: dict[str, Path], fish, seen) -> int:
     """Check the description as it reads back, write everything, say what was found."""
     from fishmj import store
-    from fishmj.mjcf.description import load_robot
+    from fishmj.mjcf.description import robot_from_dict
     from fishmj.new.fish_picture import picture
     from fishmj.new.fish_toml import robot_of, toml_of
     from fishmj.new.swim_check import checks, swim_of
 
     text = toml_of(robot_of(fish), fish)
-    with tempfile.TemporaryDirectory() as folder:  # nothing is written that does not read back
-        robot = load_robot(store.write_text(Path(folder) / files["description"].name, text))
+    robot = robot_from_dict(tomllib.loads(text), str(files["description"]))  # nothing is written that does not read back
     swim = swim_of(robot)
     found = checks(robot, swim)
     store.write_text(files["description"], text)
