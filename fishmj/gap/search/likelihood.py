@@ -55,6 +55,9 @@ class Likelihood:
         self._null_tangents, self._null_nonlinear = self._constants(getattr(model, "nothing", model.null))
         left = leftover(null, self.layout)
         self._null_factors = null / np.sqrt(len(null))
+        # The null runs draw their constants, too. What is not linear in these, and within the runs' scatter, is smooth in time;
+        # on the diagonal it costs small effects more than they gain. Of models as described that was not measured.
+        self._null_scatter = np.mean(null**2, 0) if structural_error.applies(model) else 0.0
         self.widths = structural_error.widths() if widths is None else widths
         self._structural = structural_error.of(model, records, self.layout, null, left, self.widths)
         self.factors = np.concatenate([self._null_factors, self._structural.shared])
@@ -105,7 +108,7 @@ class Likelihood:
         factors = [self._null_through_sensors(row), self._structural.shared, tangents - start._null_tangents]
         # When a joint slips or a gear's play is taken up hangs on all constants, and no two fish do it at the same moment.
         # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
-        known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear, 0.0)
+        known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear - start._null_scatter, 0.0)
         # A weighing is what mass means, no formula of the water's: no form error is granted there.
         change = self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
         there = copy(self)
