@@ -12,7 +12,6 @@ does the missing ones, and the picture. A swim of a shape beyond a factor of `WI
 
 import csv
 import io
-import warnings
 from math import radians
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -171,9 +170,7 @@ def main(argv: list[str]) -> int:
         console.say(f"{args.preset} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     with console.Progress(len(left), "new_shapes", every=1e9 if args.json else None) as bar:
         for number, (swim, slip) in enumerate(left, 1):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # a mass that makes a hull thinner is said once, by `fishmj new`
-                row = swum(swim, slip, domain, args.device)
+            row = swum(swim, slip, domain, args.device)
             if row["status"] == INTERRUPTED:
                 return console.INTERRUPTED
             rows[key(row)] = row
@@ -181,8 +178,8 @@ def main(argv: list[str]) -> int:
             bar.update(number, ratio=row["ratio"] or 0.0)
     told = [rows[swim.fish, swim.name, slip] for swim, slip in asked]
     found = judged(told)
-    picture = drawn(told, path.with_suffix(".png"))
-    console.say(console.table(told, COLUMNS), f"wrote {path} and {picture}", console.table(found))
+    written = [path, *([drawn(told, path.with_suffix(".png"))] if any(row["ratio"] for row in told) else [])]
+    console.say(console.table(told, COLUMNS), *(f"wrote {one}" for one in written), console.table(found))
     if args.json:
         console.emit_json({"rows": told, "judged": found, "out": path})
     return console.OK if all(row["within"] == row["of"] for row in found) else console.FAILED_CHECK
@@ -207,7 +204,7 @@ def drawn(rows: list[dict], path: Path) -> Path:
     """Speeds in the solver over those in the strips at the least slip ratio, a colour a gait; the band is `WITHIN`."""
     plt = pyplot()
     figure, axis = plt.subplots(figsize=(5.5, 4.5), layout="constrained")
-    least = min(row["slip"] for row in rows)
+    least = min(row["slip"] for row in rows if row["ratio"])
     here = [row for row in rows if row["slip"] == least and row["ratio"]]
     groups = {name: [row for row in here if row["gait"] == name] for name in GAITS}
     groups["a real fish: measured over strips"] = [
