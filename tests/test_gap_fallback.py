@@ -7,6 +7,8 @@ import pytest
 
 pytest.importorskip("numba")
 
+from test_gap_outdone import behind  # noqa: E402
+
 from fishmj.effects.sites import BodyMotion, Gear, LocalWater, Measured, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
@@ -105,14 +107,13 @@ def test_a_slope_is_what_the_reading_changes_by():
 
 def test_slack_of_an_encoder_is_play_at_every_turn():
     angle = np.column_stack([0.2 * np.sin(np.linspace(0, 9, 200)), np.linspace(0, 0.005, 200)])
-    behind, gap = angle.copy(), thresholds().library.slack
-    for k in range(1, len(angle)):
-        behind[k] = np.clip(behind[k - 1], angle[k] - gap, angle[k] + gap)
+    gap = thresholds().library.slack
+    late = behind(angle, gap)
     slack = next(x for x in sensor_terms() if "turn" in x.formula)
     seen = Measured(t=None, x=None, y=None, yaw=None, joint=angle[None], power=None)
     read = lambda c: slack.measure(np, SimpleNamespace(coefficient=np.array([[c]])), seen).joint[0]
-    assert np.allclose(read(gap), behind, atol=1e-12) and np.array_equal(read(0.0), angle)
-    assert np.allclose(read(2 * gap) - angle, 2 * (behind - angle), atol=1e-12)
+    assert np.allclose(read(gap), late, atol=1e-12) and np.array_equal(read(0.0), angle)
+    assert np.allclose(read(2 * gap) - angle, 2 * (late - angle), atol=1e-12)
 
 
 def test_without_coefficients_it_is_the_plain_fish(plant):

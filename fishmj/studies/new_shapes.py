@@ -1,6 +1,6 @@
 """How fast shapes of `fishmj new` swim in their unfitted water and in the flow solver, and a real fish beside them.
 
-    python -m fishmj.studies.new_shapes --out runs/new_shapes                      the preview: an hour on two cores
+    python -m fishmj.studies.new_shapes --out runs/new_shapes                      the preview: 52 swims, some 40 s each on a CPU
     python -m fishmj.studies.new_shapes --preset window --out runs/new_shapes      a finer grid, on a GPU
 
 Every shape swims every gait from rest in still water, driven by its servos: in the strip water with the coefficients that its

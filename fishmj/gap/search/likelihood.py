@@ -57,13 +57,14 @@ class Likelihood:
         self._null_factors = null / np.sqrt(len(null))
         # The null runs draw their constants, too. What is not linear in these, and within the runs' scatter, is smooth in time;
         # on the diagonal it costs small effects more than they gain. Of models as described that was not measured.
-        self._null_scatter = np.mean(null**2, 0) if structural_error.applies(model) else 0.0
+        scatter = np.mean(null**2, 0)
+        self._null_scatter = scatter if structural_error.applies(model) else 0.0
         self.widths = structural_error.widths() if widths is None else widths
         self._structural = structural_error.of(model, records, self.layout, null, left, self.widths)
         self.factors = np.concatenate([self._null_factors, self._structural.shared])
         self.by_record = self._structural.by_record
         self.d = np.sqrt(left**2 + self._structural.variance)
-        self.scale = np.sqrt(np.mean(null**2, 0) + left**2 + self._structural.total)
+        self.scale = np.sqrt(scatter + left**2 + self._structural.total)
         self.response = ModelResponse(
             self.factors, self.by_record, self.layout.record, self.d**2, *np.zeros((2, self.layout.size))
         )
