@@ -34,7 +34,8 @@ RENAMED = {
 class Gates:
     """Of a verdict, and of what a round of the selection must gain (twice the log likelihood of records not seen).
 
-    A first effect must gain `gain`, or `min_joint_gain` on all records at once and on each fold given the others. A further one
+    A first effect must gain `gain` (`calibrated_gain` of a calibrated model), or `min_joint_gain` on all records at once and on
+    each fold given the others. A further one
 
         max(gain + min_gain_per_sample m, min_gain_fraction (gain so far))
 
@@ -46,6 +47,7 @@ class Gates:
 
     adequacy: float
     gain: float
+    calibrated_gain: float
     min_joint_gain: float
     min_gain_per_sample: float
     uncontested_discount: float

@@ -327,10 +327,11 @@ def negligible(found: Selection, effects: tuple[Named, ...], stand: dict[str, Su
     """Names of those. doubts: what is not believable about each."""
     limits = thresholds().secondary
     e = found.near.origin
-    whole = sum(s.gain for s in stand.values())
-    share = {n: s.gain / whole for n, s in stand.items()}
+    gains = gains_beyond(found, gates) if e.calibrated else {n: s.gain for n, s in stand.items()}
+    whole = sum(gains.values())
+    share = {n: gain / whole for n, gain in gains.items()}
     # What an effect gained when it was added counts, too: beside a later one that can imitate it, it may gain little at the end.
-    least = {n: min(b, found.gain_share(n, b)) for n, b in share.items()}
+    least = share if e.calibrated else {n: min(b, found.gain_share(n, b)) for n, b in share.items()}
     doubtful = {n for n, s in stand.items() if doubts[n] or may_be_another(n, s, gates)}
     implausible = {n.name for n in effects if smaller_than(e, n, limits.implausible_size)}
     weak = {n.name for n in effects if smaller_than(e, n, limits.weak_size)}
@@ -342,6 +343,17 @@ def negligible(found: Selection, effects: tuple[Named, ...], stand: dict[str, Su
     out |= {n for n in implausible if share[n] < limits.implausible_gain}
     out |= confusable | (weak & slight)
     return out | {n for n in masked_by(e, set(least) - out, weak) if least[n] < limits.implausible_gain}
+
+
+def gains_beyond(found: Selection, gates: Gates) -> dict[str, float]:
+    """What each effect gains beyond what errors of the others' formulas could gain in its place."""
+    out = {}
+    for name in found.best.names:
+        others = drop_effect(found.near.subset(), found.best, name)
+        whole = found.near.tolerating(others.row, gates)[0].subset()
+        best = on_records(whole, found.best)
+        out[name] = max(drop_effect(whole, best, name).cost - best.cost, 1e-9)
+    return out
 
 
 def may_be_another(name: str, stand: Support, gates: Gates) -> bool:

@@ -100,8 +100,9 @@ def of(model, records, layout, null: np.ndarray, leftover: np.ndarray, given: Wi
 
 
 def allowed(gates: Gates, given: Widths) -> Gates:
-    """The gates with what healthy robots of an unknown water leave: before a search, and after it."""
-    return replace(gates, adequacy=max(gates.adequacy, given.adequacy), residual=max(gates.residual, given.adequacy))
+    """The gates with what healthy robots of an unknown water leave, before a search and after it, and what they gain."""
+    adequacy, residual = (max(given.adequacy, gate) for gate in (gates.adequacy, gates.residual))
+    return replace(gates, adequacy=adequacy, residual=residual, gain=gates.calibrated_gain)
 
 
 class Tangents(NamedTuple):

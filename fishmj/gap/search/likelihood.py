@@ -29,7 +29,7 @@ from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, smoo
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
-from fishmj.gap.search.model_error import ModelError, ModelResponse
+from fishmj.gap.search.model_error import ModelError, ModelResponse, channel_changes
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.watch import Bars, silent
 
@@ -58,7 +58,8 @@ class Likelihood:
         # The null runs draw their constants, too. What is not linear in these, and within the runs' scatter, is smooth in time;
         # on the diagonal it costs small effects more than they gain. Of models as described that was not measured.
         scatter = np.mean(null**2, 0)
-        self._null_scatter = scatter if structural_error.applies(model) else 0.0
+        self.calibrated = structural_error.applies(model)
+        self._null_scatter = scatter if self.calibrated else 0.0
         self.widths = structural_error.widths() if widths is None else widths
         self._structural = structural_error.of(model, records, self.layout, null, left, self.widths)
         self.factors = np.concatenate([self._null_factors, self._structural.shared])
@@ -110,8 +111,7 @@ class Likelihood:
         # When a joint slips or a gear's play is taken up hangs on all constants, and no two fish do it at the same moment.
         # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
         known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear - start._null_scatter, 0.0)
-        # A weighing is what mass means, no formula of the water's: no form error is granted there.
-        change = self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
+        change = self._effects_change(row)
         there = copy(self)
         there.factors = np.concatenate(factors)
         scatter = smooth(change, self.layout)
@@ -137,7 +137,26 @@ class Likelihood:
     def with_estimated_model_error(self, row: np.ndarray) -> "Likelihood":
         """Linearised at a row, with the form error that makes the records most likely: how far a formula holds is measured."""
         there = self.linearised_at(row)
-        return there.with_model_error(there.response.most_likely_form(self._residuals(row[None])[0]))
+        finer = thresholds().model_error.fine_form_grid if self.calibrated else ()
+        return there.with_model_error(there.response.most_likely_form(self._residuals(row[None])[0], finer))
+
+    def tolerating(self, row: np.ndarray, gates: Gates) -> tuple["Likelihood", float]:
+        """(likelihood in which the formulas of a row are as wrong as formulas may be, the gain that such an error can imitate).
+
+            S += form^2 diag(c^2) + size^2 sum_b c_b c_b^T        imitated = sum (e c)^2 / D
+
+        c (m,) is what the row changes, c_b that on one channel of a record, e the error of any formula. What another effect gains
+        there beyond the second is none of theirs, however much they explain.
+        """
+        change = self._effects_change(row)
+        there = copy(self)
+        there.d = np.sqrt(self.response.known + (gates.form * smooth(change, self.layout)) ** 2)
+        there.factors = np.concatenate([self.factors, gates.size * channel_changes(self.layout, change)])
+        return there, float(np.sum((thresholds().intervals.formula_error * change / there.d) ** 2))
+
+    def _effects_change(self, row: np.ndarray) -> np.ndarray:
+        """(m,) what the effects of a row change. A weighing is what mass means, no formula of the water's: there nothing."""
+        return self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
 
     def with_parameter_uncertainty(self, row: np.ndarray) -> "Likelihood":
         """For values: what the constants do is no better known than the formulas, F also gets their tangents times `form`."""

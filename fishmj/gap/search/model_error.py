@@ -87,10 +87,10 @@ class ModelResponse(NamedTuple):
                 out[i, j] = rest - explained @ explained + 2.0 * np.sum(np.log(np.diag(root)))
         return out
 
-    def most_likely_form(self, residual: np.ndarray) -> float:
-        """The form error that makes a residual (m,) most likely, sizes taken as right."""
+    def most_likely_form(self, residual: np.ndarray, finer: tuple[float, ...] = ()) -> float:
+        """The form error that makes a residual (m,) most likely, sizes taken as right. finer: tried beside the usual grid."""
         # A grid, not an optimiser: the likelihood is flat in the form error, and a name must not hang on its third digit.
-        grid = thresholds().model_error.form_grid
+        grid = (*finer, *thresholds().model_error.form_grid)
         return grid[int(np.argmin(self.losses(residual, grid)))]
 
     def error(self, residual: np.ndarray, layout, allowed: float, keep: np.ndarray | None = None) -> ModelError:

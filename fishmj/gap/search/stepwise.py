@@ -216,7 +216,8 @@ def propose(
 
     # What cannot gain enough where it was fitted cannot gain it where it was not: the costly part is skipped.
     best_in_sample = base.cost - short[0].cost
-    if best_in_sample < limits.screen_fraction * required:
+    beyond = Beyond(known, gates) if known.near.calibrated and known.best.names else None
+    if best_in_sample < limits.screen_fraction * required and not (beyond and beyond.likely(short[: gates.finalists])):
         return SelectionStep(tuple(short[: gates.finalists]), None, 0.0, False)
 
     # |z|^2 compares only candidates with one covariance. Each finalist gets its own, so the likelihood decides among them.
@@ -252,6 +253,8 @@ def propose(
         joint = min(whole.loss(known.best.row) - loss[first], known.conditional_loss(folds) - fitted.conditional_loss(folds))
         if joint > gates.min_joint_gain:
             accepted, gain, asked = True, joint, gates.min_joint_gain
+    if not accepted and beyond:
+        accepted = beyond.gain(fitted, folds) > beyond.required
     ranked = [replace(finalists[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
     if not accepted:
         return SelectionStep(tuple(ranked), fitted, gain, False, asked=asked)
@@ -269,6 +272,37 @@ def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncon
     share = gates.uncontested_discount if uncontested else 1.0
     by_samples = gates.gain + share * gates.min_gain_per_sample * known.near.layout.size
     return max(by_samples, gates.min_gain_fraction * gain_so_far)
+
+
+class Beyond:
+    """What a further effect gains beyond all that the errors of the known formulas could gain in its place.
+
+    A wrong formula leaves a residual in proportion to what it explains, hence the share of the gain so far in `required_gain`.
+    But that asks of an effect on the joints for a share of what a current gained on the path. A calibrated model's likelihood
+    knows where each formula acts, and is asked instead.
+    """
+
+    def __init__(self, known: CrossValidated, gates: Gates):
+        near, imitated = known.near.tolerating(known.best.row, gates)
+        whole = near.subset()
+        self.known = CrossValidated(near, refine(whole, on_records(whole, known.best)), known.fits)
+        self.required = gates.gain + gates.min_gain_per_sample * near.layout.size + imitated
+
+    def likely(self, short: list[Candidate]) -> bool:
+        """Whether one of these gains enough where it was fitted."""
+        whole = self.known.near.subset()
+        best = min(c.cost for c in whole.refine([on_records(whole, c) for c in short], 2))
+        return self.known.best.cost - best > self.required
+
+    def gain(self, fitted: CrossValidated, folds: np.ndarray) -> float:
+        """What a larger set takes off the loss of all records, each predicted without its fold."""
+        near = self.known.near
+        best = refine(near.subset(), on_records(near.subset(), fitted.best))
+        without, with_it = (
+            CrossValidated(near, most, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
+            for most, fits in ((self.known.best, self.known.fits), (best, fitted.fits))
+        )
+        return without.loss(folds) - with_it.loss(folds)
 
 
 def lead_of(first: int, finalists, loss: list[float]) -> float:

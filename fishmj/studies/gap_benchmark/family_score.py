@@ -3,6 +3,7 @@
     detectable      mean square of what is hidden, over the noise and what healthy robots of that family differ by, above 5
     precision       of detectable singles that are NAMED: the hidden effect and nothing beside it; a phantom counts as wrong
     phantoms        names beside those that are hidden, of all NAMED rows with something hidden, whatever its size
+    or twins        `CLASS` counts, too, where it lists the hidden effect and what is the same by construction alone
     old definition  over the noise alone (`noise_only`), the figure of the benchmark on the second robot
 
 A search that was refused counts as one that says nothing. A robot that left the finite numbers is left out, and counted; so is
@@ -15,7 +16,7 @@ import numpy as np
 
 from fishmj import console
 from fishmj.generators.detectability import BOUND
-from fishmj.studies.gap_benchmark.score import inside, names, relative_errors, same, share
+from fishmj.studies.gap_benchmark.score import inside, names, relative_errors, same, share, twin
 
 
 class Aim(NamedTuple):
@@ -73,6 +74,7 @@ def figures(every: list[dict]) -> dict:
     right = [r for r in old if r["answer"] == "NAMED" and names(r) == set(r["truth"])]
     alike = [r for r in named if len(names(r)) == 1 and same(next(iter(names(r))), next(iter(r["truth"])))]
     hiding = [r for k in ("single", "pair") for r in kind[k] if r["answer"] == "NAMED"]
+    twins = [r for r in singles if r["answer"] == "CLASS" and twin(r)]
     pairs = [r for r in kind["pair"] if min(r.get("each_detectable", {"": 0.0}).values()) > BOUND]
     either = [r for r in kind["pair"] if r.get("detectable", 0.0) > BOUND]
     said = [r for r in singles if r["said"]]
@@ -87,6 +89,7 @@ def figures(every: list[dict]) -> dict:
         "precision": share(len(whole), len(named)),
         "precision_of_class": share(len(alike), len(named)),
         "coverage": share(len(whole), len(singles)),
+        "coverage_or_twins": share(len(whole) + len(twins), len(singles)),
         "first_is_right": share(sum(same(r["said"][0]["name"], next(iter(r["truth"]))) for r in said), len(said)),
         "agrees_though_detectable": share(count(singles, "AGREES"), len(singles)),
         "coverage_old_definition": share(len(right), len(old)),
