@@ -1,0 +1,13 @@
+"""What goes over the wires, as pure bytes <-> values. No sockets, no serial ports, no clocks.
+
+    messages       what host and robot tell each other, in SI units
+    fishmj1        this project's own datagram: numbered, stamped, CRC-32, watchdog times, battery, faults
+    sequence       which of the numbered datagrams are new
+    mish           the open robot's UDP layout as published, with what its firmware makes of angles
+    lx_bus         frames of LX-series bus servos, and the reader of a half-duplex byte stream
+    servo_counts   counts <-> rad, mV, offsets
+    watchdog       the robot firmware's last guard, as a reference for the C code in `firmware/`
+    policy_header  a policy as a C header
+
+Byte tables: docs/methods/protocols.md. NumPy and the standard library only.
+"""
