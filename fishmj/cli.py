@@ -18,6 +18,7 @@ from fishmj.errors import UnknownName
 SECTIONS = {
     "begin": ("doctor", "demo", "new"),
     "policies": ("train", "evaluate", "replay", "play"),
+    "the robot": ("deploy",),
     "a robot's logs": ("log", "calibrate", "gap", "effects"),
     "the water": ("hydro_fit", "lbm_oracle", "campaign"),
     "synthetic robots, speed": ("virtual_robot", "bench"),

@@ -1,0 +1,66 @@
+"""What must be true before a robot gets torque: it is the one that the policy is for, and it guards itself.
+
+A robot without a watchdog of its own swims on after the host is gone. It is armed only when a person has said that they stand at
+the tank.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from fishmj.controllers.learned import LearnedController
+from fishmj.deploy.links import Link
+from fishmj.deploy.supervisor import NONE, Condition
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.identity import structure_of
+from fishmj.protocols.messages import RobotInfo
+
+LONGEST = 1.0  # s; a firmware that waits longer for a command before it goes to neutral guards nothing
+SAME = 1e-3  # of the servo range
+QUESTION = "This robot has no watchdog: it keeps moving when the host is gone. Do you stand at the tank, a hand on its switch?"
+
+
+class Refusal(NamedTuple):
+    """Why a robot is not armed: conditions for the supervisor, and a sentence each for people."""
+
+    conditions: Condition
+    reasons: tuple[str, ...]
+
+
+def examine(
+    link: Link, info: RobotInfo | None, robot: Robot, controller: LearnedController | None, at_the_tank: bool
+) -> Refusal:  # fmt: skip
+    """Compare what the robot says of itself with the description and the policy, None for none; nothing refused: (NONE, ())."""
+    found, reasons = NONE, []
+    ours = structure_of(robot)["joints"]
+    if "joint angles" in link.lacks:
+        found |= Condition.POLICY_MISMATCH
+        reasons.append(f"{link.name} reports every joint as 0; a policy needs their angles: put fixed firmware on the robot")
+    if info is not None:
+        if list(info.joints) != ours:
+            found |= Condition.POLICY_MISMATCH
+            reasons.append(f"the robot's joints are {', '.join(info.joints)}; the policy is for {', '.join(ours)}, in this order")
+        if abs(info.servo_range / robot.servo.range - 1) > SAME:
+            found |= Condition.POLICY_MISMATCH
+            mine = f"{robot.name}'s are +-{robot.servo.range:.4g}"
+            reasons.append(f"the robot's servos are bounded to +-{info.servo_range:.4g} rad, {mine}; a policy sees that range")
+        if controller is not None and info.policy_sha256 and info.policy_sha256 != controller.sha256:
+            found |= Condition.POLICY_MISMATCH
+            there, here = info.policy_sha256[:12], controller.sha256[:12]
+            reasons.append(
+                f"the firmware carries policy {there}, the host {controller.name} {here}; flash one, or load the other"
+            )
+    timed = info is not None and 0 < info.hold < info.neutral <= LONGEST
+    if not (link.watched and timed) and not at_the_tank:
+        found |= Condition.WATCHDOG_MISSING
+        if not link.watched:
+            reasons.append(f"{link.name} has no watchdog; add --i-am-at-the-tank once a person stands there")
+        elif info is not None:
+            reasons.append(f"the firmware goes to neutral only after {info.neutral:g} s; expected above 0 to {LONGEST:g} s")
+        else:
+            reasons.append("the robot has not said when its watchdog acts")
+    return Refusal(found, tuple(reasons))
+
+
+def asked_at_the_tank(link: Link, said: bool, ask: Callable[[str], bool]) -> bool:
+    """Whether a person stands at the tank: `said` on the command line, or answered now; only asked where it matters."""
+    return said or (not link.watched and ask(QUESTION))

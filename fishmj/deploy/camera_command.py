@@ -1,0 +1,114 @@
+"""`fishmj deploy calibrate-camera`: from pictures of a board and marks of the tank to the calibration that a tracker needs.
+
+The marks are a TOML file, each in the picture and in the tank:
+
+    [[mark]]
+    name = "corner"
+    pixel = [212.5, 88.0]      # in the camera's picture, columns and rows from its upper left
+    point = [-1.5, 1.0]        # m, tank frame, on the water plane; x, y and up are right-handed
+"""
+
+from argparse import ArgumentTypeError
+from pathlib import Path
+
+from fishmj import console
+from fishmj.calib import read_toml
+from fishmj.deploy.cameras import cv2
+from fishmj.deploy.wiring import numbers
+from fishmj.errors import ConfigError, StoreError
+from fishmj.tracker import Board, Mark, calibrate_intrinsics, homography_from_marks
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+ROUGH = 5e-3  # m, rms of the marks beyond which the calibration is worse than a tracker needs
+WRONG = 0.5  # of the rms that is left without a mark: then it is that one
+EXAMPLES = """examples:
+  fishmj deploy calibrate-camera --pictures board --board 9x6 --square 0.025 --marks marks.toml --out tank.toml
+  fishmj deploy calibrate-camera --pictures board --board 8x11 --square 0.03 --marker 0.022 --marks marks.toml --out tank.toml"""
+
+
+def options() -> console.Parser:
+    """The arguments."""
+    summary = "Pixels to metres: the lens from pictures of a board, the tank from its marks."
+    made = console.parser("deploy calibrate-camera", summary, examples=EXAMPLES)
+    add = made.add_argument
+    add("--pictures", type=console.path, required=True, metavar="FOLDER", help="pictures of the board, at least 5, tilted")
+    add("--board", type=board_size, required=True, metavar="COLUMNSxROWS", help="inner corners; of a ChArUco board its squares")
+    add("--square", type=console.number(0.001, 1), required=True, help="side of a square, m")
+    add("--marker", type=console.number(0, 1), default=0.0, help="side of a marker, m: a ChArUco board (DICT_5X5_100)")
+    add("--marks", type=console.path, required=True, metavar="FILE", help="TOML of marks of the tank, four at least")
+    add("--camera", type=numbers, metavar="X,Y,HEIGHT", help="where the camera is, m, where a ruler measured it")
+    add("--lag", type=console.number(0, 5), default=0.0, help="s from the middle of an exposure to the stamp of its frame")
+    add("--out", type=console.out_file, required=True, metavar="FILE", help="TOML of the calibration")
+    return made
+
+
+def main(argv: list[str]) -> int:
+    """The command. Exit code 0: the marks fit to 5 mm; 1: they do not, the file is written all the same."""
+    args = options().parse_args(argv)
+    columns, rows = args.board
+    lens = calibrate_intrinsics(pictures(args.pictures), Board(columns, rows, args.square, args.marker))
+    if args.camera is not None and len(args.camera) != 3:
+        raise ConfigError(f"--camera: {len(args.camera)} numbers; expected X,Y,HEIGHT")
+    named = marks(args.marks)
+    fit = homography_from_marks(
+        named, lens.size, lens.matrix, lens.distortion, camera=args.camera, lag=args.lag, notes=f"marks {args.marks}"
+    )
+    fit.calibration.write(args.out)
+    x, y, high = fit.calibration.camera
+    worst = float(fit.residual.max())
+    if fit.without is not None and fit.rms > ROUGH and fit.without.min() < WRONG * fit.rms:
+        k = int(fit.without.argmin())
+        console.warn(f"mark {named[k].name}: without it the rms is {1e3 * fit.without[k]:.1f} mm; measure it again")
+    console.say(
+        f"lens: {len(lens.used)} pictures, rms {lens.rms:.2f} px, focal length {lens.matrix[0, 0]:.1f} px"
+        f" +- {lens.focal_sigma:.1f}",
+        f"tank: {len(fit.residual)} marks, rms {1e3 * fit.rms:.1f} mm, worst {1e3 * worst:.1f} mm",
+        f"camera {high:.2f} m over the water at ({x:.2f}, {y:.2f}) m; {1e3 * fit.calibration.metres_per_pixel():.2f} mm/px",
+        f"written to {args.out}",
+    )
+    if args.json:
+        told = {"pictures": len(lens.used), "lens_rms_px": lens.rms, "marks_rms_m": fit.rms, "worst_m": worst}
+        console.emit_json({**told, "camera": fit.calibration.camera, "out": args.out})
+    return console.OK if fit.rms <= ROUGH else console.FAILED_CHECK
+
+
+def pictures(folder: Path) -> list:
+    """Every picture of a folder as (H, W, 3) uint8, by name.
+
+    Raises:
+        StoreError: no such folder, no picture in it, or one that does not read.
+    """
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
+    if not files:
+        raise StoreError(f"{folder}: no picture there; expected {', '.join(SUFFIXES)}")
+    opencv, found = cv2(), []
+    for file in files:
+        image = opencv.imread(str(file))
+        if image is None:
+            raise StoreError(f"{file}: OpenCV does not read it as a picture; take it out or save it as PNG")
+        found.append(image)
+    return found
+
+
+def marks(path: Path) -> list[Mark]:
+    """The marks of a TOML file.
+
+    Raises:
+        ConfigError: no such file, or an entry that is no mark.
+    """
+    rows, found = read_toml(path).get("mark", []), []
+    for k, row in enumerate(rows if isinstance(rows, list) else []):
+        try:
+            (u, v), (x, y) = row["pixel"], row["point"]
+            found.append(Mark(str(row.get("name", k + 1))[:40], (float(u), float(v)), (float(x), float(y))))
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"{path}: [[mark]] {k + 1}: expected pixel = [u, v] and point = [x, y], numbers") from error
+    return found
+
+
+def board_size(text: str) -> tuple[int, int]:
+    """`9x6`. Raises ArgumentTypeError."""
+    columns, cross, rows = text.partition("x")
+    if not cross:
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected COLUMNSxROWS such as 9x6")
+    return console.whole(3, 100)(columns), console.whole(3, 100)(rows)

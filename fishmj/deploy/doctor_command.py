@@ -1,0 +1,98 @@
+"""`fishmj deploy doctor`: what this computer has for a swim: packages, serial lines, cameras, the loop's own timing."""
+
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from fishmj import console
+from fishmj.deploy.cameras import cv2
+from fishmj.deploy.clock import MonotonicClock
+from fishmj.deploy.ticker import LATE, Ticker
+from fishmj.deploy.transports import serial_devices
+from fishmj.errors import FishmjError
+
+LIST = Path(__file__).with_name("host_requirements.txt")
+OPTIONAL = {"mcap": "logs", "roslibpy": "ros"}
+CAMERAS = 4  # numbers that are tried
+EXAMPLES = """example:
+  fishmj deploy doctor --camera --seconds 10"""
+
+
+def main(argv: list[str]) -> int:
+    """The command. Exit code 1 where a package that a swim needs is missing."""
+    parser = console.parser(
+        "deploy doctor", "What is plugged in, what is installed, how evenly this computer ticks.", examples=EXAMPLES
+    )
+    parser.add_argument("--camera", action="store_true", help="open every camera for a moment: its size and rate")
+    parser.add_argument("--seconds", type=console.number(0.5, 3600), default=2.0, help="of ticks at 50 Hz to measure")
+    args = parser.parse_args(argv)
+    installed = {name: version(name) for name in (*required(), *OPTIONAL)}
+    rows = [{"package": name, "version": found or "missing"} for name, found in installed.items()]
+    told: dict[str, Any] = {"packages": installed, "serial": _tried(serial_devices), "ticks": ticks(args.seconds)}
+    told["cameras"] = _tried(cameras) if args.camera else None
+    console.say(console.table(rows), "")
+    console.say(f"serial devices: {_listed(told['serial'])}")
+    console.say(f"cameras: {_listed(told['cameras'])}" if args.camera else "cameras: not opened; --camera does")
+    even = told["ticks"]
+    console.say(
+        f"ticks: {even['ticks']} at 50 Hz, late by {even['p50_ms']:.2f} ms (median), {even['p99_ms']:.2f} ms (99 %), "
+        f"{even['worst_ms']:.2f} ms (worst); {even['late']} later than {1e3 * LATE:g} ms, {even['dropped']} dropped"
+    )
+    missing = [name for name in required() if installed[name] is None]
+    for name in missing:
+        console.warn(f"{name} is missing: pip install -r {LIST}")
+    if args.json:
+        console.emit_json(told)
+    return console.FAILED_CHECK if missing else console.OK
+
+
+def required() -> list[str]:
+    """Names of the packages of host_requirements.txt."""
+    lines = [line.partition("#")[0].strip() for line in LIST.read_text(encoding="utf-8").splitlines()]
+    return [line.partition(">")[0] for line in lines if line]
+
+
+def version(package: str) -> str | None:
+    """Of an installed package; OpenCV counts under any of its names."""
+    names = (package, "opencv-python", "opencv-contrib-python") if package.startswith("opencv") else (package,)
+    for name in names:
+        try:
+            return metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return None
+
+
+def cameras() -> list[str]:
+    """Cameras that open, with size, rate and what a second really gives."""
+    opencv, found = cv2(), []
+    for number in range(CAMERAS):
+        device = opencv.VideoCapture(number)
+        if device.isOpened() and device.grab():
+            begin, count = time.monotonic(), 0
+            while time.monotonic() - begin < 1.0 and device.grab():
+                count += 1
+            width, height = (int(device.get(key)) for key in (opencv.CAP_PROP_FRAME_WIDTH, opencv.CAP_PROP_FRAME_HEIGHT))
+            found.append(f"{number}: {width} x {height}, {count} frames in 1 s")
+        device.release()
+    return found
+
+
+def ticks(seconds: float) -> dict[str, float]:
+    """How evenly an empty loop ticks at 50 Hz."""
+    ticker = Ticker(MonotonicClock(), 0.02)
+    while ticker.count < seconds * 50:
+        ticker.wait()
+    return ticker.told()
+
+
+def _tried(look) -> list[str] | str:
+    try:
+        return look()
+    except FishmjError as error:
+        return str(error)
+
+
+def _listed(found: list[str] | str) -> str:
+    return found if isinstance(found, str) else ", ".join(found) or "none"

@@ -1,0 +1,191 @@
+"""Named excitations, open loop on the robot, as trials that `fishmj calibrate` and `fishmj gap find` read as they are.
+
+The host's own swim plays the commands, with its supervisor, limits and log; `kept` then cuts the trial to what was played, from
+the first command on, and says what was measured of the noise while the fish rested.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import sqrt
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from fishmj import excitation
+from fishmj.deploy.arming import Refusal, examine
+from fishmj.deploy.links import Link
+from fishmj.deploy.pilot import PlayedPilot
+from fishmj.deploy.supervisor import State
+from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
+from fishmj.deploy.trial_log import TrialLog
+from fishmj.deploy.watch import Thresholds
+from fishmj.errors import ConfigError
+from fishmj.excitation import LEAD, Excitation
+from fishmj.log import Table, Trial, read_trial
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.identity import robot_sha256
+from fishmj.protocols.messages import RobotInfo
+from fishmj.source import made_by
+
+REPEATS = 3
+QUIET = 8  # rows at least in which the noise of a channel is taken
+# a joint that rested for half a second and was told to jump has not moved yet: only one that stays away is stuck
+STEPPED = Thresholds(stuck_asked=10.0)
+SAME = 1e-6  # rad: a command that left as it was wanted
+SESSIONS: Mapping[str, tuple[str, ...]] = {
+    # without a carriage nothing is let go at a speed: `burst_and_coast` swims up to it, and coasting then shows the drag
+    "session": (
+        "gait",
+        "chirp",
+        "steps",
+        "slow_triangle",
+        "turn_left",
+        "turn_right",
+        "gait_fast",
+        "burst_and_coast",
+        "out_and_back",
+    ),
+    "calibrate": ("sine", "square", "impulse"),
+    "air": excitation.DRY,
+}
+
+
+class Run(NamedTuple):
+    """One repeat of one experiment. name: of its folder; first: name of the repeat that it repeats, "" for the first."""
+
+    name: str
+    what: Excitation
+    first: str
+
+
+def runs(asked: Sequence[str], repeats: int, joints: int) -> list[Run]:
+    """The repeats of every experiment, the repeats of one apart: experiment by experiment once, then all over again.
+
+    A drift of the rig (battery, water) thus does not hide in one experiment.
+
+    Raises:
+        UnknownName: no such experiment. ConfigError: one that needs a tow carriage.
+    """
+    names = [name for item in asked for name in SESSIONS.get(item, (item,))]
+    found = {name: excitation.get(name, joints) for name in dict.fromkeys(names)}
+    towed = [name for name, what in found.items() if any(what.push)]
+    if towed:
+        raise ConfigError(
+            f"experiment {', '.join(towed)}: needs a tow carriage that lets the fish go at a speed; burst_and_coast and "
+            "turn_left show the same without one (fishmj deploy experiment session)"
+        )
+    return [Run(f"{name}_{k + 1}", what, f"{name}_1" if k else "") for k in range(repeats) for name, what in found.items()]
+
+
+def unpoliced(link: Link, robot: Robot, at_the_tank: bool) -> Callable[[RobotInfo | None], Refusal]:
+    """What speaks against arming where no policy steers: joints, servo range and watchdog, as for a swim."""
+
+    def examined(info: RobotInfo | None) -> Refusal:
+        no_policy = cast(Any, None)  # only looked at where the firmware carries a policy
+        return examine(link, None if info is None else info._replace(policy_sha256=""), robot, no_policy, at_the_tank)
+
+    return examined
+
+
+def play(
+    rig: Rig, run: Run, folder: Path, meta: Mapping[str, Any], *, medium: str = "water", wait: float = 10.0,
+    stop: Callable[[], bool] = lambda: False, person: bool = False,
+) -> tuple[Outcome, Trial | None]:  # fmt: skip
+    """Play one experiment on a rig; the host's whole log stays in `folder`.
+
+    Args:
+        medium: "air" where the fish hangs and no camera is needed. stop, person: as `Swim`.
+    Returns:
+        how it ended, and the trial of a data set; None where it did not play to the end.
+    """
+    plan = Plan(seconds=run.what.seconds, wait=wait, pose=medium == "water", thresholds=STEPPED)
+    told = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
+    with TrialLog(folder, told, rig.robot.n_joints) as log:
+        outcome = Swim(rig, PlayedPilot(run.what.commands), plan, log, stop=stop, person=person).run()
+    if not outcome.complete:
+        return outcome, None
+    return outcome, kept(read_trial(folder), run)
+
+
+def meta_of(robot: Robot, flow: tuple[float, float] | None, simulated: bool, notes: str = "") -> dict[str, Any]:
+    """Meta data of every trial of a session. flow: (m/s, rad), None where it is not known."""
+    speed, direction = flow or (0.0, 0.0)
+    return {
+        "origin": "synthetic" if simulated else "measured",
+        "robot": robot.name,
+        "robot_sha256": robot_sha256(robot),
+        "joints": robot.n_joints,
+        "water": "loopback" if simulated else "tank",
+        "flow": {"speed": speed, "direction": direction, "known": flow is not None},
+        "push": [0.0, 0.0, 0.0],
+        "target": [0.0, 0.0],
+        "controller": "open loop",
+        "policy_sha256": "",
+        "seed": 0,
+        "notes": notes,
+        "licence": "",
+        "source": "fishmj deploy experiment",
+        **made_by("numpy"),
+    }
+
+
+def kept(trial: Trial, run: Run) -> Trial:
+    """What of a host's log belongs into a data set: from the first command that was played to the last, on a clock from there.
+
+    Raises:
+        ConfigError: nothing was played.
+    """
+    cmd = trial.tables["cmd"]
+    played = cmd["state"] == int(State.SWIMMING)
+    if not played.any():
+        raise ConfigError(f"{trial.name}: the log holds no command of the experiment")
+    zero, end = float(cmd["t"][played][0]), float(cmd["t"][played][0]) + run.what.seconds
+    tables: dict[str, Table] = {}
+    for name in ("cmd", "joint", "pose", "power"):
+        if name not in trial.tables:
+            continue
+        table = trial.tables[name]
+        inside = (table["t"] >= zero - 1e-9) & (table["t"] <= end)
+        inside &= played if name == "cmd" else True
+        if inside.any():
+            tables[name] = {column: values[inside] for column, values in table.items()} | {"t": table["t"][inside] - zero}
+    tables["cmd"] = _as_sent(tables["cmd"])
+    tables = {name: {c: v for c, v in table.items() if c.rstrip("0123456789") in KEPT} for name, table in tables.items()}
+    known = {name: value for name, value in trial.meta.items() if name != "clock"}
+    clock = {name: trial.meta["clock"][name] for name in tables}
+    return Trial({**known, "clock": clock, "sigma": noise_at_rest(tables)}, tables, name=run.name)
+
+
+KEPT = ("t", "c", "asked", "seq", "j", "w", "temp", "x", "y", "yaw", "quality", "V", "I")
+
+
+def _as_sent(table: Table) -> Table:
+    """Without the wanted commands where they left as they were."""
+    asked = [name for name in table if name.startswith("asked")]
+    same = all(np.max(np.abs(table[name] - table["c" + name.removeprefix("asked")])) < SAME for name in asked)
+    return {name: values for name, values in table.items() if not (same and name in asked)}
+
+
+def noise_at_rest(tables: Mapping[str, Table]) -> dict[str, float]:
+    """Standard deviation of each channel while the fish rests before its first movement; a channel without rows is left out.
+
+    Neighbouring rows are subtracted, so that a slow drift is no noise: var(x_k - x_{k-1}) = 2 sigma^2. An encoder that shows one
+    count only has the noise of a count, step / sqrt(12).
+    """
+    found: dict[str, float] = {}
+    for name, columns in (("joint", ("j",)), ("pose", ("x", "y", "yaw")), ("power", ("V", "I"))):
+        table = tables.get(name, {})
+        for column in [c for c in table if c.rstrip("0123456789") in columns]:
+            values = table[column][table["t"] < LEAD]
+            if len(values) < QUIET:
+                continue
+            steps = np.abs(np.diff(table[column]))
+            count = float(steps[steps > 1e-9].min()) if name == "joint" and (steps > 1e-9).any() else 0.0
+            found[column] = max(float(np.sqrt(np.mean(np.diff(values) ** 2) / 2)), count / sqrt(12))
+    return {column: sigma for column, sigma in found.items() if sigma > 0.0}
+
+
+def placing(what: Excitation) -> str:
+    """Where the fish goes, in words."""
+    x, y, yaw = what.start
+    return f"put the fish at x = {x:.2f} m, y = {y:.2f} m, heading {np.degrees(yaw):.0f} deg, straight and at rest"

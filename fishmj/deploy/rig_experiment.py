@@ -1,0 +1,155 @@
+"""`fishmj deploy experiment`: named excitations on the robot, three repeats, into a data set for calibration and search."""
+
+from argparse import Namespace
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from fishmj import console, interrupt
+from fishmj.deploy import arming, wiring
+from fishmj.deploy.clock import MonotonicClock
+from fishmj.deploy.experiment import REPEATS, SESSIONS, Run, meta_of, placing, play, runs, unpoliced
+from fishmj.deploy.rig_prompt import Person
+from fishmj.deploy.swim import Rig
+from fishmj.deploy.swim_command import flow
+from fishmj.errors import ConfigError
+from fishmj.log import Trial, read_trial, write_trial
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.store import Manifest
+from fishmj.tracker.fix import Fix
+
+RAW, CUT = "host", "trials"  # folders below --out: the host's whole logs, and what goes into the data set
+EXAMPLES = """examples:
+  fishmj deploy experiment session --link udp://192.168.1.40 --camera 0 --calibration tank.toml --out data/monday
+  fishmj deploy experiment gait chirp --repeats 3 --link loopback --yes --out data/loopback
+  fishmj deploy experiment air --medium air --link serial:/dev/ttyUSB0 --out data/bench
+the data set is OUT/trials: fishmj gap find OUT/trials --robot fish; fishmj calibrate servo --data OUT/trials"""
+
+
+def options() -> console.Parser:
+    """The arguments."""
+    made = console.parser("deploy experiment", "Named experiments on the robot, open loop, into a data set.", examples=EXAMPLES)
+    add = made.add_argument
+    named = f"experiments of fishmj.excitation, or {', '.join(SESSIONS)}"
+    add("names", nargs="+", type=console.text, metavar="NAME", help=named)
+    add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
+    add(
+        "--out", type=console.out_folder, required=True, metavar="FOLDER", help="of the session; the same command goes on with it"
+    )
+    add("--repeats", type=console.whole(1, 20), default=REPEATS, help=f"of every experiment (default {REPEATS})")
+    add("--medium", choices=("water", "air"), default="water", help="air: the fish hangs, no camera is needed")
+    add("--wait", type=console.number(0.5, 3600), default=10.0, help="s to wait for robot and camera")
+    add("--yes", action="store_true", help="ask nobody: only with --link loopback, whose fish is put in place")
+    add(
+        "--i-am-at-the-tank",
+        action="store_true",
+        help="arm a robot without a watchdog: a person stands there, a hand on its switch",
+    )
+    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad, where it is known")
+    add("--notes", type=console.text, metavar="TEXT", help="a sentence for every meta.toml")
+    wiring.link_options(made)
+    wiring.camera_options(made)
+    wiring.loopback_options(made)
+    return made
+
+
+def main(argv: list[str]) -> int:
+    """The command. Exit code 0: everything was played; 1: some were not."""
+    args = options().parse_args(argv)
+    if args.yes and args.link != "loopback":
+        raise ConfigError("experiment: --yes is for --link loopback; a robot in water is put in place by a person")
+    if args.medium == "air" and args.link == "loopback":
+        raise ConfigError("experiment: the loopback robot swims in water; --medium air is for a robot on its bench")
+    robot, person = load_robot(args.robot), Person()
+    todo = runs(args.names, args.repeats, robot.n_joints)
+    raw, cut = args.out / RAW, args.out / CUT
+    done = finished(cut)
+    if done:
+        console.say(f"{len(done)} of {len(todo)} are there already: going on")
+    unplayed: dict[str, str] = {}
+    for number, run in enumerate(todo):
+        if run.name in done:
+            continue
+        console.say(f"{number + 1} of {len(todo)}: {run.name}, {run.what.seconds:.1f} s ({run.what.about})")
+        with interrupt.keeping(lambda: f"{len(done)} trials are in {cut}; {interrupt.again('go on')}"):
+            trial, why = _played(args, robot, run, free_name(raw, run.name), person)
+            if trial is None:
+                unplayed[run.name] = why
+                console.warn(f"{run.name}: {why}")
+                continue
+            write_trial(cut / run.name, trial)
+            done[run.name] = trial
+    told = collect(args.out, done)
+    console.say(*told)
+    if args.json:
+        console.emit_json({"trials": sorted(done), "unplayed": unplayed, "data": args.out / CUT})
+    return console.FAILED_CHECK if unplayed else console.OK
+
+
+def finished(folder: Path) -> dict[str, Trial]:
+    """Trials of a session that is under way."""
+    if not folder.is_dir():
+        return {}
+    return {path.name: read_trial(path) for path in sorted(folder.iterdir()) if (path / "meta.toml").is_file()}
+
+
+def free_name(folder: Path, name: str) -> Path:
+    """A folder of this name that is not there: a repeat that was broken off keeps its log."""
+    tries = [folder / name, *(folder / f"{name}.{k}" for k in range(2, 100))]
+    return next(path for path in tries if not path.exists())
+
+
+def collect(out: Path, done: dict[str, Trial]) -> list[str]:
+    """Write the data set's manifest; what to do next."""
+    if not done:
+        return ["nothing was played"]
+    Manifest.of(out / CUT, {"source": "fishmj deploy experiment"}).write(out / CUT)
+    seconds = sum(trial.span[1] for trial in done.values())
+    again = "fishmj gap find" if all(t.value("medium") == "water" for t in done.values()) else "fishmj calibrate servo --data"
+    return [f"{len(done)} trials, {seconds:.0f} s in {out / CUT}", f"next: {again} {out / CUT}"]
+
+
+def _played(args: Namespace, robot: Robot, run: Run, folder: Path, person: Person) -> tuple[Trial | None, str]:
+    """One experiment: the fish is put in place, everything is opened, played and closed."""
+    given: Any = args
+    if args.link == "loopback":
+        place = ",".join(f"{value:.6g}" for value in run.what.start)
+        given = Namespace(**{**vars(args), "loopback": f"{args.loopback or ''} --start={place}"})
+    if not args.yes:
+        person.ready(placing(run.what) if args.medium == "water" else "hang the fish by its head, clear of everything")
+    with ExitStack() as stack:
+        wired = wiring.wire(given, robot, stack) if args.medium == "water" else _blind(args, robot, stack)
+        at_the_tank = wired.loopback or arming.asked_at_the_tank(wired.link, args.i_am_at_the_tank, console.confirmed)
+        rig = Rig(
+            robot=robot, link=wired.link, localiser=wired.localiser, clock=wired.clock,
+            examine=unpoliced(wired.link, robot, at_the_tank),
+        )  # fmt: skip
+        meta = meta_of(robot, args.flow, wired.loopback, args.notes or "")
+        outcome, trial = play(rig, run, folder, meta, medium=args.medium, wait=args.wait, stop=interrupt.asked)
+    return trial, outcome.words
+
+
+class Blind:
+    """In the place of a camera where none is needed."""
+
+    def __init__(self) -> None:
+        self.counts = {"frames": 0, "fixes": 0, "skipped": 0}
+
+    def open(self) -> None:
+        """Nothing to take."""
+
+    def fixes(self, now: float) -> list[Fix]:
+        """None, ever."""
+        return []
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+def _blind(args: Namespace, robot: Robot, stack: ExitStack) -> wiring.Wired:
+    """The link alone."""
+    clock = MonotonicClock()
+    link = wiring.make_link(args, robot, clock, None)
+    link.open()
+    stack.callback(link.close)
+    return wiring.Wired(link, Blind(), clock, False)

@@ -1,0 +1,39 @@
+"""One live line while it swims: state, distance, age of the pose, battery, late ticks. On a pipe a plain line now and then."""
+
+from fishmj import console
+from fishmj.deploy.observer import Observer
+from fishmj.deploy.supervisor import Decision, named
+from fishmj.deploy.ticker import Ticker
+from fishmj.deploy.watch import Watch, supply
+
+
+class StatusLine:
+    """A progress line over the seconds of a swim.
+
+    Args:
+        seconds: of the swim. quiet: show nothing.
+    """
+
+    def __init__(self, seconds: float, quiet: bool = False):
+        self._bar = None if quiet else console.Progress(seconds, "swim", "s")
+        self._most = 0.999 * seconds  # a bar that is full would print at every tick of the way home
+
+    def show(self, swum: float, now: float, decision: Decision, observer: Observer, watch: Watch, ticker: Ticker) -> None:
+        """Tell how things stand at `now`, `swum` s into the swim; prints only when it is time to."""
+        if self._bar is None:
+            return
+        fields: dict[str, object] = {"state": decision.state.name}
+        if decision.because:
+            fields["because"] = named(decision.because)
+        if (pose := observer.pose) is not None:
+            x, y = observer.target
+            fields["distance"] = f"{((pose.x - x) ** 2 + (pose.y - y) ** 2) ** 0.5:.2f} m"
+            fields["pose"] = f"{1e3 * (now - pose.t):.0f} ms old"
+        if watch.newest is not None and (volts := supply(watch.newest)) is not None:
+            fields["battery"] = f"{volts:.2f} V"
+        self._bar.update(min(swum, self._most), **fields, late=ticker.late, dropped=ticker.dropped)
+
+    def close(self) -> None:
+        """Leave the line standing."""
+        if self._bar is not None:
+            self._bar.__exit__(None, None, None)

@@ -1,0 +1,165 @@
+"""`fishmj deploy swim`: a policy on a robot, or on the loopback robot; leaves a trial folder."""
+
+import gc
+import sys
+from argparse import ArgumentTypeError
+from contextlib import ExitStack
+from datetime import datetime
+from math import pi
+from pathlib import Path
+from typing import Any
+
+from fishmj import console, interrupt
+from fishmj.controllers.learned import LearnedController
+from fishmj.deploy import arming, wiring
+from fishmj.deploy.clock import first_in_line
+from fishmj.deploy.pilot import PolicyPilot
+from fishmj.deploy.status import StatusLine
+from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
+from fishmj.deploy.trial_log import TrialLog
+from fishmj.errors import ConfigError
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.identity import robot_sha256
+from fishmj.source import made_by
+
+SWITCH = (
+    5e-4  # s that the tracker's thread may keep the loop waiting where it holds the interpreter; Python's own 5 ms are too long
+)
+EXAMPLES = """examples:
+  fishmj deploy swim --policy station --link loopback --camera loopback --seconds 30
+  fishmj deploy swim --policy station --link udp://192.168.1.40:2333 --camera 0 --calibration tank.toml --out runs/swim_01
+  fishmj deploy swim --policy station --link serial:/dev/ttyUSB0 --camera 0 --calibration tank.toml --i-am-at-the-tank"""
+
+
+def options() -> console.Parser:
+    """The arguments."""
+    made = console.parser(
+        "deploy swim", "A policy swims the robot: camera, 50 Hz bus, supervisor, trial folder.", examples=EXAMPLES
+    )
+    add = made.add_argument
+    add("--policy", type=console.text, required=True, metavar="NAME", help="shipped policy, policy file, or folder of a training")
+    add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
+    add("--target", type=place, default=(0.0, 0.0), metavar="X,Y", help="where to hold station, m in the tank (default 0,0)")
+    add("--seconds", type=console.number(1, 36000), default=30.0, help="how long the policy steers")
+    add("--wait", type=console.number(0.5, 3600), default=10.0, help="s to wait for robot and camera")
+    add("--out", type=console.out_folder, metavar="FOLDER", help="trial folder, must not exist (default runs/swim-DATE-TIME)")
+    add(
+        "--i-am-at-the-tank",
+        action="store_true",
+        help="arm a robot without a watchdog: a person stands there, a hand on its switch",
+    )
+    add("--anyway", action="store_true", help="let the policy steer on another command path than it was trained on")
+    add("--notes", type=console.text, metavar="TEXT", help="a sentence for meta.toml")
+    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad, where it is known")
+    add("--mcap", action="store_true", help="also write the trial as MCAP beside its folder, for Foxglove")
+    add("--ros", type=wiring.address(9090), metavar="HOST[:PORT]", help="publish to a rosbridge while it swims")
+    wiring.link_options(made)
+    wiring.camera_options(made)
+    wiring.loopback_options(made)
+    return made
+
+
+def main(argv: list[str]) -> int:
+    """The command. Exit code 0: swam to the end; 1: something ended it; 2: not armed, or bad input."""
+    args = options().parse_args(argv)
+    robot = load_robot(args.robot)
+    controller = LearnedController(robot, args.policy, args.anyway)
+    for what, (there, here) in controller.trained(robot)["differs"].items():
+        if what != "water":  # that of a tank is what it is
+            console.warn(f"policy {controller.name}: trained with another {what} ({there}, here {here})")
+    out = args.out or Path("runs") / f"swim-{datetime.now():%Y%m%d-%H%M%S}"
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH)
+    gc.collect()
+    gc.freeze()  # what is loaded now stays: looking through it again would cost a tick 10 ms
+    try:
+        outcome = _swum(args, robot, controller, out)
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
+    if not outcome.cause and outcome.refused:
+        raise ConfigError(f"swim: {outcome.words}")
+    mcap = _mcap(out, robot) if args.mcap else None
+    console.say(f"{outcome.words}; log in {out}" + (f", {mcap}" if mcap else ""))
+    if args.json:
+        told: dict[str, Any] = {
+            "complete": outcome.complete,
+            "swum_s": round(outcome.swum, 3),
+            "ended_by": outcome.words,
+            "out": out,
+        }
+        console.emit_json({**told, "mcap": mcap, "figures": outcome.figures})
+    return console.OK if outcome.complete else console.FAILED_CHECK
+
+
+def _swum(args: Any, robot: Robot, controller: LearnedController, out: Path) -> Outcome:
+    """Open everything, swim, close everything, whatever happens."""
+    with ExitStack() as stack:
+        wired = wiring.wire(args, robot, stack)
+        at_the_tank = wired.loopback or arming.asked_at_the_tank(wired.link, args.i_am_at_the_tank, console.confirmed)
+        rig = Rig(
+            robot=robot, link=wired.link, localiser=wired.localiser, clock=wired.clock,
+            examine=lambda info: arming.examine(wired.link, info, robot, controller, at_the_tank),
+        )  # fmt: skip
+        log = stack.enter_context(TrialLog(out, meta_of(args, robot, controller, wired), robot.n_joints))
+        if args.ros:
+            stack.enter_context(wiring.published(args.ros, log))
+        plan = Plan(target=args.target, seconds=args.seconds, wait=args.wait)
+        swim = Swim(rig, PolicyPilot(controller), plan, log, stop=interrupt.asked, status=StatusLine(args.seconds))
+
+        def kept() -> str:
+            log.close("interrupted")
+            return f"what was swum is in {out}"
+
+        with interrupt.finishing(kept), first_in_line() as first:
+            log.meta["host"]["first_in_line"] = first
+            return swim.run()
+
+
+def meta_of(args: Any, robot: Robot, controller: LearnedController, wired: wiring.Wired) -> dict:
+    """The meta data of the trial, as far as it is known before the swim."""
+    speed, direction = args.flow or (0.0, 0.0)
+    meta = {
+        "origin": "synthetic" if wired.loopback else "measured",
+        "robot": robot.name,
+        "robot_sha256": robot_sha256(robot),
+        "medium": "water",
+        "water": "loopback" if wired.loopback else "tank",
+        "flow": {"speed": speed, "direction": direction, "known": args.flow is not None},
+        "excitation": "policy",
+        "controller": controller.name,
+        "policy_sha256": controller.sha256,
+        "target": list(args.target),
+        "seed": 0,
+        "notes": args.notes or "",
+        "licence": "",
+        "source": "fishmj deploy swim",
+        **made_by("numpy"),
+        "host": {"link": args.link, "protocol": wired.link.name, "lacks": list(wired.link.lacks), "camera": args.camera or ""},
+    }
+    return meta
+
+
+def _mcap(out: Path, robot: Robot) -> Path:
+    from fishmj.deploy.mcap_out import write
+
+    return write(out, robot)
+
+
+def place(text: str) -> tuple[float, float]:
+    """`0.3,-0.2`: x and y in the tank, m. Raises ArgumentTypeError."""
+    x, y = _two(text, "X,Y such as 0.3,-0.2 (m)")
+    return console.number(-100, 100)(x), console.number(-100, 100)(y)
+
+
+def flow(text: str) -> tuple[float, float]:
+    """`0.2,3.14`: speed, m/s, and where the water moves to, rad. Raises ArgumentTypeError."""
+    speed, direction = _two(text, "SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
+    return console.number(0, 2)(speed), console.number(-2 * pi, 2 * pi)(direction)
+
+
+def _two(text: str, expected: str) -> tuple[str, str]:
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected {expected}")
+    return parts[0], parts[1]

@@ -1,0 +1,47 @@
+"""`fishmj deploy track`: the fish in a video file, as a trial folder, with an overlay video to look at."""
+
+from pathlib import Path
+
+from fishmj import console
+from fishmj.deploy import wiring
+from fishmj.tracker.video import track_video
+
+EXAMPLES = """examples:
+  fishmj deploy track swim.mp4 --calibration tank.toml --out runs/swim --overlay swim.overlay.mp4
+  fishmj deploy track swim.mp4 --calibration tank.toml --tracker colour --out runs/swim"""
+LEAST = 0.9  # share of the frames with a fix below which the exit code says so
+
+
+def options() -> console.Parser:
+    """The arguments."""
+    made = console.parser("deploy track", "Poses of the fish in a video file, as a trial folder.", examples=EXAMPLES)
+    add = made.add_argument
+    add("video", type=console.path, help="a file that OpenCV reads")
+    add("--out", type=console.out_folder, required=True, metavar="FOLDER", help="trial folder")
+    add("--overlay", type=console.out_file, metavar="FILE", help="MP4 with what was found drawn over it")
+    add("--robot", type=console.text, default="fish", help="name of the robot for meta.toml")
+    add("--overwrite", action="store_true", help="replace a trial that is there")
+    wiring.tracker_options(made)
+    return made
+
+
+def main(argv: list[str]) -> int:
+    """The command. Exit code 0: the fish is in 90 % of the frames at least; 1: in fewer."""
+    args = options().parse_args(argv)
+    tracker = wiring.make_tracker(args, wiring.calibration_of(args, None))
+    with console.Progress(1, "track", "frames") as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = max(total, done)
+            bar.update(done)
+
+        meta = {"robot": args.robot, "medium": "water"}
+        found = track_video(
+            args.video, tracker, args.out, overlay=args.overlay, meta=meta, overwrite=args.overwrite, progress=progress
+        )
+    share = found.fixes / found.frames
+    console.say(f"{found.fixes} fixes in {found.frames} frames ({100 * share:.1f} %), trial in {found.folder}")
+    if args.json:
+        told = {"frames": found.frames, "fixes": found.fixes, "rate": found.rate, "overlay": found.overlay}
+        console.emit_json({**told, "out": Path(found.folder)})
+    return console.OK if share >= LEAST else console.FAILED_CHECK

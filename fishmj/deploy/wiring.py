@@ -1,0 +1,266 @@
+"""From options to opened things: link, camera, tracker, and the loopback robot as a process of its own.
+
+--link    loopback | udp://HOST:PORT | serial:DEVICE        --camera    loopback | shm:NAME | NUMBER | FILE
+"""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from argparse import ArgumentTypeError
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from math import radians
+from pathlib import Path
+from typing import Any
+
+from fishmj import console
+from fishmj.deploy.cameras import Camera, Device, SharedFrames, VideoFile
+from fishmj.deploy.clock import Clock, MonotonicClock
+from fishmj.deploy.links import Fishmj1Link, Link, MishLink
+from fishmj.deploy.localiser import InThread, Localiser
+from fishmj.deploy.servo_bus import ServoBusLink
+from fishmj.deploy.transports import UdpTransport, open_serial
+from fishmj.errors import ConfigError
+from fishmj.mjcf.description import Robot
+from fishmj.protocols import mish
+from fishmj.tracker.calibration import Calibration
+from fishmj.tracker.fix import Tracker
+
+PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed")
+PORTS = {"fishmj-1": 2334}  # of the robot where the link names none; mish has its own
+RED, YELLOW = ((0.05, 0.058), (0.175, 0.012)), ((-0.03, 0.048), (0.012, 0.052))  # m: the paper's fish
+STARTS = 60.0  # s that the loopback robot may take: it compiles its water at its first start
+WAIT = 0.002  # s that a read of the servo bus waits
+
+
+@dataclass(frozen=True)
+class Wired:
+    """What `swim` needs, opened. loopback: the robot is simulated."""
+
+    link: Link
+    localiser: Localiser
+    clock: Clock
+    loopback: bool
+
+
+@dataclass(frozen=True)
+class Loopback:
+    """A loopback robot that runs: its port and its own of this host, the name of its frames, the file of its calibration."""
+
+    port: int
+    host_port: int
+    frames: str | None
+    calibration: Path
+
+
+def link_options(parser: console.Parser) -> None:
+    """How to reach the robot."""
+    add = parser.add_argument
+    add("--link", type=link_text, default="loopback", metavar="LINK", help="loopback, udp://HOST[:PORT] or serial:DEVICE")
+    add("--protocol", choices=PROTOCOLS, default=PROTOCOLS[0], help="of the datagrams; a serial link speaks to the servos")
+    add("--host-port", type=console.whole(0, 65535), help="of this computer, which the robot sends to (default 6060 of mish)")
+    add("--servo-ids", type=whole_numbers, default=(1, 2, 3), metavar="A,B,..", help="serial: from the head to the tail")
+    add("--servo-zeros-deg", type=numbers, metavar="A,B,..", help="serial: where each servo stands when its joint is straight")
+    add("--servo-signs", type=whole_numbers, metavar="A,B,..", help="serial: 1 or -1, for a servo that turns the other way")
+
+
+def camera_options(parser: console.Parser) -> None:
+    """How to see the robot."""
+    parser.add_argument(
+        "--camera", type=console.text, metavar="CAMERA", help="loopback, shm:NAME, a camera's number, or a video file"
+    )
+    tracker_options(parser)
+
+
+def tracker_options(parser: console.Parser) -> None:
+    """What to look for, and where pixels are."""
+    add = parser.add_argument
+    add("--calibration", type=console.path, metavar="FILE", help="of the camera over the tank; needed but with loopback")
+    add("--tracker", choices=("tag", "colour"), default="tag", help="AprilTag, or red head and yellow neck")
+    add("--tag-family", choices=("36h11", "16h5"), default="36h11", help="of the tag")
+    add("--tag-number", type=console.whole(0, 586), default=0, help="of the tag")
+    add("--tag-size", type=console.number(0.005, 1), default=0.06, help="outer side of its black border, m")
+    mount = "its middle in the body frame, m, and the turn of its x axis from the nose, rad"
+    add("--tag-mount", type=numbers, default=(0.06, 0.0, 0.0), metavar="X,Y,YAW", help=mount)
+    add("--tag-height", type=console.number(-1, 1), default=0.03, help="over the water, m")
+    painted = "x:width of the {} paint, m, body frame, from the rear to the front (default {})"
+    add("--red", type=bands, default=RED, metavar="X:W,X:W", help=painted.format("red", "0.05:0.058,0.175:0.012"))
+    add("--yellow", type=bands, default=YELLOW, metavar="X:W,X:W", help=painted.format("yellow", "-0.03:0.048,0.012:0.052"))
+    add("--paint-height", type=console.number(-1, 1), default=-0.005, help="of the paint over the water, m")
+
+
+def loopback_options(parser: console.Parser) -> None:
+    """What kind of loopback robot."""
+    about = "options of fishmj deploy loopback as one text, such as '--body fitted --fault loss=0.02'"
+    parser.add_argument("--loopback", type=console.text, metavar="OPTIONS", help=about)
+
+
+def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
+    """Open all that the options name; `stack` closes it.
+
+    Raises:
+        ConfigError: something is not there, or options do not go together. MissingExtra: a package is not installed.
+    """
+    clock = MonotonicClock()
+    fish = _loopback(args, robot, stack) if args.link == "loopback" else None
+    camera_text = args.camera or ("loopback" if fish else None)
+    if camera_text is None:
+        raise ConfigError("deploy: --camera is missing; give a camera's number, a video file, or shm:NAME")
+    link = make_link(args, robot, clock, fish)
+    camera = make_camera(camera_text, clock, fish)
+    localiser = InThread(camera, make_tracker(args, calibration_of(args, fish)))
+    for part in (link, localiser):
+        part.open()
+        stack.callback(part.close)
+    return Wired(link, localiser, clock, fish is not None)
+
+
+def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> Link:
+    """The link that the options name, not opened yet."""
+    kind, _, where = args.link.partition(":")
+    if kind == "serial":
+        zeros = tuple(map(radians, args.servo_zeros_deg)) if args.servo_zeros_deg else None
+        for name, given in (("--servo-ids", args.servo_ids), ("--servo-zeros-deg", zeros), ("--servo-signs", args.servo_signs)):
+            if given is not None and len(given) != robot.n_joints:
+                raise ConfigError(f"{name}: {len(given)} numbers; {robot.name} has {robot.n_joints} joints")
+        lasting = robot.timing.bus_dt if robot.timing.command_path == "move_time" else 0.0
+        opened = partial(open_serial, where, WAIT)
+        return ServoBusLink(opened, clock, args.servo_ids, zeros, args.servo_signs, lasting)
+    if fish is not None:
+        host, port, listen = "127.0.0.1", fish.port, fish.host_port
+    else:
+        is_mish = args.protocol != PROTOCOLS[0]
+        host, port = address(mish.ROBOT_PORT if is_mish else PORTS[args.protocol])(where.removeprefix("//"))
+        listen = mish.HOST_PORT if is_mish else 0
+    transport = UdpTransport(host, port, clock, args.host_port if args.host_port is not None else listen)
+    if args.protocol == PROTOCOLS[0]:
+        return Fishmj1Link(transport)
+    if robot.n_joints != mish.JOINTS:
+        raise ConfigError(f"{args.protocol} carries {mish.JOINTS} joints, {robot.name} has {robot.n_joints}; take fishmj-1")
+    return MishLink(transport, "fixed" if args.protocol == "mish-fixed" else "mish-0.1.0")
+
+
+def make_camera(text: str, clock: Clock, fish: Loopback | None) -> Camera:
+    """The camera that the option names, not opened yet. Raises ConfigError."""
+    if text == "loopback":
+        if fish is None or fish.frames is None:
+            raise ConfigError("--camera loopback: only with --link loopback; of a robot that runs already take shm:NAME")
+        return SharedFrames(fish.frames, clock)
+    if text.startswith("shm:"):
+        return SharedFrames(text.removeprefix("shm:"), clock)
+    if re.fullmatch(r"\d{1,2}", text):
+        return Device(int(text))
+    return VideoFile(text, clock)
+
+
+def calibration_of(args: Any, fish: Loopback | None) -> Calibration:
+    """The calibration that the options name; the loopback robot brings its own. Raises ConfigError."""
+    if args.calibration is not None:
+        return Calibration.read(args.calibration)
+    if fish is None:
+        raise ConfigError("deploy: --calibration is missing; without it pixels are no metres (fishmj deploy calibrate-camera)")
+    return Calibration.read(fish.calibration)
+
+
+def make_tracker(args: Any, calibration: Calibration) -> Tracker:
+    """The tracker that the options name. Raises ConfigError, MissingExtra."""
+    if args.tracker == "colour":
+        from fishmj.tracker.colour import ColourTracker, Paint
+
+        return ColourTracker(calibration, Paint(head=args.red, neck=args.yellow), args.paint_height)
+    from fishmj.tracker.apriltag import AprilTagTracker
+
+    mount = tuple(args.tag_mount)
+    if len(mount) != 3:
+        raise ConfigError(f"--tag-mount: {len(mount)} numbers; expected X,Y,YAW")
+    return AprilTagTracker(calibration, args.tag_family, args.tag_size, mount, args.tag_number, args.tag_height)
+
+
+def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
+    """Start the loopback robot; it ends with the stack, or with this process."""
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fishmj-")))
+    calibration, errors = folder / "camera.toml", folder / "errors.txt"
+    words = [sys.executable, "-m", "fishmj.deploy", "loopback", "--protocol", args.protocol, "--model", args.robot]
+    words += ["--parent", str(os.getpid()), "--write-calibration", str(calibration), "--marks", args.tracker]
+    words += ["--host-port", str(args.host_port)] if args.host_port is not None else []
+    words += ["--calibration", str(args.calibration)] if args.calibration is not None else []
+    try:
+        words += shlex.split(args.loopback or "")
+    except ValueError as error:
+        raise ConfigError(f"--loopback {str(args.loopback)[:80]!r}: {error}") from error
+    told = stack.enter_context(open(errors, "w", encoding="utf-8"))
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=told, text=True, start_new_session=True)
+    stack.callback(_end, process)
+    line = process.stdout.readline() if process.stdout is not None else ""
+    try:
+        said = json.loads(line)
+        return Loopback(int(said["robot_port"]), int(said["host_port"] or 0), said["frames"], calibration)
+    except (ValueError, KeyError, TypeError):
+        process.wait(STARTS)
+        said = errors.read_text(encoding="utf-8").strip().splitlines()
+        why = said[-1].removeprefix("fishmj: ") if said else "it ended without a word"
+        raise ConfigError(f"loopback robot: does not start: {why}") from None
+
+
+def _end(process: "subprocess.Popen[str]") -> None:
+    process.terminate()
+    try:
+        process.wait(5.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+
+
+def link_text(text: str) -> str:
+    """`loopback`, `udp://HOST[:PORT]` or `serial:DEVICE`. Raises ArgumentTypeError."""
+    if text == "loopback" or re.fullmatch(r"serial:.{1,200}", text):
+        return text
+    if text.startswith("udp://"):
+        address(1)(text.removeprefix("udp://"))
+        return text
+    raise ArgumentTypeError(f"got {text[:60]!r}, expected loopback, udp://HOST[:PORT] or serial:DEVICE")
+
+
+def address(port: int) -> Callable[[str], tuple[str, int]]:
+    """The type of an option `HOST[:PORT]`; without one it is `port`. Raises ArgumentTypeError."""
+
+    def read(text: str) -> tuple[str, int]:
+        found = re.fullmatch(r"([A-Za-z0-9._-]{1,253})(?::(\d{1,5}))?", text)
+        if not found or not 1 <= int(found[2] or port) <= 65535:
+            raise ArgumentTypeError(f"got {text[:60]!r}, expected HOST or HOST:PORT")
+        return found[1], int(found[2] or port)
+
+    return read
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Numbers with commas. Raises ArgumentTypeError."""
+    return tuple(console.number(-1000, 1000)(part) for part in text.split(","))
+
+
+def whole_numbers(text: str) -> tuple[int, ...]:
+    """Whole numbers with commas, -1 to 253. Raises ArgumentTypeError."""
+    return tuple(console.whole(-1, 253)(part) for part in text.split(","))
+
+
+def bands(text: str) -> tuple[tuple[float, float], ...]:
+    """`0.05:0.058,0.175:0.012`: stations and widths, m. Raises ArgumentTypeError."""
+    pairs = [part.split(":") for part in text.split(",")]
+    if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):
+        raise ArgumentTypeError(f"got {text[:60]!r}, expected X:WIDTH,X:WIDTH such as 0.05:0.058,0.175:0.012 (m)")
+    return tuple((console.number(-2, 2)(x), console.number(0, 1)(width)) for x, width in pairs)
+
+
+def published(where: tuple[str, int], log: Any) -> Any:
+    """A ROS publisher of what the log takes in. Raises MissingExtra, ConfigError."""
+    from fishmj.deploy.ros import RosPublisher
+
+    return RosPublisher(where, log)

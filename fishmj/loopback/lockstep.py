@@ -1,0 +1,148 @@
+"""The loopback robot in the host's own process: time moves when the host sleeps, so hours pass in minutes, without a thread.
+
+    robot = make_robot(Settings(seed=3))
+    clock = LockstepClock(robot)
+    link = Fishmj1Link(LockstepTransport(clock))
+    localiser = InStep(LockstepCamera(clock), PoseTracker(seed=3))     # or LockstepCamera(clock, artist) and a tracker
+
+The host's loop is the one that runs in real time over UDP.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.calib import constant
+from fishmj.loopback.camera_frames import FrameArtist
+from fishmj.loopback.robot import LoopbackRobot
+from fishmj.tracker.fix import Fix
+from fishmj.virtual_robot import random_streams
+
+
+class LockstepClock:
+    """The host's clock.
+
+    Args:
+        origin: what it shows, s, when the robot's time is 0; as of any host and robot they are not the same.
+    """
+
+    def __init__(self, robot: LoopbackRobot, origin: float = 100.0):
+        self.robot, self.origin = robot, origin
+        self.arrived: deque[tuple[float, bytes]] = deque()
+        self._now = origin + robot.time
+
+    def now(self) -> float:
+        """s."""
+        return self._now
+
+    def sleep_until(self, t: float) -> None:
+        """Move the robot on to t, s on this clock; at once where that has passed."""
+        if t <= self._now:
+            return
+        self._now = t
+        self.arrived.extend((self.origin + arrival.t, arrival.data) for arrival in self.robot.advance_to(t - self.origin))
+
+
+class LockstepTransport:
+    """Datagrams to and from the robot, through its radio."""
+
+    def __init__(self, clock: LockstepClock):
+        self.clock = clock
+
+    def open(self) -> None:
+        """Nothing to take."""
+
+    def send(self, data: bytes) -> None:
+        """One datagram, now."""
+        self.clock.robot.receive(data)
+
+    def receive(self) -> list[tuple[float, bytes]]:
+        """What arrived since the last call, with its times on the host's clock, s."""
+        heard = self.clock.arrived
+        return [heard.popleft() for _ in range(len(heard))]
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+class LockstepCamera:
+    """Frames as they become readable.
+
+    Args:
+        artist: draws (H, W, 3) uint8 images; without one the "image" is the pose that would be drawn, (3 + J,), which
+            `PoseTracker` reads: a hundred times faster.
+    """
+
+    def __init__(self, clock: LockstepClock, artist: FrameArtist | None = None):
+        self.clock, self.artist = clock, artist
+        self._since = -np.inf
+        self._drawn: tuple[float, np.ndarray] | None = None
+
+    def open(self) -> None:
+        """Frames from now on."""
+        self._since = self.clock.robot.time
+
+    def read(self, now: float) -> list[tuple[float, np.ndarray]]:
+        """(stamp on the host's clock [s], image) of each frame since the last call, oldest first."""
+        frames = self.clock.robot.frames(self._since)
+        if frames:
+            self._since = frames[-1].readable
+        return [(self.clock.origin + frame.t, self._image(frame.pose, frame.drawn)) for frame in frames]
+
+    def wait(self, most: float) -> list[tuple[float, np.ndarray]]:
+        """The same, moving time on by up to `most` s until there is one."""
+        end = self.clock.now() + most
+        while not (found := self.read(self.clock.now())) and self.clock.now() < end:
+            self.clock.sleep_until(min(self.clock.now() + self.clock.robot.camera.timing.period, end))
+        return found
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+    def _image(self, pose: np.ndarray, drawn: float) -> np.ndarray:
+        if self.artist is None:
+            return pose
+        if self._drawn is None or self._drawn[0] != drawn:  # a frozen camera gives the same picture again
+            self._drawn = drawn, self.artist.draw(pose[:3].tolist(), pose[3:].tolist(), drawn)
+        return self._drawn[1]
+
+
+class FixNoise(NamedTuple):
+    """Errors of a tracker, as measured on drawn frames; the defaults are the noise that tasks put on the camera.
+
+    Attributes:
+        position, heading: standard deviation, m and rad. slow: share of the variance that stays for a while, with memory
+            `memory` s. missed: share of the frames without a fix.
+    """
+
+    position: float = constant("noise", "position")
+    heading: float = constant("noise", "yaw")
+    slow: float = 0.0
+    memory: float = 0.2
+    missed: float = 0.0
+
+
+class PoseTracker:
+    """In the place of a tracker: adds its errors to the poses of a `LockstepCamera` without an artist."""
+
+    def __init__(self, noise: FixNoise | None = None, seed: int = 0):
+        self.noise = noise or FixNoise()
+        self._random = random_streams.stream(seed, "fix")
+        self._slow, self._t = np.zeros(3), 0.0
+        sizes = np.array([self.noise.position, self.noise.position, self.noise.heading])
+        self._fast_size, self._slow_size = np.sqrt(1.0 - self.noise.slow) * sizes, np.sqrt(self.noise.slow) * sizes
+        self._covariance = np.diag(sizes**2)
+
+    def reset(self) -> None:
+        """Nothing is remembered but the errors."""
+
+    def locate(self, image: np.ndarray, t: float) -> Fix | None:
+        """The fix in a "frame" (3 + J,) stamped t [s]; None where it is missed."""
+        draws, missed = self._random.standard_normal((2, 3)), self._random.random() < self.noise.missed
+        keep = np.exp(-max(t - self._t, 0.0) / self.noise.memory) if self._t else 0.0
+        self._slow, self._t = keep * self._slow + np.sqrt(1.0 - keep * keep) * draws[0] * self._slow_size, t
+        if missed:
+            return None
+        x, y, yaw = image[:3] + self._slow + draws[1] * self._fast_size
+        return Fix(t, float(x), float(y), float((yaw + np.pi) % (2 * np.pi) - np.pi), self._covariance, 1.0)

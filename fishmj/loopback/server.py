@@ -1,0 +1,254 @@
+"""The loopback robot in real time: a process of its own behind UDP on 127.0.0.1, its camera in shared memory.
+
+    {"robot_port": 2333, "host_port": 0, "protocol": "fishmj-1", "frames": "psm_1a2b3c", "size": [1280, 720],
+     "frame_rate": 50.0, "pid": 7}
+
+is the line that `serve` prints when it is ready. Telemetry goes to whoever sent a datagram last, or to `host_port` before anybody
+did. One thread keeps the robot's clock with the machine's monotonic clock, another draws frames while their latency runs.
+"""
+
+import contextlib
+import os
+import queue
+import select
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import floor
+from typing import Any
+
+from fishmj import console, interrupt
+from fishmj.errors import ConfigError, FishmjError
+from fishmj.loopback.bodies import MILLISECOND, SOLVER
+from fishmj.loopback.camera import Frame
+from fishmj.loopback.firmware import PROTOCOLS
+from fishmj.loopback.robot import LoopbackRobot
+from fishmj.loopback.settings import Settings, artist_of, calibration_of, make_robot
+from fishmj.loopback.shared_frames import FrameWriter
+from fishmj.protocols import mish
+
+LOCAL = "127.0.0.1"
+LONGEST = 2048  # bytes of a datagram that is looked at
+MOST = 200  # datagrams that are taken in one turn
+BEHIND = 0.5  # s; whoever is further behind the clock sets it back instead of catching up
+LOOK = 0.25  # s between two looks whether the parent is there
+WAITING = 8  # frames that may wait to be drawn
+SWITCH = 5e-4  # s that the drawing thread may keep the clock's thread waiting, where it holds the interpreter
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServeOptions:
+    """How it is served.
+
+    Attributes:
+        address: 127.0.0.1, nothing else. port: of the robot, 0 lets the system choose; None: 2333 of mish, else 0.
+        host_port: to which telemetry goes before anybody has sent anything; None: 6060 of mish, else nowhere.
+        camera: whether frames are drawn. seconds: after which it ends; None: never.
+        parent: pid of the process with which it ends.
+    """
+
+    settings: Settings = Settings()
+    address: str = LOCAL
+    port: int | None = None
+    host_port: int | None = None
+    camera: bool = True
+    seconds: float | None = None
+    parent: int | None = None
+
+    def __post_init__(self):
+        if self.address != LOCAL:
+            raise ConfigError(f"loopback: address {self.address[:60]!r}; a robot without a fish listens on {LOCAL} only")
+        if self.settings.body == SOLVER:
+            raise ConfigError("loopback: the flow solver is slower than real time; it runs in lockstep only")
+        for name in ("port", "host_port"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 65535:
+                raise ConfigError(f"loopback: {name} = {value}; expected 0 to 65535")
+
+
+class Server:
+    """A robot, its socket and its ring of frames.
+
+    Attributes:
+        figures: turns, datagrams in and out, frames and late and dropped ones, the robot's seconds lost and its largest lag, s;
+            after `run` its seconds and the share of a core that it took.
+    """
+
+    def __init__(self, options: ServeOptions, clock: Callable[[], float] = time.monotonic):
+        self.options, self.clock = options, clock
+        settings, is_mish = options.settings, options.settings.protocol != PROTOCOLS[0]
+        port = (mish.ROBOT_PORT if is_mish else 0) if options.port is None else options.port
+        host_port = (mish.HOST_PORT if is_mish else 0) if options.host_port is None else options.host_port
+        self.figures: dict[str, float] = dict.fromkeys(
+            ("turns", "received", "sent", "refused", "frames", "late_frames", "dropped_frames", "lost", "lag"), 0
+        )
+        self.robot, self.ring = self._warmed(settings), None
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self.socket.bind((LOCAL, port))
+        except OSError as error:
+            self.socket.close()
+            raise ConfigError(f"loopback: port {port} of {LOCAL}: {error.strerror or error}; does another robot run?") from error
+        self.socket.setblocking(False)
+        self.port, self.peer = self.socket.getsockname()[1], (LOCAL, host_port) if host_port else None
+        self._host_port = host_port
+        self._jobs: queue.Queue[Frame] = queue.Queue(WAITING)
+        self._artist: Any = None
+        self._drawn: float | None = None  # s, the scene of `_image`
+        self._image: Any = None
+        self._painter: threading.Thread | None = None
+        self._failed: FishmjError | None = None
+        self._over = threading.Event()
+        try:
+            if options.camera:
+                self._artist = artist_of(settings)
+                width, height = calibration_of(settings).size
+                self.ring = FrameWriter(width, height, settings.frame_rate)
+                self._artist.draw((0.0, 0.0, 0.0), [0.0] * self.robot.body.robot.n_joints, 0.0)
+        except FishmjError:
+            self.close()
+            raise
+        self.start = self.clock()
+
+    @staticmethod
+    def _warmed(settings: Settings) -> LoopbackRobot:
+        """The robot, after another one has loaded the machine code."""
+        make_robot(replace(settings, faults=())).advance(0.1)
+        return make_robot(settings)
+
+    def told(self) -> dict:
+        """What a host needs to know."""
+        size = list(calibration_of(self.options.settings).size) if self.ring else None
+        return {
+            "robot_port": self.port, "host_port": self._host_port, "protocol": self.options.settings.protocol,
+            "frames": self.ring.name if self.ring else None, "size": size, "frame_rate": self.options.settings.frame_rate,
+            "pid": os.getpid(),
+        }  # fmt: skip
+
+    def run(self, stop: Callable[[], bool] = lambda: False) -> None:
+        """Serve until somebody stops it, the time is over, or the parent is gone."""
+        self.start, looked, used = self.clock(), -LOOK, time.process_time()
+        begun = self.start
+        if self.ring:
+            self._painter = threading.Thread(target=self._paint, name="frames", daemon=True)
+            self._painter.start()
+        while not stop():
+            now = self.clock() - self.start
+            if self.options.seconds is not None and now >= self.options.seconds:
+                break
+            if self.options.parent is not None and now - looked >= LOOK:
+                if os.getppid() != self.options.parent:
+                    break
+                looked = now
+            if self._failed is not None:
+                raise self._failed
+            self.turn(now)
+            ahead = self.robot.next_event() - (self.clock() - self.start)
+            if ahead > 0.0:
+                select.select([self.socket], [], [], min(ahead, LOOK))
+        self.figures["seconds"] = self.clock() - begun
+        self.figures["cpu_share"] = (time.process_time() - used) / max(self.figures["seconds"], 1e-9)
+
+    def turn(self, now: float) -> None:
+        """Bring the robot to `now` [s since the start], give it what came in, send what it says."""
+        lag = now - self.robot.next_event()
+        self.figures["lag"] = max(self.figures["lag"], lag)
+        if lag > BEHIND:  # a machine that slept, or a body that is too slow: the robot's clock stands still meanwhile
+            self.start += lag
+            self.figures["lost"] += lag
+            now -= lag
+        self.figures["turns"] += 1
+        arrived = self.robot.advance_to(max(floor(now / MILLISECOND) * MILLISECOND, self.robot.time))
+        for data in self._incoming():
+            self.robot.receive(data)
+        for arrival in arrived:
+            self._send(arrival.data)
+        for frame in self.robot.camera.exposed():
+            if self.ring:
+                self._hand_over(frame)
+
+    def close(self) -> None:
+        """Give socket and shared memory back; may be called twice."""
+        if self._painter is not None:
+            painter, self._painter = self._painter, None
+            self._over.set()
+            painter.join()
+        self.socket.close()
+        if self.ring:
+            self.ring.close()
+            self.ring = None
+
+    def _incoming(self) -> list[bytes]:
+        found: list[bytes] = []
+        while len(found) < MOST:
+            try:
+                data, self.peer = self.socket.recvfrom(LONGEST)
+            except OSError:  # nothing more, or an earlier datagram of ours found nobody
+                break
+            found.append(data)
+        self.figures["received"] += len(found)
+        return found
+
+    def _send(self, data: bytes) -> None:
+        if self.peer is None:
+            return
+        try:
+            self.socket.sendto(data, self.peer)
+            self.figures["sent"] += 1
+        except OSError:
+            self.figures["refused"] += 1
+
+    def _hand_over(self, frame: Frame) -> None:
+        try:
+            self._jobs.put_nowait(frame)
+        except queue.Full:
+            self.figures["dropped_frames"] += 1
+
+    def _paint(self) -> None:
+        """Thread: draw each frame, and show it when it is due."""
+        try:
+            while not self._over.is_set():
+                with contextlib.suppress(queue.Empty):
+                    frame = self._jobs.get(timeout=LOOK)
+                    if self.clock() - self.start > frame.readable and not self._jobs.empty():
+                        self.figures["dropped_frames"] += 1  # a slow machine shows fewer frames, not older ones
+                    else:
+                        self._show(frame)
+        except FishmjError as error:
+            self._failed = error
+
+    def _show(self, frame: Frame) -> None:
+        if self.ring is None:
+            return
+        if frame.drawn != self._drawn:
+            self._drawn, self._image = frame.drawn, self._artist.draw(frame.pose[:3], frame.pose[3:], frame.drawn)
+        left = self.start + frame.readable - self.clock()
+        if left > 0.0:
+            time.sleep(left)
+        self.figures["late_frames"] += left < -MILLISECOND
+        self.ring.write(self._image, self.start + frame.t)
+        self.figures["frames"] += 1
+
+
+def serve(options: ServeOptions) -> dict[str, float]:
+    """Serve in real time until Ctrl-C, the end of the time, or of the parent; prints the line above first. Returns the figures.
+
+    Raises:
+        ConfigError: another address than 127.0.0.1, a port that is taken, a body that is too slow.
+    """
+    before = sys.getswitchinterval()
+    server = Server(options)
+    sys.setswitchinterval(SWITCH)
+    try:
+        with interrupt.raising(), interrupt.finishing(lambda: ""):
+            console.emit_json(server.told())
+            server.run(interrupt.asked)
+    except KeyboardInterrupt:
+        pass  # the usual way to end it
+    finally:
+        server.close()
+        sys.setswitchinterval(before)
+    return server.figures

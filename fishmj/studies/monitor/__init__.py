@@ -1,0 +1,1 @@
+"""How often the monitor of `fishmj.deploy` alarms without a reason, and how soon with one."""

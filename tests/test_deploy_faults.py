@@ -1,0 +1,253 @@
+"""Faults 23, 24 and 25 of a deployed robot: where each ends, how soon, and that the log is whole."""
+
+import numpy as np
+import pytest
+
+from fishmj.deploy.limits import RATE
+from fishmj.deploy.supervisor import Condition, State
+from fishmj.errors import ConfigError
+from fishmj.log import read_trial
+from fishmj.protocols.messages import RobotState, ServoFault
+from tests.deploying import Bench
+
+
+def ended(bench, outcome, cause, latest):
+    """The swim ended in NEUTRAL for this cause by `latest` s, the robot was let go, the log is closed and whole."""
+    assert bench.rig.supervisor.state is State.NEUTRAL
+    assert cause in outcome.cause
+    assert bench.to_neutral() <= latest + 1e-6
+    assert bench.robot.disarmed > 0
+    trial = read_trial(bench.folder)
+    assert bench.log.closed and f"NEUTRAL: {cause.name}" in " ".join(trial.meta["host"]["events"])
+    sent = np.stack([trial.tables["cmd"][f"c{k}"] for k in (1, 2, 3)], 1)
+    assert np.allclose(sent, bench.robot.sent)  # nothing is lost
+    return trial
+
+
+def test_a_swim_without_a_fault_ends_when_its_time_is_over(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=3.0)
+    outcome = bench.swim()
+    assert outcome.complete and outcome.swum == pytest.approx(3.0, abs=0.021)
+    assert [event.after.name for event in bench.events] == ["LINKED", "ARMED", "SWIMMING", "NEUTRAL"]
+    trial = ended(bench, outcome, Condition.FINISHED, 3.0)
+    assert len(trial.tables["obs"]["t"]) == len(trial.tables["action"]["t"]) == 15
+    assert np.allclose(bench.robot.sent[-1], 0.0)  # the joints are straight when the torque goes off
+
+
+def test_fault_23_silence_of_100_ms_holds_the_joints_and_goes_on_afterwards(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=2.0)
+    bench.at(1.0, lambda: setattr(bench.robot, "silent", True))
+    bench.at(1.24, lambda: setattr(bench.robot, "silent", False))
+    outcome = bench.swim()
+    assert outcome.complete
+    trial = read_trial(bench.folder)
+    t, asked = trial.tables["cmd"]["t"], np.stack([trial.tables["cmd"][f"asked{k}"] for k in (1, 2, 3)], 1)
+    begun = trial.tables["obs"]["t"][0]
+    still = (t > begun + 1.13) & (t < begun + 1.23)
+    assert still.sum() >= 4 and np.ptp(asked[still], 0).max() < 1e-9
+    assert np.ptp(asked[(t > begun + 0.5) & (t < begun + 1.0)], 0).max() > 0.01
+
+
+@pytest.mark.parametrize("how", ["silent", "deaf"])
+def test_fault_23_silence_of_300_ms_ends_in_neutral(tmp_path, how):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: setattr(bench.robot, how, True))
+    ended(bench, bench.swim(), Condition.LINK_SILENT, 1.0 + 0.3 + 0.04)
+
+
+def test_fault_23_a_robot_that_began_anew_ends_in_neutral(tmp_path):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: setattr(bench.robot, "state", RobotState.IDLE))
+    ended(bench, bench.swim(), Condition.ROBOT_NEUTRAL, 1.04)
+
+
+SERVO = {
+    "no_reply": ({"fault": (ServoFault.NONE, ServoFault.NO_REPLY, ServoFault.NONE)}, Condition.SERVO_LOST, 0.04),
+    "hot": ({"temperature": (30.0, 76.0, 30.0)}, Condition.SERVO_HOT, 0.04),
+    "hot_bit": ({"fault": (ServoFault.HOT, ServoFault.NONE, ServoFault.NONE)}, Condition.SERVO_HOT, 0.04),
+    "locked": ({"fault": (ServoFault.NONE, ServoFault.NONE, ServoFault.LOCKED)}, Condition.SERVO_STUCK, 0.04),
+    "low_battery": ({"voltage": 6.1}, Condition.BATTERY_LOW, 1.04),
+    "low_servo_voltage": ({"voltage": None, "current": None, "servo_voltage": (6.0, 6.1, 6.0)}, Condition.BATTERY_LOW, 1.04),
+    "wild_reading": ({"joint": (0.0, 5.0, 0.0)}, Condition.READING_BAD, 0.04),
+    "nan_reading": ({"joint": (0.0, float("nan"), 0.0)}, Condition.READING_BAD, 0.04),
+}
+
+
+@pytest.mark.parametrize("name", SERVO)
+def test_fault_24_each_fault_of_a_servo_or_the_battery_ends_in_neutral(tmp_path, name):
+    changes, cause, after = SERVO[name]
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: bench.robot.changes.update(changes))
+    ended(bench, bench.swim(), cause, 1.0 + after)
+    assert all(np.isfinite(command).all() for command in bench.robot.sent)
+
+
+def test_fault_24_a_joint_that_does_not_follow_ends_in_neutral(tmp_path):
+    bench = Bench(tmp_path / "swim")
+    bench.at(0.8, lambda: bench.robot.stuck.update({1}))
+    ended(bench, bench.swim(), Condition.SERVO_STUCK, 1.8)
+
+
+def test_fault_24_a_sag_under_one_kick_is_no_empty_battery(tmp_path):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: bench.robot.changes.update(voltage=6.1))
+    bench.at(1.5, lambda: bench.robot.changes.update(voltage=7.2))
+    assert bench.swim().complete
+
+
+def test_fault_24_commands_never_lead_the_measured_joint_by_more_than_the_servo_can_turn(tmp_path):
+    bench = Bench(tmp_path / "swim")
+    bench.at(0.5, lambda: setattr(bench.robot, "joint", np.array([-1.0, 1.0, -1.0])))  # pushed aside
+    bench.swim()
+    trial = read_trial(bench.folder)
+    ahead = bench.description.timing.command_latency + 0.02
+    for k in (1, 2, 3):
+        measured = np.interp(trial.tables["cmd"]["t"], trial.tables["joint"]["t_rx"], trial.tables["joint"][f"j{k}"])
+        lead = np.abs(trial.tables["cmd"][f"c{k}"] - measured)
+        assert lead.max() <= RATE * ahead + 1e-6
+        assert np.abs(trial.tables["cmd"][f"c{k}"]).max() <= np.pi / 3 + 1e-9
+
+
+def wrong_joints(bench):
+    bench.robot.info = bench.robot.info._replace(joints=("j1", "j3", "j2"))
+
+
+def wrong_range(bench):
+    bench.robot.info = bench.robot.info._replace(servo_range=2.0)
+
+
+def wrong_hash(bench):
+    bench.robot.info = bench.robot.info._replace(policy_sha256="ab" * 32)
+
+
+def slow_watchdog(bench):
+    bench.robot.info = bench.robot.info._replace(hold=5.0, neutral=20.0)
+
+
+def no_watchdog(bench):
+    bench.robot.watched = bench.robot.greets = False
+
+
+def blind_joints(bench):
+    bench.robot.lacks = ("joint angles",)
+
+
+REFUSED = {
+    wrong_joints: "in this order", wrong_range: "sees that range", wrong_hash: "flash one", slow_watchdog: "only after 20 s",
+    no_watchdog: "--i-am-at-the-tank", blind_joints: "fixed firmware",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", REFUSED, ids=lambda f: f.__name__)
+def test_fault_25_a_robot_that_the_policy_is_not_for_gets_no_torque(tmp_path, change):
+    bench = Bench(tmp_path / "swim")
+    change(bench)
+    outcome = bench.swim()
+    assert not outcome.cause and any(REFUSED[change] in reason for reason in outcome.refused)
+    assert bench.robot.state is RobotState.IDLE and bench.robot.sent == []
+    assert bench.log.closed
+
+
+def test_fault_25_without_a_watchdog_a_person_at_the_tank_is_needed_and_enough(tmp_path):
+    bench = Bench(tmp_path / "swim", at_the_tank=True)
+    no_watchdog(bench)
+    assert bench.swim().complete
+
+
+def test_fault_25_a_policy_of_another_structure_is_refused_when_it_is_loaded():
+    from fishmj.controllers.learned import LearnedController
+    from fishmj.mjcf.description import load_robot
+
+    with pytest.raises(ConfigError, match="robot tendon_fish has 9 and 2"):
+        LearnedController(load_robot("tendon_fish"), "station")
+
+
+def test_fault_25_an_answer_that_is_no_number_ends_in_neutral_and_is_logged_with_its_observation(tmp_path):
+    bench = Bench(tmp_path / "swim")
+
+    def poison():
+        weights = [(w.copy(), b.copy()) for w, b in bench.controller.policy.weights]
+        weights[0][0][:] = np.nan
+        bench.controller.policy.weights = weights
+
+    bench.at(1.0, poison)
+    trial = ended(bench, bench.swim(), Condition.ACTION_NAN, 1.0 + 0.2 + 0.04)
+    assert "not finite" in (said := " ".join(trial.meta["host"]["events"])) and "observation [" in said
+    assert all(np.isfinite(command).all() for command in bench.robot.sent)
+
+
+@pytest.mark.parametrize("how", ["blind", "frozen"])
+def test_fault_25_a_pose_older_than_200_ms_holds_and_than_500_ms_ends_in_neutral(tmp_path, how):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: setattr(bench.eyes, how, True))
+    trial = ended(bench, bench.swim(), Condition.POSE_LOST, 1.0 + 0.5 + 0.04)
+    begun = trial.tables["obs"]["t"][0]
+    t, asked = trial.tables["cmd"]["t"] - begun, trial.tables["cmd"]["asked1"]
+    assert np.ptp(asked[(t > 1.2) & (t < bench.to_neutral() - 0.03)]) < 1e-9
+
+
+def test_fault_25_a_short_loss_of_the_camera_does_not_end_the_swim(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=2.0)
+    bench.at(1.0, lambda: setattr(bench.eyes, "blind", True))
+    bench.at(1.4, lambda: setattr(bench.eyes, "blind", False))
+    assert bench.swim().complete
+
+
+@pytest.mark.parametrize(("back", "cause"), [(1.2, Condition.FINISHED), (9.0, Condition.POSE_LOST)])
+def test_fault_25_fixes_that_jump_are_refused(tmp_path, back, cause):
+    bench = Bench(tmp_path / "swim", seconds=2.0)
+    bench.at(1.0, lambda: setattr(bench.eyes, "shift", 0.4))
+    bench.at(back, lambda: setattr(bench.eyes, "shift", 0.0))
+    outcome = bench.swim()
+    assert outcome.cause == cause
+    trial = read_trial(bench.folder)
+    assert trial.tables["pose"]["x"].max() < 0.5
+    assert outcome.figures["fixes_refused"] >= 9
+
+
+def test_the_operator_ends_a_swim_and_a_new_one_needs_a_person(tmp_path):
+    bench = Bench(tmp_path / "one")
+    bench.at(1.0, lambda: setattr(bench, "stopped", True))
+    ended(bench, bench.swim(), Condition.OPERATOR_STOP, 1.02)
+    bench.stopped, bench.folder = False, tmp_path / "two"
+    with pytest.raises(ConfigError, match="look at the fish"):
+        bench.swim()
+    bench.folder = tmp_path / "three"
+    assert bench.swim(person=True).complete
+
+
+def test_a_robot_that_nobody_hears_is_not_waited_for_for_ever(tmp_path):
+    bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
+    bench.robot.silent = True
+    outcome = bench.swim()
+    assert not outcome.cause and "nothing heard" in outcome.refused[0]
+    assert bench.clock.now() < 101.1
+
+
+def test_without_a_camera_the_robot_is_not_armed(tmp_path):
+    bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
+    bench.eyes.blind = True
+    outcome = bench.swim()
+    assert "POSE_LOST" in outcome.refused[0] and bench.robot.state is RobotState.IDLE
+
+
+def test_an_armed_robot_does_not_wait_for_fresh_poses_for_ever(tmp_path):
+    bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
+    bench.eyes.age = 0.25  # older than 0.2 s, younger than 0.5 s
+    outcome = bench.swim()
+    assert outcome.swum == 0.0 and not outcome.complete
+    assert bench.robot.state is RobotState.IDLE and bench.clock.now() < 103.0
+
+
+def test_an_error_in_the_middle_lets_the_robot_go_and_keeps_the_log(tmp_path):
+    bench = Bench(tmp_path / "swim")
+
+    def fail():
+        raise RuntimeError("a fault of ours")
+
+    bench.at(1.0, fail)
+    with pytest.raises(RuntimeError):
+        bench.swim()
+    assert bench.robot.disarmed == 1
+    trial = read_trial(bench.folder)
+    assert "a fault of ours" in trial.meta["host"]["events"][-1] and len(trial.tables["cmd"]["t"]) >= 50

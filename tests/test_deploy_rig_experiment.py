@@ -1,0 +1,127 @@
+"""Experiments on a rig: what is played through the host becomes a data set that calibration and search read as it is."""
+
+import io
+
+import numpy as np
+import pytest
+
+from fishmj import excitation
+from fishmj.deploy import experiment, rig_experiment
+from fishmj.deploy.links import Fishmj1Link
+from fishmj.deploy.localiser import InStep
+from fishmj.deploy.rig_prompt import Person
+from fishmj.deploy.swim import Rig
+from fishmj.errors import ConfigError, UnknownName
+from fishmj.log import read_trial, write_dataset
+from fishmj.log.dataset import take
+from fishmj.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.loopback.settings import Settings, make_robot
+from fishmj.mjcf.description import load_robot
+
+
+def lockstep_rig(start=(0.0, 0.0, 0.0), seed=3, **settings):
+    robot = load_robot("fish")
+    fish = make_robot(Settings(seed=seed, start=start, **settings))
+    clock = LockstepClock(fish)
+    link = Fishmj1Link(LockstepTransport(clock))
+    localiser = InStep(LockstepCamera(clock), PoseTracker(seed=seed))
+    localiser.open()
+    return Rig(robot=robot, link=link, localiser=localiser, clock=clock, examine=experiment.unpoliced(link, robot, False))
+
+
+def played(tmp_path, names, repeats=1, **settings):
+    trials = {}
+    for run in experiment.runs(names, repeats, 3):
+        rig = lockstep_rig(run.what.start, **settings)
+        meta = experiment.meta_of(rig.robot, (0.0, 0.0), True)
+        outcome, trial = experiment.play(rig, run, tmp_path / "host" / run.name, meta)
+        assert outcome.complete, outcome.words
+        trials[run.name] = trial
+    write_dataset(tmp_path / "trials", trials)
+    return tmp_path / "trials"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    return played(tmp_path_factory.mktemp("bench"), ["square", "impulse"])
+
+
+def test_the_commands_of_the_experiment_are_those_of_the_trial(bench):
+    trial = read_trial(bench / "square_1")
+    what = excitation.get("square")
+    cmd = trial.tables["cmd"]
+    assert abs(len(cmd["t"]) - len(what.t)) <= 1
+    n = min(len(cmd["t"]), len(what.t))
+    sent = np.stack([cmd[f"c{k + 1}"] for k in range(3)], 1)[:n]
+    wanted = np.stack([cmd.get(f"asked{k + 1}", cmd[f"c{k + 1}"]) for k in range(3)], 1)[:n]
+    np.testing.assert_allclose(wanted, what.commands[:n], atol=2e-4)
+    # a step goes no faster than the servo turns: the limits act, and what really left is what stands in c
+    assert np.max(np.abs(sent - what.commands[:n])) < np.radians(40)
+
+
+def test_a_data_set_of_the_rig_lacks_no_key_and_no_unit(bench):
+    taken = take(bench)
+    assert not taken.broken and not taken.notes
+    for trial in taken.trials.values():
+        assert not [note for note in trial.notes if "missing" in note], trial.notes
+        assert trial.tables["joint"]["t"][0] >= 0.0 and trial.value("medium") == "water"
+        assert 5e-4 < trial.value("sigma.j1") < 0.02 and 1e-3 < trial.value("sigma.x") < 0.02
+
+
+def test_calibration_and_search_read_it(bench):
+    from fishmj.calibrate.calibration_logs import read
+    from fishmj.gap.records.records import record_of
+
+    logs = read(bench)
+    assert logs.bench() and not logs.broken and not logs.notes
+    record = record_of(logs.trials["square_1"], 0.004)
+    assert record.joint is not None and record.pose is not None and record.power is not None
+    assert np.linalg.norm(record.start[:2]) < 0.05 and not record.push.any()
+
+
+def test_repeats_come_one_round_after_the_other_and_name_their_first():
+    order = [(run.name, run.first) for run in experiment.runs(["calibrate"], 2, 3)]
+    assert order[:4] == [("sine_1", ""), ("square_1", ""), ("impulse_1", ""), ("sine_2", "sine_1")]
+
+
+def test_an_experiment_that_needs_a_carriage_or_does_not_exist_is_refused():
+    with pytest.raises(ConfigError, match="tow_ahead: needs a tow carriage"):
+        experiment.runs(["tow_ahead", "gait"], 3, 3)
+    with pytest.raises(UnknownName):
+        experiment.runs(["gate"], 3, 3)
+
+
+def test_a_swim_that_does_not_end_by_itself_gives_no_trial(tmp_path):
+    (run,) = experiment.runs(["idle"], 1, 3)
+    rig = lockstep_rig()
+    begun = rig.clock.now()
+    stop = lambda: rig.clock.now() > begun + 2.0
+    outcome, trial = experiment.play(rig, run, tmp_path / "a", experiment.meta_of(rig.robot, None, True), stop=stop)
+    assert trial is None and "OPERATOR_STOP" in outcome.words
+    assert (tmp_path / "a" / "meta.toml").is_file()  # the host's log stays
+
+
+def test_noise_at_rest_is_that_of_the_channel():
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 5, 0.001)
+    tables = {"pose": {"t": t, "x": 0.01 * t + 0.003 * rng.standard_normal(len(t)), "y": t * 0, "yaw": t * 0}}
+    counts = np.round((0.001 * rng.standard_normal(len(t)) + np.where(t > 1, 0.3, 0.0)) / 0.0042) * 0.0042
+    found = experiment.noise_at_rest({**tables, "joint": {"t": t, "j1": counts}})
+    assert found["x"] == pytest.approx(0.003, rel=0.1) and "y" not in found
+    assert found["j1"] == pytest.approx(0.0042 / np.sqrt(12), rel=0.05)
+
+
+def test_without_a_robot_in_loopback_nobody_says_yes_for_the_person(tmp_path):
+    with pytest.raises(ConfigError, match="--yes is for --link loopback"):
+        rig_experiment.main(["idle", "--yes", "--link", "udp://127.0.0.1:1", "--out", str(tmp_path / "a")])
+
+
+def test_a_person_is_asked_until_the_number_makes_sense(capsys):
+    person = Person(io.StringIO("ten\n4000\n1,5\n\nq\n"))
+    assert person.number("mass, kg", 0.01, 10) == 1.5
+    assert person.number("mass, kg", 0.01, 10, empty=True) is None
+    with pytest.raises(ConfigError, match="stopped by the person"):
+        person.ready("next")
+    with pytest.raises(ConfigError, match="nobody answers"):
+        person.ready("next")
+    assert "is no number" in capsys.readouterr().out

@@ -1,0 +1,117 @@
+"""The supervisor's table: every state with every condition, alone and together."""
+
+from itertools import combinations
+
+import pytest
+
+from fishmj.deploy.supervisor import (
+    ACTIONS,
+    NONE,
+    STAY,
+    TABLE,
+    Action,
+    Condition,
+    State,
+    Stay,
+    Supervisor,
+    care,
+    decide,
+    named,
+)
+
+WAYS_UP = {
+    (State.DOWN, Condition.HEARD): State.LINKED,
+    (State.LINKED, Condition.ASK_ARM): State.ARMED,
+    (State.ARMED, Condition.ASK_SWIM): State.SWIMMING,
+    (State.NEUTRAL, Condition.PERSON_LEAVES): State.DOWN,
+}
+ASKED = Condition.HEARD | Condition.ASK_ARM | Condition.ASK_SWIM | Condition.PERSON_LEAVES
+FAULTS = [condition for condition in Condition if condition not in ASKED | Condition.FINISHED]
+HOLDING = Condition.LINK_QUIET | Condition.POSE_OLD | Condition.POSE_JUMP
+STATES = list(State)
+
+
+def test_the_table_has_a_row_for_each_condition_and_a_cell_for_each_state():
+    assert set(TABLE) == set(Condition)
+    assert all(len(row) == len(State) for row in TABLE.values())
+    assert set(ACTIONS) == set(State)
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda s: s.name)
+@pytest.mark.parametrize("condition", list(Condition), ids=lambda c: c.name)
+def test_each_condition_alone_does_what_the_table_says(state, condition):
+    found, cell = decide(state, condition), TABLE[condition][state]
+    after = cell if isinstance(cell, State) else state
+    assert found.state is after
+    held = after is State.SWIMMING and cell is Stay.HOLD
+    assert found.action is (Action.HOLD if held else ACTIONS[after])
+    assert found.because == (NONE if cell is STAY else condition)
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda s: s.name)
+def test_without_a_condition_nothing_changes(state):
+    assert decide(state, NONE) == (state, ACTIONS[state], NONE)
+
+
+@pytest.mark.parametrize("condition", FAULTS, ids=lambda c: c.name)
+def test_each_fault_of_a_swim_holds_the_fish_or_ends_it(condition):
+    found = decide(State.SWIMMING, condition)
+    if condition in HOLDING:
+        assert found == (State.SWIMMING, Action.HOLD, condition)
+    else:
+        assert found == (State.NEUTRAL, Action.RETURN, condition)
+
+
+def test_the_only_ways_up_are_one_state_at_a_time():
+    found = {
+        (state, condition): cell
+        for condition, row in TABLE.items()
+        for state, cell in zip(State, row, strict=True)
+        if isinstance(cell, State) and care(cell) == 1 or (state, cell) == (State.NEUTRAL, State.DOWN)
+    }
+    assert found == WAYS_UP
+
+
+def test_neutral_is_left_by_a_person_alone():
+    every = Condition(sum(Condition)) & ~Condition.PERSON_LEAVES
+    assert decide(State.NEUTRAL, every).state is State.NEUTRAL
+    assert decide(State.NEUTRAL, every | Condition.PERSON_LEAVES).state is State.DOWN
+
+
+@pytest.mark.parametrize("state", [State.LINKED, State.ARMED], ids=lambda s: s.name)
+def test_no_way_up_while_a_fault_that_bars_it_lasts(state):
+    for condition in FAULTS:
+        cell = TABLE[condition][state]
+        asked = decide(state, condition | ASKED)
+        if cell is STAY:
+            assert asked.state > state
+        else:
+            assert asked.state is (cell if isinstance(cell, State) else state), condition
+
+
+def test_of_two_conditions_the_more_careful_cell_wins():
+    for state in State:
+        for a, b in combinations(Condition, 2):
+            cells = [TABLE[c][state] for c in (a, b)]
+            strictest = max(cells, key=care)
+            found = decide(state, a | b)
+            assert found.state is (strictest if isinstance(strictest, State) else state)
+            assert decide(state, a | b) == decide(state, b | a)
+
+
+def test_the_supervisor_keeps_every_change_with_its_causes():
+    one = Supervisor()
+    for t, conditions in enumerate((
+        Condition.HEARD,
+        Condition.HEARD | Condition.ASK_ARM,
+        Condition.HEARD | Condition.ASK_SWIM,
+        Condition.HEARD | Condition.POSE_OLD,
+        Condition.POSE_LOST | Condition.POSE_OLD | Condition.LINK_QUIET,
+        Condition.HEARD,
+    )):  # fmt: skip
+        one.step(float(t), conditions)
+    assert [(e.before.name, e.after.name) for e in one.events] == [
+        ("DOWN", "LINKED"), ("LINKED", "ARMED"), ("ARMED", "SWIMMING"), ("SWIMMING", "NEUTRAL"),
+    ]  # fmt: skip
+    assert one.state is State.NEUTRAL and one.cause == Condition.POSE_LOST
+    assert named(one.events[-1].conditions) == "LINK_QUIET, POSE_OLD, POSE_LOST"
