@@ -9,6 +9,7 @@ bool fj_robot_init(fj_robot *it, const fj_info *info, fj_limits limits) {
     it->info = *info;
     it->info.servo_range = limits.servo_range;
     if (!fj_watchdog_init(&it->watchdog, info->joints, limits, info->hold_us, info->neutral_us)) return false;
+    if (!fj_guard_init(&it->guard, info->joints, fj_default_bounds())) return false;
     return fj_encode_info(0, 0, &it->info, spare, sizeof spare) > 0; /* what INFO cannot say now it could not say later */
 }
 
@@ -43,7 +44,19 @@ size_t fj_robot_hear(fj_robot *it, const uint8_t *data, size_t size, uint64_t no
 }
 
 bool fj_robot_act(fj_robot *it, uint64_t now_us, const float *measured) {
-    return fj_watchdog_step(&it->watchdog, now_us, measured);
+    it->torque = fj_watchdog_step(&it->watchdog, now_us, measured);
+    return it->torque;
+}
+
+static float within(float value, float low, float high) {
+    return value < low ? low : value > high ? high : value;
+}
+
+/* What the datagram can say of the battery. */
+static void bound_power(fj_telemetry *it) {
+    if (isnan(it->voltage) || isnan(it->current)) it->has = (uint8_t)(it->has & ~(unsigned)FJ_HAS_POWER);
+    it->voltage = within(it->voltage, 0.0f, FJ_MAX_VOLTAGE);
+    it->current = within(it->current, -FJ_MAX_CURRENT, FJ_MAX_CURRENT);
 }
 
 size_t fj_robot_report(fj_robot *it, uint64_t now_us, fj_telemetry *measured, uint8_t *out, size_t room) {
@@ -51,11 +64,18 @@ size_t fj_robot_report(fj_robot *it, uint64_t now_us, fj_telemetry *measured, ui
     measured->time_us = now_us;
     measured->joints = it->info.joints;
     measured->state = it->watchdog.state;
-    measured->has = (uint8_t)((measured->has & ~(unsigned)FJ_HAS_ECHO) | (it->commanded ? FJ_HAS_ECHO : 0u));
+    measured->has = (uint8_t)((measured->has & FJ_HAS_ALL & ~(unsigned)FJ_HAS_ECHO) | (it->commanded ? FJ_HAS_ECHO : 0u));
     measured->echo = it->echo;
     measured->echo_time_us = it->echo_time_us;
+    bound_power(measured);
     for (uint8_t k = 0; k < it->info.joints; k++) {
-        if ((measured->has & FJ_HAS_FAULT) == 0) measured->fault[k] = 0;
+        measured->fault[k] = (uint8_t)((measured->has & FJ_HAS_FAULT) != 0 ? measured->fault[k] & FJ_FAULTS : 0u);
+        if (!(measured->joint[k] >= -FJ_MAX_ANGLE && measured->joint[k] <= FJ_MAX_ANGLE)) measured->joint[k] = NAN;
+    }
+    bool power = (measured->has & FJ_HAS_POWER) != 0, heat = (measured->has & FJ_HAS_TEMPERATURE) != 0;
+    fj_guard_check(&it->guard, now_us, it->torque ? it->watchdog.target : NULL, measured->joint, heat ? measured->temperature : NULL,
+                   power ? measured->voltage : NAN, measured->fault);
+    for (uint8_t k = 0; k < it->info.joints; k++) {
         if (isfinite(measured->joint[k])) {
             it->last[k] = measured->joint[k];
         } else {

@@ -4,6 +4,8 @@
  *                       ^------------ a command -----------'
  *     ARMED, HOLD -- fault --> NEUTRAL          any state -- disarm --> IDLE
  *
+ * NEUTRAL brings the joints to zero, then takes the torque off; at the latest after `rest`.
+ *
  * The caller gives the time, in us of one clock that never goes back, and calls fj_watchdog_step at each bus tick.
  */
 #ifndef FJ_WATCHDOG_H
@@ -23,23 +25,27 @@ typedef struct {
     float rate;         /* rad/s, of targets that follow commands */
     float neutral_rate; /* rad/s, of joints on their way to zero */
     float lead;         /* rad, of the target before the measured joint */
+    float near;         /* rad, a joint so close to its place is there */
+    uint32_t rest_us;   /* in NEUTRAL, after which the torque goes off wherever the joints are */
 } fj_limits;
 
 typedef struct {
     fj_limits limits;
     uint8_t joints, state;
     uint32_t hold_us, neutral_us;
-    uint64_t heard_us, stepped_us;
+    bool resting, rested; /* NEUTRAL has begun to count, at rest_from_us; it has taken the torque off */
+    uint64_t heard_us, stepped_us, rest_from_us;
     float target[FJ_MAX_JOINTS], goal[FJ_MAX_JOINTS], speed[FJ_MAX_JOINTS];
 } fj_watchdog;
 
-/* 60 deg, 300 deg/s (a LX-824's no-load speed), 60 deg/s, 30 deg. */
+/* 60 deg, 300 deg/s (a LX-824's no-load speed), 60 deg/s, 30 deg, 2 deg, 5 s. */
 fj_limits fj_default_limits(void);
 
 /* False where joints, limits or times cannot be. The state is FJ_IDLE. */
 bool fj_watchdog_init(fj_watchdog *it, uint8_t joints, fj_limits limits, uint32_t hold_us, uint32_t neutral_us);
 
-/* FJ_IDLE -> FJ_ARMED, the target where the joints are; false, and nothing changes, where that cannot be. */
+/* FJ_IDLE -> FJ_ARMED, the target where the joints are; false, and nothing changes, where that cannot be: a joint silent, or
+ * beyond the range by more than `near`. */
 bool fj_watchdog_arm(fj_watchdog *it, uint64_t now_us, uint32_t hold_us, uint32_t neutral_us, const float *measured);
 void fj_watchdog_disarm(fj_watchdog *it);
 void fj_watchdog_fault(fj_watchdog *it);
@@ -47,7 +53,8 @@ void fj_watchdog_fault(fj_watchdog *it);
 /* Take joint angles, rad, and speeds, rad/s or NULL. False where they were not taken. */
 bool fj_watchdog_command(fj_watchdog *it, uint64_t now_us, uint8_t joints, const float *joint, const float *speed);
 
-/* Targets of the servos in it->target; false in FJ_IDLE: take their torque off. measured: rad, nan where a servo is silent. */
+/* Targets of the servos in it->target; false in FJ_IDLE and at the end of FJ_NEUTRAL: take their torque off. measured: rad, nan
+ * where a servo is silent. */
 bool fj_watchdog_step(fj_watchdog *it, uint64_t now_us, const float *measured);
 
 #ifdef __cplusplus

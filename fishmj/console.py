@@ -35,13 +35,15 @@ from fishmj.options import path as path
 from fishmj.options import text as text
 from fishmj.options import whole as whole
 
-OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 3, 70, 130, 141, 143
+OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT = 0, 1, 2, 3, 70
+HUNG_UP, INTERRUPTED, PIPE_CLOSED, TERMINATED = 129, 130, 141, 143
 EXITS = {
     OK: "an answer",
     FAILED_CHECK: "a check that fails, or a result that is not complete",
     BAD_INPUT: "bad input: an option, a file, a place that cannot be written, too little memory, days of work unasked",
     CANNOT_TELL: "too short, too quiet or too different to tell",
     FAULT: "a fault of fishmj itself, with its traceback",
+    HUNG_UP: "ended by SIGHUP: its terminal or connection is gone; what was finished is kept",
     INTERRUPTED: "interrupted by the user (Ctrl-C); what was finished is kept",
     PIPE_CLOSED: "the reader of the output is gone (a closed pipe)",
     TERMINATED: "ended by SIGTERM",
@@ -65,7 +67,12 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     _speak_any_text()
     interrupt.telling(lambda message: _interrupted(argv, message))
-    code = _called(main, argv)
+    try:
+        code = _called(main, argv)
+    except OSError:  # nothing can be said: the terminal that was closed is why it was asked to end
+        if not interrupt.asked():
+            raise
+        code = HUNG_UP
     if interrupt.asked():
         interrupt.leave(None if code == INTERRUPTED else "")
     interrupt.finish(code)

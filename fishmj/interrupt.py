@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM of a fishmj command: it ends within five seconds with exit code 130 (143), whatever it is doing.
+"""Ctrl-C, SIGTERM and SIGHUP of a fishmj command: it ends within five seconds with exit code 130 (143, 129), whatever it does.
 
 Compilers (XLA, numba, Warp) run for minutes inside one call, where Python neither runs a signal's handler nor raises; what an
 exception meets in such a call may swallow it; and an interpreter that is torn down beside running XLA threads crashes. So nothing
@@ -8,7 +8,8 @@ they all let go of the interpreter lock.
 
     with keeping(words):          words() is called on the way out, in another thread: it keeps what is not kept yet and says what
                                   was kept and how to go on
-    with finishing(words):        the same for a loop that stops by itself: it has GRACE seconds before words() is called
+    with finishing(words):        the same for a loop that stops by itself: it has GRACE seconds before words() is called; what
+                                  must bring a robot to rest asks for more, and names what the very last action is
     with raising():               Ctrl-C is a KeyboardInterrupt here, as anywhere in Python: where it is the usual way to end
 
 The process is watched from the import of `fishmj` on where it is a command (`python -m fishmj...` or the script `fishmj`), and
@@ -26,18 +27,31 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path, PurePath
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+SAID = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+if hasattr(signal, "SIGHUP"):  # a terminal that was closed, a connection that was dropped
+    CODES[signal.SIGHUP], SAID[signal.SIGHUP] = 129, "hung up"
 GRACE = 2.0  # s that a verb has which stops by itself
-LIMIT = 4.5  # s after which the process ends, whatever is still being kept
+LIMIT = 4.5  # s after which the process ends, whatever is still being kept; a longer grace moves it
 TWICE = 0.5  # s after which another signal counts as asked twice (some launchers pass the terminal's own on)
 
 Words = Callable[[], str]
 
+
+class Way(NamedTuple):
+    """How a part of a verb leaves: s that it has to end by itself, what is called when it is asked to, and what comes last."""
+
+    words: Words
+    grace: float
+    heard: Callable[[], object] | None
+    last: Callable[[], object] | None
+
+
 writing = threading.RLock()  # held while a file is written, so that no half of it stays behind
 _asked: list[int] = []
-_kept: list[tuple[Words, bool]] = []  # innermost last; whether the verb stops by itself
+_kept: list[Way] = []  # innermost last
 _leaving = threading.Lock()
 _armed = False
 _left_alone: set[int] = set()
@@ -54,7 +68,7 @@ def is_command() -> bool:
 
 
 def arm() -> None:
-    """Watch for both signals, where this process is a command. One that is ignored (as by nohup) stays so."""
+    """Watch for these signals, where this process is a command. One that is ignored (as by nohup) stays so."""
     global _armed
     if _armed or os.name != "posix" or threading.current_thread() is not threading.main_thread() or not is_command():
         return
@@ -70,7 +84,7 @@ def arm() -> None:
 
 
 def disarm() -> None:
-    """Leave both signals to the system again, in a fork."""
+    """Leave them to the system again, in a fork."""
     global _armed
     if not _armed:
         return
@@ -105,18 +119,33 @@ def telling(tell: Callable[[str], object]) -> None:
 
 
 @contextmanager
-def keeping(words: Words, *, by_itself: bool = False) -> Iterator[None]:
+def keeping(words: Words) -> Iterator[None]:
     """On an interrupt within, `words()` keeps what is not kept yet; the last line ends with its answer."""
-    _kept.append((words, by_itself))
+    with _leaving_by(Way(words, 0.0, None, None)):
+        yield
+
+
+def finishing(
+    words: Words, *, grace: float = GRACE, heard: Callable[[], object] | None = None, last: Callable[[], object] | None = None
+) -> AbstractContextManager[None]:
+    """As `keeping`, for a loop that hears the signals itself: it has `grace` s to come to its end.
+
+    Args:
+        heard: called at the first signal, in another thread. last: called before the process ends without the loop's own end:
+            after `grace`, and at once where a second signal comes. It must not wait.
+    """
+    return _leaving_by(Way(words, grace, heard, last))
+
+
+@contextmanager
+def _leaving_by(way: Way) -> Iterator[None]:
+    _kept.append(way)
     try:
+        if _asked and way.heard is not None:
+            way.heard()
         yield
     finally:
-        _kept.remove((words, by_itself))
-
-
-def finishing(words: Words) -> AbstractContextManager[None]:
-    """As `keeping`, for a loop that hears the signals itself: it has `GRACE` s to come to its end."""
-    return keeping(words, by_itself=True)
+        _kept.remove(way)
 
 
 @contextmanager
@@ -140,7 +169,7 @@ def leave(words: "str | None" = "") -> NoReturn:
     with suppress(Exception):
         if words is None:
             _at_once()
-        said = "interrupted" if _asked[:1] != [signal.SIGTERM] else "terminated"
+        said = SAID[signal.Signals(_asked[0])] if _asked else SAID[signal.SIGINT]
         message = f"{said}; {words}" if words else said
         _tell[0](message) if _tell else os.write(2, f"fishmj: {message}\n".encode())
     _at_once()
@@ -172,34 +201,48 @@ def _nothing(number, frame) -> None:
 
 def _watch(heard: int) -> None:
     """The thread: waits for the first signal, then for the end, a second signal or the limit."""
-    first = 0.0
+    first, limit = 0.0, LIMIT
     while True:
-        if _asked and not select.select([heard], [], [], max(first + LIMIT - time.monotonic(), 0.0))[0]:
+        if _asked and not select.select([heard], [], [], max(first + limit - time.monotonic(), 0.0))[0]:
             os._exit(code())
         numbers = [number for number in os.read(heard, 64) if number in CODES and number not in _left_alone]
         if not numbers:
             continue
         if not _asked:
             first = time.monotonic()
+            limit = LIMIT + max(_kept[-1].grace - GRACE, 0.0) if _kept else LIMIT
             _asked.append(numbers[0])
             threading.Thread(target=_end, name="interrupted", daemon=True).start()
         elif time.monotonic() - first > TWICE:
-            first = min(first, time.monotonic() - LIMIT + 1.0)
+            first = min(first, time.monotonic() - limit + 1.0)
             threading.Thread(target=_at_once, name="interrupted twice", daemon=True).start()
 
 
 def _end() -> None:
     """The way out of the first signal."""
-    kept = _kept[-1:]
-    if kept and kept[0][1]:
-        time.sleep(GRACE)  # the main thread leaves meanwhile, if it can
+    way = _kept[-1] if _kept else None
     words = ""
-    with suppress(Exception):  # what cannot be kept now must not keep the process
-        words = kept[0][0]() if kept else ""
+    if way is not None:
+        with suppress(Exception):
+            if way.heard is not None:
+                way.heard()
+        time.sleep(way.grace)  # the main thread leaves meanwhile, if it can
+        _last()
+        with suppress(Exception):  # what cannot be kept now must not keep the process
+            words = way.words()
     leave(words)
 
 
+def _last() -> None:
+    """What has to be done before the process ends, by the ways that are still open; innermost first."""
+    for way in reversed(_kept):
+        with suppress(Exception):
+            if way.last is not None:
+                way.last()
+
+
 def _at_once() -> NoReturn:
+    _last()
     with suppress(Exception):
         writing.acquire(timeout=1.0)
         sys.stdout.flush()

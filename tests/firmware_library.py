@@ -73,14 +73,31 @@ class Info(Struct):
 
 
 class CLimits(Struct):
-    _fields_ = [("servo_range", c_float), ("rate", c_float), ("neutral_rate", c_float), ("lead", c_float)]
+    _fields_ = [
+        ("servo_range", c_float), ("rate", c_float), ("neutral_rate", c_float), ("lead", c_float), ("near", c_float),
+        ("rest_us", c_uint32),
+    ]  # fmt: skip
 
 
 class CWatchdog(Struct):
     _fields_ = [
         ("limits", CLimits), ("joints", c_uint8), ("state", c_uint8), ("hold_us", c_uint32), ("neutral_us", c_uint32),
-        ("heard_us", c_uint64), ("stepped_us", c_uint64), ("target", c_float * JOINTS), ("goal", c_float * JOINTS),
-        ("speed", c_float * JOINTS),
+        ("resting", c_bool), ("rested", c_bool), ("heard_us", c_uint64), ("stepped_us", c_uint64), ("rest_from_us", c_uint64),
+        ("target", c_float * JOINTS), ("goal", c_float * JOINTS), ("speed", c_float * JOINTS),
+    ]  # fmt: skip
+
+
+class CBounds(Struct):
+    _fields_ = [
+        ("far_off", c_float), ("still", c_float), ("stuck_us", c_uint32), ("hot", c_float), ("low", c_float),
+        ("sag_us", c_uint32),
+    ]  # fmt: skip
+
+
+class CGuard(Struct):
+    _fields_ = [
+        ("bounds", CBounds), ("joints", c_uint8), ("away", c_bool * JOINTS), ("away_us", c_uint64 * JOINTS),
+        ("place", c_float * JOINTS), ("low", c_bool), ("low_us", c_uint64),
     ]  # fmt: skip
 
 
@@ -93,8 +110,8 @@ class Gate(Struct):
 
 class CRobot(Struct):
     _fields_ = [
-        ("info", Info), ("watchdog", CWatchdog), ("gate", Gate), ("sent", c_uint32), ("bad", c_uint32), ("commanded", c_bool),
-        ("echo", c_uint32), ("echo_time_us", c_uint64), ("last", c_float * JOINTS),
+        ("info", Info), ("watchdog", CWatchdog), ("guard", CGuard), ("gate", Gate), ("torque", c_bool), ("sent", c_uint32),
+        ("bad", c_uint32), ("commanded", c_bool), ("echo", c_uint32), ("echo_time_us", c_uint64), ("last", c_float * JOINTS),
     ]  # fmt: skip
 
 
@@ -121,6 +138,9 @@ _SIGNATURES = {
     "fj_watchdog_fault": (None, [POINTER(CWatchdog)]),
     "fj_watchdog_command": (c_bool, [POINTER(CWatchdog), c_uint64, c_uint8, _FLOATS, _FLOATS]),
     "fj_watchdog_step": (c_bool, [POINTER(CWatchdog), c_uint64, _FLOATS]),
+    "fj_default_bounds": (CBounds, []),
+    "fj_guard_init": (c_bool, [POINTER(CGuard), c_uint8, CBounds]),
+    "fj_guard_check": (None, [POINTER(CGuard), c_uint64, _FLOATS, _FLOATS, POINTER(c_int8), c_float, _BYTES]),
     "fj_gate_accept": (c_bool, [POINTER(Gate), c_uint32, c_uint64]),
     "fj_robot_init": (c_bool, [POINTER(CRobot), POINTER(Info), CLimits]),
     "fj_robot_hear": (c_size_t, [POINTER(CRobot), c_char_p, c_size_t, c_uint64, _FLOATS, _BYTES, c_size_t]),
@@ -130,6 +150,9 @@ _SIGNATURES = {
     "lx_decode": (c_bool, [c_char_p, c_size_t, POINTER(CFrame)]),
     "lx_reader_push": (c_bool, [POINTER(CReader), c_uint8, POINTER(CFrame)]),
     "lx_reader_silence": (c_bool, [POINTER(CReader), POINTER(CFrame)]),
+    "lx_counts": (c_int32, [c_float, c_float]),
+    "lx_angle": (c_float, [c_int32, c_float]),
+    "lx_move_time": (c_int32, [c_float, c_float]),
     "ina226_config": (c_uint16, [c_uint16, c_uint16, c_uint16]),
     "ina226_period_us": (c_uint32, [c_uint16]),
     "ina226_current_lsb": (c_float, [c_float]),

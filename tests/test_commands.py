@@ -94,7 +94,8 @@ def needed(parser: console.Parser, but: argparse.Action | None = None) -> list[s
     words = []
     for action in parser._actions:
         if action.required and action.option_strings and action is not but:
-            words += [action.option_strings[-1], str(next(iter(action.choices))) if action.choices else "x"]
+            fitting = {"board": "9x6", "square": "0.02"}.get(action.dest, "x")
+            words += [action.option_strings[-1], str(next(iter(action.choices))) if action.choices else fitting]
         elif not action.option_strings and action.nargs in (None, "+"):
             words += ["x"]
     return words
@@ -138,7 +139,7 @@ def test_the_help_names_every_exit_code_and_the_page_of_commands_has_the_same_ta
     )
 
 
-CODES = ("OK", "FAILED_CHECK", "BAD_INPUT", "CANNOT_TELL", "FAULT", "INTERRUPTED", "PIPE_CLOSED", "TERMINATED")
+CODES = ("OK", "FAILED_CHECK", "BAD_INPUT", "CANNOT_TELL", "FAULT", "HUNG_UP", "INTERRUPTED", "PIPE_CLOSED", "TERMINATED")
 
 
 @pytest.mark.parametrize("verb", sorted(GROUPS))

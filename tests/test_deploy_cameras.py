@@ -195,7 +195,7 @@ def test_in_step_every_frame_is_looked_at():
     eyes = InStep(Frames([(1.0, image(10)), (1.1, image(0)), (1.2, image(30))]), Seer())
     eyes.open()
     assert [fix.t for fix in eyes.fixes(2.0)] == [1.0, 1.2]
-    assert eyes.counts == {"frames": 3, "fixes": 2, "skipped": 0}
+    assert eyes.counts == {"frames": 3, "fixes": 2, "skipped": 0, "repeated": 0}
     eyes.close()
     assert eyes.camera.closed
 

@@ -13,9 +13,13 @@ from fishmj.deploy.clock import MonotonicClock
 from fishmj.deploy.links import Fishmj1Link, MishLink
 from fishmj.deploy.ros import RosPublisher, battery, placed, stamp
 from fishmj.deploy.servo_bus import ServoBusLink
-from fishmj.deploy.swim_command import options
+from fishmj.deploy.swim_command import options, target_warnings
 from fishmj.errors import ConfigError, MissingExtra
+from fishmj.loopback.camera_frames import FishLook
 from fishmj.mjcf.description import load_robot
+from fishmj.studies.tracker import cases
+from fishmj.tracker.calibration import overhead
+from fishmj.tracker.colour import PAPER_FISH
 from tests.deploying import Bench
 
 BAD = {
@@ -56,6 +60,7 @@ def test_each_link_is_the_one_that_is_named():
     made = lambda *words: wiring.make_link(options().parse_args(["--policy", "station", *words]), robot, clock, None)
     link = made("--link", "udp://10.0.0.9:77")
     assert isinstance(link, Fishmj1Link) and (link.transport.host, link.transport.port) == ("10.0.0.9", 77)
+    assert made("--link", "udp://10.0.0.9").transport.port == 2334
     link = made("--link", "udp://10.0.0.9", "--protocol", "mish-fixed")
     assert isinstance(link, MishLink) and (link.transport.port, link.transport.listen) == (2333, 6060)
     link = made("--link", "serial:/dev/x", "--servo-ids", "4,5,6", "--servo-zeros-deg", "1,2,3")
@@ -64,6 +69,33 @@ def test_each_link_is_the_one_that_is_named():
     with pytest.raises(ConfigError, match="take fishmj-1"):
         args = options().parse_args(["--policy", "station", "--link", "udp://h", "--protocol", "mish-fixed"])
         wiring.make_link(args, load_robot("tendon_fish"), clock, None)
+
+
+def test_the_help_says_the_ports_that_a_link_without_one_goes_to(capsys):
+    with pytest.raises(SystemExit):
+        main(["swim", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "default port 2334; of mish 2333" in said and "udp://192.168.1.40 --camera" in said
+
+
+def test_the_paint_that_is_looked_for_is_that_of_the_fish_that_the_loopback_draws():
+    args = options().parse_args(["--policy", "station", "--tracker", "colour"])
+    assert wiring.make_tracker(args, overhead((1280, 720), 0.0028, 3.0)).paint == PAPER_FISH == cases.PAINT
+    look = FishLook.of("fish", "colour")
+    for drawn, bands in ((look.head, args.red), (look.neck, args.yellow)):
+        half = drawn[: len(drawn) // 2]
+        for x, width in bands:
+            assert 2 * np.interp(x, half[:, 0], half[:, 1]) == pytest.approx(
+                width, abs=3e-3
+            )  # a ruler; 20 mm would be another fish
+
+
+def test_a_target_where_the_fish_may_not_swim_or_is_not_seen_is_warned_of():
+    camera = overhead((1280, 720), 0.0028, 3.0, distortion=cases.LENS)  # sees 3.6 by 2 m
+    assert target_warnings((0.5, -0.8), 2.0, camera) == [] == target_warnings((0.0, 0.0), 2.0, None)
+    assert ["beyond --bound 2" in told for told in target_warnings((2.5, 0.0), 2.0, None)] == [True]
+    for place in ((0.0, 1.3), (1.99, 0.0), (40.0, -40.0)):
+        assert "outside of the camera's picture" in target_warnings(place, 100.0, camera)[0]
 
 
 def test_a_loopback_robot_that_cannot_start_says_why(capsys, tmp_path):

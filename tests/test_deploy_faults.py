@@ -108,6 +108,41 @@ def test_fault_24_commands_never_lead_the_measured_joint_by_more_than_the_servo_
         assert np.abs(trial.tables["cmd"][f"c{k}"]).max() <= np.pi / 3 + 1e-9
 
 
+def unguarded(bench):
+    return read_trial(bench.folder).meta["host"].get("unguarded", [])
+
+
+def test_fault_24_guards_that_lack_a_measurement_are_told_once_at_arming(tmp_path, capsys):
+    bench = Bench(tmp_path / "whole", seconds=0.5)
+    assert bench.swim().complete and unguarded(bench) == [] and "guards" not in capsys.readouterr().err
+    bench = Bench(tmp_path / "swim", seconds=0.5)
+    bench.robot.changes |= {"voltage": None, "servo_voltage": None, "temperature": None}
+    assert bench.swim().complete
+    assert unguarded(bench) == ["BATTERY_LOW (no voltage)", "SERVO_HOT (no temperatures)"]
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1 and "nothing guards against BATTERY_LOW" in said[0]
+
+
+def test_fault_24_a_measurement_that_comes_no_more_is_told_on_the_way(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=5.0)
+    bench.at(1.0, lambda: bench.robot.changes.update(temperature=None))
+    assert bench.swim().complete and unguarded(bench) == ["SERVO_HOT (no temperatures)"]
+
+
+def test_fault_24_slow_measurements_are_waited_for_before_the_robot_is_armed(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=0.5)
+    bench.robot.changes["temperature"] = None
+    fixes = bench.eyes.fixes
+
+    def late(now):
+        if now > 100.3:
+            bench.robot.changes.clear()
+        return fixes(now)
+
+    bench.eyes.fixes = late
+    assert bench.swim().complete and unguarded(bench) == []
+
+
 def wrong_joints(bench):
     bench.robot.info = bench.robot.info._replace(joints=("j1", "j3", "j2"))
 
@@ -152,6 +187,22 @@ def test_fault_25_without_a_watchdog_a_person_at_the_tank_is_needed_and_enough(t
     bench = Bench(tmp_path / "swim", at_the_tank=True)
     no_watchdog(bench)
     assert bench.swim().complete
+
+
+def test_fault_25_a_person_at_the_tank_does_not_stand_in_for_a_watchdog_of_a_wrong_time(tmp_path):
+    bench = Bench(tmp_path / "swim", at_the_tank=True)
+    slow_watchdog(bench)
+    outcome = bench.swim()
+    assert not outcome.cause and "only after 20 s" in outcome.refused[0] and bench.robot.sent == []
+
+
+def test_a_camera_that_fails_is_named_where_the_robot_is_not_armed_and_where_a_swim_ends(tmp_path):
+    bench = Bench(tmp_path / "one", plan={"wait": 1.0})
+    bench.eyes.blind, bench.eyes.failed = True, ConfigError("frame of (480, 640, 3) uint8")
+    assert bench.swim().words == "not armed: POSE_LOST (camera: frame of (480, 640, 3) uint8)"
+    bench = Bench(tmp_path / "two")
+    bench.at(1.0, lambda: (setattr(bench.eyes, "blind", True), setattr(bench.eyes, "failed", ConfigError("unplugged"))))
+    assert "ended by POSE_LOST (camera: unplugged)" in bench.swim().words
 
 
 def test_fault_25_a_policy_of_another_structure_is_refused_when_it_is_loaded():
@@ -205,6 +256,13 @@ def test_fault_25_fixes_that_jump_are_refused(tmp_path, back, cause):
     assert outcome.figures["fixes_refused"] >= 9
 
 
+def test_a_fish_that_leaves_where_it_may_swim_ends_in_neutral(tmp_path):
+    bench = Bench(tmp_path / "swim", plan={"bound": 0.32})  # the fish of the bench drifts from 0.3 m on, 1 cm/s
+    ended(bench, bench.swim(), Condition.LEFT_TANK, 2.0)
+    bench = Bench(tmp_path / "outside", plan={"bound": 0.25, "wait": 1.0})
+    assert bench.swim().refused == ("LEFT_TANK",) and bench.robot.sent == []
+
+
 def test_the_operator_ends_a_swim_and_a_new_one_needs_a_person(tmp_path):
     bench = Bench(tmp_path / "one")
     bench.at(1.0, lambda: setattr(bench, "stopped", True))
@@ -248,6 +306,6 @@ def test_an_error_in_the_middle_lets_the_robot_go_and_keeps_the_log(tmp_path):
     bench.at(1.0, fail)
     with pytest.raises(RuntimeError):
         bench.swim()
-    assert bench.robot.disarmed == 1
+    assert bench.robot.disarmed >= 10  # one of them may be lost
     trial = read_trial(bench.folder)
     assert "a fault of ours" in trial.meta["host"]["events"][-1] and len(trial.tables["cmd"]["t"]) >= 50

@@ -228,6 +228,19 @@ def test_a_servo_that_is_silent_after_two_retries_is_told_and_the_tick_is_kept()
         clock.t = begin + 0.02
 
 
+def test_a_voltage_that_is_read_no_more_is_none_after_three_seconds():
+    clock, port, link = bus()
+    for _ in range(6):
+        clock.t += 0.02
+        link.receive(clock.t)
+    write = port.write
+    port.write = lambda data: None if data[4] in (Code.VIN_READ, Code.TEMP_READ) else write(data)
+    for seconds, there in ((2.5, True), (1.0, False)):
+        clock.t += seconds
+        packet = link.receive(clock.t)[0].value
+        assert (packet.servo_voltage is not None) is there and (packet.temperature is not None) is there
+
+
 def test_a_bus_without_servos_says_nothing():
     clock, port, link = bus()
     port.mute = {1, 2, 3}

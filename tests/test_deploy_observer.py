@@ -127,6 +127,12 @@ def test_commands_stay_in_range_and_within_reach_of_the_measured_joint():
     assert limit.acted == before
 
 
+def test_the_lead_does_not_grow_with_a_reading_that_comes_no_more():
+    limit = Limiter(100.0, ahead=0.08, rate=5.0, oldest=0.3)
+    far = [limit(np.full(3, 99.0), np.zeros(3), age)[0] for age in (0.1, 0.3, 2.0)]
+    np.testing.assert_allclose(far, [5.0 * 0.18, 5.0 * 0.38, 5.0 * 0.38])
+
+
 def test_the_way_to_zero_is_even_and_ends_there():
     at, steps = np.array([1.0, -0.5, 0.003]), 0
     while at.any():

@@ -1,22 +1,37 @@
 """Experiments on a rig: what is played through the host becomes a data set that calibration and search read as it is."""
 
 import io
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fishmj import excitation
-from fishmj.deploy import experiment, rig_experiment
+from fishmj import console, excitation
+from fishmj.calibrate.__main__ import main as calibrate
+from fishmj.deploy import experiment, rig_experiment, rig_prompt, wiring
 from fishmj.deploy.links import Fishmj1Link
 from fishmj.deploy.localiser import InStep
 from fishmj.deploy.rig_prompt import Person
+from fishmj.deploy.supervisor import Condition
 from fishmj.deploy.swim import Rig
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.gap.__main__ import main as gap
 from fishmj.log import read_trial, write_dataset
 from fishmj.log.dataset import take
+from fishmj.loopback import faults
 from fishmj.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
 from fishmj.loopback.settings import Settings, make_robot
 from fishmj.mjcf.description import load_robot
+from tests.deploying import FakeClock, FakeEyes, FakeRobot
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def lockstep_rig(start=(0.0, 0.0, 0.0), seed=3, **settings):
@@ -101,6 +116,83 @@ def test_a_swim_that_does_not_end_by_itself_gives_no_trial(tmp_path):
     assert (tmp_path / "a" / "meta.toml").is_file()  # the host's log stays
 
 
+@pytest.mark.parametrize("name", ["chirp", "steps"])
+def test_a_jammed_joint_ends_an_experiment_and_a_healthy_one_does_not(tmp_path, name):
+    (run,) = experiment.runs([name], 1, 3)
+    ends = []
+    for bad in ((), faults.parse(["stuck_servo=2@0"])):
+        rig = lockstep_rig(run.what.start, faults=bad)
+        meta = experiment.meta_of(rig.robot, None, True)
+        ends.append(experiment.play(rig, run, tmp_path / f"{len(ends)}", meta)[0])
+    assert ends[0].complete
+    assert ends[1].cause & Condition.SERVO_STUCK and ends[1].swum < 0.7 * run.what.seconds
+
+
+def test_a_run_ends_before_the_wall_that_was_named(tmp_path):
+    (run,) = experiment.runs(["chirp"], 1, 3)
+    rig = lockstep_rig()
+    outcome, trial = experiment.play(rig, run, tmp_path / "a", experiment.meta_of(rig.robot, None, True), bound=0.1)
+    assert trial is None and outcome.cause & Condition.LEFT_TANK
+    assert np.abs(read_trial(tmp_path / "a").tables["pose"]["x"]).max() < 0.3
+
+
+class Tank:
+    """A robot without a watchdog, a person who presses Enter, and what was done, in order."""
+
+    def __init__(self, monkeypatch, answers="y", entered=20):
+        self.clock, self.done = FakeClock(), []
+        robot, eyes = FakeRobot(self.clock), FakeEyes(self.clock)
+        robot.watched = False
+        wired = wiring.Wired(robot, eyes, self.clock, False)
+        monkeypatch.setattr(rig_prompt.sys, "stdin", io.StringIO("\n" * entered))
+        monkeypatch.setattr(wiring, "wire", lambda *_: wired)
+        monkeypatch.setattr(console, "confirmed", lambda _: self.done.append("asked") or answers == "y")
+        monkeypatch.setattr(rig_experiment, "play", self.play)
+
+    def play(self, rig, run, *args, **options):
+        self.done.append((run.name, self.clock.now()))
+        return SimpleNamespace(words="ended"), None
+
+
+def session(out):
+    return rig_experiment.main(["idle", "--repeats", "3", "--link", "serial:/dev/none", "--out", str(out)])
+
+
+def test_a_person_has_three_seconds_to_take_the_hands_out(tmp_path, monkeypatch, capsys):
+    tank = Tank(monkeypatch)
+    session(tmp_path / "a")
+    assert [entry for entry in tank.done if entry != "asked"] == [("idle_1", 103.0), ("idle_2", 106.0), ("idle_3", 109.0)]
+    assert capsys.readouterr().out.count("hands off: 3\nhands off: 2\nhands off: 1\n") == 3
+
+
+def test_who_stands_at_the_tank_is_asked_once_a_session(tmp_path, monkeypatch):
+    tank = Tank(monkeypatch)
+    session(tmp_path / "a")
+    assert tank.done.count("asked") == 1
+
+
+def test_where_nobody_stands_at_the_tank_the_session_ends_at_once(tmp_path, monkeypatch):
+    tank = Tank(monkeypatch, answers="n")
+    with pytest.raises(ConfigError, match="no watchdog; add --i-am-at-the-tank"):
+        session(tmp_path / "a")
+    assert tank.done == ["asked"]
+
+
+def test_what_to_do_next_has_only_options_that_are_there(bench, capsys):
+    swims, servo = {"a": SimpleNamespace(span=(0.0, 1.0), value=lambda _: "gait")}, {"a": read_trial(bench / "square_1")}
+    said = [rig_experiment.collect(bench.parent, done, "fish")[1] for done in (swims, servo)]
+    lines = [line for line in [*said, *rig_experiment.EXAMPLES.splitlines()] if "gap find" in line or "calibrate servo" in line]
+    helps = {}
+    for name, main in (("gap find", gap), ("calibrate servo", calibrate)):
+        with pytest.raises(SystemExit):
+            main([name.split()[1], "--help"])
+        helps[name] = set(re.findall(r"--[a-z-]+", capsys.readouterr().out))
+    assert len(lines) == 4
+    for line in lines:
+        (verb,) = [name for name in helps if name in line]
+        assert set(re.findall(r"--[a-z-]+", line)) <= helps[verb], line
+
+
 def test_noise_at_rest_is_that_of_the_channel():
     rng = np.random.default_rng(0)
     t = np.arange(0, 5, 0.001)
@@ -125,3 +217,23 @@ def test_a_person_is_asked_until_the_number_makes_sense(capsys):
     with pytest.raises(ConfigError, match="nobody answers"):
         person.ready("next")
     assert "is no number" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_experiment_that_is_ended_by_a_signal_brings_the_robot_to_rest(tmp_path, number):
+    words = [sys.executable, "-m", "fishmj.deploy", "experiment", "gait", "--repeats", "2", "--yes", "--wait", "60"]
+    words += ["--out", str(tmp_path / "data")]
+    raw = tmp_path / "data" / "host" / "gait_1"
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        end = time.monotonic() + 90
+        said = lambda: (raw / "meta.toml").read_text(encoding="utf-8") if (raw / "meta.toml").exists() else ""
+        while "SWIMMING" not in said() and process.poll() is None and time.monotonic() < end:
+            time.sleep(0.05)  # the first rows reach the disk while it swims
+        os.kill(process.pid, number)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == (143 if number == signal.SIGTERM else 130), err
+    events = " ".join(read_trial(raw).meta["host"]["events"])
+    assert "SWIMMING -> NEUTRAL: OPERATOR_STOP" in events, (events, err)
+    assert "go on with: fishmj deploy experiment gait" in out + err
+    assert not (tmp_path / "data" / "host" / "gait_2").exists()

@@ -27,6 +27,7 @@ WAYS_UP = {
 }
 ASKED = Condition.HEARD | Condition.ASK_ARM | Condition.ASK_SWIM | Condition.PERSON_LEAVES
 FAULTS = [condition for condition in Condition if condition not in ASKED | Condition.FINISHED]
+AT_ONCE = Condition.SERVO_HOT | Condition.SERVO_STUCK | Condition.SERVO_LOST | Condition.STOP_NOW
 HOLDING = Condition.LINK_QUIET | Condition.POSE_OLD | Condition.POSE_JUMP
 STATES = list(State)
 
@@ -44,7 +45,8 @@ def test_each_condition_alone_does_what_the_table_says(state, condition):
     after = cell if isinstance(cell, State) else state
     assert found.state is after
     held = after is State.SWIMMING and cell is Stay.HOLD
-    assert found.action is (Action.HOLD if held else ACTIONS[after])
+    let_go = after is State.NEUTRAL and TABLE[condition][State.NEUTRAL] is Stay.LET_GO
+    assert found.action is (Action.LET_GO if let_go else Action.HOLD if held else ACTIONS[after])
     assert found.because == (NONE if cell is STAY else condition)
 
 
@@ -59,7 +61,17 @@ def test_each_fault_of_a_swim_holds_the_fish_or_ends_it(condition):
     if condition in HOLDING:
         assert found == (State.SWIMMING, Action.HOLD, condition)
     else:
-        assert found == (State.NEUTRAL, Action.RETURN, condition)
+        assert found == (State.NEUTRAL, Action.LET_GO if condition in AT_ONCE else Action.RETURN, condition)
+
+
+def test_what_takes_the_torque_off_at_once_does_so_beside_every_other_condition():
+    for condition in Condition:
+        for urgent in AT_ONCE:
+            for state in (State.ARMED, State.SWIMMING):
+                assert decide(state, condition | urgent).action is Action.LET_GO
+            leaves = condition is Condition.PERSON_LEAVES
+            assert decide(State.NEUTRAL, condition | urgent).action is (Action.LISTEN if leaves else Action.LET_GO)
+    assert {c for c, row in TABLE.items() for cell in row if cell is Stay.LET_GO} == set(AT_ONCE)
 
 
 def test_the_only_ways_up_are_one_state_at_a_time():

@@ -90,7 +90,7 @@ def test_each_fault_of_the_loopback_robot_ends_in_neutral_in_time(tmp_path, faul
     cmd = trial.tables["cmd"]
     ended = cmd["t"][cmd["state"] == 4][0] if (cmd["state"] == 4).any() else cmd["t"][-1]
     assert ended <= latest
-    assert "NEUTRAL" in trial.meta["host"]["events"][-1]
+    assert "NEUTRAL" in " ".join(trial.meta["host"]["events"][-2:])  # after it at most that the torque went off at once
 
 
 @pytest.mark.slow

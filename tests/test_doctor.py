@@ -38,6 +38,7 @@ def test_the_packages_that_run_this_test_are_right():
         "sb3",
         "ray",
         "robot",
+        "ros",
         "sysid",
         "bench",
         "tensorboard",

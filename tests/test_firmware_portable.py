@@ -5,24 +5,69 @@ import shutil
 import subprocess
 
 import pytest
-from firmware_library import COMPILER, FIRMWARE, SOURCES, STRICT, needs_compiler
+from firmware_library import COMPILER, FIRMWARE, SOURCES, STRICT, compiled, needs_compiler
+
+from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.identity import structure_of
+from fishmj.protocols import fishmj1, lx_bus, servo_counts
+from fishmj.protocols.messages import RobotInfo, RobotState
 
 pytestmark = needs_compiler
 ALLOWED = {"memcpy", "memset", "memmove", "memcmp", "tanhf"}  # of the standard library
 HEADERS = sorted(FIRMWARE.glob("*.h"))
 BOARD = """
 #include <math.h>
+#include <string.h>
 #include "ina226.h"
 #include "lx_bus.h"
 #include "policy.h"
 #include "robot.h"
+#include "servo_counts.h"
 void read_servos(float *joint);
 void move_servos(const float *target);
+void uart_write(const uint8_t *data, size_t size);
+void show_error(void);
+void setup(void);
 void unload_servos(void);
 fj_telemetry measured(const float *joint);
 size_t udp_receive(uint8_t *data, size_t room);
 void udp_send(const uint8_t *data, size_t size);
 void tick(uint64_t now_us);
+"""
+MAIN = """
+#include <stdio.h>
+#include <stdlib.h>
+void read_servos(float *joint) { joint[0] = joint[1] = joint[2] = 0.1f; }
+void unload_servos(void) {}
+fj_telemetry measured(const float *joint) {
+    fj_telemetry it;
+    memset(&it, 0, sizeof it);
+    memcpy(it.joint, joint, 3 * sizeof *joint);
+    return it;
+}
+static int arrived = 0;
+static uint8_t hello[64];
+static size_t bytes = 0;
+size_t udp_receive(uint8_t *data, size_t room) {
+    (void)room;
+    if (arrived++) return 0;
+    memcpy(data, hello, bytes);
+    return bytes;
+}
+static void show(char what, const uint8_t *data, size_t size) {
+    printf("%c ", what);
+    for (size_t i = 0; i < size; i++) printf("%02x", data[i]);
+    printf("\\n");
+}
+void udp_send(const uint8_t *data, size_t size) { show('u', data, size); }
+void uart_write(const uint8_t *data, size_t size) { show('s', data, size); }
+void show_error(void) { exit(1); }
+int main(void) {
+    setup();
+    bytes = fread(hello, 1, sizeof hello, stdin);
+    tick(20000);
+    return 0;
+}
 """
 
 
@@ -61,6 +106,28 @@ def test_the_loop_of_the_readme_compiles(tmp_path):
     (loop,) = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "board.c").write_text(BOARD + loop)
     subprocess.run([COMPILER, *STRICT, "-I", FIRMWARE, "-c", tmp_path / "board.c", "-o", tmp_path / "board.o"], check=True)
+
+
+def run_of_the_readme(folder, datagram: bytes) -> list[tuple[str, bytes]]:
+    """What the README's board sends at its first tick, after this datagram: ("u", bytes) by UDP, ("s", bytes) to the servos."""
+    (loop,) = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (folder / "board.c").write_text(BOARD + loop + MAIN)
+    board = compiled(folder / "board", [folder / "board.c", *SOURCES])
+    done = subprocess.run([board], input=datagram, capture_output=True, check=True, timeout=30)
+    return [(line.split()[0], bytes.fromhex(line.split()[1])) for line in done.stdout.decode().splitlines()]
+
+
+def test_the_board_of_the_readme_says_what_the_host_asks_for_and_arms(tmp_path):
+    """The host refuses other joints and another range (`deploy.arming`)."""
+    (_, said), *moves, (_, told) = run_of_the_readme(tmp_path, fishmj1.encode_arm(1, 0.0, 0.1, 0.3))
+    info, robot = fishmj1.decode(said).value, load_robot("fish")
+    assert isinstance(info, RobotInfo) and list(info.joints) == structure_of(robot)["joints"]
+    assert info.servo_range == pytest.approx(robot.servo.range, rel=1e-6) and 0 < info.hold < info.neutral
+    assert fishmj1.decode(told).value.state is RobotState.ARMED
+    frames = [lx_bus.decode(data) for _, data in moves]
+    assert [(frame.servo, frame.code, frame.values) for frame in frames] == [
+        (k, lx_bus.Code.MOVE_TIME_WRITE, (servo_counts.counts(0.1), 0)) for k in (1, 2, 3)
+    ]
 
 
 def test_the_readme_lists_each_source():

@@ -121,6 +121,80 @@ with interrupt.keeping(lambda: (open("keeping", "w").close(), time.sleep(60))):
     assert process.returncode == 130
 
 
+def test_fault_13_a_dropped_connection_is_heard_and_exits_129(tmp_path):
+    body = """
+with interrupt.keeping(lambda: "x holds it"):
+    open("begun", "w").close()
+    time.sleep(60)
+"""
+    process = begun(tmp_path, body)
+    process.send_signal(signal.SIGHUP)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == console.HUNG_UP == 129 and err.splitlines() == ["fishmj: hung up; x holds it"]
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="a terminal of POSIX")
+def test_fault_13_a_closed_terminal_is_heard_and_what_cannot_be_said_changes_nothing(tmp_path):
+    import pty
+
+    body = """
+import threading
+asked = threading.Event()
+with interrupt.finishing(lambda: "", heard=asked.set):
+    open("begun", "w").close()
+    asked.wait()
+    open("rested", "w").close()
+console.say("nobody reads this")
+"""
+    script = COMMAND.format(body=body.strip().replace("\n", "\n    "))
+    child, terminal = pty.fork()
+    if not child:
+        os.chdir(tmp_path)
+        os.environ["PYTHONPATH"] = str(interrupts.ROOT)
+        os.execv(sys.executable, [sys.executable, "-c", script])
+    until = time.monotonic() + 60
+    while not (tmp_path / "begun").exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == console.HUNG_UP
+    assert (tmp_path / "rested").exists()
+
+
+WAY_OUT = """
+from threading import Event
+from fishmj.deploy.way_out import way_out
+asked = Event()
+with way_out(asked, lambda: open("let go", "a").write("."), lambda: "too late"):
+    open("begun", "w").close()
+    asked.wait()
+    open("heard", "w").close()
+    time.sleep({seconds})
+    open("rested", "w").close()
+console.warn("interrupted; it rests")
+return console.INTERRUPTED
+"""
+
+
+def test_fault_13_a_robot_on_its_way_to_zero_has_more_than_the_usual_two_seconds(tmp_path):
+    process = begun(tmp_path, WAY_OUT.format(seconds=interrupt.GRACE + 0.5))
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130 and err.splitlines() == ["fishmj: interrupted; it rests"]
+    assert (tmp_path / "rested").exists() and not (tmp_path / "let go").exists()
+
+
+def test_fault_13_asked_twice_a_robot_is_let_go_before_the_process_ends(tmp_path):
+    process = begun(tmp_path, WAY_OUT.format(seconds=60))
+    process.send_signal(signal.SIGINT)
+    while not (tmp_path / "heard").exists():
+        time.sleep(0.02)
+    time.sleep(interrupt.TWICE + 0.1)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130 and not (tmp_path / "rested").exists()
+    assert (tmp_path / "let go").read_text().startswith(".....")
+
+
 def test_a_program_that_imports_fishmj_keeps_its_own_handlers():
     code = "import signal, fishmj, fishmj.console; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
     env = {**os.environ, "PYTHONPATH": str(interrupts.ROOT)}

@@ -6,8 +6,9 @@ import pytest
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.loopback import bodies
 from fishmj.loopback.faults import parse
-from fishmj.loopback.firmware import in_counts
+from fishmj.loopback.firmware import FishmjFirmware, Readings, in_counts
 from fishmj.loopback.robot import LoopbackRobot
+from fishmj.mjcf.description import load_robot
 from fishmj.protocols import fishmj1, mish
 from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.protocols.servo_counts import RAD_PER_COUNT
@@ -131,6 +132,25 @@ def test_the_watchdog_holds_then_goes_to_neutral_at_the_times_asked_for_and_only
     assert host.telemetry[-1][1].state is RobotState.ARMED
 
 
+def test_a_host_that_dies_leaves_a_fish_that_is_straight_and_has_no_torque():
+    host = Host().arm(0.2, 0.5).swim(0.6, lambda t: (0.5, 0.5, 0.5))
+    host.wait(3.0)
+    last = host.telemetry[-1][1]
+    assert last.state is RobotState.NEUTRAL and host.robot.firmware.target is None
+    assert np.abs(last.joint).max() < np.radians(3.0) and last.fault == (ServoFault.NONE,) * 3
+    idle = next(packet.current for _, packet in host.telemetry if packet.state is RobotState.IDLE)
+    assert last.current == pytest.approx(idle, abs=0.01)
+
+
+def test_a_stuck_servo_has_torque_for_no_more_than_5_s_of_neutral():
+    host = Host("stuck_servo=2@0.5").arm(0.2, 0.5).swim(1.0, lambda t: (0.5, 0.5, 0.5))
+    host.wait(7.0)
+    begun, rows = host.states()[RobotState.NEUTRAL], [(t, packet) for t, packet in host.telemetry]
+    stuck = [t for t, packet in rows if packet.fault[1] & ServoFault.STUCK]
+    assert max(stuck) - begun == pytest.approx(5.0, abs=0.05) and rows[-1][0] > max(stuck) + 1.0
+    assert rows[-1][1].state is RobotState.NEUTRAL and rows[-1][1].current < max(packet.current for _, packet in rows) - 0.3
+
+
 def test_old_and_repeated_commands_are_not_taken():
     host = Host().arm().swim(0.2, lambda t: (0.2, 0.2, 0.2))
     for _ in range(10):
@@ -206,6 +226,33 @@ def test_a_low_battery_is_read():
     volts = {t: packet.voltage for t, packet in host.telemetry}
     assert all(value < 6.2 for t, value in volts.items() if 1.1 < t < 2.0)
     assert all(value > 7.0 for t, value in volts.items() if t < 1.0 or t > 2.1)
+
+
+def test_a_battery_that_is_low_for_a_second_is_told_and_the_host_decides():
+    host = Host("low_battery=6.1@1-3").arm().swim(3.5, wave)
+    low = [t for t, packet in host.telemetry if packet.fault[0] & ServoFault.VOLTAGE]
+    assert 1.9 < min(low) < 2.2 and max(low) < 3.2
+    assert host.telemetry[-1][1].state is RobotState.ARMED
+
+
+def readings(*joint: float, volts: float = 7.4, amperes: float = 0.5) -> Readings:
+    return Readings(joint, volts, amperes, (7.4,) * 3, (20.0,) * 3, (ServoFault.NONE,) * 3)
+
+
+def test_a_reading_that_is_no_angle_is_told_as_no_reply_and_telemetry_goes_on():
+    firmware = FishmjFirmware(load_robot("fish"), 0.0)
+    firmware.report(0.0, readings(0.1, 0.2, 0.3))
+    told = fishmj1.decode(firmware.report(0.02, readings(0.1, 40.0, 0.3, volts=50.0, amperes=150.0))).value
+    assert told.joint == pytest.approx((0.1, 0.2, 0.3))
+    assert told.fault == (ServoFault.NONE, ServoFault.NO_REPLY, ServoFault.NONE)
+    assert (told.voltage, told.current) == (41.0, 100.0)
+
+
+@pytest.mark.parametrize(("angle", "state"), [(1.0, RobotState.ARMED), (1.2, RobotState.IDLE)])
+def test_a_joint_beyond_its_range_is_not_armed(angle, state):
+    firmware = FishmjFirmware(load_robot("fish"), 0.0)
+    firmware.hear(fishmj1.encode_arm(1, 0.0, 0.1, 0.3), 0.01, (0.0, angle, 0.0))
+    assert firmware.watchdog.state is state and (firmware.act(0.02, (0.0, angle, 0.0)) is None) == (state is RobotState.IDLE)
 
 
 def test_same_seed_same_bytes_and_another_seed_others():

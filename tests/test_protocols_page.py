@@ -1,5 +1,6 @@
 """The tables of docs/methods/protocols.md are those of the code, byte by byte."""
 
+import math
 import re
 import struct
 import zlib
@@ -9,6 +10,7 @@ import pytest
 
 from fishmj.protocols import fishmj1, lx_bus, mish
 from fishmj.protocols.fishmj1 import Has, Kind
+from fishmj.protocols.guard import Bounds
 from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.protocols.watchdog import LATE, LONGEST, Limits
 
@@ -156,7 +158,18 @@ def test_bounds_are_those_of_the_page():
     limits, degrees = Limits(), lambda value: f"{round(value * 180 / 3.141592653589793)} deg"
     told = section("### The robot's watchdog")
     assert f"at most {degrees(limits.rate)}/s" in told and f"at most {degrees(limits.lead)}\n" in told
+    assert f"within {degrees(limits.near)} of it, at the latest after {limits.rest:g} s in NEUTRAL" in told
+    assert f"further than {degrees(limits.near)} beyond the servo range" in told
     assert f"zero at {degrees(limits.neutral_rate)}/s" in told and f"counts {LATE / 1e6:g} s at most" in told
+
+
+def test_faults_begin_where_the_page_says():
+    bounds, degrees = Bounds(), lambda value: f"{round(math.degrees(value))} deg"
+    begins = {row[0]: row[2] for row in rows(section("### The robot's guard"))}
+    assert list(begins) == [f"{fault.value} {str(fault.name).lower().replace('_', ' ')}" for fault in ServoFault if fault]
+    stuck = f"under torque, {degrees(bounds.far)} from its target for {bounds.stuck:g} s, moved less than {degrees(bounds.still)}"
+    assert begins["16 stuck"] == stuck and begins["1 hot"].startswith(f"{bounds.hot:g} deg C;")
+    assert begins["2 voltage"] == f"each battery reading of {bounds.sag:g} s is below {bounds.low:g} V"
 
 
 def test_the_open_robots_bytes_are_where_the_page_says():

@@ -63,6 +63,7 @@ def test_neutral_brings_joints_to_zero_at_its_rate_and_only_disarm_leads_out():
     while any(target):
         now += 0.02
         last, target = target, watchdog.step(now, target)
+        assert target is not None
         assert all(abs(b - a) <= rate * 0.02 + 1e-9 and abs(b) <= abs(a) for a, b in zip(last, target, strict=True))
     assert now == pytest.approx(1.0 / rate, abs=0.021)
     assert not watchdog.command(now, (1.0, 1.0, 1.0)) and not watchdog.arm(now, HOLD, NEUTRAL, STRAIGHT)
@@ -99,6 +100,58 @@ def test_it_refuses_to_arm_without_times_that_protect(hold, neutral):
 def test_it_refuses_to_arm_where_a_joint_was_not_measured():
     assert not Watchdog(3).arm(0.0, HOLD, NEUTRAL, (0.0, math.nan, 0.0))
     assert not Watchdog(3).arm(0.0, HOLD, NEUTRAL, (0.0, 0.0))
+
+
+def test_it_refuses_to_arm_a_joint_beyond_its_range_and_arms_one_at_its_stop():
+    """A wrong zero: the way back into the range would be a jump at full speed."""
+    limits, watchdog = Limits(), Watchdog(3)
+    assert not watchdog.arm(0.0, HOLD, NEUTRAL, (0.0, limits.servo_range + limits.near + 0.01, 0.0))
+    assert watchdog.state is RobotState.IDLE and watchdog.step(0.02, STRAIGHT) is None
+    assert watchdog.arm(0.0, HOLD, NEUTRAL, (0.0, -limits.servo_range - 0.01, 0.0)), "a count or two beyond its stop"
+
+
+def faulted(measured) -> Watchdog:
+    watchdog = armed(measured)
+    watchdog.fault()
+    return watchdog
+
+
+def seconds_of_torque(watchdog: Watchdog, read, most: float = 10.0) -> float:
+    """s from now 0 until the torque goes off. read: target -> measured."""
+    now, target = 0.0, watchdog.target
+    while now < most and target is not None:
+        now += 0.02
+        target = watchdog.step(now, read(target))
+    return now
+
+
+def test_neutral_takes_the_torque_off_once_the_joints_are_straight_and_stays_neutral():
+    watchdog = faulted((1.0, -0.5, 0.2))
+    assert seconds_of_torque(watchdog, lambda target: target) == pytest.approx(1.0 / Limits().neutral_rate, abs=0.05)
+    assert watchdog.state is RobotState.NEUTRAL and watchdog.rested
+    assert watchdog.step(20.0, (0.5, 0.5, 0.5)) is None, "water that bends it does not switch it on again"
+    assert not watchdog.command(20.0, STRAIGHT) and not watchdog.arm(20.0, HOLD, NEUTRAL, STRAIGHT)
+    watchdog.disarm()
+    assert watchdog.arm(20.0, HOLD, NEUTRAL, STRAIGHT) and watchdog.step(20.02, STRAIGHT) == STRAIGHT
+    watchdog.fault()
+    assert watchdog.step(20.04, (0.5, 0.0, 0.0)) is not None, "the next NEUTRAL has its own time"
+
+
+@pytest.mark.parametrize("broken", [0.4, math.nan])
+def test_a_joint_that_is_stuck_or_silent_gets_no_more_than_rest(broken):
+    watchdog = faulted((0.4, 0.0, 0.0))
+    assert seconds_of_torque(watchdog, lambda target: (broken, *target[1:])) == pytest.approx(Limits().rest, abs=0.05)
+    assert watchdog.state is RobotState.NEUTRAL
+
+
+def test_a_host_that_dies_leaves_a_fish_without_torque():
+    watchdog = armed((0.3, 0.3, 0.3))
+    assert seconds_of_torque(watchdog, lambda target: target) == pytest.approx(NEUTRAL + 0.3 / Limits().neutral_rate, abs=0.05)
+
+
+@pytest.mark.parametrize("garbage", [40.0, -40.0, math.inf])
+def test_a_reading_that_is_no_angle_does_not_move_the_target(garbage):
+    assert armed((0.3, 0.0, 0.0)).step(0.02, (garbage, 0.0, 0.0)) == (0.3, 0.0, 0.0)
 
 
 def test_commands_move_at_most_at_the_rate_or_the_speed_asked():
@@ -148,7 +201,8 @@ def test_whatever_happens_targets_stay_in_range_and_a_silent_host_ends_in_neutra
         elif act[0] != "silence":
             getattr(watchdog, act[0])()
         target = watchdog.step(now, measured)
-        assert (target is None) == (watchdog.state is RobotState.IDLE)
+        assert (target is None) == (watchdog.state is RobotState.IDLE or watchdog.rested)
+        assert not watchdog.rested or watchdog.state in (RobotState.IDLE, RobotState.NEUTRAL)
         if before is RobotState.NEUTRAL and act[0] != "disarm":
             assert watchdog.state is RobotState.NEUTRAL
         if target is not None:

@@ -6,7 +6,7 @@
  *     fishmj-1   accepted with other bytes than the encoding of what was read; or accepted, with bytes that nobody sent, where the
  *                fuzzer did not write a checksum that fits
  *     LX         a frame comes out that is not byte for byte in the stream, in the table of codes, in range and with its checksum
- *     robot      a target that is not finite or out of range, or torque without being armed
+ *     robot      a target that is not finite or out of range, torque without being armed, or no telemetry
  * Prints one line for each; exits 1 where anything is wrong.
  */
 #include <math.h>
@@ -222,7 +222,8 @@ static long fuzz_robot(long count) {
         size_t said = fj_robot_hear(&robot, copy, size, now, measured, answer, sizeof answer);
         free(copy);
         bool moves = fj_robot_act(&robot, now, measured);
-        wrong += said > sizeof answer || moves != (robot.watchdog.state != FJ_IDLE);
+        bool torque = robot.watchdog.state != FJ_IDLE && !(robot.watchdog.state == FJ_NEUTRAL && robot.watchdog.rested);
+        wrong += said > sizeof answer || moves != torque;
         for (uint8_t k = 0; moves && k < 3; k++) {
             float target = robot.watchdog.target[k];
             wrong += !isfinite(target) || fabsf(target) > robot.watchdog.limits.servo_range;
@@ -230,10 +231,13 @@ static long fuzz_robot(long count) {
         fj_telemetry telemetry;
         memset(&telemetry, 0, sizeof telemetry);
         memcpy(telemetry.joint, measured, sizeof measured);
-        telemetry.has = (uint8_t)chance(32);
-        telemetry.voltage = angle(50.0f);
+        if (chance(20) == 0) telemetry.joint[chance(3)] = angle(40.0f);
+        telemetry.has = (uint8_t)chance(256);
+        telemetry.voltage = chance(20) == 0 ? NAN : angle(50.0f);
+        telemetry.current = angle(200.0f);
+        for (uint8_t k = 0; k < 3; k++) telemetry.fault[k] = (uint8_t)chance(256);
         size_t sent = fj_robot_report(&robot, now, &telemetry, answer, sizeof answer);
-        wrong += sent > sizeof answer;
+        wrong += sent == 0 || sent > sizeof answer; /* a host that hears nothing takes the robot for gone */
         armed += robot.watchdog.state == FJ_ARMED;
     }
     printf("robot: %ld datagrams, armed after %ld of them, %ld wrong\n", count, armed, wrong);

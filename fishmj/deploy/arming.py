@@ -50,7 +50,7 @@ def examine(
                 f"the firmware carries policy {there}, the host {controller.name} {here}; flash one, or load the other"
             )
     timed = info is not None and 0 < info.hold < info.neutral <= LONGEST
-    if not (link.watched and timed) and not at_the_tank:
+    if link.watched and not timed or not link.watched and not at_the_tank:  # nobody stands in for a watchdog that acts wrongly
         found |= Condition.WATCHDOG_MISSING
         if not link.watched:
             reasons.append(f"{link.name} has no watchdog; add --i-am-at-the-tank once a person stands there")

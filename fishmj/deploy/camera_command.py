@@ -1,12 +1,4 @@
-"""`fishmj deploy calibrate-camera`: from pictures of a board and marks of the tank to the calibration that a tracker needs.
-
-The marks are a TOML file, each in the picture and in the tank:
-
-    [[mark]]
-    name = "corner"
-    pixel = [212.5, 88.0]      # in the camera's picture, columns and rows from its upper left
-    point = [-1.5, 1.0]        # m, tank frame, on the water plane; x, y and up are right-handed
-"""
+"""`fishmj deploy calibrate-camera`: from pictures of a board and marks of the tank to the calibration that a tracker needs."""
 
 from argparse import ArgumentTypeError
 from pathlib import Path
@@ -21,7 +13,15 @@ from fishmj.tracker import Board, Mark, calibrate_intrinsics, homography_from_ma
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 ROUGH = 5e-3  # m, rms of the marks beyond which the calibration is worse than a tracker needs
 WRONG = 0.5  # of the rms that is left without a mark: then it is that one
-EXAMPLES = """examples:
+EXAMPLES = """marks, four at least and better six, each in the picture and in the tank:
+  [[mark]]
+  name = "corner"
+  pixel = [212.5, 88.0]      # column and row from the picture's upper left, as an image viewer shows them under its pointer
+  point = [-1.5, 1.0]        # m, tank frame: on the water's surface, x, y and up right-handed, origin in the middle of the tank
+
+board and marks are photographed at the size at which the fish swims, 1280 x 720: fishmj deploy capture
+
+examples:
   fishmj deploy calibrate-camera --pictures board --board 9x6 --square 0.025 --marks marks.toml --out tank.toml
   fishmj deploy calibrate-camera --pictures board --board 8x11 --square 0.03 --marker 0.022 --marks marks.toml --out tank.toml"""
 
@@ -36,7 +36,7 @@ def options() -> console.Parser:
     add("--square", type=console.number(0.001, 1), required=True, help="side of a square, m")
     add("--marker", type=console.number(0, 1), default=0.0, help="side of a marker, m: a ChArUco board (DICT_5X5_100)")
     add("--marks", type=console.path, required=True, metavar="FILE", help="TOML of marks of the tank, four at least")
-    add("--camera", type=numbers, metavar="X,Y,HEIGHT", help="where the camera is, m, where a ruler measured it")
+    add("--camera", type=numbers, metavar="X,Y,HEIGHT", help="where a ruler says that the camera is, m (default: as fitted)")
     add("--lag", type=console.number(0, 5), default=0.0, help="s from the middle of an exposure to the stamp of its frame")
     add("--out", type=console.out_file, required=True, metavar="FILE", help="TOML of the calibration")
     return made

@@ -6,15 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from fishmj import console
-from fishmj.deploy.cameras import cv2
+from fishmj.deploy.cameras import Device
 from fishmj.deploy.clock import MonotonicClock
 from fishmj.deploy.ticker import LATE, Ticker
 from fishmj.deploy.transports import serial_devices
-from fishmj.errors import FishmjError
+from fishmj.errors import ConfigError, FishmjError
 
 LIST = Path(__file__).with_name("host_requirements.txt")
 OPTIONAL = {"mcap": "logs", "roslibpy": "ros"}
 CAMERAS = 4  # numbers that are tried
+STARTS = 3.0  # s that a camera may take to its first picture
 EXAMPLES = """example:
   fishmj deploy doctor --camera --seconds 10"""
 
@@ -24,7 +25,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser(
         "deploy doctor", "What is plugged in, what is installed, how evenly this computer ticks.", examples=EXAMPLES
     )
-    parser.add_argument("--camera", action="store_true", help="open every camera for a moment: its size and rate")
+    parser.add_argument("--camera", action="store_true", help="open every camera as a swim does: its size and rate")
     parser.add_argument("--seconds", type=console.number(0.5, 3600), default=2.0, help="of ticks at 50 Hz to measure")
     args = parser.parse_args(argv)
     installed = {name: version(name) for name in (*required(), *OPTIONAL)}
@@ -65,18 +66,32 @@ def version(package: str) -> str | None:
 
 
 def cameras() -> list[str]:
-    """Cameras that open, with size, rate and what a second really gives."""
-    opencv, found = cv2(), []
+    """Cameras that open, with the size that they give where a swim's is asked for, and what a second really gives."""
+    found = []
     for number in range(CAMERAS):
-        device = opencv.VideoCapture(number)
-        if device.isOpened() and device.grab():
-            begin, count = time.monotonic(), 0
-            while time.monotonic() - begin < 1.0 and device.grab():
-                count += 1
-            width, height = (int(device.get(key)) for key in (opencv.CAP_PROP_FRAME_WIDTH, opencv.CAP_PROP_FRAME_HEIGHT))
-            found.append(f"{number}: {width} x {height}, {count} frames in 1 s")
-        device.release()
+        camera = Device(number)
+        try:
+            camera.open()
+        except ConfigError:
+            continue
+        try:
+            found.append(f"{number}: {_measured(camera)}")
+        finally:
+            camera.close()
     return found
+
+
+def _measured(camera: Device) -> str:
+    """Size and rate of an opened camera."""
+    if not (frames := camera.wait(STARTS)):
+        return f"no picture in {STARTS:g} s"
+    height, width = frames[-1][1].shape[:2]
+    begin, count = time.monotonic(), 0
+    while time.monotonic() - begin < 1.0:
+        count += len(camera.wait(0.1))
+    wanted = camera.size
+    note = "" if (width, height) == wanted else f" (a swim asks for {wanted[0]} x {wanted[1]})"
+    return f"{width} x {height}, {count} frames in 1 s{note}"
 
 
 def ticks(seconds: float) -> dict[str, float]:

@@ -5,7 +5,7 @@ the first command on, and says what was measured of the noise while the fish res
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from math import sqrt
+from math import inf, sqrt
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -18,7 +18,6 @@ from fishmj.deploy.pilot import PlayedPilot
 from fishmj.deploy.supervisor import State
 from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
 from fishmj.deploy.trial_log import TrialLog
-from fishmj.deploy.watch import Thresholds
 from fishmj.errors import ConfigError
 from fishmj.excitation import LEAD, Excitation
 from fishmj.log import Table, Trial, read_trial
@@ -29,8 +28,6 @@ from fishmj.source import made_by
 
 REPEATS = 3
 QUIET = 8  # rows at least in which the noise of a channel is taken
-# a joint that rested for half a second and was told to jump has not moved yet: only one that stays away is stuck
-STEPPED = Thresholds(stuck_asked=10.0)
 SAME = 1e-6  # rad: a command that left as it was wanted
 SESSIONS: Mapping[str, tuple[str, ...]] = {
     # without a carriage nothing is let go at a speed: `burst_and_coast` swims up to it, and coasting then shows the drag
@@ -89,16 +86,16 @@ def unpoliced(link: Link, robot: Robot, at_the_tank: bool) -> Callable[[RobotInf
 
 def play(
     rig: Rig, run: Run, folder: Path, meta: Mapping[str, Any], *, medium: str = "water", wait: float = 10.0,
-    stop: Callable[[], bool] = lambda: False, person: bool = False,
+    stop: Callable[[], bool] = lambda: False, person: bool = False, bound: float = inf,
 ) -> tuple[Outcome, Trial | None]:  # fmt: skip
     """Play one experiment on a rig; the host's whole log stays in `folder`.
 
     Args:
-        medium: "air" where the fish hangs and no camera is needed. stop, person: as `Swim`.
+        medium: "air" where the fish hangs and no camera is needed. stop, person: as `Swim`. bound: m, as `Plan`.
     Returns:
         how it ended, and the trial of a data set; None where it did not play to the end.
     """
-    plan = Plan(seconds=run.what.seconds, wait=wait, pose=medium == "water", thresholds=STEPPED)
+    plan = Plan(seconds=run.what.seconds, wait=wait, pose=medium == "water", bound=bound)
     told = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
     with TrialLog(folder, told, rig.robot.n_joints) as log:
         outcome = Swim(rig, PlayedPilot(run.what.commands), plan, log, stop=stop, person=person).run()

@@ -1,9 +1,10 @@
 """What a joint may be commanded: its range, and no further from where it *is* than it can turn until the command arrives.
 
-    c' = clip(c, +-range),   |c' - j| <= rate (age + ahead)
+    c' = clip(c, +-range),   |c' - j| <= rate (min(age, oldest) + ahead)
 
-j is the measured joint, `age` s old, and `ahead` the time until the command acts: latency and one tick. A jump of the policy, or
-a joint that was pushed aside while nothing was commanded, thus never turns into a faster motion than the servo's own 5.2 rad/s.
+j is the measured joint, `age` s old, `oldest` the age from which on the link counts as silent and nothing is steered, and `ahead`
+the time until the command acts: latency and one tick. A jump of the policy, or a joint that was pushed aside while nothing was
+commanded, thus never turns into a faster motion than the servo's own 5.2 rad/s.
 """
 
 import numpy as np
@@ -16,18 +17,18 @@ class Limiter:
     """Limits of one robot.
 
     Args:
-        reach: rad, commands stay within +- this. ahead: s until a command that leaves now acts. rate: rad/s.
+        reach: rad, commands stay within +- this. ahead: s until a command that leaves now acts. rate: rad/s. oldest: s.
 
     Attributes:
         acted: commands that were changed so far.
     """
 
-    def __init__(self, reach: float, ahead: float, rate: float = RATE):
-        self.range, self.ahead, self.rate, self.acted = reach, ahead, rate, 0
+    def __init__(self, reach: float, ahead: float, rate: float = RATE, oldest: float = 0.3):
+        self.range, self.ahead, self.rate, self.oldest, self.acted = reach, ahead, rate, oldest, 0
 
     def __call__(self, wanted: np.ndarray, measured: np.ndarray, age: float) -> np.ndarray:
         """The nearest command (J,) rad that is allowed; `measured` (J,) rad, `age` s old."""
-        far = self.rate * (max(age, 0.0) + self.ahead)
+        far = self.rate * (min(max(age, 0.0), self.oldest) + self.ahead)
         measured = np.where(np.isfinite(measured), measured, 0.0)  # a bad reading ends the swim; until then, near the middle
         allowed = np.clip(np.clip(wanted, measured - far, measured + far), -self.range, self.range)
         self.acted += bool(np.any(np.abs(allowed - wanted) > 1e-9))

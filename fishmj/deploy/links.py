@@ -131,7 +131,7 @@ class MishLink:
 
     def __init__(self, transport: Transport, firmware: "mish.Firmware" = "fixed"):
         self.transport, self.firmware = transport, firmware
-        self.lacks: tuple[str, ...] = (*mish.LACKS, *(("joint angles",) if firmware == "mish-0.1.0" else ()))
+        self.lacks: tuple[str, ...] = (*mish.LACKS, "letting go", *(("joint angles",) if firmware == "mish-0.1.0" else ()))
         self.name = f"mish-{firmware.removeprefix('mish-')}"
         self.counts = {"packets": 0, "bad": 0, "old": 0}
 

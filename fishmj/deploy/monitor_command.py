@@ -24,12 +24,14 @@ def options() -> console.Parser:
     made = console.parser("deploy monitor", "Say when robot and model part, and in which channel.", examples=EXAMPLES)
     add = made.add_argument
     add("trials", nargs="+", type=console.path, metavar="TRIAL", help="trial folders, or data sets of them")
-    add("--healthy", nargs="+", type=console.path, default=[], metavar="TRIAL", help="swims of the same robot to learn from")
+    learnt = "swims of the same robot to learn from (default: the first minutes of each)"
+    add("--healthy", nargs="+", type=console.path, default=[], metavar="TRIAL", help=learnt)
     add("--robot", type=console.text, default="fish", help="the model: shipped name or TOML file (default fish)")
     add("--rate", type=console.number(1e-6, 60), default=RATE, help=f"false alarms an hour, all tests together (default {RATE})")
     settle = f"s of every trial to learn from, without --healthy (default {SETTLE:.0f})"
     add("--settle", type=console.number(1, 36000), default=SETTLE, help=settle)
-    add("--picture", type=console.out_file, help="SVG of the statistics over time; of several trials, one each with its name")
+    drawing = "SVG of the statistics over time; of several trials, one each with its name (default none)"
+    add("--picture", type=console.out_file, help=drawing)
     return made
 
 

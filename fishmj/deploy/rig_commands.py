@@ -1,4 +1,4 @@
-"""Commands of `fishmj deploy` for what a lab measures on its rig: experiments and weighing."""
+"""Commands of `fishmj deploy` for what a lab measures on its rig: experiments, weighing, pictures for the calibration."""
 
 from fishmj.console import Command
 
@@ -7,6 +7,11 @@ COMMANDS = {
         "fishmj.deploy.rig_experiment",
         "named experiments on the robot, three repeats, for calibrate and gap find",
         "fishmj deploy experiment session --link loopback --yes --out data/loopback",
+    ),
+    "capture": Command(
+        "fishmj.deploy.rig_capture",
+        "pictures of a board or of the tank's marks, for calibrate-camera",
+        "fishmj deploy capture --camera 0 --count 12 --every 2 --out board",
     ),
     "weigh": Command(
         "fishmj.deploy.rig_weigh",

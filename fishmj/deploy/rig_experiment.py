@@ -1,8 +1,12 @@
 """`fishmj deploy experiment`: named excitations on the robot, three repeats, into a data set for calibration and search."""
 
 from argparse import Namespace
+from collections.abc import Callable
 from contextlib import ExitStack
+from functools import cache
+from math import inf
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from fishmj import console, interrupt
@@ -12,6 +16,7 @@ from fishmj.deploy.experiment import REPEATS, SESSIONS, Run, meta_of, placing, p
 from fishmj.deploy.rig_prompt import Person
 from fishmj.deploy.swim import Rig
 from fishmj.deploy.swim_command import flow
+from fishmj.deploy.way_out import way_out
 from fishmj.errors import ConfigError
 from fishmj.log import Trial, read_trial, write_trial
 from fishmj.mjcf.description import Robot, load_robot
@@ -23,7 +28,9 @@ EXAMPLES = """examples:
   fishmj deploy experiment session --link udp://192.168.1.40 --camera 0 --calibration tank.toml --out data/monday
   fishmj deploy experiment gait chirp --repeats 3 --link loopback --yes --out data/loopback
   fishmj deploy experiment air --medium air --link serial:/dev/ttyUSB0 --out data/bench
-the data set is OUT/trials: fishmj gap find OUT/trials --robot fish; fishmj calibrate servo --data OUT/trials"""
+the data set is OUT/trials:
+  fishmj gap find OUT/trials --model fish --out report          after `session`
+  fishmj calibrate servo --data OUT/trials --out fish.toml      after `calibrate` or `air`"""
 
 
 def options() -> console.Parser:
@@ -38,6 +45,8 @@ def options() -> console.Parser:
     )
     add("--repeats", type=console.whole(1, 20), default=REPEATS, help=f"of every experiment (default {REPEATS})")
     add("--medium", choices=("water", "air"), default="water", help="air: the fish hangs, no camera is needed")
+    about = "m; a run ends where |x| or |y| of the fish goes beyond it, before a wall (default: none)"
+    add("--bound", type=console.number(0.1, 100), metavar="M", help=about)
     add("--wait", type=console.number(0.5, 3600), default=10.0, help="s to wait for robot and camera")
     add("--yes", action="store_true", help="ask nobody: only with --link loopback, whose fish is put in place")
     add(
@@ -45,8 +54,8 @@ def options() -> console.Parser:
         action="store_true",
         help="arm a robot without a watchdog: a person stands there, a hand on its switch",
     )
-    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad, where it is known")
-    add("--notes", type=console.text, metavar="TEXT", help="a sentence for every meta.toml")
+    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad (default: not known)")
+    add("--notes", type=console.text, metavar="TEXT", help="a sentence for every meta.toml (default none)")
     wiring.link_options(made)
     wiring.camera_options(made)
     wiring.loopback_options(made)
@@ -67,22 +76,27 @@ def main(argv: list[str]) -> int:
     if done:
         console.say(f"{len(done)} of {len(todo)} are there already: going on")
     unplayed: dict[str, str] = {}
+    stop, at_the_tank = Event(), cache(console.confirmed)  # a person is asked once a session
+    kept = lambda: f"{len(done)} trials are in {cut}; {interrupt.again('go on')}"
     for number, run in enumerate(todo):
         if run.name in done:
             continue
+        if stop.is_set():
+            break
         console.say(f"{number + 1} of {len(todo)}: {run.name}, {run.what.seconds:.1f} s ({run.what.about})")
-        with interrupt.keeping(lambda: f"{len(done)} trials are in {cut}; {interrupt.again('go on')}"):
-            trial, why = _played(args, robot, run, free_name(raw, run.name), person)
+        with interrupt.keeping(kept):  # while the robot swims, `way_out` stands within
+            trial, why = _played(args, robot, run, free_name(raw, run.name), person, at_the_tank, stop, kept)
             if trial is None:
                 unplayed[run.name] = why
                 console.warn(f"{run.name}: {why}")
                 continue
+            console.say(why)  # whether the torque is off, before anybody reaches into the water
             write_trial(cut / run.name, trial)
             done[run.name] = trial
-    told = collect(args.out, done)
-    console.say(*told)
+    told = collect(args.out, done, args.robot)
+    console.say(*told, *([interrupt.again("go on")] if stop.is_set() else []))
     if args.json:
-        console.emit_json({"trials": sorted(done), "unplayed": unplayed, "data": args.out / CUT})
+        console.emit_json({"trials": sorted(done), "unplayed": unplayed, "data": cut})
     return console.FAILED_CHECK if unplayed else console.OK
 
 
@@ -99,18 +113,30 @@ def free_name(folder: Path, name: str) -> Path:
     return next(path for path in tries if not path.exists())
 
 
-def collect(out: Path, done: dict[str, Trial]) -> list[str]:
-    """Write the data set's manifest; what to do next."""
+def collect(out: Path, done: dict[str, Trial], model: str) -> list[str]:
+    """Write the data set's manifest; what to do next with the described robot."""
     if not done:
         return ["nothing was played"]
     Manifest.of(out / CUT, {"source": "fishmj deploy experiment"}).write(out / CUT)
     seconds = sum(trial.span[1] for trial in done.values())
-    again = "fishmj gap find" if all(t.value("medium") == "water" for t in done.values()) else "fishmj calibrate servo --data"
-    return [f"{len(done)} trials, {seconds:.0f} s in {out / CUT}", f"next: {again} {out / CUT}"]
+    bench = any(t.value("excitation") in SESSIONS["calibrate"] for t in done.values())
+    servo = f"calibrate servo --data {out / CUT} --model {model} --out {out / 'calibrated.toml'}"
+    search = f"gap find {out / CUT} --model {model} --out {out / 'report'}"
+    return [f"{len(done)} trials, {seconds:.0f} s in {out / CUT}", f"next: fishmj {servo if bench else search}"]
 
 
-def _played(args: Namespace, robot: Robot, run: Run, folder: Path, person: Person) -> tuple[Trial | None, str]:
-    """One experiment: the fish is put in place, everything is opened, played and closed."""
+def _played(
+    args: Namespace, robot: Robot, run: Run, folder: Path, person: Person, ask: Callable[[str], bool], stop: Event,
+    words: Callable[[], str],
+) -> tuple[Trial | None, str]:  # fmt: skip
+    """One experiment: the fish is put in place, everything is opened, played and closed.
+
+    Args:
+        ask: whether somebody stands at the tank. stop: is set by a signal while the robot swims. words: of `way_out`.
+
+    Raises:
+        ConfigError: the robot has no watchdog and nobody stands at the tank; what `wiring.wire` raises.
+    """
     given: Any = args
     if args.link == "loopback":
         place = ",".join(f"{value:.6g}" for value in run.what.start)
@@ -119,13 +145,21 @@ def _played(args: Namespace, robot: Robot, run: Run, folder: Path, person: Perso
         person.ready(placing(run.what) if args.medium == "water" else "hang the fish by its head, clear of everything")
     with ExitStack() as stack:
         wired = wiring.wire(given, robot, stack) if args.medium == "water" else _blind(args, robot, stack)
-        at_the_tank = wired.loopback or arming.asked_at_the_tank(wired.link, args.i_am_at_the_tank, console.confirmed)
+        link, clock = wired.link, wired.clock
+        at_the_tank = wired.loopback or arming.asked_at_the_tank(link, args.i_am_at_the_tank, ask)
+        if not (link.watched or at_the_tank):
+            raise ConfigError(f"experiment: {link.name} has no watchdog; add --i-am-at-the-tank once a person stands there")
         rig = Rig(
-            robot=robot, link=wired.link, localiser=wired.localiser, clock=wired.clock,
-            examine=unpoliced(wired.link, robot, at_the_tank),
+            robot=robot, link=link, localiser=wired.localiser, clock=clock, examine=unpoliced(link, robot, at_the_tank)
         )  # fmt: skip
         meta = meta_of(robot, args.flow, wired.loopback, args.notes or "")
-        outcome, trial = play(rig, run, folder, meta, medium=args.medium, wait=args.wait, stop=interrupt.asked)
+        if not args.yes:
+            person.hands_off(clock)
+            wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
+        with way_out(stop, lambda: link.disarm(clock.now()), words):
+            outcome, trial = play(
+                rig, run, folder, meta, medium=args.medium, wait=args.wait, stop=stop.is_set, bound=args.bound or inf
+            )
     return trial, outcome.words
 
 

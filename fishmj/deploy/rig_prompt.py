@@ -4,9 +4,11 @@ import sys
 from typing import TextIO
 
 from fishmj import console
+from fishmj.deploy.clock import Clock
 from fishmj.errors import ConfigError
 
 STOP = ("q", "quit", "stop")
+HANDS_OFF = 3  # s from the person's word to torque: both hands out of the water, one at the switch
 
 
 class Person:
@@ -33,6 +35,12 @@ class Person:
     def ready(self, what: str) -> None:
         """Wait until the person has done it."""
         self.asked(f"{what}; then press Enter (q stops)")
+
+    def hands_off(self, clock: Clock) -> None:
+        """Count down before the robot gets torque."""
+        for left in range(HANDS_OFF, 0, -1):
+            console.say(f"hands off: {left}")
+            clock.sleep_until(clock.now() + 1.0)
 
     def number(self, what: str, low: float, high: float, empty: bool = False) -> float | None:
         """A number of a range; asks again until it is one. empty: Enter alone is None.

@@ -23,6 +23,7 @@ ANSWER = (
     0.003  # s that a servo has: USB adapters hold bytes back for 1 to 2 ms (an FTDI chip only with its latency timer at 1 ms)
 )
 BUDGET = 0.012  # s of a tick for questions; what is left is the policy's
+FORGOTTEN = 3.0  # s after which a voltage or temperature that was not read again counts as none; each is read every 0.12 s
 STALE = 0.1  # s after which a servo that nobody had time to ask counts as lost
 SLOW = ((Code.VIN_READ, "volts"), (Code.TEMP_READ, "degrees"))
 
@@ -68,7 +69,7 @@ class ServoBusLink:
         self._turn = 0
         self._joint: dict[int, float] = {}
         self._heard: dict[int, float] = {}
-        self._slow: dict[str, dict[int, float]] = {"volts": {}, "degrees": {}}
+        self._slow: dict[str, dict[int, tuple[float, float]]] = {"volts": {}, "degrees": {}}
 
     def hello(self, now: float) -> None:
         """Servos answer only what they are asked, at every tick."""
@@ -106,15 +107,18 @@ class ServoBusLink:
         servo = self.ids[self._turn // len(SLOW) % len(self.ids)]
         values = self._ask(servo, code, end, most=1)[0] if servo not in silent else None
         if values is not None:
-            self._slow[what][servo] = servo_counts.volts(values[0]) if what == "volts" else float(values[0])
+            self._slow[what][servo] = now, servo_counts.volts(values[0]) if what == "volts" else float(values[0])
         self._turn += 1
         if len(self._joint) < len(self.ids) or len(silent) == len(self.ids):
             return []
         self.counts["packets"] += 1
-        return [Received(self.clock.now(), self._packet(silent))]
+        return [Received(self.clock.now(), self._packet(silent, now))]
 
-    def _packet(self, silent: set[int]) -> Telemetry:
-        volts, degrees = (self._slow[what] for what in ("volts", "degrees"))
+    def _packet(self, silent: set[int], now: float) -> Telemetry:
+        volts, degrees = (
+            {servo: value for servo, (t, value) in self._slow[what].items() if now - t <= FORGOTTEN}
+            for what in ("volts", "degrees")
+        )
         return Telemetry(
             joint=tuple(self._joint[servo] for servo in self.ids),
             servo_voltage=tuple(volts[servo] for servo in self.ids) if len(volts) == len(self.ids) else None,

@@ -1,5 +1,7 @@
 """One live line while it swims: state, distance, age of the pose, battery, late ticks. On a pipe a plain line now and then."""
 
+from contextlib import suppress
+
 from fishmj import console
 from fishmj.deploy.observer import Observer
 from fishmj.deploy.supervisor import Decision, named
@@ -31,7 +33,16 @@ class StatusLine:
             fields["pose"] = f"{1e3 * (now - pose.t):.0f} ms old"
         if watch.newest is not None and (volts := supply(watch.newest)) is not None:
             fields["battery"] = f"{volts:.2f} V"
-        self._bar.update(min(swum, self._most), **fields, late=ticker.late, dropped=ticker.dropped)
+        try:
+            self._bar.update(min(swum, self._most), **fields, late=ticker.late, dropped=ticker.dropped)
+        except OSError:  # the terminal is gone: nobody looks, and the swim comes to its own end
+            self._bar = None
+
+    def warn(self, text: str) -> None:
+        """Say a line of its own, also where nothing else is shown."""
+        with suppress(OSError):
+            self.close()
+            console.warn(text)
 
     def close(self) -> None:
         """Leave the line standing."""

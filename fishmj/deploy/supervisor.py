@@ -10,8 +10,9 @@ After the supervisor of the Crazyflie's firmware: conditions are bits, found ane
     SWIMMING   the policy steers
     NEUTRAL    joints go to zero at a limited rate, then the torque goes off; only a person leads out of it
 
-A cell is a state to go to, HOLD (the last angles stay, the state too), REFUSE (no way up from here while it lasts), or STAY.
-Where several conditions are true at once, the most careful cell wins: NEUTRAL, DOWN, REFUSE, HOLD, then a way up.
+A cell is a state to go to, HOLD (the last angles stay, the state too), REFUSE (no way up from here while it lasts), LET_GO (the
+torque goes off at once instead of on the way to zero), or STAY. Where several conditions are true at once, the most careful cell
+wins: NEUTRAL, DOWN, LET_GO or REFUSE, HOLD, then a way up. What is let go in NEUTRAL is let go on the way there already.
 """
 
 from enum import Enum, IntEnum, IntFlag, auto
@@ -51,6 +52,8 @@ class Condition(IntFlag):
     WATCHDOG_MISSING = auto()  # the robot has no watchdog of its own, and no person stands at the tank
     ROBOT_NEUTRAL = auto()  # the robot's own watchdog ended the swim, or the robot began anew
     OPERATOR_STOP = auto()
+    LEFT_TANK = auto()  # the newest pose lies beyond where the fish may swim
+    STOP_NOW = auto()  # the operator stops what is on its way to zero already
 
 
 class Stay(Enum):
@@ -59,6 +62,7 @@ class Stay(Enum):
     STAY = 0
     HOLD = 2
     REFUSE = 3
+    LET_GO = 4
 
 
 class Action(Enum):
@@ -68,12 +72,13 @@ class Action(Enum):
     HOLD = "hold"  # the last angles
     SWIM = "swim"  # the policy's
     RETURN = "return"  # to zero at a limited rate, then torque off
+    LET_GO = "let go"  # torque off now: a servo that is hot, jammed or unheard is not pulled anywhere
 
 
 Cell = State | Stay
 C = Condition
 DOWN, LINKED, ARMED, SWIMMING, NEUTRAL = State
-STAY, HOLD, REFUSE = Stay
+STAY, HOLD, REFUSE, LET_GO = Stay
 TABLE: dict[Condition, tuple[Cell, Cell, Cell, Cell, Cell]] = {
     #                    DOWN    LINKED  ARMED     SWIMMING NEUTRAL
     C.HEARD:            (LINKED, STAY,   STAY,     STAY,    STAY),
@@ -87,15 +92,17 @@ TABLE: dict[Condition, tuple[Cell, Cell, Cell, Cell, Cell]] = {
     C.POSE_LOST:        (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
     C.POSE_JUMP:        (STAY,   STAY,   HOLD,     HOLD,    STAY),
     C.BATTERY_LOW:      (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
-    C.SERVO_HOT:        (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
-    C.SERVO_STUCK:      (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
-    C.SERVO_LOST:       (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
+    C.SERVO_HOT:        (STAY,   REFUSE, NEUTRAL,  NEUTRAL, LET_GO),
+    C.SERVO_STUCK:      (STAY,   REFUSE, NEUTRAL,  NEUTRAL, LET_GO),
+    C.SERVO_LOST:       (STAY,   REFUSE, NEUTRAL,  NEUTRAL, LET_GO),
     C.READING_BAD:      (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
     C.ACTION_NAN:       (STAY,   STAY,   NEUTRAL,  NEUTRAL, STAY),
     C.POLICY_MISMATCH:  (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
     C.WATCHDOG_MISSING: (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
     C.ROBOT_NEUTRAL:    (STAY,   STAY,   NEUTRAL,  NEUTRAL, STAY),
     C.OPERATOR_STOP:    (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
+    C.LEFT_TANK:        (STAY,   REFUSE, NEUTRAL,  NEUTRAL, STAY),
+    C.STOP_NOW:         (STAY,   REFUSE, NEUTRAL,  NEUTRAL, LET_GO),
 }  # fmt: skip
 ACTIONS = {
     DOWN: Action.LISTEN, LINKED: Action.LISTEN, ARMED: Action.HOLD, SWIMMING: Action.SWIM, NEUTRAL: Action.RETURN,
@@ -124,7 +131,7 @@ class Decision(NamedTuple):
 def care(cell: Cell) -> int:
     """How careful a cell is; of several, the highest wins."""
     if isinstance(cell, Stay):
-        return {STAY: 0, HOLD: 2, REFUSE: 3}[cell]
+        return {STAY: 0, HOLD: 2, REFUSE: 3, LET_GO: 3}[cell]
     return {NEUTRAL: 5, DOWN: 4}.get(cell, 1)
 
 
@@ -136,6 +143,8 @@ def decide(state: State, conditions: Condition) -> Decision:
     because = Condition(sum(ruling))
     cell = cells[ruling[0]] if ruling else STAY
     after = cell if isinstance(cell, State) else state
+    if after is NEUTRAL and any(TABLE[condition][NEUTRAL] is LET_GO for condition in cells):
+        return Decision(after, Action.LET_GO, because)
     held = ACTIONS[after] is Action.SWIM and (cell is HOLD or cell is REFUSE)
     return Decision(after, Action.HOLD if held else ACTIONS[after], because)
 

@@ -6,12 +6,14 @@
     command  of the policy, held, or on the way to zero; within what the joints can do (`limits`); over the link (`links`)
     write    what was asked, sent, heard and seen (`trial_log`)
 
-It ends in NEUTRAL, whatever happens: joints to zero, torque off, log closed.
+It ends in NEUTRAL, whatever happens: joints to zero, torque off, log closed. Where a servo is hot, jammed or unheard, or the
+operator stops the way to zero, the torque goes off at once.
 """
 
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,9 +35,10 @@ from fishmj.mjcf.description import Robot
 from fishmj.protocols.messages import RobotInfo, RobotState
 
 GREET, ASK = 10, 5  # ticks between two greetings, and between two requests to arm
+GUARDS = 0.5  # s from the first packet that arming waits for slow measurements which a guard wants
 HOME = 2.0  # s that the way to zero may take
 LET_GO = 10  # ticks in which the robot is told to let go, until it says that it has
-POSE = Condition.POSE_OLD | Condition.POSE_LOST | Condition.POSE_JUMP
+POSE = Condition.POSE_OLD | Condition.POSE_LOST | Condition.POSE_JUMP | Condition.LEFT_TANK
 
 
 @dataclass(kw_only=True)
@@ -59,6 +62,7 @@ class Plan:
     """One swim. target: m, tank frame. wait: s to wait for robot and camera.
 
     hold, neutral: s without a command after which the firmware shall hold and go to neutral. pose: the pilot needs the camera.
+    bound: m, the fish may swim where |x| and |y| are at most this.
     """
 
     target: tuple[float, float] = (0.0, 0.0)
@@ -67,6 +71,7 @@ class Plan:
     hold: float = 0.1
     neutral: float = 0.3
     pose: bool = True
+    bound: float = float("inf")
     thresholds: Thresholds = Thresholds()
 
 
@@ -77,12 +82,17 @@ class Outcome:
     Attributes:
         cause: what led to NEUTRAL; NONE where it never was armed. refused: reasons against arming, of this rig or of this moment.
         swum: s under the policy. figures: counts and times for the log and for people.
+        released: whether the robot said that its torque is off; None where its protocol cannot say, or it never was armed.
+        lets_go: whether it can be told to let go at all. camera: why no more poses came, "" while they did.
     """
 
     cause: Condition
     refused: tuple[str, ...]
     swum: float
     figures: dict
+    released: bool | None = None
+    lets_go: bool = True
+    camera: str = ""
 
     @property
     def complete(self) -> bool:
@@ -91,10 +101,23 @@ class Outcome:
 
     @property
     def words(self) -> str:
-        """One clause for people."""
+        """One line for people."""
         if self.cause:
-            return f"swam {self.swum:.1f} s; ended by {named(self.cause)}"
-        return f"not armed: {'; '.join(self.refused) or 'stopped'}"
+            return f"swam {self.swum:.1f} s; ended by {named(self.cause)}{self._blind}{self._torque}"
+        return f"not armed: {'; '.join(self.refused) or 'stopped'}{self._blind}"
+
+    @property
+    def _blind(self) -> str:
+        return f" (camera: {self.camera})" if self.camera else ""
+
+    @property
+    def _torque(self) -> str:
+        """What to do about the torque, "" where it is off."""
+        if not self.lets_go:
+            return "; this robot cannot be told to let go and keeps its torque: use the switch"
+        if self.released is None:
+            return "; torque off was sent, which this robot cannot confirm"
+        return "" if self.released else "; torque NOT confirmed off: use the switch"
 
 
 class Swim:
@@ -117,7 +140,8 @@ class Swim:
         self.status = status or StatusLine(plan.seconds, quiet=True)
         self.supervisor, self.dt = rig.supervisor, rig.robot.timing.bus_dt
         self.observer, self.watch = Observer(rig.robot, plan.target), Watch(plan.thresholds)
-        self.limiter = Limiter(rig.robot.servo.range, rig.robot.timing.command_latency + self.dt)
+        ahead = rig.robot.timing.command_latency + self.dt
+        self.limiter = Limiter(rig.robot.servo.range, ahead, oldest=plan.thresholds.silent)
         self.last = np.zeros(rig.robot.n_joints)  # the command on the bus
         self.info: RobotInfo | None = None
         self.refusal: Refusal | None = None if rig.link.greets else rig.examine(None)
@@ -126,6 +150,9 @@ class Swim:
         self.began: float | None = None  # of SWIMMING
         self.home: float | None = None  # of NEUTRAL
         self.swum, self.letting_go, self.over = 0.0, 0, False
+        self._let_go_at: float | None = None
+        self._asked_arm = self._stopped = False
+        self._unguarded: tuple[str, ...] = ()
         self._trouble, self._ask_again, self._told = NONE, 0.0, False
         self._person = person
 
@@ -144,11 +171,22 @@ class Swim:
                 self.command(tick, decision)
                 self.write(tick.began)
                 self.status.show(self.swum, tick.began, decision, self.observer, self.watch, ticker)
+        except BaseException:
+            self._let_go_blindly()
+            raise
         finally:
             link.disarm(clock.now())
             self.status.close()
         share = (time.process_time() - used) / max(time.perf_counter() - begun, 1e-9)
         return self._outcome(ticker, share)
+
+    def _let_go_blindly(self) -> None:
+        """Where the loop is broken: no way to zero, and nobody hears an answer; one datagram may be lost, ten are not."""
+        for _ in range(LET_GO):
+            with suppress(Exception):
+                self.rig.link.disarm(self.rig.clock.now())
+            with suppress(Exception):
+                self.rig.clock.sleep_until(self.rig.clock.now() + self.dt / 2)
 
     def listen(self, now: float) -> None:
         """Take in what robot and tracker have said."""
@@ -171,6 +209,8 @@ class Swim:
         """What may the fish do now?"""
         state = self.supervisor.state
         true = self.watch.conditions(now, state, self.observer) | self._trouble
+        if (pose := self.observer.pose) is not None and max(abs(pose.x), abs(pose.y)) > self.plan.bound:
+            true |= Condition.LEFT_TANK
         if not self.plan.pose:
             true &= ~POSE
         elif Condition.POSE_LOST in true and state in (State.DOWN, State.LINKED):
@@ -178,7 +218,7 @@ class Swim:
         if self.rig.link.greets and self.info is None:
             true &= ~Condition.HEARD
         true |= self.refusal.conditions if self.refusal is not None else NONE
-        true |= Condition.OPERATOR_STOP if self.stop() else NONE
+        true |= self._operator(state)
         true |= Condition.PERSON_LEAVES if self._person else NONE
         self._person = False
         if state is State.LINKED and self._may_arm(now, true):
@@ -192,21 +232,55 @@ class Swim:
             true |= Condition.FINISHED
         decision = self.supervisor.step(now, true)
         self._changed(state, decision.state, now)
+        if decision.state in (State.ARMED, State.SWIMMING):
+            self._tell_unguarded(now)
         if decision.state in (State.DOWN, State.LINKED):
             self._wait_or_end(now, true)
         return decision
 
+    def _operator(self, state: State) -> Condition:
+        """The operator's stop; one that comes on the way to zero means now."""
+        asked = self.stop()
+        if state is not State.NEUTRAL or not asked:
+            self._stopped = asked
+        if not asked:
+            return NONE
+        return Condition.OPERATOR_STOP if self._stopped else Condition.STOP_NOW
+
     def _may_arm(self, now: float, true: Condition) -> bool:
-        """Ask the robot to arm where nothing speaks against it; whether it says that it has."""
-        if self.observer.reading is None or decide(State.LINKED, true | Condition.ASK_ARM).state is not State.ARMED:
+        """Ask the robot to arm where nothing speaks against it; whether it says that it has, where it can.
+
+        A robot that another host left with torque is told to let go first: its firmware leaves NEUTRAL by that alone.
+        """
+        newest = self.watch.newest
+        if newest is None or self.observer.reading is None:
             return False
-        if self.watch.newest is None or self.watch.newest.state is None:
+        if decide(State.LINKED, true | Condition.ASK_ARM).state is not State.ARMED:
+            return False
+        if self.watch.unguarded(now) and self.watch.first is not None and now - self.watch.first < GUARDS:
+            return False
+        if newest.state is RobotState.ARMED and self._asked_arm:
             return True
-        armed = self.watch.newest.state is RobotState.ARMED
-        if not armed and now >= self._ask_again:
-            self._ask_again = now + ASK * self.dt
+        if now < self._ask_again:
+            return False
+        self._ask_again = now + ASK * self.dt
+        if newest.state is None or newest.state is RobotState.IDLE:
+            self._asked_arm = True
             self.rig.link.arm(now, self.plan.hold, self.plan.neutral)
-        return armed
+            return newest.state is None
+        self._asked_arm = False
+        self.rig.link.disarm(now)
+        return False
+
+    def _tell_unguarded(self, now: float) -> None:
+        """Say which guards the swim has not; once, and again where one is lost on the way."""
+        lacking = self.watch.unguarded(now)
+        if set(lacking) - set(self._unguarded):
+            self._unguarded = tuple(dict.fromkeys((*self._unguarded, *lacking)))
+            self.log.meta["host"] = {**self.log.meta.get("host", {}), "unguarded": list(self._unguarded)}
+            told = f"nothing guards against {', '.join(lacking)}"
+            self.log.say(now, told)
+            self.status.warn(f"{told}: keep an eye on it")
 
     def _changed(self, before: State, after: State, now: float) -> None:
         """Once at every change of state."""
@@ -230,7 +304,9 @@ class Swim:
             reasons = named(decide(State.LINKED, true).because & ~Condition.HEARD)
             if self.supervisor.state is State.DOWN:
                 reasons = f"nothing heard of the robot in {self.plan.wait:g} s"
-            self.refusal = Refusal(NONE, (reasons or f"the robot did not arm in {self.plan.wait:g} s",))
+            newest = self.watch.newest
+            says = f"; it says {newest.state.name}" if newest is not None and newest.state is not None else ""
+            self.refusal = Refusal(NONE, (reasons or f"the robot did not arm in {self.plan.wait:g} s{says}",))
             self.over = True
 
     def command(self, tick: Tick, decision: Decision) -> None:
@@ -240,13 +316,13 @@ class Swim:
             if self.info is None and tick.slot % GREET == 0:
                 link.hello(now)
             return
-        if decision.action is Action.RETURN and self._home(now):
-            return
         asked = self.last
         if decision.action is Action.SWIM:
             asked, decision = self._steered(tick, decision)
         else:
             self.pilot.pause()
+        if decision.state is State.NEUTRAL and self._let_go(now, decision):
+            return
         if decision.action is Action.RETURN:
             asked = towards_zero(self.last, self.dt)
         reading = self.observer.reading
@@ -272,18 +348,28 @@ class Swim:
         self.log.say(tick.began, f"{self.pilot.trouble}; observation {np.array2string(np.asarray(self.pilot.obs), precision=5)}")
         return self.last, self.decide(tick.began)
 
-    def _home(self, now: float) -> bool:
-        """On the way to zero: whether it is over, and the robot is told to let go."""
+    def _let_go(self, now: float, decision: Decision) -> bool:
+        """In NEUTRAL: whether the way to zero is over or broken off, and the robot is told to let go."""
+        at_once = decision.action is Action.LET_GO
         there = bool(np.all(self.last == 0.0)) or self.observer.reading is None
         late = self.home is not None and now - self.home > HOME
-        if not (there or late) and not self.letting_go:
+        if not (there or late or at_once) and not self.letting_go:
             return False
+        if self._let_go_at is None:
+            self._let_go_at = now
+            if at_once:
+                self.log.say(now, f"torque off at once: {named(decision.because)}")
         self.rig.link.disarm(now)
         self.letting_go += 1
-        newest = self.watch.newest
-        idle = newest is not None and newest.state is RobotState.IDLE
-        self.over = idle or self.letting_go >= LET_GO
+        self.over = self._released() is True or self.letting_go >= LET_GO
         return True
+
+    def _released(self) -> bool | None:
+        """Whether the robot has said, since it was told so, that it let go; None where it cannot say."""
+        newest, heard = self.watch.newest, self.watch.heard
+        if self._let_go_at is None or newest is None or heard is None or newest.state is None:
+            return None
+        return newest.state is RobotState.IDLE and heard > self._let_go_at
 
     def write(self, now: float) -> None:
         """Keep the figures that the status line and the log want."""
@@ -305,5 +391,11 @@ class Swim:
         if not self.latencies:
             figures.pop("camera_to_command_ms")
         refused = self.refusal.reasons if self.refusal is not None else ()
+        released, lets_go = self._released(), "letting go" not in self.rig.link.lacks
+        if self._let_go_at is not None:
+            figures["released"] = "not known" if released is None else released
         self.log.meta["host"] = {**self.log.meta.get("host", {}), **figures}
-        return Outcome(cause=self.supervisor.cause, refused=refused, swum=self.swum, figures=figures)
+        return Outcome(
+            cause=self.supervisor.cause, refused=refused, swum=self.swum, figures=figures, released=released, lets_go=lets_go,
+            camera=str(getattr(self.rig.localiser, "failed", None) or ""),
+        )  # fmt: skip

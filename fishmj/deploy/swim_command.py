@@ -7,9 +7,13 @@ from contextlib import ExitStack
 from datetime import datetime
 from math import pi
 from pathlib import Path
+from threading import Event
 from typing import Any
 
-from fishmj import console, interrupt
+import numpy as np
+
+from fishmj import console
+from fishmj.calib import constant
 from fishmj.controllers.learned import LearnedController
 from fishmj.deploy import arming, wiring
 from fishmj.deploy.clock import first_in_line
@@ -17,17 +21,21 @@ from fishmj.deploy.pilot import PolicyPilot
 from fishmj.deploy.status import StatusLine
 from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
 from fishmj.deploy.trial_log import TrialLog
+from fishmj.deploy.way_out import way_out
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.source import made_by
+from fishmj.tracker.calibration import Calibration
 
 SWITCH = (
     5e-4  # s that the tracker's thread may keep the loop waiting where it holds the interpreter; Python's own 5 ms are too long
 )
+BOUND = constant("task", "bound")  # m
+APART = 0.01  # m between a place and where its pixel is: farther apart, the lens was not calibrated there
 EXAMPLES = """examples:
   fishmj deploy swim --policy station --link loopback --camera loopback --seconds 30
-  fishmj deploy swim --policy station --link udp://192.168.1.40:2333 --camera 0 --calibration tank.toml --out runs/swim_01
+  fishmj deploy swim --policy station --link udp://192.168.1.40 --camera 0 --calibration tank.toml --out runs/swim_01
   fishmj deploy swim --policy station --link serial:/dev/ttyUSB0 --camera 0 --calibration tank.toml --i-am-at-the-tank"""
 
 
@@ -40,6 +48,8 @@ def options() -> console.Parser:
     add("--policy", type=console.text, required=True, metavar="NAME", help="shipped policy, policy file, or folder of a training")
     add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
     add("--target", type=place, default=(0.0, 0.0), metavar="X,Y", help="where to hold station, m in the tank (default 0,0)")
+    about = f"m; a fish with |x| or |y| beyond it is stopped (default {BOUND:g}, as far as it was trained)"
+    add("--bound", type=console.number(0.1, 100), default=BOUND, metavar="M", help=about)
     add("--seconds", type=console.number(1, 36000), default=30.0, help="how long the policy steers")
     add("--wait", type=console.number(0.5, 3600), default=10.0, help="s to wait for robot and camera")
     add("--out", type=console.out_folder, metavar="FOLDER", help="trial folder, must not exist (default runs/swim-DATE-TIME)")
@@ -49,10 +59,10 @@ def options() -> console.Parser:
         help="arm a robot without a watchdog: a person stands there, a hand on its switch",
     )
     add("--anyway", action="store_true", help="let the policy steer on another command path than it was trained on")
-    add("--notes", type=console.text, metavar="TEXT", help="a sentence for meta.toml")
-    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad, where it is known")
+    add("--notes", type=console.text, metavar="TEXT", help="a sentence for meta.toml (default none)")
+    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad (default: not known)")
     add("--mcap", action="store_true", help="also write the trial as MCAP beside its folder, for Foxglove")
-    add("--ros", type=wiring.address(9090), metavar="HOST[:PORT]", help="publish to a rosbridge while it swims")
+    add("--ros", type=wiring.address(9090), metavar="HOST[:PORT]", help="publish to a rosbridge while it swims (default: not)")
     wiring.link_options(made)
     wiring.camera_options(made)
     wiring.loopback_options(made)
@@ -84,12 +94,13 @@ def main(argv: list[str]) -> int:
     if args.json:
         told: dict[str, Any] = {
             "complete": outcome.complete,
+            "torque_off": outcome.released,
             "swum_s": round(outcome.swum, 3),
             "ended_by": outcome.words,
             "out": out,
         }
         console.emit_json({**told, "mcap": mcap, "figures": outcome.figures})
-    return console.OK if outcome.complete else console.FAILED_CHECK
+    return console.OK if outcome.complete and outcome.released is not False else console.FAILED_CHECK
 
 
 def _swum(args: Any, robot: Robot, controller: LearnedController, out: Path) -> Outcome:
@@ -104,16 +115,33 @@ def _swum(args: Any, robot: Robot, controller: LearnedController, out: Path) -> 
         log = stack.enter_context(TrialLog(out, meta_of(args, robot, controller, wired), robot.n_joints))
         if args.ros:
             stack.enter_context(wiring.published(args.ros, log))
-        plan = Plan(target=args.target, seconds=args.seconds, wait=args.wait)
-        swim = Swim(rig, PolicyPilot(controller), plan, log, stop=interrupt.asked, status=StatusLine(args.seconds))
+        for told in target_warnings(args.target, args.bound, wired.calibration):
+            console.warn(told)
+        stop = Event()
+        plan = Plan(target=args.target, seconds=args.seconds, wait=args.wait, bound=args.bound)
+        swim = Swim(rig, PolicyPilot(controller), plan, log, stop=stop.is_set, status=StatusLine(args.seconds))
 
         def kept() -> str:
             log.close("interrupted")
             return f"what was swum is in {out}"
 
-        with interrupt.finishing(kept), first_in_line() as first:
+        with way_out(stop, lambda: wired.link.disarm(wired.clock.now()), kept), first_in_line() as first:
             log.meta["host"]["first_in_line"] = first
             return swim.run()
+
+
+def target_warnings(target: tuple[float, float], bound: float, calibration: Calibration | None) -> list[str]:
+    """What speaks against a target (x, y) m: beyond the bound, m, or where the camera does not see."""
+    told, place = [], "{:g}, {:g} m".format(*target)
+    if max(map(abs, target)) > bound:
+        told.append(f"--target {place}: beyond --bound {bound:g}; the fish is stopped before it gets there")
+    if calibration is not None:
+        pixel = calibration.to_pixel([target])
+        back = calibration.to_tank(pixel)[0]
+        inside = bool(np.all((pixel[0] >= 0) & (pixel[0] <= np.array(calibration.size) - 1)))
+        if not inside or np.hypot(*(back - target)) > APART:
+            told.append(f"--target {place}: outside of the camera's picture; the pose is lost before the fish gets there")
+    return told
 
 
 def meta_of(args: Any, robot: Robot, controller: LearnedController, wired: wiring.Wired) -> dict:

@@ -18,7 +18,7 @@ def options() -> console.Parser:
     add = made.add_argument
     add("video", type=console.path, help="a file that OpenCV reads")
     add("--out", type=console.out_folder, required=True, metavar="FOLDER", help="trial folder")
-    add("--overlay", type=console.out_file, metavar="FILE", help="MP4 with what was found drawn over it")
+    add("--overlay", type=console.out_file, metavar="FILE", help="MP4 with what was found drawn over it (default none)")
     add("--robot", type=console.text, default="fish", help="name of the robot for meta.toml")
     add("--overwrite", action="store_true", help="replace a trial that is there")
     wiring.tracker_options(made)

@@ -4,6 +4,7 @@ Ages are taken at every tick; what a person asked for, and what the policy answe
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite, pi
 
@@ -35,6 +36,7 @@ class Thresholds:
     stuck_moved: float = 0.05  # rad; or it moves less than this,
     stuck_off: float = 0.25  # rad away from the commands on average: at 0.21 rad the servo already pulls with all its torque
     wildest: float = pi  # rad; no joint turns further
+    absent: float = 3.0  # s after which a measurement that came once and comes no more counts as none
 
 
 class Watch:
@@ -42,13 +44,15 @@ class Watch:
 
     Attributes:
         heard: s, arrival of the newest packet; None before the first. answered: s, when the robot last echoed a new command.
-        newest: the newest telemetry.
+        newest: the newest telemetry. first: s, arrival of the first one.
     """
 
     def __init__(self, thresholds: Thresholds):
         self.limits = thresholds
         self.heard: float | None = None
         self.newest: Telemetry | None = None
+        self.first: float | None = None
+        self._told: dict[str, float] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -63,14 +67,16 @@ class Watch:
     def hear(self, t: float, packet: Telemetry, asked: np.ndarray | None) -> None:
         """Take in one packet that arrived at `t`; asked: (J,) the newest command that can have acted by then, None for none."""
         self.heard, self.newest = t, packet
+        self.first = t if self.first is None else self.first
+        self._told |= {guard: t for guard, told in GUARDS.items() if told(packet)}
         if packet.echo is not None:
             self.ever_answered = True
             if packet.echo != self._echo:
                 self._echo, self.answered = packet.echo, t
         if (volts := supply(packet)) is not None:
             self._volts.append((t, volts))
-            while self._volts and self._volts[0][0] < t - self.limits.sag:
-                self._volts.popleft()
+        while self._volts and self._volts[0][0] < t - self.limits.sag:
+            self._volts.popleft()
         joint = np.array(packet.joint)
         if self._motion and t - self._motion[-1][0] > self.limits.quiet:
             self._motion.clear()  # a joint that nobody looked at may have moved
@@ -80,6 +86,11 @@ class Watch:
             self._motion.append((t, joint, np.array(asked)))
             while self._motion and self._motion[0][0] < t - self.limits.stuck_after:
                 self._motion.popleft()
+
+    def unguarded(self, now: float) -> tuple[str, ...]:
+        """Conditions that cannot become true at `now`, since the robot does not tell what they are made of, a phrase each."""
+        never = -float("inf")
+        return tuple(guard for guard in GUARDS if now - self._told.get(guard, never) > self.limits.absent)
 
     def conditions(self, now: float, state: State, observer: Observer) -> Condition:
         """What is true at `now`."""
@@ -152,9 +163,22 @@ class Watch:
         return bool(np.any(lags | (away & (moved < limits.stuck_moved))))
 
 
+def warmth(packet: Telemetry) -> bool:
+    """Whether the temperatures of all servos are there."""
+    return packet.temperature is not None and all(map(isfinite, packet.temperature))
+
+
 def supply(packet: Telemetry) -> float | None:
     """The battery's voltage in V, or the servos' mean; None where the robot tells none."""
     if packet.voltage is not None:
         return packet.voltage
     readings = [volts for volts in packet.servo_voltage or () if volts > 0]
     return sum(readings) / len(readings) if readings else None
+
+
+GUARDS: dict[str, Callable[[Telemetry], bool]] = {
+    "BATTERY_LOW (no voltage)": lambda packet: supply(packet) is not None,
+    "SERVO_HOT (no temperatures)": warmth,
+    "SERVO_LOST (no servo faults)": lambda packet: packet.fault is not None,
+    "ROBOT_NEUTRAL (no state)": lambda packet: packet.state is not None,
+}

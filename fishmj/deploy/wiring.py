@@ -1,6 +1,6 @@
 """From options to opened things: link, camera, tracker, and the loopback robot as a process of its own.
 
---link    loopback | udp://HOST:PORT | serial:DEVICE        --camera    loopback | shm:NAME | NUMBER | FILE
+--link    loopback | udp://HOST[:PORT] | serial:DEVICE        --camera    loopback | shm:NAME | NUMBER | FILE
 """
 
 import json
@@ -30,23 +30,24 @@ from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
 from fishmj.protocols import mish
 from fishmj.tracker.calibration import Calibration
+from fishmj.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
 from fishmj.tracker.fix import Tracker
 
 PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed")
 PORTS = {"fishmj-1": 2334}  # of the robot where the link names none; mish has its own
-RED, YELLOW = ((0.05, 0.058), (0.175, 0.012)), ((-0.03, 0.048), (0.012, 0.052))  # m: the paper's fish
 STARTS = 60.0  # s that the loopback robot may take: it compiles its water at its first start
 WAIT = 0.002  # s that a read of the servo bus waits
 
 
 @dataclass(frozen=True)
 class Wired:
-    """What `swim` needs, opened. loopback: the robot is simulated."""
+    """What `swim` needs, opened. loopback: the robot is simulated. calibration: of the camera, None where there is none."""
 
     link: Link
     localiser: Localiser
     clock: Clock
     loopback: bool
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True)
@@ -61,19 +62,28 @@ class Loopback:
 
 def link_options(parser: console.Parser) -> None:
     """How to reach the robot."""
-    add = parser.add_argument
-    add("--link", type=link_text, default="loopback", metavar="LINK", help="loopback, udp://HOST[:PORT] or serial:DEVICE")
+    add, ports = parser.add_argument, f"{PORTS[PROTOCOLS[0]]}; of mish {mish.ROBOT_PORT}"
+    add(
+        "--link",
+        type=link_text,
+        default="loopback",
+        metavar="LINK",
+        help=f"loopback, serial:DEVICE, or udp://HOST[:PORT] (default port {ports})",
+    )
     add("--protocol", choices=PROTOCOLS, default=PROTOCOLS[0], help="of the datagrams; a serial link speaks to the servos")
     add("--host-port", type=console.whole(0, 65535), help="of this computer, which the robot sends to (default 6060 of mish)")
     add("--servo-ids", type=whole_numbers, default=(1, 2, 3), metavar="A,B,..", help="serial: from the head to the tail")
-    add("--servo-zeros-deg", type=numbers, metavar="A,B,..", help="serial: where each servo stands when its joint is straight")
-    add("--servo-signs", type=whole_numbers, metavar="A,B,..", help="serial: 1 or -1, for a servo that turns the other way")
+    add("--servo-zeros-deg", type=numbers, metavar="A,B,..", help="serial: of each servo with its joint straight (default 0)")
+    add("--servo-signs", type=whole_numbers, metavar="A,B,..", help="serial: -1 for a servo that turns the other way (default 1)")
 
 
 def camera_options(parser: console.Parser) -> None:
     """How to see the robot."""
     parser.add_argument(
-        "--camera", type=console.text, metavar="CAMERA", help="loopback, shm:NAME, a camera's number, or a video file"
+        "--camera",
+        type=console.text,
+        metavar="CAMERA",
+        help="loopback, shm:NAME, a camera's number, or a video file (default: the loopback's)",
     )
     tracker_options(parser)
 
@@ -90,14 +100,15 @@ def tracker_options(parser: console.Parser) -> None:
     add("--tag-mount", type=numbers, default=(0.06, 0.0, 0.0), metavar="X,Y,YAW", help=mount)
     add("--tag-height", type=console.number(-1, 1), default=0.03, help="over the water, m")
     painted = "x:width of the {} paint, m, body frame, from the rear to the front (default {})"
-    add("--red", type=bands, default=RED, metavar="X:W,X:W", help=painted.format("red", "0.05:0.058,0.175:0.012"))
-    add("--yellow", type=bands, default=YELLOW, metavar="X:W,X:W", help=painted.format("yellow", "-0.03:0.048,0.012:0.052"))
+    for name, band in (("red", PAPER_FISH.head), ("yellow", PAPER_FISH.neck)):
+        told = ",".join(f"{x:g}:{width:g}" for x, width in band)
+        add(f"--{name}", type=bands, default=band, metavar="X:W,X:W", help=painted.format(name, told))
     add("--paint-height", type=console.number(-1, 1), default=-0.005, help="of the paint over the water, m")
 
 
 def loopback_options(parser: console.Parser) -> None:
     """What kind of loopback robot."""
-    about = "options of fishmj deploy loopback as one text, such as '--body fitted --fault loss=0.02'"
+    about = "options of fishmj deploy loopback as one text, such as '--body fitted --fault loss=0.02' (default none)"
     parser.add_argument("--loopback", type=console.text, metavar="OPTIONS", help=about)
 
 
@@ -114,11 +125,12 @@ def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
         raise ConfigError("deploy: --camera is missing; give a camera's number, a video file, or shm:NAME")
     link = make_link(args, robot, clock, fish)
     camera = make_camera(camera_text, clock, fish)
-    localiser = InThread(camera, make_tracker(args, calibration_of(args, fish)))
+    calibration = calibration_of(args, fish)
+    localiser = InThread(camera, make_tracker(args, calibration))
     for part in (link, localiser):
         part.open()
         stack.callback(part.close)
-    return Wired(link, localiser, clock, fish is not None)
+    return Wired(link, localiser, clock, fish is not None, calibration)
 
 
 def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> Link:
@@ -171,8 +183,6 @@ def calibration_of(args: Any, fish: Loopback | None) -> Calibration:
 def make_tracker(args: Any, calibration: Calibration) -> Tracker:
     """The tracker that the options name. Raises ConfigError, MissingExtra."""
     if args.tracker == "colour":
-        from fishmj.tracker.colour import ColourTracker, Paint
-
         return ColourTracker(calibration, Paint(head=args.red, neck=args.yellow), args.paint_height)
     from fishmj.tracker.apriltag import AprilTagTracker
 
@@ -251,7 +261,7 @@ def whole_numbers(text: str) -> tuple[int, ...]:
     return tuple(console.whole(-1, 253)(part) for part in text.split(","))
 
 
-def bands(text: str) -> tuple[tuple[float, float], ...]:
+def bands(text: str) -> Bands:
     """`0.05:0.058,0.175:0.012`: stations and widths, m. Raises ArgumentTypeError."""
     pairs = [part.split(":") for part in text.split(",")]
     if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):

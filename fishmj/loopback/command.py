@@ -36,7 +36,8 @@ def options() -> console.Parser:
     add("--engine", choices=bodies.ENGINES, default=bodies.MUJOCO, help="of the waters fitted and structured")
     add("--model", type=console.text, default="fish", metavar="ROBOT", help="the robot: name or TOML file (default fish)")
     add("--protocol", choices=PROTOCOLS, default=PROTOCOLS[0], help="of the datagrams")
-    effect, fault = "hide one in the second robot; may be repeated", "one of the list below; may be repeated"
+    effect = "hide one in the second robot; may be repeated (default none)"
+    fault = "one of the list below; may be repeated (default none)"
     add("--effect", type=console.text, action="append", default=[], metavar="NAME[:p=v]", help=effect)
     add("--fault", type=console.text, action="append", default=[], metavar="FAULT", help=fault)
     add("--seed", type=console.SEED, default=0, help="robot, noise, radio")
@@ -61,9 +62,9 @@ def options() -> console.Parser:
     add("--decoy", action="store_true", help="a second red object")
     camera = "calibration of the drawn camera, TOML; default 2.8 mm/px over the middle of the tank"
     add("--calibration", type=console.text, metavar="FILE", help=camera)
-    add("--write-calibration", type=console.out_file, metavar="FILE", help="write it, for the tracker")
+    add("--write-calibration", type=console.out_file, metavar="FILE", help="write it, for the tracker (default: not)")
     add("--seconds", type=console.number(0.1, 1e6), help="end after this time; default never")
-    add("--parent", type=console.whole(1, 2**31), metavar="PID", help="end with this process")
+    add("--parent", type=console.whole(1, 2**31), metavar="PID", help="end with this process (default: none)")
     return parser
 
 

@@ -7,7 +7,7 @@ in counts of 0.24 deg and send them whole counts.
 from collections.abc import Sequence
 from functools import cache
 from hashlib import sha256
-from math import inf, isnan, nan, radians
+from math import inf, isnan, nan
 from operator import sub
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -17,6 +17,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import structure_of
 from fishmj.protocols import fishmj1, mish, servo_counts
 from fishmj.protocols.errors import ProtocolError
+from fishmj.protocols.guard import Guard
 from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.protocols.sequence import SequenceGate
 from fishmj.protocols.watchdog import Limits, Watchdog
@@ -24,7 +25,6 @@ from fishmj.protocols.watchdog import Limits, Watchdog
 PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed")
 NAME = "fishmj-loopback-1"
 PERIOD = 0.02  # s between two readings of the servos, and two packets of telemetry
-FAR, STILL, WAIT = radians(10.0), radians(1.0), 0.3  # rad, rad, s: away from its target without moving so long, a servo is stuck
 HOLD, NEUTRAL = 0.1, 0.3  # s, what INFO says before a host asks for others
 
 
@@ -87,7 +87,7 @@ def own_sha256() -> str:
 
 
 class FishmjFirmware:
-    """`fishmj-1`: numbered datagrams, a watchdog, arming."""
+    """`fishmj-1`: numbered datagrams, arming, a watchdog, a guard that reports."""
 
     def __init__(self, robot: Robot, born: float, policy_sha256: str = ""):
         names = tuple(structure_of(robot)["joints"])
@@ -100,7 +100,8 @@ class FishmjFirmware:
         self._taken = -inf  # s of its clock
         ids = tuple(range(1, len(names) + 1))
         self._told = RobotInfo(NAME, own_sha256(), ids, names, robot.servo.range, HOLD, NEUTRAL, policy_sha256)
-        self._away = [(now, 0.0) for now in [inf] * len(names)]  # since when (s), and where (rad) each joint is off its target
+        self.guard = Guard(len(names))
+        self._last = (0.0,) * len(names)  # rad, where each joint was when its servo last answered
 
     def hear(self, data: bytes, now: float, measured: Sequence[float]) -> tuple[bool, list[bytes]]:
         clock = now - self._born
@@ -138,32 +139,23 @@ class FishmjFirmware:
         return None if self.target is None else tuple(map(in_counts, self.target))
 
     def report(self, now: float, readings: Readings) -> bytes:
-        stuck = self._stuck(now, readings.measured)
+        clock, measured = now - self._born, tuple(a if abs(a) <= fishmj1.MOST_ANGLE else nan for a in readings.measured)
+        found = self.guard.check(clock, self.target, measured, readings.temperature, readings.voltage)
         echo, echo_time = self._echo or (None, None)
         told = Telemetry(
-            joint=readings.joint, seq=self._number(), time=now - self._born, echo=echo, echo_time=echo_time,
+            joint=readings.joint, seq=self._number(), time=clock, echo=echo, echo_time=echo_time,
             state=self.watchdog.state, voltage=readings.voltage, current=readings.current,
             servo_voltage=readings.servo_voltage, temperature=readings.temperature,
-            fault=tuple(f | s for f, s in zip(readings.fault, stuck, strict=True)),
+            fault=tuple(f | s for f, s in zip(readings.fault, found, strict=True)),
         )  # fmt: skip
+        told = fishmj1.sayable(told, self._last)
+        self._last = told.joint
         return fishmj1.encode_telemetry(told)
 
     def _number(self) -> int:
         """Of the next datagram."""
         self._sent = (self._sent + 1) % 2**32
         return self._sent
-
-    def _stuck(self, now: float, joint: Sequence[float]) -> list[ServoFault]:
-        """STUCK for each joint that has been FAR from its target for WAIT s and moved less than STILL."""
-        found = []
-        for k, angle in enumerate(joint):
-            since, place = self._away[k]
-            far = self.watchdog.state is not RobotState.IDLE and abs(self.watchdog.target[k] - angle) > FAR
-            if not far or since == inf or abs(angle - place) > STILL:
-                since, place = (now if far else inf), angle
-            self._away[k] = since, place
-            found.append(ServoFault.STUCK if now - since >= WAIT else ServoFault.NONE)
-        return found
 
 
 class MishFirmware:

@@ -13,7 +13,7 @@ from fishmj.loopback.firmware import Readings, in_counts
 from fishmj.protocols.messages import ServoFault
 
 WATER, RISE, TAU = 20.0, 25.0, 300.0  # deg C, K/A, s
-HOT, HOTTER, HEATING = 75.0, 80.0, 10.0  # deg C that a firmware flags (servos let go at 85), deg C and K/s of a hot servo
+HOTTER, HEATING = 80.0, 10.0  # deg C and K/s of a hot servo; servos let go at 85
 SAGGED, COLLAPSE = 5.2, 0.05  # V at the lead, and s that the microcontroller lives on, when the supply breaks down
 LOWEST = 4.5  # V, below it servos report their voltage
 VOLT_STEP, AMPERE_STEP = 0.00125, 0.00025  # V and A, INA226 with a shunt of 10 milliohm
@@ -67,14 +67,13 @@ class RobotFaults:
         amps += sum(extra)
         self._warm(now, [share + e for e in extra])
         low = ServoFault.VOLTAGE if volts < LOWEST else ServoFault.NONE
-        flags = [low | ServoFault.HOT if t >= HOT else low for t in self._heat]
         return Readings(
             joint=tuple(self._read),
             voltage=round(volts / VOLT_STEP) * VOLT_STEP,
             current=round(amps / AMPERE_STEP) * AMPERE_STEP,
             servo_voltage=(volts,) * joints,
             temperature=tuple(self._heat),
-            fault=tuple(flag | ServoFault.NO_REPLY if k in silent else flag for k, flag in enumerate(flags)),
+            fault=tuple(low | ServoFault.NO_REPLY if k in silent else low for k in range(joints)),
         )
 
     def _joints(self, name: str, now: float) -> set[int]:

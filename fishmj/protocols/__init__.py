@@ -7,6 +7,7 @@
     lx_bus         frames of LX-series bus servos, and the reader of a half-duplex byte stream
     servo_counts   counts <-> rad, mV, offsets
     watchdog       the robot firmware's last guard, as a reference for the C code in `firmware/`
+    guard          the faults that the robot's firmware finds and reports, likewise
     policy_header  a policy as a C header
 
 Byte tables: docs/methods/protocols.md. NumPy and the standard library only.

@@ -7,6 +7,7 @@ and zip (`zlib.crc32`), over all bytes before it. There is one encoding of every
 Byte table, with what each kind carries: docs/methods/protocols.md. The C code of `firmware/fishmj1.c` gives the same bytes.
 """
 
+import math
 import re
 import struct
 import zlib
@@ -178,6 +179,27 @@ def encode_telemetry(telemetry: Telemetry) -> bytes:
         for k, (angle, volts, degrees, fault) in enumerate(rows)
     )
     return _frame(Kind.TELEMETRY, it.seq, it.time, count, head + body)
+
+
+def sayable(telemetry: Telemetry, last: Sequence[float]) -> Telemetry:
+    """The telemetry, with what the datagram cannot say made sayable, so that a host hears something whatever was measured.
+
+    Args:
+        telemetry: with all faults. last: rad, (J,), where each joint was when its servo last answered.
+    Returns:
+        A joint that is no angle (nan, beyond +- pi) has its last angle and NO_REPLY. A voltage or a current beyond the range is
+        the end of it; where one of them is nan, both are None.
+    """
+    it, angles, faults = telemetry, list(telemetry.joint), list(telemetry.fault or (ServoFault.NONE,) * len(telemetry.joint))
+    for k, angle in enumerate(angles):
+        if not abs(angle) <= MOST_ANGLE:
+            angles[k], faults[k] = last[k], faults[k] | ServoFault.NO_REPLY
+    volts, amperes = it.voltage, it.current
+    if volts is None or amperes is None or math.isnan(volts + amperes):
+        volts = amperes = None
+    else:
+        volts, amperes = max(0.0, min(MOST_VOLTAGE, volts)), max(-MOST_CURRENT, min(MOST_CURRENT, amperes))
+    return it._replace(joint=tuple(angles), fault=tuple(faults), voltage=volts, current=amperes)
 
 
 def decode(data: bytes) -> Message:

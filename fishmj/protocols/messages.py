@@ -14,11 +14,14 @@ class RobotState(IntEnum):
     IDLE = 0  # servos without torque, commands are not taken
     ARMED = 1  # commands are taken
     HOLD = 2  # no command for `hold` seconds: the last angles stay
-    NEUTRAL = 3  # no command for `neutral` seconds, or a fault: joints go to zero at a limited rate; leaves only by DISARM
+    NEUTRAL = 3  # none for `neutral` seconds, or a fault: joints go to zero slowly, then lose torque; leaves only by DISARM
 
 
 class ServoFault(IntFlag):
-    """What a bus servo reports, bit by bit as LX servos number them; NO_REPLY and STUCK are the firmware's own."""
+    """What a bus servo reports, bit by bit as LX servos number them; NO_REPLY and STUCK are the firmware's own.
+
+    The firmware sets HOT and VOLTAGE, too, where its guard finds a servo hot or the battery low (`fishmj.protocols.guard`).
+    """
 
     NONE = 0
     HOT = 1

@@ -1,7 +1,6 @@
 """Tracks a red head and a yellow neck.
 
-    paint = Paint(head=((0.05, 0.058), (0.175, 0.012)), neck=((-0.03, 0.048), (0.012, 0.052)))   # stations x, widths, m
-    fix = ColourTracker(calibration, paint, height=-0.005).locate(frame, t)
+    fix = ColourTracker(calibration, PAPER_FISH, height=-0.005).locate(frame, t)
 
     redness = (R - max(G, B)) / (R + G + B + DARK),   yellowness = (min(R, G) - B) / (R + G + B + DARK)
 
@@ -37,16 +36,25 @@ FINE = 4  # points along a grain of the pattern that are averaged
 SATURATED = 235  # of the darkest channel: a glint
 
 
+Bands = tuple[tuple[float, float], ...]  # stations x and widths, m
+
+
 class Paint(NamedTuple):
     """Painted bands of the head link as a ruler finds them: two or more stations (x, width), m, from the rear to the front."""
 
-    head: tuple[tuple[float, float], ...]
-    neck: tuple[tuple[float, float], ...]
+    head: Bands
+    neck: Bands
 
     def polygon(self, band: str) -> np.ndarray:
         """(n, 2) m outline of "head" or "neck" in the body frame."""
         rows = np.array(getattr(self, band), float)
         return np.concatenate([rows * [1, 0.5], rows[::-1] * [1, -0.5]])
+
+
+PAPER_FISH = Paint(  # as a ruler finds it on the shipped fish, to the millimetre; its sides are straight between the stations
+    head=((0.050, 0.062), (0.100, 0.060), (0.135, 0.052), (0.160, 0.034), (0.175, 0.014)),
+    neck=((-0.030, 0.048), (0.012, 0.058)),
+)
 
 
 class Blob(NamedTuple):

@@ -11,17 +11,14 @@ from fishmj.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, T
 from fishmj.mjcf.from_above import opencv
 from fishmj.tracker.apriltag import AprilTagTracker
 from fishmj.tracker.calibration import Calibration, overhead
-from fishmj.tracker.colour import ColourTracker, Paint
+from fishmj.tracker.colour import PAPER_FISH, ColourTracker
 from fishmj.tracker.fix import Fix, Tracker, wrapped
 
 SIZE, FOCAL = (1280, 720), 3.0 / 0.0028  # px; px of the drawn lens: 2.8 mm/px from 3 m
 LENS = (-0.12, 0.03, 0.001, -0.0008, 0.0)  # k1 k2 p1 p2 k3
 FRAME = 0.02  # s
 AFRESH = 500  # frames after which a tracker of a long run forgets the fish, and has to find it in the whole frame
-PAINT = Paint(  # as a ruler finds it on the fish as drawn, to the millimetre; its sides are straight between the stations
-    head=((0.050, 0.062), (0.100, 0.060), (0.135, 0.052), (0.160, 0.034), (0.175, 0.014)),
-    neck=((-0.030, 0.048), (0.012, 0.058)),
-)
+PAINT = PAPER_FISH
 CLEAN = FrameOptions()
 GLARE = FrameOptions(glare=1.0, ripple=1.0, exposure=0.005, light=0.1)
 FALSE_LOCK = (0.05, np.radians(20))  # m, rad: a fix farther from the truth is of something else

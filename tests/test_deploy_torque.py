@@ -1,0 +1,159 @@
+"""The end of a swim: the torque goes off, at once where it must, and the last line says where nobody knows that it did."""
+
+from threading import Event
+
+import numpy as np
+import pytest
+
+from fishmj import console, interrupt
+from fishmj.deploy import swim_command
+from fishmj.deploy.links import MishLink
+from fishmj.deploy.status import StatusLine
+from fishmj.deploy.supervisor import Condition, State
+from fishmj.deploy.swim import HOME, LET_GO, Outcome
+from fishmj.deploy.way_out import GRACE, TIMES, way_out
+from fishmj.protocols.messages import RobotState, ServoFault
+from tests.deploying import DT, Bench
+
+
+def test_the_way_out_has_more_time_than_the_way_to_zero_and_letting_go_take():
+    assert GRACE > HOME + LET_GO * DT + 2.0  # s, for a log of an hour
+    with way_out(Event(), lambda: None, lambda: ""):
+        assert interrupt._kept[-1].grace == GRACE
+    assert not interrupt._kept
+
+
+def test_a_swim_that_is_heard_to_let_go_says_nothing_of_it(tmp_path):
+    outcome = Bench(tmp_path / "swim", seconds=1.0).swim()
+    assert outcome.released is True and outcome.words == "swam 1.0 s; ended by FINISHED"
+
+
+def test_a_robot_that_does_not_let_go_is_told_of_and_the_exit_code_is_1(tmp_path, monkeypatch, capsys):
+    bench = Bench(tmp_path / "swim", seconds=1.0)
+    monkeypatch.setattr(bench.robot, "disarm", lambda now: None)
+    outcome = bench.swim()
+    assert outcome.complete and outcome.released is False
+    assert outcome.words.endswith("torque NOT confirmed off: use the switch")
+    monkeypatch.setattr(swim_command, "_swum", lambda *_: outcome)
+    monkeypatch.chdir(tmp_path)
+    assert swim_command.main(["--policy", "station"]) == console.FAILED_CHECK
+    assert "use the switch" in capsys.readouterr().out
+
+
+def test_an_answer_from_before_the_robot_was_told_confirms_nothing(tmp_path):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: setattr(bench.robot, "state", RobotState.IDLE))  # it began anew, and falls silent
+    bench.at(1.02, lambda: setattr(bench.robot, "silent", True))
+    assert bench.swim().released is False
+
+
+def test_a_robot_that_cannot_say_or_cannot_let_go_has_words_for_it(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=0.5)
+    bench.robot.changes["state"] = None
+    outcome = bench.swim()
+    assert outcome.released is None and "cannot confirm" in outcome.words
+    assert "letting go" in MishLink(None).lacks
+    outcome = Outcome(cause=Condition.FINISHED, refused=(), swum=1.0, figures={}, released=None, lets_go=False)
+    assert outcome.words.endswith("keeps its torque: use the switch")
+
+
+def test_a_robot_without_a_state_is_given_torque_once(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=0.5)
+    bench.robot.changes["state"], armed = None, []
+    bench.robot.arm = lambda *given: armed.append(given)
+    assert bench.swim().complete and len(armed) == 1
+
+
+AT_ONCE = {
+    "hot": {"temperature": (30.0, 76.0, 30.0)},
+    "no_reply": {"fault": (ServoFault.NONE, ServoFault.NO_REPLY, ServoFault.NONE)},
+    "locked": {"fault": (ServoFault.NONE, ServoFault.NONE, ServoFault.LOCKED)},
+}
+
+
+@pytest.mark.parametrize("name", AT_ONCE)
+def test_a_servo_that_is_hot_jammed_or_unheard_loses_its_torque_at_once(tmp_path, name):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: bench.robot.changes.update(AT_ONCE[name]))
+    bench.swim()
+    assert np.abs(bench.robot.sent[-1]).max() > 0.1  # it is not pulled to zero before
+    assert "torque off at once" in " ".join(bench.log.events)
+
+
+def on_the_way_to_zero(bench, then):
+    """A swim that is over after 1 s; 0.1 s later, on the way to zero, `then` happens. s that NEUTRAL took."""
+    bench.robot.stuck.clear()
+    step = bench.swim
+    begun = lambda: next((e.t for e in bench.events if e.after is State.NEUTRAL), None)
+    listen = bench.eyes.fixes
+
+    def fixes(now):
+        if begun() is not None and now > begun() + 0.1:
+            then()
+        return listen(now)
+
+    bench.eyes.fixes = fixes
+    step()
+    return bench.clock.now() - begun()
+
+
+def test_a_stop_or_a_hot_servo_on_the_way_to_zero_takes_the_torque_off_at_once(tmp_path):
+    plain = Bench(tmp_path / "plain", seconds=1.0)
+    whole = on_the_way_to_zero(plain, lambda: None)
+    assert whole > 0.25
+    stopped, hot = Bench(tmp_path / "stopped", seconds=1.0), Bench(tmp_path / "hot", seconds=1.0)
+    assert on_the_way_to_zero(stopped, lambda: setattr(stopped, "stopped", True)) < 0.2
+    assert on_the_way_to_zero(hot, lambda: hot.robot.changes.update(temperature=(80.0,) * 3)) < 0.2
+
+
+def test_the_stop_that_began_the_way_to_zero_does_not_break_it_off(tmp_path):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: setattr(bench, "stopped", True))
+    assert bench.swim().cause == Condition.OPERATOR_STOP
+    np.testing.assert_allclose(bench.robot.sent[-1], 0.0)
+
+
+class Firmware:
+    """The states of `fishmj-1`: NEUTRAL is left by DISARM alone, and ARM counts in IDLE only."""
+
+    def __init__(self, bench, state):
+        robot = bench.robot
+        robot.state = state
+        robot.arm = lambda *_: setattr(robot, "state", RobotState.ARMED if robot.state is RobotState.IDLE else robot.state)
+
+
+@pytest.mark.parametrize("left", [RobotState.NEUTRAL, RobotState.HOLD, RobotState.ARMED])
+def test_a_robot_that_a_killed_host_left_with_torque_is_let_go_and_then_armed(tmp_path, left):
+    bench = Bench(tmp_path / "swim", seconds=0.5, plan={"wait": 2.0})
+    Firmware(bench, left)
+    assert bench.swim().complete
+
+
+def test_a_robot_that_does_not_arm_is_told_with_its_state(tmp_path):
+    bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
+    bench.robot.changes["state"] = RobotState.NEUTRAL
+    assert bench.swim().refused == ("the robot did not arm in 1 s; it says NEUTRAL",)
+
+
+def test_a_terminal_that_is_gone_does_not_end_the_swim(tmp_path, monkeypatch):
+    def gone(*_, **__):
+        raise OSError("no terminal")
+
+    status = StatusLine(1.0)
+    monkeypatch.setattr(status._bar, "update", gone)
+    bench = Bench(tmp_path / "swim", seconds=1.0)
+    bench.robot.changes["temperature"] = None
+    monkeypatch.setattr(console, "warn", gone)
+    assert bench.swim(status=status).complete
+
+
+def test_letting_go_blindly_goes_on_where_the_link_fails(tmp_path):
+    told = []
+
+    def let_go():
+        told.append(1)
+        raise OSError("no route")
+
+    with way_out(Event(), let_go, lambda: ""):
+        interrupt._last()
+    assert len(told) == TIMES
