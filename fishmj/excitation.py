@@ -4,8 +4,8 @@
     run = excitation.get("chirp")                 of three joints; excitation.get("chirp", 4) of four
     run.t (T,) s, run.commands (T, J) rad, run.start (x, y, yaw), run.push (u, v, r)
 
-Every run begins with 0.6 s at rest, so that the start pose can be averaged. A fast fish may reach the wall of a 3.6 m tank in `gait`,
-`sine`, `burst_and_coast` and `out_and_back` (docs/guide/rig.md).
+Every run begins with 0.6 s at rest, so that the start pose can be averaged. A fast fish may reach the wall of a 3.6 m tank in
+`gait`, `sine`, `burst_and_coast` and `out_and_back` (docs/guide/rig.md).
 A gait beats joint k with A sin(2 pi f t - k lag) + bias, fading in over a second. A run with a push starts with the fish already
 moving (let go from a carriage). They are written for three joints; `bent` lays them on another chain. All are deterministic;
 `random_ramps(seed)` makes as many more as you like.
