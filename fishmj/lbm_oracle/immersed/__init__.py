@@ -13,6 +13,7 @@ m_l: displaced mass of link l, I_l its moment of inertia, u_l and w_l its veloci
     link_dynamics.py:move           h_l from pose, velocity and s_l
     link_dynamics.py:add_interior   I, called by `assemble`, which writes the right-hand side
     coupling.py:take_wrench         the same gain, added to the force that the markers exchanged
+    device_steps.py:push_link       h_l and its share of I, where the body moves on the device, too
 
 Without I a fish is heavier by the water it displaces: virtual mass 1.89 instead of 0.89 m_f of a sphere, and momentum drifts.
 """

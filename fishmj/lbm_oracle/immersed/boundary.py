@@ -88,6 +88,8 @@ class Boundary:
         chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
+        self._solvers = fsi_solve.BLOCK if device.is_cuda else 1  # threads
+        self._elimination = empty(self.dofs * self.rhs, wp.float64), empty(self.dofs, wp.int32), empty(self.dofs, wp.int32)
         self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
         sent, returned = (_reached(array, device) for array in (self.staging, self.inbox))
         first = self.layout.system  # the place of the body goes ahead of its equation
@@ -104,8 +106,11 @@ class Boundary:
         self._impulse = on_host[velocity:impulse].reshape(self.links, 6)
         self.interior, self._branch = body.water.points, wp.Stream(device) if device.is_cuda else None
         if self.interior is not None:
-            self._points = make(self.interior.place, wp.vec3d), make(self.interior.link.astype(np.int32), wp.int32)
-            self._along, self._shares = empty(len(self.interior.link), wp.float32), make(self.interior.share, wp.float32)
+            order = np.argsort(self.interior.link, kind="stable")  # link after link: whoever sums over one reads its own only
+            place, link, share = (values[order] for values in self.interior)
+            self._points, self._shares = (make(place, wp.vec3d), make(link.astype(np.int32), wp.int32)), make(share, wp.float32)
+            self._begin = make(np.searchsorted(link, np.arange(self.links + 1)).astype(np.int32), wp.int32)
+            self._along = empty((len(link), 8), wp.float32)  # of the nodes round each
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
         self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
         self.view["origin"][:] = lattice.corner
@@ -141,17 +146,25 @@ class Boundary:
         self._taken = False
         self._current = True
 
-    def assemble_response(self, f: wp.array, corner: wp.array, acts: wp.array) -> None:
-        """Queue everything up to K and b0, and how the interior water slides, after `place_markers`.
+    def fetch_place(self) -> None:
+        """Queue the arrival of what `place_markers` wrote."""
+        self._fetch(*self._sent[0])
+
+    def fetch_equation(self) -> None:
+        """Queue the arrival of what `set_equation` wrote."""
+        self._fetch(*self._sent[1])
+
+    def assemble_response(self, f: wp.array, corner: wp.array, acts: wp.array, speed: wp.array | None = None) -> None:
+        """Queue everything up to K and b0, and how the interior water slides, for the place in `host`.
 
         Args:
             f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
             acts: (6,) world nodes between which the fluid looks for a force; written here.
+            speed: (L,) m/s, where the interior water's goes; to the host by default.
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
-        self._fetch(*self._sent[0])
         with nullcontext() if self._branch is None else wp.ScopedStream(self._branch):  # a branch of its own
-            self._measure_interior(f, shape)
+            self._measure_interior(f, shape, self._interior_speed if speed is None else speed)
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
         pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
@@ -171,23 +184,25 @@ class Boundary:
         if self._branch is not None:
             wp.get_stream(self.device).wait_stream(self._branch)
 
-    def _measure_interior(self, f: wp.array, shape: wp.vec3i) -> None:
+    def _measure_interior(self, f: wp.array, shape: wp.vec3i, speed: wp.array) -> None:
         """Queue how fast the interior water moves along the links."""
         if self.interior is None:
             return
         args = [self.host, self.layout, *self._points, f, self.directions, self.body_acceleration]
         args += [wp.float64(self.lattice.dx), shape]
-        self._launch(kernels.measure, len(self._along), args, [self._along])
-        args = [self._along, self._points[1], self._shares, self.lattice.velocity]
-        self._launch(kernels.mean, self.links, args, [self._interior_speed])
+        self._launch(kernels.measure, self._along.shape, args, [self._along])
+        args = [self._along, self._begin, self._shares, self.lattice.velocity]
+        self._launch(kernels.mean, self.links, args, [speed])
 
     def solve(self, implicit: bool = True) -> None:
-        """Queue the solve and the wrench on every link, which write into the host's memory, after `set_equation`."""
-        lat = self.lattice
-        self._fetch(*self._sent[1])
+        """Queue the solve, which writes into the host's memory, for the equation in `host`, and the markers' final forces."""
         args = [self.host, self.layout, self.water, int(implicit)]
-        self._launch(fsi_solve.solver(self.dofs), 1, args, [self._velocity, self.target])
+        self._launch(fsi_solve.solve, self._solvers, args, [*self._elimination, self._velocity, self.target])
         self._launch(kernels.combine, self.count, [self.force, self.target], [self.final])
+
+    def sum_wrench(self) -> None:
+        """Queue the wrench on every link, on the device and into the host's memory, after `solve`."""
+        lat = self.lattice
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
         self._launch(fsi_solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
         args = [self.wrench_part, lat.mass * lat.velocity, self.host, self.layout]

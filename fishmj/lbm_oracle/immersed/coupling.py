@@ -13,7 +13,7 @@ Host and device work side by side: the device makes up K while the host makes up
 """
 
 from contextlib import nullcontext
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import warp as wp
@@ -25,7 +25,8 @@ from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 SCHEMES = ("implicit", "explicit")
-Part = Literal["response", "solution", "water"]  # of a step: what the device does between two things that the host does
+# of a step: what the device does between two things that the host does; or several steps without it (device_steps.py)
+Part = Literal["response", "solution", "water", "steps"]
 NEXT, LAST = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]  # of x, y, z: a x b is the first less the second half of a_next b_last
 
 
@@ -53,7 +54,7 @@ class FluidStructure:
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
         self.steps = 0
         self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`
-        self._graphs = _Graphs(self) if fluid.device.is_cuda else None
+        self._graphs = Graphs(self) if fluid.device.is_cuda else None
 
     @property
     def time(self) -> float:
@@ -125,9 +126,12 @@ class FluidStructure:
     def launch(self, part: Part) -> None:
         """The kernels of one part of a step, in their order; no look at the host, so that a graph can hold them."""
         if part == "response":
+            self.boundary.fetch_place()
             self.boundary.assemble_response(self.fluid.f.flatten(), self.fluid.origin, self.fluid.box)
         elif part == "solution":
+            self.boundary.fetch_equation()
             self.boundary.solve(self.scheme == "implicit")
+            self.boundary.sum_wrench()
         else:
             self.boundary.spread_force(self.fluid.force)
             self.fluid.stream_collide()
@@ -153,15 +157,24 @@ class FluidStructure:
         return raw, raw + gain
 
 
-class _Graphs:
-    """The three parts of a step, captured for each parity of the fluid's copies, on a stream of their own."""
+class Queued(Protocol):
+    """What has parts to launch, and the fluid that they move on."""
 
-    def __init__(self, coupled: FluidStructure):
+    fluid: Fluid
+
+    def launch(self, part: Part) -> None:
+        """The kernels of one part, in their order."""
+
+
+class Graphs:
+    """Parts of a step, captured for each parity of the fluid's copies, on a stream of their own."""
+
+    def __init__(self, coupled: Queued):
         self.coupled, self.device = coupled, coupled.fluid.device
         self.stream, self.solved = wp.Stream(self.device), wp.Event(self.device)
         self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)
         self.warm: set[tuple[Part, int]] = set()
-        self.graphs: dict[tuple[Part, int], wp.Graph] = {}
+        self.graphs: dict[tuple[Part, int], tuple[wp.Graph, int]] = {}  # and how many steps each moves the fluid on
         self.flow, self.joined = coupled.fluid.flow, True
         wp.synchronize_device(self.device)  # the arrays were made on another stream
 
@@ -181,12 +194,12 @@ class _Graphs:
                 else:
                     self.coupled.launch(part)
         if key in self.graphs:
+            graph, moved = self.graphs[key]
             with self.here:
-                wp.capture_launch(self.graphs[key], self.stream)
-            if part == "water":  # has moved the fluid on
-                fluid.parity, fluid.steps = 1 - fluid.parity, fluid.steps + 1
+                wp.capture_launch(graph, self.stream)
+            fluid.parity, fluid.steps = (fluid.parity + moved) % 2, fluid.steps + moved
         self.warm.add(key)
-        if part == "solution":
+        if part in ("solution", "steps"):
             self.stream.record_event(self.solved)
 
     def join_stream(self) -> None:
@@ -197,10 +210,11 @@ class _Graphs:
         """Until the velocity is on the host."""
         wp.synchronize_event(self.solved)
 
-    def _capture(self, part: Part) -> wp.Graph:
+    def _capture(self, part: Part) -> tuple[wp.Graph, int]:
         fluid = self.coupled.fluid
         parity, steps = fluid.parity, fluid.steps
         with wp.ScopedCapture(self.device, stream=self.stream) as captured:
             self.coupled.launch(part)
+        moved = fluid.steps - steps
         fluid.parity, fluid.steps = parity, steps
-        return captured.graph
+        return captured.graph, moved

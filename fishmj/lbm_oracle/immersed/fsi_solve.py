@@ -4,14 +4,15 @@ Sums run in float64 and in a fixed order (chunks of markers, then chunks), so th
 no atomics of these sums differ on a GPU.
 """
 
-from functools import cache
-
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.storage import point3
 from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
 
 wp.set_module_options({"enable_backward": False})
+
+BLOCK = 256  # threads of the one block that solves on a GPU: Warp's own number, with any other the module is compiled twice
+WARP = 32  # of them run in step: they take the columns of a row, so that they read and write side by side
 
 
 @wp.kernel
@@ -48,68 +49,131 @@ def response_total(part: wp.array3d(dtype=wp.float64), scale: wp.float64, total:
     total[i, r] = scale * s
 
 
-@cache
-def solver(n: int) -> wp.Kernel:
-    """The kernel for n degrees of freedom. Every index is known beforehand: its one thread keeps the matrix in registers."""
-    rows = wp.types.matrix(shape=(n, n + 1), dtype=wp.float64)
-    column = wp.types.vector(length=n, dtype=wp.float64)
-    module = wp.get_module(f"{__name__}.{n}")  # by name: Warp's own do not see static expressions that depend on an unrolled loop
-    wp.set_module_options({"enable_backward": False, "max_unroll": n + 1}, module)
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+""")
+def wait_for_block(): ...
 
-    @wp.kernel(module=module)
-    def solve(
-        host: wp.array(dtype=wp.float64),
-        at: CouplingArrays,
-        water: wp.array2d(dtype=wp.float64),
-        implicit: int,
-        v: wp.array(dtype=wp.float64),
-        target: wp.array(dtype=wp.float64),
-    ):
-        """(A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
 
-        implicit = 0 is the explicit coupling (the water sees the old velocity), kept to show that it fails.
-        """
-        a, x = rows(), column()
-        for i in range(wp.static(n)):
-            free = host[at.fixed + i] < wp.float64(0.5)
-            right = host[at.momentum + i] - water[i, 0]
-            for j in range(wp.static(n)):
-                response = water[i, j + 1]
-                entry = host[at.system + n * i + j]  # the host's side, which came while K was made up
-                if implicit == 1:
-                    entry += response
-                else:
-                    right -= response * host[at.before + j]
-                a[i, j] = wp.where(free, entry, wp.where(wp.static(i == j), wp.float64(1.0), wp.float64(0.0)))
-            a[i, wp.static(n)] = wp.where(free, right, host[at.value + i])
-        # pivots, though M is symmetric: K is so only without slip, and a row that a tether replaced is not
-        for p in range(wp.static(n)):
-            for i in range(wp.static(n)):
-                if wp.static(i > p):
-                    swap = wp.abs(a[i, p]) > wp.abs(a[p, p])  # after the last of them, row p has the greatest
-                    for j in range(wp.static(n + 1)):
-                        upper, lower = wp.where(swap, a[i, j], a[p, j]), wp.where(swap, a[p, j], a[i, j])
-                        a[p, j] = upper
-                        a[i, j] = lower
-            for i in range(wp.static(n)):
-                if wp.static(i > p):
-                    ratio = a[i, p] / a[p, p]
-                    for j in range(wp.static(n + 1)):
-                        if wp.static(j >= p):
-                            a[i, j] = a[i, j] - ratio * a[p, j]
-        for back in range(wp.static(n)):
-            rest = a[wp.static(n - 1 - back), wp.static(n)]
-            for j in range(wp.static(n)):
-                if wp.static(j > n - 1 - back):
-                    rest -= a[wp.static(n - 1 - back), j] * x[j]
-            x[wp.static(n - 1 - back)] = rest / a[wp.static(n - 1 - back), wp.static(n - 1 - back)]
-        for i in range(wp.static(n)):
-            v[i] = x[i]
-            old = implicit == 0 and host[at.fixed + i] < wp.float64(0.5)
-            # the explicit scheme pushes the water by the old velocity, which is what makes it explicit
-            target[i] = wp.where(old, host[at.before + i], x[i])
+@wp.func_native("return values.data[i];")  # plain: Warp's own index folds and multiplies, in loops that wait for each load
+def read(values: wp.array(dtype=wp.float64), i: int) -> wp.float64: ...
 
-    return solve
+
+@wp.func_native("return values.data[i];")
+def read(values: wp.array(dtype=wp.int32), i: int) -> wp.int32: ...  # noqa: F811  an overload
+
+
+@wp.func_native("values.data[i] = value;")
+def write(values: wp.array(dtype=wp.float64), i: int, value: wp.float64): ...
+
+
+@wp.func
+def gather(
+    host: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    water: wp.array2d(dtype=wp.float64),
+    implicit: int,
+    rows: wp.array(dtype=wp.float64),
+    step: wp.array(dtype=int),
+    me: int,
+    threads: int,
+):
+    """[A + K | right - b0] into `rows`; a prescribed velocity replaces its row."""
+    n, k, i = at.dofs, int(me), int(me)
+    while k < n * n:
+        row = k // n
+        column = k - n * row
+        entry = host[at.system + k]  # the host's side, which came while K was made up
+        if implicit == 1:
+            entry += water[row, column + 1]
+        held = wp.where(row == column, wp.float64(1.0), wp.float64(0.0))
+        write(rows, k + row, wp.where(host[at.fixed + row] < wp.float64(0.5), entry, held))
+        k += threads
+    while i < n:
+        right = host[at.momentum + i] - water[i, 0]
+        if implicit == 0:
+            for j in range(n):
+                right -= water[i, j + 1] * host[at.before + j]
+        write(rows, n * (i + 1) + i, wp.where(host[at.fixed + i] < wp.float64(0.5), right, host[at.value + i]))
+        step[i] = n  # not a pivot's yet
+        i += threads
+
+
+@wp.func
+def pivot_row(rows: wp.array(dtype=wp.float64), step: wp.array(dtype=int), p: int, n: int) -> int:
+    """Of the rows that no step before p took, the first with the greatest entry in column p."""
+    found, greatest = int(n), wp.float64(0.0)
+    for i in range(n):
+        size = wp.abs(read(rows, (n + 1) * i + p))
+        # >= p: a thread that is ahead may have entered this step's own choice
+        if read(step, i) >= p and (found == n or size > greatest):
+            found, greatest = i, size
+    return found
+
+
+@wp.kernel
+def solve(
+    host: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    water: wp.array2d(dtype=wp.float64),
+    implicit: int,
+    rows: wp.array(dtype=wp.float64),
+    step: wp.array(dtype=int),
+    pivots: wp.array(dtype=int),
+    v: wp.array(dtype=wp.float64),
+    target: wp.array(dtype=wp.float64),
+):
+    """(A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
+
+    One block of threads for any number n of degrees of freedom; a thread alone on the CPU. The loops run at run time: unrolled
+    for n, as the matrix in the registers of one thread wants them, they take minutes to compile from n = 18 on.
+
+    Args:
+        implicit: 0 is the explicit coupling (the water sees the old velocity), kept to show that it fails.
+        rows: n (n + 1), the matrix and the right-hand side by rows. step: (n,) in which each row is the pivot's.
+        pivots: (n,) row of each step.
+    """
+    me = wp.tid()
+    n, threads = at.dofs, wp.block_dim()
+    wide = n + 1
+    across = wp.min(threads, wp.static(WARP))
+    column, row, down = me % across, me // across, threads // across
+    gather(host, at, water, implicit, rows, step, me, threads)
+    wait_for_block()
+    # pivots, though M is symmetric: K is so only without slip, and a row that a tether replaced is not
+    for p in range(n):
+        found = pivot_row(rows, step, p, n)  # every thread finds the same: one wait less than if one told the others
+        if me == 0:
+            step[found] = p
+            pivots[p] = found
+        i = int(row)
+        while i < n:
+            if i != found and read(step, i) > p:
+                ratio = read(rows, wide * i + p) / read(rows, wide * found + p)
+                j = p + 1 + column
+                while j <= n:
+                    write(rows, wide * i + j, read(rows, wide * i + j) - ratio * read(rows, wide * found + j))
+                    j += across
+            i += down
+        wait_for_block()
+    if me == 0:  # from the last to the first, each in the place of its right-hand side
+        for back in range(n):
+            p = n - 1 - back
+            start = wide * pivots[p]
+            rest = read(rows, start + n)
+            for j in range(p + 1, n):
+                rest -= read(rows, start + j) * read(rows, wide * read(pivots, j) + n)
+            write(rows, start + n, rest / read(rows, start + p))
+    wait_for_block()
+    k = int(me)
+    while k < n:
+        x = read(rows, wide * pivots[k] + n)
+        v[k] = x
+        # the explicit scheme pushes the water by the old velocity, which is what makes it explicit
+        target[k] = wp.where(implicit == 0 and host[at.fixed + k] < wp.float64(0.5), host[at.before + k], x)
+        k += threads
 
 
 @wp.kernel

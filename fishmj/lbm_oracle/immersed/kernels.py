@@ -353,10 +353,10 @@ def measure(
     body_acceleration: wp.vec3,
     dx: wp.float64,
     shape: wp.vec3i,
-    along: wp.array(dtype=float),
+    along: wp.array2d(dtype=float),
 ):
-    """t . u* at every point, lattice units."""
-    p = wp.tid()
+    """The share of t . u* at point p that node o of the eight round it has, lattice units."""
+    p, o = wp.tid()
     frame = at.frame + 12 * link[p]
     rotation = matrix3(host, frame + 3)
     x = (point3(host, frame) + rotation * place[p] - point3(host, at.origin)) / dx
@@ -364,29 +364,28 @@ def measure(
     low = wp.vec3i(int(wp.floor(x[0])), int(wp.floor(x[1])), int(wp.floor(x[2])))
     part = wp.vec3(float(x[0]) - float(low[0]), float(x[1]) - float(low[1]), float(x[2]) - float(low[2]))
     # trilinear: the markers' kernel reaches 1.5 cells, out of a hull that is three cells wide
-    total = wp.float32(0.0)
-    for o in range(8):
-        i, j, k = o // 4, (o // 2) % 2, o % 2
-        weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
-        rho, m = pulled(f, directions, low[0] + i, low[1] + j, low[2] + k, shape)
-        total += weight * wp.dot(axis, m / rho + body_acceleration)
-    along[p] = total
+    i, j, k = o // 4, (o // 2) % 2, o % 2
+    weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
+    rho, m = pulled(f, directions, low[0] + i, low[1] + j, low[2] + k, shape)
+    along[p, o] = weight * wp.dot(axis, m / rho + body_acceleration)
 
 
 @wp.kernel
 def mean(
-    along: wp.array(dtype=float),
-    link: wp.array(dtype=int),
+    along: wp.array2d(dtype=float),
+    begin: wp.array(dtype=int),
     share: wp.array(dtype=float),
     scale: wp.float64,
     speed: wp.array(dtype=wp.float64),
 ):
-    """s_l, m/s."""
+    """s_l, m/s; link l's points are those from begin[l] on, up to the next link's."""
     l = wp.tid()  # one thread a link in a fixed order of points: atomics would cost the repetition to the bit
     total = wp.float32(0.0)
-    for p in range(along.shape[0]):
-        if link[p] == l:
-            total += share[p] * along[p]
+    for p in range(begin[l], begin[l + 1]):
+        at_point = wp.float32(0.0)
+        for o in range(8):
+            at_point += along[p, o]
+        total += share[p] * at_point
     speed[l] = scale * wp.float64(total)
 
 

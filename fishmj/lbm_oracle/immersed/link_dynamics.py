@@ -281,7 +281,7 @@ class Corners:
 
     def set_grid(self, dx: float, corner: Sequence[float], size: Sequence[int]) -> None:
         """Cells of dx [m] from `corner` (3,) m on, and how many (3,) there are in the box round all."""
-        self._grid, self._surround = (dx, wp.vec3d(*corner), wp.vec3d(*map(float, size))), None
+        self.grid, self._surround = (dx, wp.vec3d(*corner), wp.vec3d(*map(float, size))), None
 
     def look(self, pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
         """Low and high corner [m] of the upright box round all, first cell of the box of cells, greatest speed [m/s], (10,).
@@ -293,7 +293,7 @@ class Corners:
         if self._surround is None or self._at[0] is not pose or self._at[1] is not twist:
             boxes = Boxes()
             boxes.links, boxes.at, boxes.arm = len(self.at), shared(self.at), shared(self.centre)
-            boxes.dx, boxes.corner, boxes.size = self._grid
+            boxes.dx, boxes.corner, boxes.size = self.grid
             boxes.pose, boxes.twist, boxes.seen = shared(pose), shared(twist), shared(self._seen)
             self._at, self._surround = (pose, twist), Recorded(surround, boxes)
         self._surround.launch()

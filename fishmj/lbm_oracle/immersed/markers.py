@@ -106,7 +106,13 @@ def fish_markers(
     Raises:
         ConfigError: nothing of the fish is left at this dx.
     """
-    robot = load_robot(robot)
+    return chain_markers(load_robot(robot), dx, slip=slip, width=width, hydro_offset=hydro_offset, spacing=spacing)
+
+
+def chain_markers(
+    robot: Robot, dx: float, *, slip: float, width: int = 3, hydro_offset: float | None = None, spacing: float = 1.0
+) -> Markers:
+    """`fish_markers` of a chain that is taken as it is: it may have more links than a description of a robot."""
     g = geometry_of(robot)
     inset, step = offset_of(width, slip, hydro_offset) * dx, spacing * dx
     parts = [_body(robot, g, inset, step, dx)]
