@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log.trial import stacked
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.studies.gap_benchmark import drawn_robots
 from fishmj.studies.hidden_lbm import command as hidden_command
 from fishmj.virtual_robot import network
 from fishmj.virtual_robot.simulate import STILL, at_rest, run
@@ -26,10 +29,11 @@ FLICK = excitation.Excitation(id="flick", commands=np.repeat([[0.0] * 3, [0.4, 0
 DT = 0.004
 
 
-def in_air(effects: dict, name: str) -> tuple[np.ndarray, np.ndarray, Electronics]:
-    """Joint angles (T, 3) by the law on the MuJoCo body alone, and by the second robot; no thread."""
-    made = replace(plant(effects, 3, medium="air"), air=np.zeros(4))
-    what = excitation.get(name)
+def in_air(effects: dict, name: str, robot: Robot | str = "fish") -> tuple[np.ndarray, np.ndarray, Electronics]:
+    """Joint angles (T, J) by the law on the MuJoCo body alone, and by the second robot; no thread."""
+    made = replace(plant(effects, 3, medium="air", robot=robot), air=np.zeros(4))
+    joints = made.robot.n_joints
+    what = excitation.get(name, joints)
     packets = network.deliver(made.network, made.odd, what.t, what.commands, 3, 0, 1.0)
     start = lambda: at_rest((0.0, 0.0, 0.0), made.zero, made.motor.voltage)
     truth = run(made, start(), packets.times, packets.commands, what.seconds)
@@ -39,16 +43,39 @@ def in_air(effects: dict, name: str) -> tuple[np.ndarray, np.ndarray, Electronic
         electronics.actuate(body, k * DT)
         system, right = body.equation(interior=False)
         for j in 3 + np.flatnonzero(electronics.held):
-            system[j], right[j] = np.eye(6)[j], 0.0
+            system[j], right[j] = np.eye(3 + joints)[j], 0.0
         body.advance(np.linalg.solve(system, right))
         electronics.follow(body)
-    return electronics.recording().data[:, 6:9], truth.data[:, 6:9], electronics
+    return electronics.recording().data[:, 6 : 6 + joints], truth.data[:, 6 : 6 + joints], electronics
 
 
 @pytest.mark.parametrize("effects", [{}, {"coulomb_friction": {"torque": 0.1}}, {"body_mass": {"mass": 0.2}}])
 def test_in_air_the_law_moves_the_joints_as_the_second_robot_does(effects):
     mine, truth, _ = in_air(effects, "steps")
     assert np.degrees(np.sqrt(np.mean((mine - truth) ** 2))) < 0.15
+
+
+@pytest.fixture(scope="module")
+def chains():
+    """Fish of two and of five links."""
+    found = [drawn_robots.chain(np.random.default_rng(k), f"chain{k}") for k in range(20)]
+    return [next(robot for robot in found if len(robot.links) == links) for links in (2, 5)]
+
+
+def test_a_fish_of_any_chain_moves_as_the_second_robot_does(chains):
+    for robot in chains:
+        mine, truth, _ = in_air({"servo_deadband": {"deadband": 0.02}}, "steps", robot)
+        assert mine.shape[1] == robot.n_joints and np.ptp(truth, 0).min() > 0.3
+        assert np.degrees(np.sqrt(np.mean((mine - truth) ** 2))) < 0.15
+
+
+def test_what_an_effect_adds_is_its_formula_on_any_chain(chains):
+    for robot in chains:
+        state = at_rest((0.0, 0.0, 0.5), np.zeros(robot.n_joints), 7.4, (0.3, 0.1, 0.0))
+        drag = HiddenDifference(plant({"quadratic_drag": {"coefficient": 2.0}}, 5, robot=robot), STILL)
+        force, mass = drag(state, DT)
+        assert force.shape == (3 + robot.n_joints,) and np.abs(mass).max() < 1e-12
+        assert np.allclose(force[:2], -2.0 * 0.3**2 * np.array([np.cos(0.5), np.sin(0.5)]), atol=1e-9)
 
 
 def test_a_joint_that_friction_holds_does_not_creep():
@@ -176,6 +203,14 @@ def test_the_truth_lies_outside_and_belongs_to_one_collection(tmp_path: Path, mo
     assert hidden_command.main([*base, "--truth", str(tmp_path / "t.json")]) == 0
     with pytest.raises(ConfigError, match="another collection"):
         hidden_command.main([*base, "--seed", "3", "--truth", str(tmp_path / "t.json")])
+
+
+def test_another_model_swims_with_its_own_joints():
+    given = {"effects": ["none"], "excitations": "gait,steps", "seconds": 2.0, "seed": 0, "noise": 1.0, "nuisance": 0.1}
+    args = SimpleNamespace(**given, slip=1.0, domain="laptop", model="tendon_fish")
+    plan = hidden_command.plan_of(args, 1)["set_000"]
+    joints = load_robot("tendon_fish").n_joints
+    assert [job.what.commands.shape for job in plan] == [(100, joints)] * 2 and plan[0].made.robot.name == "tendon_fish"
 
 
 def test_impossible_slip_is_refused():

@@ -18,7 +18,7 @@ import numpy as np
 from fishmj import excitation
 from fishmj.campaign.data.run_segments import DOUBT
 from fishmj.campaign.hidden_lbm.hidden_body import Electronics, HiddenBody, Queue
-from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.errors import ConfigError, OracleUnstable, SimDiverged
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
@@ -26,6 +26,7 @@ from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, JointDriver, LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.log import SCHEMA, Trial, numbered
+from fishmj.mjcf.description import Robot
 from fishmj.source import made_by
 from fishmj.virtual_robot import network, random_streams, sensors
 from fishmj.virtual_robot.robot_constants import RobotConstants
@@ -44,7 +45,8 @@ CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, fra
 class Job:
     """One trial: a robot, an experiment, what its noise is drawn from.
 
-    heavier: factor on all masses. slip: ratio of the hull at the paper's grid. flow: ordered stream, m/s and rad.
+    heavier: factor on all masses. slip: ratio of the hull at the paper's grid. flow: ordered stream, m/s and rad. hand: seed of
+    how the fish is placed and how late packets are, in the place of the robot's own.
     """
 
     made: RobotConstants
@@ -58,6 +60,12 @@ class Job:
     heavier: float = 1.0
     flow: tuple[float, float] = (0.0, 0.0)
     domain: Domain = field(default_factory=lambda: preset("laptop"))
+    hand: int | None = None
+
+    @property
+    def placing(self) -> int:
+        """Seed of the hand and the radio."""
+        return self.seed if self.hand is None else self.hand
 
     @property
     def steps(self) -> int:
@@ -85,12 +93,12 @@ class HiddenRun(Run):
 
     def __init__(self, job: Job, device: str):
         self.job, what, made = job, job.what, job.made
-        hand = random_streams.stream(job.seed, "placing", job.index).standard_normal(3) * job.noise
+        hand = random_streams.stream(job.placing, "placing", job.index).standard_normal(3) * job.noise
         start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
         state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
         state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
         state.ramp[:, :2] = what.commands[0][:, None]
-        packets = network.deliver(made.network, made.odd, what.t, what.commands, job.seed, job.index, job.noise)
+        packets = network.deliver(made.network, made.odd, what.t, what.commands, job.placing, job.index, job.noise)
         gust = weather(made, what.seconds, job.seed, job.index)
         self.electronics = Electronics(made, state, Queue(packets.times, packets.commands), gust)
         stage = _stage(job, device, carriage(start, what.push, CARRY), what.commands[0] + made.zero)
@@ -99,7 +107,7 @@ class HiddenRun(Run):
         if job.carried:
             try:
                 self._carry(start)
-            except LeftDomain as error:
+            except (LeftDomain, SimDiverged, OracleUnstable) as error:
                 self.stopped = str(error)
         self.electronics.place(_hidden(coupled))
         self.begin()
@@ -122,12 +130,12 @@ class HiddenRun(Run):
     def _carry(self, start: np.ndarray) -> None:
         """Take the fish along, or hold it, joints still, until t = 0 at `start`."""
         dt, push = self.coupled.body.dt, self.job.what.push
-        steps = round(CARRY / dt)
+        steps, still = round(CARRY / dt), np.zeros(self.joints)
         before = carriage(start, push, CARRY)
         for i in range(steps):
             after = carriage(start, push, CARRY - (i + 1) * dt)
-            _hidden(self.coupled).set_torque(np.zeros(3), np.zeros(3))
-            self.coupled.step(np.ones(6), np.array([*(after - before) / dt, 0.0, 0.0, 0.0]))
+            _hidden(self.coupled).set_torque(still, still)
+            self.coupled.step(np.ones(3 + self.joints), np.concatenate([(after - before) / dt, still]))
             if self.follow is not None:
                 self.follow(self.coupled)
             before = after
@@ -150,7 +158,8 @@ class ElectronicsDriver:
 
     def actuate(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         self.electronics.actuate(self.body, self.began + step * self.body.dt)
-        return np.concatenate([np.zeros(3), self.electronics.held]), np.zeros(6)
+        fixed = np.concatenate([np.zeros(3), self.electronics.held])
+        return fixed, np.zeros(len(fixed))
 
     def record(self) -> None:
         """Nothing to keep."""
@@ -196,6 +205,7 @@ def generate_lbm(
     slip: float = 1.0,
     *,
     flow: tuple[float, float] = (0.0, 0.0),
+    robot: "str | Robot" = "fish",
     tanks: int = 1,
     say: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
@@ -204,13 +214,14 @@ def generate_lbm(
     Args:
         effects, noise, flow: as `virtual_robot.generate`. nuisance: relative half width of the servo's and radio's constants; a
             fifth of it that of the masses, and slip is drawn between `slip` and (1 - 0.02 nuisance) `slip`.
-        domain: box of water, or its name; "laptop" is a preview. slip: ratio of the hull. tanks: experiments side by side.
+        domain: box of water, or its name; "laptop" is a preview. slip: ratio of the hull. robot: description, file or name.
+        tanks: experiments side by side.
 
     Raises:
         UnknownName, ConfigError: as `virtual_robot.generate`; no such domain. OracleUnstable: an experiment could not be set up,
         or less than a second of it was sound.
     """
-    waiting = jobs(effects, excitations, seed, noise, nuisance, domain, slip, flow=flow)
+    waiting = jobs(effects, excitations, seed, noise, nuisance, domain, slip, flow=flow, robot=robot)
     order = [job.name for job in waiting]
     made: dict[str, Trial] = {}
     for run in swum(waiting, device, tanks):
@@ -229,12 +240,13 @@ def jobs(
     slip: float = 1.0,
     *,
     flow: tuple[float, float] = (0.0, 0.0),
+    robot: "str | Robot" = "fish",
 ) -> list[Job]:
     """The experiments of one robot, not yet run; arguments as `generate_lbm`."""
     box = preset(domain) if isinstance(domain, str) else domain
     if not 0.0 <= slip <= 1.0:
         raise ConfigError(f"slip = {slip}; a ratio from 0, water that sticks to the hull, to 1, water that slides along it")
-    made = plant(effects, seed, nuisance=nuisance)
+    made = plant(effects, seed, nuisance=nuisance, robot=robot)
     speed, direction = flow
     made = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
     rng = random_streams.stream(seed, "immersed")
@@ -242,7 +254,7 @@ def jobs(
     out: list[Job] = []
     first: dict[str, str] = {}
     for index, item in enumerate(excitations):
-        what = excitation.get(item) if isinstance(item, str) else item
+        what = excitation.get(item, made.robot.n_joints) if isinstance(item, str) else item
         name = f"{index + 1:02d}_{what.id}"
         job = Job(made=made, what=what, seed=seed, index=index, name=name, noise=noise, slip=smooth, domain=box)
         out.append(replace(job, replicate_of=first.get(what.id, ""), heavier=heavier, flow=flow))
@@ -257,14 +269,17 @@ def swum(waiting: Iterable[Job], device: str = "cpu", tanks: int = 1) -> Iterato
     while queue or busy:
         while queue and len(busy) < tanks:
             busy.append(HiddenRun(queue.popleft(), device))
-        ConcurrentRuns(busy).tick(np.zeros((len(busy), 3)))
+        ConcurrentRuns(busy).tick([np.zeros(run.joints) for run in busy])
         for run in [run for run in busy if run.done]:
             busy.remove(run)
             yield run
 
 
-def trial_of(run: HiddenRun) -> Trial:
+def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = None) -> Trial:
     """What the sensors made of a finished run; a run that failed is kept as far as it was sound.
+
+    noise: factor on the sensors' noise in the place of the job's. draw: of which trial number their noise is, by default the
+    job's.
 
     Raises:
         OracleUnstable: less than a second of it was.
@@ -281,13 +296,14 @@ def trial_of(run: HiddenRun) -> Trial:
         )
     sent = what.t[:ticks]
     tables = {"cmd": {"t": sent, "seq": np.arange(ticks), **numbered("c#", what.commands[:ticks])}}
-    streams = {name: random_streams.stream(job.seed, name, job.index) for name in SENSORS}
-    tables |= sense(made, record, streams, (0.0, float(record.t[-1])), job.noise)
+    factor, number = job.noise if noise is None else noise, job.index if draw is None else draw
+    streams = {name: random_streams.stream(job.seed, name, number) for name in SENSORS}
+    tables |= sense(made, record, streams, (0.0, float(record.t[-1])), factor)
     tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
-    return Trial(_meta(run, tables), tables, name=job.name)
+    return Trial(_meta(run, tables, factor), tables, name=job.name)
 
 
-def _meta(run: HiddenRun, tables: dict) -> dict:
+def _meta(run: HiddenRun, tables: dict, noise: float) -> dict:
     job, box, what = run.job, run.job.domain, run.job.what
     grid = {"domain": box.name, "dx": box.dx, "dt": box.dt, "shape": list(box.shape), "kernel": WIDTH, "passes": PASSES}
     return {
@@ -303,7 +319,7 @@ def _meta(run: HiddenRun, tables: dict) -> dict:
         "start": list(map(float, what.start)),
         "push": list(map(float, what.push)),
         "carried": CARRY if any(what.push) else 0.0,
-        "sigma": sigmas(job.made, job.noise),
+        "sigma": sigmas(job.made, noise),
         "clock": {table: CLOCKS[table] for table in tables},
         "controller": "open loop",
         "refined_ticks": run.refined,

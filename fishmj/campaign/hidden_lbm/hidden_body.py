@@ -34,10 +34,6 @@ from fishmj.virtual_robot.water import friction_speed
 
 IMPULSE, SLOPE, END, FASTEST, TORQUE = range(5)  # columns of `law`
 HELD = 1e-8  # rad/s: friction holds
-PLACES = 12  # first columns of the recording: pose, its rates, joints, their rates
-ABSOLUTE = np.eye(6)  # T: rates of (x, y, psi, j1, j2, j3) -> (x, y, W1 .. W4)
-ABSOLUTE[3:, 2] = 1.0
-ABSOLUTE[3:, 3:] = np.tril(np.ones((3, 3)))
 REAL = ("flow_x", "flow_y", "current_x", "current_y")  # of the tank: the solver's water moves so by itself
 
 
@@ -47,7 +43,7 @@ def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, reco
 
     Args:
         as `virtual_robot.loop.advance`; a joint's rotor counts in the guess and belongs into the solver's mass matrix, too.
-        law: (3, 5) written: impulse N m s, slope summed over time N m s^2/rad, rate at the end, greatest rate rad/s, scratch.
+        law: (J, 5) written: impulse N m s, slope summed over time N m s^2/rad, rate at the end, greatest rate rad/s, scratch.
     """
     A, f, mobility, columns, bound, w, stream, sprung = work
     fresh = 1.0 - exp(-H / motor.inductive_time)
@@ -56,7 +52,7 @@ def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, reco
     for step in range(record.shape[0]):
         time = s.clock[0]
         while nxt < arrivals.shape[0] and arrivals[nxt] <= time + 1e-9:
-            for j in range(3):
+            for j in range(len(body.joints)):
                 s.goal[j] = commands[nxt, j]
             nxt += 1
         blow(gust, tank, time, stream)
@@ -65,7 +61,7 @@ def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, reco
             friction_speed(body, s, stream)
             s.clock[1] += motor.period
         assemble(body, water, tank, odd, s, stream, A, f, H)
-        for j in range(3):
+        for j in range(len(body.joints)):
             angle, rate = s.z[3 + j] - s.z[2 + j], s.rate[3 + j] - s.rate[2 + j]
             torque, damping = motor_torque(motor, s, j, rate, fresh, H)
             bound[j] = H * friction_bound(motor, rate, torque)
@@ -77,26 +73,26 @@ def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, reco
         battery(body, motor, s, H)
         write(body, record, step, s)
         factor(body, A)
-        for a in range(6):
+        for a in range(len(body.links) + 2):
             f[a] *= H
         solve(body, A, f)
         rub(body, A, f, s, mobility, columns, bound, w)
-        for j in range(3):
+        for j in range(len(body.joints)):
             change = f[3 + j] - f[2 + j]
             law[j, IMPULSE] += H * law[j, TORQUE] - law[j, END] * change + s.stuck[j]
             law[j, SLOPE] += law[j, END]
             law[j, FASTEST] = max(law[j, FASTEST], abs(s.rate[3 + j] - s.rate[2 + j] + change))
-        for a in range(6):
+        for a in range(len(body.links) + 2):
             s.rate[a] += f[a]
             s.z[a] += H * s.rate[a]
         s.clock[0] = time + H
-    for j in range(3):
+    for j in range(len(body.joints)):
         law[j, END] = s.rate[3 + j] - s.rate[2 + j]
 
 
 @entry
 def forces(body, water, tank, odd, gust, s, stream, A, f, h):
-    """Mass matrix A (6, 6), lower half, and forces f (6,) of fish and water as the second robot has them, without its joints."""
+    """Mass matrix A (n, n), lower half, and forces f (n,), n = N + 2, of the second robot and its water, without its joints."""
     blow(gust, tank, s.clock[0], stream)
     assemble(body, water, tank, odd, s, stream, A, f, h)
 
@@ -106,13 +102,13 @@ class HiddenBody(DrivenBody):
 
     def __init__(self, made: RobotConstants, dt: float, heavier: float = 1.0):
         super().__init__(build(made.robot, "planar", bare=True), DisplacedWater.of(made.robot), dt)
-        self.model.dof_armature[-3:] = made.motor.armature
+        self.model.dof_armature[-self.joints :] = made.motor.armature
         rigid = made.body
         middle = rigid.first / rigid.mass
         self.set_masses(heavier * rigid.mass, middle, heavier * (rigid.second - rigid.mass * middle**2))
 
     def set_torque(self, a: np.ndarray, slope: np.ndarray) -> None:
-        """tau = a - slope w on the three joints in the next step, N m and N m s/rad."""
+        """tau = a - slope w on the joints (J,) in the next step, N m and N m s/rad."""
         self.drive(np.concatenate([self.applied[:3], a]), slope)
 
 
@@ -130,22 +126,33 @@ class HiddenDifference:
             (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, Uncatalogued(), STILL),
         )
         self.wakes = [np.zeros(6), np.zeros(6)]
+        self.absolute = absolute(made.robot.n_joints)
         self.acts = made.hull != rigid or self.pair[0][1:4] != self.pair[1][1:4] or bool(np.any(gust))
-        self._work = [(np.zeros(4), np.zeros((6, 6)), np.zeros(6)) for _ in self.pair]
+        n = len(self.absolute)
+        self._work = [(np.zeros(4), np.zeros((n, n)), np.zeros(n)) for _ in self.pair]
 
     def __call__(self, state: State, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Force (6,) and added mass (6, 6) over (x, y, psi, j1..j3) at `state`; moves the wakes on by h."""
+        """Force (n,) and added mass (n, n) over (x, y, psi, j1..jJ) at `state`; moves the wakes on by h."""
         found = []
         for groups, wake, (stream, A, f) in zip(self.pair, self.wakes, self._work, strict=True):
             *groups_, gust = groups
             forces(*groups_, gust, state._replace(wake=wake), stream, A, f, h)
             found.append((f, A + np.tril(A, -1).T))
         (f, A), (f0, A0) = found
-        return ABSOLUTE.T @ (f - f0), ABSOLUTE.T @ (A - A0) @ ABSOLUTE
+        turn = self.absolute
+        return turn.T @ (f - f0), turn.T @ (A - A0) @ turn
+
+
+def absolute(joints: int) -> np.ndarray:
+    """T (3 + J, 3 + J): rates of (x, y, psi, j1 .. jJ) -> (x, y, W1 .. WN)."""
+    out = np.eye(3 + joints)
+    out[3:, 2] = 1.0
+    out[3:, 3:] = np.tril(np.ones((joints, joints)))
+    return out
 
 
 class Queue(NamedTuple):
-    """Commands (K, 3) rad that reach the servos at times (K,) s, rising."""
+    """Commands (K, J) rad that reach the servos at times (K,) s, rising."""
 
     times: np.ndarray
     commands: np.ndarray
@@ -163,9 +170,10 @@ class Electronics:
     def __init__(self, made: RobotConstants, state: State, queue: Queue, gust: np.ndarray):
         self.made, self.state, self.queue, self.gust = made, state, queue, gust
         self.difference = HiddenDifference(made, gust)
-        self.law, self.held = np.zeros((3, 5)), np.zeros(3, bool)
-        self.rows: list[np.ndarray] = []  # one array (n, 20) a step
-        self._work, self._tick, self._next = workspace(), -1, 0.0
+        self.joints = made.robot.n_joints
+        self.law, self.held = np.zeros((self.joints, 5)), np.zeros(self.joints, bool)
+        self.rows: list[np.ndarray] = []  # one array (n, 8 + 4 J) a step
+        self._work, self._tick, self._next = workspace(self.joints), -1, 0.0
         self._kept: tuple[list[np.ndarray], int, float] = ([], 0, 0.0)
 
     def begin_tick(self, tick: int) -> None:
@@ -181,7 +189,7 @@ class Electronics:
 
     def actuate(self, body: HiddenBody, time: float) -> None:
         """Set the joints' law, and what effects add, for the step of the water that begins at `time` s."""
-        extra = np.zeros(3)
+        extra = np.zeros(self.joints)
         if self.difference.acts:
             force, mass = self.difference(self.state, body.dt)
             body.applied[:3], body.added_mass = force[:3], mass
@@ -194,7 +202,7 @@ class Electronics:
 
     def _send_ahead(self, steps: int) -> None:
         made, q = self.made, self.queue
-        record = np.empty((steps, len(columns(3))))
+        record = np.empty((steps, len(columns(self.joints))))
         first = int(np.searchsorted(q.times, self.state.clock[0] - H))
         given = (made.body, made.water, made.motor, made.tank, made.odd, made.zero, self.gust)
         ahead(*given, q.times[first:], q.commands[first:], self.state, record, self._work, self.law)
@@ -209,7 +217,7 @@ class Electronics:
         if len(record) > 1:
             now = places(self.state)
             share = (np.arange(len(record)) / len(record))[:, None]
-            record[:, :PLACES] = record[0, :PLACES] + share * (now - record[0, :PLACES])
+            record[:, : len(now)] = record[0, : len(now)] + share * (now - record[0, : len(now)])
 
     def place(self, body: HiddenBody) -> None:
         """Places and rates of the body, links by absolute angle."""
@@ -224,6 +232,6 @@ class Electronics:
 
 
 def places(state: State) -> np.ndarray:
-    """Pose, its rates, joints, their rates (12,)."""
+    """Pose, its rates, joints, their rates (6 + 2 J,): the first columns of a recording."""
     z, rate = state.z, state.rate
     return np.concatenate([z[:3], rate[:3], np.diff(z[2:]), np.diff(rate[2:])])

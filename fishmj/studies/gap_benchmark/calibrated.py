@@ -7,6 +7,7 @@ made it.
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +21,7 @@ from fishmj.calibrate.water_plant import WaterPlant
 from fishmj.errors import StoreError
 from fishmj.excitation import Excitation
 from fishmj.gap.null.null_runs import digest
+from fishmj.log import Trial
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
 from fishmj.store import read_json, write_json
@@ -58,12 +60,15 @@ def calibrated(family: str, seed: int, robot: Robot) -> Calibrated:
     Raises:
         LogError: the swims say nothing. SimDiverged: the robot left the finite numbers.
     """
-    path = kept_at(family, seed, robot)
+    return kept(kept_at(family, seed, robot), family, robot, lambda: families.trials(family, {}, SWIMS, seed, robot, first=FIRST))
+
+
+def kept(path: Path, family: str, robot: Robot, swims: Callable[[], list[Trial]]) -> Calibrated:
+    """What was found is read from `path`, or found by the swims and put there. Raises as `calibrated`."""
     try:
         found = read_json(path)
     except StoreError:
-        made = families.trials(family, {}, SWIMS, seed, robot, first=FIRST)
-        fit = water_fit.calibrate(Logs(Path(family), {trial.name: trial for trial in made}), WaterPlant(robot))
+        fit = water_fit.calibrate(Logs(Path(family), {trial.name: trial for trial in swims()}), WaterPlant(robot))
         error = {key: getattr(fit.speed_error, key) for key in ("value", "low", "high")}
         found = console.plain({"water": fit.water, "speed_error": error})
         write_json(path, found)

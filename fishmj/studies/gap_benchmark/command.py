@@ -33,10 +33,12 @@ from fishmj.studies.gap_benchmark.score import score
 from fishmj.studies.gap_benchmark.workers import answered
 
 ALONE = ("second", "lbm", "log")  # benchmarks of their own
-GENERATORS = (*ALONE, *families.NAMES, family_command.ALL)
+SOLVER = "solver"  # a family whose robots are swum beforehand
+GENERATORS = (*ALONE, *families.NAMES, family_command.ALL, SOLVER)
 GENERATED = (
     "second: the second robot, model as described; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a"
-    f" term deleted; or, with drawn and calibrated models, some of {', '.join(families.NAMES)}; families: all four"
+    f" term deleted; or, with drawn and calibrated models, some of {', '.join(families.NAMES)}; families: all four;"
+    f" {SOLVER}: robots of the flow solver, calibrated, data sets of --sets"
 )
 CASES = 400
 SECOND_TOO = f"the second robot with drawn and calibrated models is {families.SECOND}"
@@ -63,11 +65,13 @@ def main(argv: list[str]) -> int:
     add("--logs", type=console.whole(4, 12), metavar="N", help=session)
     add("--uncalibrated", action="store_true", help="of families: question the description as it is")
     add("--strict", action="store_true", help="of families: exit 1 below the aims with --small, --shard or --effects, too")
+    sets = "of --generator solver: folder that python -m fishmj.studies.solver_family made (default none)"
+    add("--sets", type=console.path, metavar="DIR", help=sets)
     scoring = "score what runs of --generator families kept in these folders, all together; search nothing (default none)"
     add("--score", nargs="+", type=console.path, metavar="DIR", help=scoring)
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
-    add("--shard", type=_shard, default=(0, 1), metavar="I/N", help=shard)
+    add("--shard", type=shard_of, default=(0, 1), metavar="I/N", help=shard)
     many = f"processes side by side, a core each, to {MOST_JOBS}; 0: one for every core (default 1)"
     add("--jobs", type=console.whole(0, MOST_JOBS), default=1, metavar="N", help=many)
     out = "folder for rows.jsonl and score.json; the same command continues where it stopped (default none)"
@@ -77,6 +81,9 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     if args.score:
         return family_command.together(args.score, args)
+    if SOLVER in args.generator or args.sets:
+        refuse_solver(args)
+        return family_command.solver(args)
     if names := family_command.named(args.generator):
         refuse(args, names)
         return family_command.bench(args, names)
@@ -133,6 +140,16 @@ def refuse(args, names: tuple[str, ...]) -> None:
         raise ConfigError(f"gap bench: {option} is for --generator second; families ({', '.join(names)}) draw their models")
 
 
+def refuse_solver(args) -> None:
+    """Raise ConfigError where an option does not go with the family of the flow solver."""
+    if args.generator != [SOLVER] or not args.sets:
+        together = f"its rows and those of other families are scored together by --score (got {','.join(args.generator)})"
+        raise ConfigError(f"gap bench: --generator {SOLVER} and --sets DIR go together, alone; {together}")
+    asked = {"--model": args.model != "fish", "--logs": args.logs, "--weighed": args.weighed, "--baselines": args.baselines}
+    if given := [option for option, value in asked.items() if value]:
+        raise ConfigError(f"gap bench: {given[0]} does not go with --generator {SOLVER}: its data sets are made")
+
+
 def agree(args, many: int, jobs: int) -> None:
     """Have weeks agreed to, before a case is drawn; of the flow solver there are as many as are shipped.
 
@@ -167,7 +184,7 @@ def hiding_any(dealt: list, effects: tuple[str, ...] | None) -> list:
     return [one for one in dealt if effects is None or set(effects) & set(one.case.effects)]
 
 
-def _shard(text: str) -> tuple[int, int]:
+def shard_of(text: str) -> tuple[int, int]:
     """The `type=` of --shard."""
     index, _, count = text.partition("/")
     if not (index.isdecimal() and count.isdecimal() and int(index) < int(count) <= MOST):

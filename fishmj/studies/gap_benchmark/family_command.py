@@ -4,6 +4,7 @@ import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from fishmj import console, cost, interrupt
@@ -12,7 +13,7 @@ from fishmj.errors import ConfigError
 from fishmj.gap import watch
 from fishmj.gap.workflow import compiled
 from fishmj.store import write_text
-from fishmj.studies.gap_benchmark import families, family_rows, family_score
+from fishmj.studies.gap_benchmark import families, family_rows, family_score, solver_sets
 from fishmj.studies.gap_benchmark.cases import Case
 from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot, robots
 from fishmj.studies.gap_benchmark.rows import kept
@@ -33,7 +34,21 @@ def named(generators: list[str]) -> tuple[str, ...]:
 
 def bench(args, names: tuple[str, ...]) -> int:
     """Do what was asked for, and score it."""
-    todo = dealt(args, names)
+    return asked(dealt(args, names), args)
+
+
+def solver(args) -> int:
+    """The same of robots of the flow solver, whose data sets are there (`--sets`)."""
+    todo = solver_sets.robots(args.sets, args.kinds, args.cases)[args.shard[0] :: args.shard[1]]
+    if args.effects:
+        todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
+    if not todo:
+        raise ConfigError(f"gap bench: --sets {args.sets}: no case is left; take other --kinds, --effects or --shard")
+    return asked(todo, args, partial(solver_sets.rows, folder=args.sets))
+
+
+def asked(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] | None = None) -> int:
+    """Rows of robots, and their score. ask: as `judged`."""
     jobs = args.jobs or usable_cores()
     found = done(args.out)
     left = sum(case.id not in found for robot in todo for case in robot.cases)
@@ -41,7 +56,7 @@ def bench(args, names: tuple[str, ...]) -> int:
     cost.time(
         "gap bench", left * A_CASE / min(jobs, usable_cores()), f"{left} cases", instead=less, flag="--yes", agreed=args.yes
     )
-    rows = judged(todo, args, found, jobs)
+    rows = judged(todo, args, found, jobs, ask)
     strict = args.strict or not (args.small or args.effects or args.shard[1] > 1)
     return scored(rows, args, strict)
 
@@ -118,8 +133,13 @@ def there(row: dict | None, case: Case, one: family_rows.Asked) -> bool:
     return True
 
 
-def judged(todo: list[BenchRobot], args, found: dict[str, dict], jobs: int) -> list[dict]:
-    """Rows of all cases, found or made now. Each process writes its own down: one that is stopped loses the case it was at."""
+def judged(
+    todo: list[BenchRobot], args, found: dict[str, dict], jobs: int, ask: Callable[..., list[dict]] | None = None
+) -> list[dict]:
+    """Rows of all cases, found or made now. Each process writes its own down: one that is stopped loses the case it was at.
+
+    ask: makes the rows of one robot, by default `family_rows.rows`.
+    """
     waiting = []
     for robot in todo:
         one = family_rows.Asked(robot, not args.uncalibrated, args.weighed, args.out)
@@ -138,7 +158,7 @@ def judged(todo: list[BenchRobot], args, found: dict[str, dict], jobs: int) -> l
 
     with interrupt.keeping(words), watch.shown(len(ids), "bench", "cases") as bar:
         with following(lambda: bar.update(len(set(ids) & set(done(args.out) or found)))):
-            for made in answered(waiting, family_rows.rows, jobs):
+            for made in answered(waiting, ask or family_rows.rows, jobs):
                 found |= {row["id"]: row for row in made}
         bar.update(len(ids))
     return [found[i] for i in ids]
@@ -172,6 +192,6 @@ def warmed(names: set[str]) -> None:
     robot = load_robot("fish")
     for plant in (SwimmingFish(robot), WaterPlant(robot)):
         compiled(plant, console.say)
-    for name in sorted({*names, families.SECOND}):
+    for name in sorted({*names, families.SECOND} & set(families.NAMES)):
         swum = families.trials(name, {}, ["idle"], 0, robot)
     plant.predict([record_of(trial, plant.dt) for trial in swum], plant.null)

@@ -7,7 +7,7 @@ robot's own family out (`SimulatedNull.without`).
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.watch import Quiet
 from fishmj.gap.workflow import investigate
+from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.studies.gap_benchmark import calibrated, families
 from fishmj.studies.gap_benchmark.cases import Case
@@ -57,8 +58,13 @@ class Laps:
 
 def rows(one: Asked) -> list[dict]:
     """A row of every case. What cannot be searched, or cannot swim, says so in its row."""
+    return written(one, _rows(one))
+
+
+def written(one: Asked, found: Iterable[dict]) -> list[dict]:
+    """Rows as they are found, each put into the folder of `one` at once."""
     made = []
-    for row in _rows(one):
+    for row in found:
         made.append(console.plain(row))
         if one.out:
             keep(one.out / "rows.jsonl", made[-1])
@@ -83,8 +89,7 @@ def questioned(one: Asked) -> tuple[Robot, object, dict]:
 
     begin = time.process_time()
     known, redraws, speed = described(one.robot)
-    facts: dict = {"links": len(known.links), "length": known.length, "mass": known.mass, "redraws": redraws}
-    facts |= {"lengths_a_second": speed, "calibrated": None}
+    facts = of_body(known) | {"redraws": redraws, "lengths_a_second": speed, "calibrated": None}
     believed = known
     if one.calibrate:
         believed, facts["calibrated"] = calibrated.calibrated(one.robot.family, one.robot.seed, known)
@@ -95,27 +100,38 @@ def questioned(one: Asked) -> tuple[Robot, object, dict]:
 
 def row(one: Asked, case: Case, known: Robot, model) -> dict:
     """What a row says of one case of a robot."""
-    robot, begin, start = one.robot, time.process_time(), time.monotonic()
+    robot, begin = one.robot, time.process_time()
     try:
         number = APART * (1 + number_of(case))
         trials = families.trials(robot.family, case.effects, case.logs, robot.seed, known, first=number, noise=case.noise)
         seen = families.detectable(robot.family, case.effects, case.logs, robot.seed, known)
     except (ConfigError, SimDiverged) as error:  # what is hidden leaves no robot, or one that does not swim
         return {"answer": "DIVERGED", "reason": str(error)}
+    page = families.page(robot.family, case.effects, robot.seed, known) if one.weighed else None
+    return answered(case, robot, model, trials, seen, page, time.process_time() - begin)
+
+
+def answered(case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float) -> dict:
+    """What a row says of a search, where there is one. seen: how much of what is hidden shows, by the generator; data: CPU
+    seconds that the trials took."""
     about = {"detectable": seen["all"], "each_detectable": seen["each"]}
     about |= {"noise_only": seen["noise_only"], "each_noise_only": seen["each_noise_only"]}
     if not searched(case, seen["each"]):
         return about | {"answer": "NOT_SEARCHED"}
-    page = families.page(robot.family, case.effects, robot.seed, known) if one.weighed else None
-    made, laps = time.process_time(), Laps()
+    made, start, laps = time.process_time(), time.monotonic(), Laps()
     null = SimulatedNull(noise=case.noise, without=robot.family)
     try:
         asked = partial(investigate, model, trials, gates=frozen(), null=null, seed=robot.seed, bars=laps)
         verdict = asked(page=page, mass_known=False).verdict
     except UNABLE as error:
         return about | refused(error)
-    cpu = {"data": made - begin, **laps.seconds, "whole search": time.process_time() - made}
-    return about | answered_by(verdict) | {"cpu_seconds": cpu, "seconds": time.monotonic() - start}
+    cpu = {"data": data, **laps.seconds, "whole search": time.process_time() - made}
+    return about | answered_by(verdict) | {"cpu_seconds": cpu, "seconds": data + time.monotonic() - start}
+
+
+def of_body(robot: Robot) -> dict:
+    """What a row says of a description."""
+    return {"links": len(robot.links), "length": robot.length, "mass": robot.mass}
 
 
 def begun(case: Case, one: Asked) -> dict:

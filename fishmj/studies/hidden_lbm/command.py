@@ -19,6 +19,7 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.log.folder import write_trial
+from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, write_json
 from fishmj.virtual_robot.hidden_dataset import parse
 
@@ -34,6 +35,7 @@ def main(argv: list[str]) -> int:
     add("--sets", type=console.whole(1, 10_000), default=1, metavar="N", help="data sets, a robot each")
     named = "none|random|NAME[=value]"
     add("--effects", type=console.text, nargs="+", default=["none"], metavar=named, help="one a set, round and round")
+    add("--model", type=console.text, default="fish", help="the robot, name or TOML file (default fish)")
     add("--excitations", type=console.text, default="designed", help="designed, casual, all, or ids with commas")
     cut = "cut every experiment to this length; by default they are run to their end"
     add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
@@ -111,12 +113,12 @@ def plan_of(args, sets: int) -> dict[str, list[Job]]:
     Raises:
         ConfigError, UnknownName: no such effect, excitation or domain.
     """
-    runs = [_cut(excitation.get(name), args.seconds) for name in _ids(args.excitations)]
-    box = preset(args.domain)
+    robot, box = load_robot(args.model), preset(args.domain)
+    runs = [_cut(excitation.get(name, robot.n_joints), args.seconds) for name in _ids(args.excitations)]
     plan = {}
     for i in range(sets):
         effects, seed = effects_of(args, i), args.seed + i
-        plan[f"set_{i:03d}"] = jobs(effects, runs, seed, args.noise, args.nuisance, box, args.slip)
+        plan[f"set_{i:03d}"] = jobs(effects, runs, seed, args.noise, args.nuisance, box, args.slip, robot=robot)
     return plan
 
 
@@ -150,6 +152,7 @@ def _apart(args) -> None:
 def _seal(args) -> None:
     """Write what is hidden, before anything is run; a later call must ask for the same."""
     asked = {key: getattr(args, key) for key in ("sets", "seed", "noise", "nuisance", "slip", "domain", "excitations", "seconds")}
+    asked |= {} if args.model == "fish" else {"model": args.model}
     hidden = {f"set_{i:03d}": {"effects": effects_of(args, i), "seed": args.seed + i} for i in range(args.sets)}
     body = {"schema": SCHEMA, "origin": "synthetic", "asked": asked, "hidden": hidden}
     if args.truth.is_file():

@@ -1,0 +1,93 @@
+"""Robots of the flow solver as a family of the benchmark: their data sets were swum before (`studies.solver_family`).
+
+Each robot's model is calibrated to its own free swims in the solver; the search is told to leave the solver out, so that the null
+runs are the second robot's and the structural error has never seen a fish of the solver.
+
+    robots(folder, kinds) -> [BenchRobot]        those whose data sets are complete
+    rows(Asked(robot), folder) -> [row]          as `family_rows.rows`
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from fishmj.errors import ConfigError
+from fishmj.gap.null.null_runs import digest
+from fishmj.log.dataset import read_bundle
+from fishmj.machine_code import cache_folder
+from fishmj.mjcf.description import Robot
+from fishmj.store import read_json, sha256
+from fishmj.studies.gap_benchmark import calibrated
+from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot
+from fishmj.studies.gap_benchmark.family_rows import UNABLE, Asked, answered, begun, of_body, refused, written
+from fishmj.studies.solver_family import plan as plans
+from fishmj.studies.solver_family.layout import FREE, SETS, TRUTH
+
+SHIPPED = "fish"
+
+
+def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
+    """Robots with their cases of these kinds, `many` in sum at most, of which the data sets are there.
+
+    Raises:
+        ConfigError: there are none. StoreError: the folder is none of `studies.solver_family`.
+    """
+    plan, known = plans.read(folder), read_json(folder / TRUTH)["cases"]
+    out: list[BenchRobot] = []
+    left = many or sum(len(one.cases) for one in plan.robots)
+    for one in plan.robots:
+        mine = tuple(case for case in one.cases if case.kind in kinds and case.id in known)[:left]
+        if mine:
+            out.append(BenchRobot(one.id, plans.SOLVER, one.model != SHIPPED, one.seed, mine))
+        left -= len(mine)
+    if not out:
+        raise ConfigError(
+            f"gap bench: --sets {folder}: no data set is complete; python -m fishmj.studies.solver_family --out {folder} goes on"
+        )
+    return out
+
+
+def rows(one: Asked, folder: Path) -> list[dict]:
+    """A row of every case, each put down as it is done."""
+    return written(one, _rows(one, folder))
+
+
+def _rows(one: Asked, folder: Path) -> Iterator[dict]:
+    plan, truth = plans.read(folder), read_json(folder / TRUTH)["cases"]
+    told = next(robot for robot in plan.robots if robot.id == one.robot.id)
+    known = plan.descriptions[told.model]
+    about: dict = {"model": "drawn" if one.robot.drawn else SHIPPED, "described": told.model, "domain": plan.asked.domain}
+    about |= of_body(known) | {"redraws": 0, "calibrated": None}
+    try:
+        model, error = questioned(one, known, folder)
+    except UNABLE as refusal:
+        yield from (begun(case, one) | about | refused(refusal) for case in one.robot.cases)
+        return
+    about["calibrated"] = error
+    for case in one.robot.cases:
+        begin = time.process_time()
+        trials = read_bundle(folder / SETS / f"{case.id}.npz")
+        seen, data = truth[case.id]["detectable"], time.process_time() - begin
+        more = {"swum": len(trials), "healthy": seen["healthy"]}
+        yield begun(case, one) | about | more | answered(case, one.robot, model, trials, seen, None, data)
+
+
+def questioned(one: Asked, known: Robot, folder: Path) -> tuple[object, dict | None]:
+    """(the model that is questioned, how wrong its speed is on swims left out of its calibration).
+
+    Raises:
+        LogError: the free swims say nothing.
+    """
+    from fishmj.gap.models.swimming_fish import SwimmingFish
+
+    believed, error = known, None
+    if one.calibrate:
+        bundle = folder / SETS / f"{one.robot.id}-{FREE}.npz"
+        told = json.dumps([plans.SOLVER, sha256(bundle), digest(*calibrated.CODE)]) + repr(known)
+        path = cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
+        believed, error = calibrated.kept(path, plans.SOLVER, known, lambda: read_bundle(bundle))
+    model = SwimmingFish(believed)
+    _ = model.kernel
+    return model, error
