@@ -1,16 +1,61 @@
 """From the simulator to the tank: a policy on a robot, on a robot in loopback, and what a lab measures on its rig."""
 
+import shlex
 import sys
+from contextlib import ExitStack
+from importlib import import_module
+from typing import Any
 
 from fishmj import console
 from fishmj.console import Command
 from fishmj.deploy.rig_commands import COMMANDS as RIG
+from fishmj.mjcf.description import Robot
+
+
+def in_step(args: Any, robot: Robot, stack: ExitStack) -> Any:
+    """The loopback robot in this process and in lockstep, in the place of `wiring.wire`; no frames are drawn.
+
+    Poses have a tracker's errors (`loopback.lockstep.FixNoise`). `args.loopback` are the options of `deploy loopback`.
+    """
+    from fishmj.deploy.links import Fishmj1Link, Link, MishLink
+    from fishmj.deploy.localiser import InStep
+    from fishmj.deploy.wiring import Wired
+    from fishmj.loopback import command, lockstep
+    from fishmj.loopback.settings import make_robot
+
+    words = ["--protocol", args.protocol, "--model", args.robot, *shlex.split(args.loopback or "")]
+    settings = command.served(command.options().parse_args(words)).settings
+    clock = lockstep.LockstepClock(make_robot(settings))
+    transport = lockstep.LockstepTransport(clock)
+    mish = settings.protocol != "fishmj-1"
+    link: Link = (
+        MishLink(transport, "fixed" if settings.protocol == "mish-fixed" else "mish-0.1.0") if mish else Fishmj1Link(transport)
+    )
+    localiser = InStep(lockstep.LockstepCamera(clock), lockstep.PoseTracker(seed=settings.seed))
+    localiser.open()
+    return Wired(link, localiser, clock, True)
+
+
+def trials(argv: list[str]) -> int | None:
+    """The command `deploy trials`, with the loopback robot that the host itself never imports."""
+    return import_module("fishmj.deploy.trials_command").main(argv, in_step)
+
 
 COMMANDS = {
     "swim": Command(
         "fishmj.deploy.swim_command",
         "a policy swims: camera, 50 Hz bus, supervisor, trial folder",
         "fishmj deploy swim --policy station --link loopback --seconds 30",
+    ),
+    "flow-map": Command(
+        "fishmj.deploy.flow_map_command",
+        "what each pump setting makes of the water: speed, TI, length scale",
+        "fishmj deploy flow-map 20=adv_20.csv 25=adv_25.csv --time Time --velocity Vx,Vy --unit cm/s --out tank_flow.toml",
+    ),
+    "trials": Command(
+        trials,
+        "the 72 trials of the protocol on the robot, into the tables of evaluate",
+        "fishmj deploy trials --policy station --link loopback --yes --speeds 0.2 --los 0,180 --repeats 1 --out runs/trials",
     ),
     "loopback": Command(
         "fishmj.loopback.command",
@@ -34,6 +79,9 @@ COMMANDS = {
         "fishmj.deploy.firmware_command",
         "a policy as a C header, for a robot that computes it itself",
         "fishmj deploy firmware-policy station --out policy_constants.h",
+    ),
+    "recover": Command(
+        "fishmj.deploy.recover_command", "the trial of a swim whose host was killed", "fishmj deploy recover runs/swim_07"
     ),
     "doctor": Command("fishmj.deploy.doctor_command", "what is plugged in, and what is installed", "fishmj deploy doctor"),
 }

@@ -3,7 +3,8 @@
 import gc
 import sys
 from argparse import ArgumentTypeError
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
 from datetime import datetime
 from math import pi
 from pathlib import Path
@@ -16,7 +17,9 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.controllers.learned import LearnedController
 from fishmj.deploy import arming, wiring
-from fishmj.deploy.clock import first_in_line
+from fishmj.deploy.clock import MonotonicClock, first_in_line
+from fishmj.deploy.flow_map import FlowMap
+from fishmj.deploy.monitor_live import LiveMonitor, Watched, monitor_options, watched_of
 from fishmj.deploy.pilot import PolicyPilot
 from fishmj.deploy.status import StatusLine
 from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
@@ -60,33 +63,30 @@ def options() -> console.Parser:
     )
     add("--anyway", action="store_true", help="let the policy steer on another command path than it was trained on")
     add("--notes", type=console.text, metavar="TEXT", help="a sentence for meta.toml (default none)")
-    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad (default: not known)")
+    stream = "the stream, m/s and rad, or MAP@SETTING of a flow map and its pump (default: not known)"
+    add("--flow", type=flow, metavar="SPEED,DIRECTION", help=stream)
     add("--mcap", action="store_true", help="also write the trial as MCAP beside its folder, for Foxglove")
     add("--ros", type=wiring.address(9090), metavar="HOST[:PORT]", help="publish to a rosbridge while it swims (default: not)")
+    monitor_options(made)
     wiring.link_options(made)
     wiring.camera_options(made)
     wiring.loopback_options(made)
     return made
 
 
-def main(argv: list[str]) -> int:
-    """The command. Exit code 0: swam to the end; 1: something ended it; 2: not armed, or bad input."""
+def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> int:
+    """The command. Exit code 0: swam to the end; 1: something ended it; 2: not armed, or bad input.
+
+    wire: opens what the options name, as `wiring.wire` (the default); another one may swim in lockstep.
+    """
     args = options().parse_args(argv)
     robot = load_robot(args.robot)
     controller = LearnedController(robot, args.policy, args.anyway)
-    for what, (there, here) in controller.trained(robot)["differs"].items():
-        if what != "water":  # that of a tank is what it is
-            console.warn(f"policy {controller.name}: trained with another {what} ({there}, here {here})")
+    warn_of_training(controller, robot)
     out = args.out or Path("runs") / f"swim-{datetime.now():%Y%m%d-%H%M%S}"
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH)
-    gc.collect()
-    gc.freeze()  # what is loaded now stays: looking through it again would cost a tick 10 ms
-    try:
-        outcome = _swum(args, robot, controller, out)
-    finally:
-        gc.unfreeze()
-        sys.setswitchinterval(before)
+    watched = watched_of(args, robot, args.flow, args.seconds)
+    with undisturbed():
+        outcome = _swum(args, robot, controller, out, wire or wiring.wire, watched)
     if not outcome.cause and outcome.refused:
         raise ConfigError(f"swim: {outcome.words}")
     mcap = _mcap(out, robot) if args.mcap else None
@@ -103,10 +103,33 @@ def main(argv: list[str]) -> int:
     return console.OK if outcome.complete and outcome.released is not False else console.FAILED_CHECK
 
 
-def _swum(args: Any, robot: Robot, controller: LearnedController, out: Path) -> Outcome:
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Within, neither another thread nor the collection of garbage keeps the loop waiting for long."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH)
+    gc.collect()
+    gc.freeze()  # what is loaded now stays: looking through it again would cost a tick 10 ms
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
+
+
+def warn_of_training(controller: LearnedController, robot: Robot) -> None:
+    """Say what the policy was trained with that is another here."""
+    for what, (there, here) in controller.trained(robot)["differs"].items():
+        if what != "water":  # that of a tank is what it is
+            console.warn(f"policy {controller.name}: trained with another {what} ({there}, here {here})")
+
+
+def _swum(
+    args: Any, robot: Robot, controller: LearnedController, out: Path, wire: Callable[..., wiring.Wired], watched: Watched | None
+) -> Outcome:
     """Open everything, swim, close everything, whatever happens."""
     with ExitStack() as stack:
-        wired = wiring.wire(args, robot, stack)
+        wired = wire(args, robot, stack)
         at_the_tank = wired.loopback or arming.asked_at_the_tank(wired.link, args.i_am_at_the_tank, console.confirmed)
         rig = Rig(
             robot=robot, link=wired.link, localiser=wired.localiser, clock=wired.clock,
@@ -119,13 +142,18 @@ def _swum(args: Any, robot: Robot, controller: LearnedController, out: Path) -> 
             console.warn(told)
         stop = Event()
         plan = Plan(target=args.target, seconds=args.seconds, wait=args.wait, bound=args.bound)
-        swim = Swim(rig, PolicyPilot(controller), plan, log, stop=stop.is_set, status=StatusLine(args.seconds))
+        status = StatusLine(args.seconds)
+        swim = Swim(rig, PolicyPilot(controller), plan, log, stop=stop.is_set, status=status)
+        if watched is not None:
+            stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=stop.is_set))
 
         def kept() -> str:
             log.close("interrupted")
             return f"what was swum is in {out}"
 
-        with way_out(stop, lambda: wired.link.disarm(wired.clock.now()), kept), first_in_line() as first:
+        in_real_time = isinstance(wired.clock, MonotonicClock)  # a loop that never waits would keep everything else waiting
+        ahead = first_in_line() if in_real_time else nullcontext(False)
+        with way_out(stop, lambda: wired.link.disarm(wired.clock.now()), kept), ahead as first:
             log.meta["host"]["first_in_line"] = first
             return swim.run()
 
@@ -181,7 +209,15 @@ def place(text: str) -> tuple[float, float]:
 
 
 def flow(text: str) -> tuple[float, float]:
-    """`0.2,3.14`: speed, m/s, and where the water moves to, rad. Raises ArgumentTypeError."""
+    """`0.2,3.14`: speed, m/s, and where the water moves to, rad; or `tank_flow.toml@22.5`, of a flow map at a pump setting.
+
+    Raises:
+        ArgumentTypeError: neither. ConfigError: a map that cannot be read, or a setting outside of it.
+    """
+    path, mark, setting = text.rpartition("@")
+    if mark:
+        water = FlowMap.read(console.path(path)).at(console.number(-1e6, 1e6)(setting))
+        return water.speed, water.direction
     speed, direction = _two(text, "SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
     return console.number(0, 2)(speed), console.number(-2 * pi, 2 * pi)(direction)
 

@@ -63,8 +63,11 @@ def options() -> console.Parser:
     add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
     tanks = "trials of --water lbm, or segments of hybrid, that run side by side; 12 or more keep one GPU busy"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
-    add("--turbulence", choices=tuple(PRESETS), default="default", help="kind of turbulence of the current")
+    kinds = "kind of turbulence of the current; default: default"
+    add("--turbulence", choices=tuple(PRESETS), help=kinds)
     add("--intensity", type=console.number(0, 0.99), help="of the turbulence, u_rms / max(speed, 0.1 m/s); default 0.05")
+    tank = "a tank's, of fishmj deploy flow-map: TI at every speed, and the kind with the nearest length scale; default none"
+    add("--flow-map", type=console.path, metavar="FILE", help=tank)
     speeds = console.Listed(console.number(0, 1))
     add("--speeds", type=speeds, metavar="M/S,..", help="speeds of the current; default 0.1,0.2,0.3")
     los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
@@ -119,10 +122,12 @@ def main(argv: list[str]) -> int:
     if args.command_path is not None:
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
     trials = protocol.trials(
-        speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds, turbulence=args.turbulence,
-        intensity=args.intensity, heading=args.heading, randomisation=0.0 if args.no_randomisation else 1.0,
-        noise=0.0 if args.no_noise else 1.0, duration=args.duration,
+        speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds,
+        turbulence=args.turbulence or "default", intensity=args.intensity, heading=args.heading,
+        randomisation=0.0 if args.no_randomisation else 1.0, noise=0.0 if args.no_noise else 1.0, duration=args.duration,
     )  # fmt: skip
+    if args.flow_map is not None:
+        trials = in_a_tank(trials, args)
     brains = controllers.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
     affordable(robot, trials, len(brains))
     if water.kind == choice.LBM:
@@ -154,6 +159,23 @@ def main(argv: list[str]) -> int:
         code = report(results, args)
     kept.end()
     return code
+
+
+def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
+    """The trials in the turbulence that was measured in a tank; says what of it a simulated flow has not.
+
+    Raises:
+        ConfigError: the map has not all the speeds, or an option says something else of the turbulence.
+    """
+    from fishmj.deploy.flow_map import FlowMap, preset_for
+
+    if args.turbulence is not None or args.intensity is not None:
+        raise ConfigError("evaluate: --flow-map says what the turbulence is; leave --turbulence and --intensity out")
+    found = FlowMap.read(args.flow_map)
+    waters = {float(speed): found.for_speed(float(speed)) for speed in sorted(set(trials.speed.tolist()))}
+    kind, said = preset_for([water.length for water in waters.values()])
+    console.say(f"flow map {args.flow_map}: {said}")
+    return protocol.measured(trials, {speed: water.intensity for speed, water in waters.items()}, kind)
 
 
 def begin(water: choice.Choice, brains) -> None:

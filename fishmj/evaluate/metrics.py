@@ -74,6 +74,7 @@ class Result(NamedTuple):
     policy: dict | None = None  # of a policy: how it was trained, and what is different here (`LearnedController.trained`)
     left_out: tuple[str, ...] = ()  # effects of the description that the judged robot has not
     corrections: np.ndarray | None = None  # (n,) JSON of `fishmj.hybrid.Hybrid.report`, of the water hybrid
+    known: dict[str, np.ndarray] | None = None  # its figures (n,), of a judgement read back from its trials.csv: no time series
 
     @property
     def water(self) -> str:
@@ -92,6 +93,8 @@ def arrival_tick(result: Result) -> np.ndarray:
 
 def figures(r: Result) -> dict[str, np.ndarray]:
     """Key -> (n,) one figure a trial."""
+    if r.known is not None:
+        return r.known
     window = lambda key: constant("protocol", key)
     end = window("arrival_time")
     first = arrival_tick(r)

@@ -6,7 +6,8 @@ axes point is a matter of convention: all figures are relative to the stream), s
 A trial's draws depend on (seed, box, speed, los, repeat) only: a subset of the trials is made of the very same trials.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -91,6 +92,16 @@ class Trials:
             for t in self.items
         ]
 
+    @property
+    def flow_seeds(self) -> list:
+        """Seed of each trial's flow; "" where nobody drew it."""
+        return [flow.seed for flow in self.flows()]
+
+    @property
+    def turbulence_said(self) -> str:
+        """Its kind and strength, for people."""
+        return "no turbulence" if self.turbulence == "none" else f"{self.turbulence} turbulence {100 * self.intensity:g} %"
+
     def fish(self, robot: Robot):
         """Randomised fish: (FishParams, camera delay in bus ticks (n,))."""
         uniforms = np.stack([t.draw(0).random(task.n_fish(robot)) for t in self.items])
@@ -100,6 +111,45 @@ class Trials:
         """Standard normal draws times the wanted strength, (n, steps, 5 + 2 J)."""
         shape = (steps, 5 + 2 * robot.n_joints)
         return self.noise * np.stack([t.draw(3).standard_normal(shape) for t in self.items])
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredTrials(Trials):
+    """Trials in the water of a tank, whose turbulence was measured at every speed; `intensity` is their mean.
+
+    intensities: (speed m/s, TI) for each speed of `items`, none where nobody measured it. seen: the water itself, in which nobody
+    drew the flow.
+    """
+
+    intensities: tuple[tuple[float, float], ...]
+    seen: bool = False
+
+    def flows(self) -> list[Flow]:
+        """The background flow of each trial, as strong as at its speed."""
+        strong = dict(self.intensities)
+        flows = zip(self.items, super().flows(), strict=True)
+        return [replace(flow, intensity=strong.get(t.speed, flow.intensity)) for t, flow in flows]
+
+    @property
+    def flow_seeds(self) -> list:
+        """See `Trials`."""
+        return [""] * len(self) if self.seen else super().flow_seeds
+
+    @property
+    def turbulence_said(self) -> str:
+        """See `Trials`."""
+        if not self.intensities:
+            return "turbulence not measured"
+        measured = "/".join(f"{100 * strong:.3g}" for _, strong in self.intensities)
+        return f"measured turbulence {measured} %" if self.seen else f"{self.turbulence} turbulence {measured} % as measured"
+
+
+def measured(some: Trials, intensities: Mapping[float, float], turbulence: str, seen: bool = False) -> MeasuredTrials:
+    """The same trials, speeds and draws, in turbulence of this kind and of a measured TI for each speed [m/s]."""
+    known = {field.name: getattr(some, field.name) for field in fields(Trials)} | {"turbulence": turbulence}
+    if intensities:
+        known["intensity"] = sum(intensities.values()) / len(intensities)
+    return MeasuredTrials(**known, intensities=tuple(sorted(intensities.items())), seen=seen)
 
 
 def trials(

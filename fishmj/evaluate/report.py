@@ -17,7 +17,6 @@ import numpy as np
 from fishmj import console
 from fishmj.calib import constant
 from fishmj.dynamics.planar_chain import chain_of
-from fishmj.engines.planar import link_centres
 from fishmj.errors import FishmjError, StoreError
 from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
 from fishmj.flow import sample, stack
@@ -134,6 +133,8 @@ def ended(r: Result, i: int) -> int:
 
 def _flow_at_links(r: Result, i: int, ticks: int) -> dict:
     """Water velocity at the link centres at the start of each tick, as columns."""
+    from fishmj.engines.planar import link_centres  # JAX, which the tables do without
+
     current, chain = stack([r.trials.flows()[i]]), chain_of(r.robot)
     q = np.concatenate([r.pose[i], r.joint[i]], -1)[:ticks]
     rows = []
@@ -152,12 +153,11 @@ def condition(result: Result) -> str:
     """One line that names everything that a figure depends on."""
     t = result.trials
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
-    turbulence = "no turbulence" if t.turbulence == "none" else f"{t.turbulence} turbulence {100 * t.intensity:g} %"
     switch = lambda on: "on" if on else "off"
     without = f", without the effects {', '.join(result.left_out)}" if result.left_out else ""
     return (
-        f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {turbulence}, water {result.water}, engine {result.engine}, "
-        f"command path {result.robot.timing.command_path}, start heading {t.heading}, "
+        f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {t.turbulence_said}, water {result.water}, "
+        f"engine {result.engine}, command path {result.robot.timing.command_path}, start heading {t.heading}, "
         f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
 
@@ -298,7 +298,7 @@ def trials_csv(results: list[Result]) -> str:
     out = csv.writer(text, lineterminator="\n")
     out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *UNITS])
     for r in results:
-        found, seeds = figures(r), [f.seed for f in r.trials.flows()]
+        found, seeds = figures(r), r.trials.flow_seeds
         for i, t in enumerate(r.trials.items):
             left = f"{r.t[r.left[i]]:.2f}" if r.left[i] < len(r.t) else ""
             name = f"'{r.controller}" if r.controller[:1] in FORMULA else r.controller  # as spreadsheets mark text
