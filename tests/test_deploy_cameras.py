@@ -10,7 +10,7 @@ import pytest
 
 from fishmj.deploy import cameras
 from fishmj.deploy.cameras import Device, SharedFrames, VideoFile
-from fishmj.deploy.localiser import InStep, InThread
+from fishmj.deploy.localiser import InStep, Newest
 from fishmj.errors import ConfigError, StoreError
 from fishmj.loopback.shared_frames import FrameWriter
 from fishmj.tracker.fix import Fix
@@ -200,22 +200,10 @@ def test_in_step_every_frame_is_looked_at():
     assert eyes.camera.closed
 
 
-def test_in_a_thread_only_the_newest_frame_is_looked_at():
+def test_only_the_newest_frame_that_waits_is_looked_at():
     camera = Frames([(1.0, image(10)), (1.1, image(20))], [(1.2, image(30))])
-    eyes = InThread(camera, Seer())
+    eyes = Newest(camera, Seer())
     eyes.open()
-    assert camera.empty.wait(5.0)
+    assert [eyes.look(0.1).x for _ in range(2)] == [20.0, 30.0]
     eyes.close()
-    assert [fix.x for fix in eyes.fixes(2.0)] == [20.0, 30.0]
     assert eyes.counts["skipped"] == 1 and camera.closed
-
-
-def test_a_tracker_that_fails_says_why_and_the_loop_goes_on():
-    camera = Frames([(1.0, image(10))], [(1.1, image(255))])
-    eyes = InThread(camera, Seer())
-    eyes.open()
-    end = time.monotonic() + 5
-    while eyes.failed is None and time.monotonic() < end:
-        time.sleep(0.005)
-    assert "another size" in str(eyes.failed) and len(eyes.fixes(2.0)) == 1
-    eyes.close()

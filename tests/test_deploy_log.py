@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fishmj import console
+from fishmj.deploy.__main__ import main
+from fishmj.deploy.journal import Journal
 from fishmj.deploy.mcap_out import write
 from fishmj.deploy.observer import Pose
 from fishmj.deploy.pilot import PlayedPilot
 from fishmj.deploy.supervisor import Condition
-from fishmj.deploy.trial_log import FIRST, Rows, TrialLog
-from fishmj.errors import StoreError
+from fishmj.deploy.trial_log import FIRST, Rows, TrialLog, recovered
+from fishmj.errors import LogError, StoreError
 from fishmj.log import read_trial
 from fishmj.mjcf.description import load_robot
 from fishmj.protocols.messages import Telemetry
@@ -25,12 +28,14 @@ META = {"origin": "measured", "robot": "fish"}
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def test_a_table_grows_past_its_first_size():
+def test_rows_that_wait_grow_past_their_first_room_and_leave_in_order():
     rows = Rows(["t", "x"])
     for k in range(2 * FIRST + 5):
         rows.add(k, 2 * k)
-    table = rows.table()
-    np.testing.assert_array_equal(table["x"], 2 * np.arange(2 * FIRST + 5))
+    np.testing.assert_array_equal(rows.waiting()[:, 1], 2 * np.arange(2 * FIRST + 5))
+    rows.drop(2 * FIRST)
+    rows.add(-1, -2)
+    np.testing.assert_array_equal(rows.waiting()[:, 0], [*range(2 * FIRST, 2 * FIRST + 5), -1])
 
 
 def test_every_table_of_a_swim_is_there_with_its_clocks(tmp_path):
@@ -170,14 +175,101 @@ with TrialLog(Path(sys.argv[1]), {"origin": "measured", "robot": "fish"}, 3, eve
 """
 
 
-def test_a_killed_swim_loses_only_what_came_since_the_last_writing(tmp_path):
+def test_a_killed_swim_loses_only_what_came_since_the_last_writing(tmp_path, capsys):
     folder = tmp_path / "swim"
     process = subprocess.Popen([sys.executable, "-c", KILLED, str(folder)], stdout=subprocess.PIPE, cwd=ROOT)
     process.stdout.readline()
-    end = time.monotonic() + 20
-    while not folder.exists() and time.monotonic() < end:
+    rows, end = folder / "journal" / "cmd.f64", time.monotonic() + 20
+    while not (rows.exists() and rows.stat().st_size >= 25 * 9 * 8) and time.monotonic() < end:
         time.sleep(0.05)
+    assert console.run(main, ["recover", str(folder)]) == console.BAD_INPUT and "still under way" in capsys.readouterr().err
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     process.stdout.close()
-    assert len(read_trial(folder).tables["cmd"]["t"]) >= 25
+    with pytest.raises(LogError, match=f"fishmj deploy recover {folder}"):
+        read_trial(folder)
+    assert console.run(main, ["recover", str(folder)]) == console.OK and "rows: cmd" in capsys.readouterr().out
+    trial = read_trial(folder)
+    assert len(trial.tables["cmd"]["t"]) >= 25 and "was killed" in trial.meta["host"]["events"][-1]
+    np.testing.assert_allclose(trial.tables["cmd"]["t"], 0.02 * np.arange(len(trial.tables["cmd"]["t"])), atol=1e-12)
+    assert not (folder / "journal").exists() and "state" not in trial.meta["host"]
+    assert console.run(main, ["recover", str(folder)]) == console.BAD_INPUT and "nothing to recover" in capsys.readouterr().err
+
+
+def taken(log, first, last):
+    """Rows of a swim between two ticks: joints that lag, a pose that is late by a random time."""
+    random = np.random.default_rng(0)
+    late = random.exponential(0.004, last)
+    for k in range(first, last):
+        t = 50.0 + 0.02 * k
+        log.command(t, np.full(3, 0.01 * k), np.full(3, 0.02 * k), k, 3)
+        log.heard(t + late[k], Telemetry((0.0, 0.1, 0.0), k, 3.0 + 0.02 * k, voltage=7.4, current=0.5))
+        log.fix(Pose(t - 0.06, 0.001 * k, 0.0, 0.0, t + late[k]), 1.0)
+
+
+def test_a_trial_is_the_same_whether_its_rows_went_through_the_journal_or_not(tmp_path):
+    whole, flushed, killed = (TrialLog(tmp_path / name, META, 3) for name in ("whole", "flushed", "killed"))
+    for log in (whole, flushed, killed):
+        for first, last in ((0, 30), (30, 31), (31, 90)):
+            taken(log, first, last)
+            if log is not whole:
+                log.flush()
+    whole.close()
+    flushed.close()
+    killed._journal.close()  # as the system does for a process that is gone
+    recovered(killed.folder)
+    trials = [read_trial(log.folder) for log in (whole, flushed, killed)]
+    for other in trials[1:]:
+        assert set(other.tables) == set(trials[0].tables)
+        for name, table in trials[0].tables.items():
+            for column, values in table.items():
+                np.testing.assert_array_equal(values, other.tables[name][column])
+        assert other.meta["clock"] == trials[0].meta["clock"] and other.meta["latency"] == trials[0].meta["latency"]
+
+
+def test_writing_takes_as_much_at_the_tenth_minute_as_at_the_first(tmp_path, monkeypatch):
+    log, sizes = TrialLog(tmp_path / "swim", META, 3), []
+    append = Journal.append
+    monkeypatch.setattr(Journal, "append", lambda one, name, rows: (sizes.append(rows.size), append(one, name, rows)))
+    for k in range(30):
+        taken(log, 100 * k, 100 * (k + 1))
+        log.flush()
+        assert all(rows.count == 0 and len(rows._data) == FIRST for rows in log.rows.values())
+    assert len(set(sizes)) == len({"cmd", "joint", "pose", "power"}) and len(sizes) == 120
+    log.close()
+
+
+def test_a_row_that_is_half_on_the_disk_is_left_out(tmp_path):
+    log = TrialLog(tmp_path / "swim", META, 3)
+    taken(log, 0, 20)
+    log.flush()
+    log._journal.close()
+    with open(tmp_path / "swim" / "journal" / "cmd.f64", "ab") as file:
+        file.write(b"\0" * 20)
+    assert len(recovered(tmp_path / "swim").tables["cmd"]["t"]) == 20
+
+
+def test_rows_wait_while_the_disk_refuses(tmp_path, monkeypatch):
+    log, append = TrialLog(tmp_path / "swim", META, 3), Journal.append
+
+    def full(one, name, rows):
+        raise StoreError("no space left")
+
+    taken(log, 0, 20)
+    monkeypatch.setattr(Journal, "append", full)
+    with pytest.raises(StoreError, match="no space"):
+        log.flush()
+    monkeypatch.setattr(Journal, "append", append)
+    taken(log, 20, 40)
+    log.flush()
+    log.close()
+    assert len(read_trial(tmp_path / "swim").tables["cmd"]["t"]) == 40
+
+
+def test_what_is_no_journal_is_one_line(tmp_path):
+    (tmp_path / "swim" / "journal").mkdir(parents=True)
+    with pytest.raises(StoreError, match="no journal of a swim"):
+        recovered(tmp_path / "swim")
+    (tmp_path / "swim" / "journal" / "layout.json").write_text('{"zero": 1}', encoding="utf-8")
+    with pytest.raises(StoreError, match="no layout of a journal"):
+        recovered(tmp_path / "swim")

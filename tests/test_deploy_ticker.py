@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from fishmj.deploy.clock import first_in_line
+from fishmj.deploy.clock import HEARING, PRIORITY, SEEING, first_in_line
 from fishmj.deploy.ticker import Ticker
 from tests.deploying import FakeClock
 
@@ -67,3 +67,23 @@ def test_the_loop_goes_first_where_the_system_lets_it_and_is_ordinary_afterwards
         now = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
         assert now == (os.SCHED_FIFO if first else before)
     assert os.sched_getscheduler(0) == before
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="no such priorities on this system")
+def test_the_loop_goes_before_who_hears_and_who_sees(monkeypatch):
+    asked = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda pid, policy, param: asked.append(param.sched_priority))
+    for priority in (PRIORITY, HEARING, SEEING):
+        with first_in_line(priority) as first:
+            assert first
+    assert asked[::2] == sorted(set(asked[::2]), reverse=True) and asked[1::2] == [0, 0, 0]
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="no such priorities on this system")
+def test_a_system_that_does_not_let_it_goes_on_as_before(monkeypatch):
+    def refused(*_):
+        raise PermissionError("not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refused)
+    with first_in_line() as first:
+        assert first is False

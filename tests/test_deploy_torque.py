@@ -7,12 +7,15 @@ import pytest
 
 from fishmj import console, interrupt
 from fishmj.deploy import swim_command
+from fishmj.deploy.arming import why_not_armed
 from fishmj.deploy.links import MishLink
 from fishmj.deploy.status import StatusLine
 from fishmj.deploy.supervisor import Condition, State
 from fishmj.deploy.swim import HOME, LET_GO, Outcome
 from fishmj.deploy.way_out import GRACE, TIMES, way_out
-from fishmj.protocols.messages import RobotState, ServoFault
+from fishmj.log import read_trial
+from fishmj.protocols.messages import RobotState, ServoFault, Telemetry
+from fishmj.protocols.watchdog import Watchdog
 from tests.deploying import DT, Bench
 
 
@@ -133,6 +136,45 @@ def test_a_robot_that_does_not_arm_is_told_with_its_state(tmp_path):
     bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
     bench.robot.changes["state"] = RobotState.NEUTRAL
     assert bench.swim().refused == ("the robot did not arm in 1 s; it says NEUTRAL",)
+
+
+REFUSED = {
+    "servo 2 (from the head) does not answer": {"fault": (ServoFault.NONE, ServoFault.NO_REPLY, ServoFault.NONE)},
+    "joint 3 at -63.0 deg (from the head), beyond the 62 deg": {"joint": (0.0, 0.0, np.radians(-63.0))},
+    "do its packets arrive": {},
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_an_arm_that_is_refused_is_told_with_its_reason(why):
+    told = Telemetry((0.0, 0.0, 0.0), state=RobotState.IDLE)._replace(**REFUSED[why])
+    assert why in why_not_armed(told, np.pi / 3, 0.1, 0.3)
+    if "packets" not in why:  # the robot's own watchdog refuses for the same reason, and for none that is not told
+        silent = [ServoFault.NO_REPLY in fault for fault in told.fault or [ServoFault.NONE] * 3]
+        measured = [np.nan if gone else angle for gone, angle in zip(silent, told.joint, strict=True)]
+        assert not Watchdog().arm(1.0, 0.1, 0.3, measured)
+
+
+def test_watchdog_times_that_no_firmware_takes_are_told():
+    assert "hold 0.3 s, neutral 0.1 s" in why_not_armed(Telemetry((0.0,), state=RobotState.IDLE), 1.0, 0.3, 0.1)
+    assert why_not_armed(None, 1.0, 0.1, 0.3) == why_not_armed(Telemetry((0.0,)), 1.0, 0.1, 0.3) == ""
+
+
+def test_a_joint_beyond_the_range_of_a_robot_that_refuses_is_named_by_the_swim(tmp_path):
+    bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
+    bench.robot.arm = lambda *_: None
+    bench.robot.changes["joint"] = (1.2, 0.0, 0.0)
+    (why,) = bench.swim().refused
+    assert why.startswith("the robot did not arm in 1 s; it says IDLE: joint 1 at 68.8 deg")
+
+
+def test_the_firmware_of_the_robot_stands_in_the_log(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=0.5)
+    bench.robot.info = bench.robot.info._replace(firmware_sha256="ab" * 32)
+    bench.swim()
+    assert read_trial(bench.folder).meta["host"]["robot"] == {
+        "firmware": "fake-1", "firmware_sha256": "ab" * 32, "policy_sha256": "",
+    }  # fmt: skip
 
 
 def test_a_terminal_that_is_gone_does_not_end_the_swim(tmp_path, monkeypatch):

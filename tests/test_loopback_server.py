@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fishmj.calib import calib_folder, read_toml
 from fishmj.errors import ConfigError, StoreError, UnknownName, UsageError
 from fishmj.loopback import bodies, command, server
 from fishmj.loopback.faults import FAULTS, parse
@@ -22,6 +23,8 @@ from fishmj.loopback.settings import Settings, artist_of, calibration_of, make_r
 from fishmj.loopback.shared_frames import FrameReader
 from fishmj.protocols import fishmj1, mish
 from fishmj.protocols.messages import RobotInfo
+from fishmj.studies.tracker.cases import GATES
+from fishmj.studies.tracker.error_statistics import autocovariance
 
 ROOT = Path(__file__).resolve().parents[1]
 TELLING = "from fishmj import console; from fishmj.loopback.command import main; raise SystemExit(console.run(main))"
@@ -258,6 +261,24 @@ def test_the_pose_tracker_has_the_errors_that_it_is_given():
     a, b = follow[:-1][near][:, 1] - 0.5, follow[1:][near][:, 1] - 0.5
     assert np.mean(a * b) / 0.004**2 == pytest.approx(0.5 * np.exp(-0.2), abs=0.08)
     np.testing.assert_allclose(np.diag(found[0].covariance), (0.004**2, 0.004**2, 0.02**2))
+
+
+@pytest.mark.parametrize("case", ["tag_clean", "tag_glare", "colour_clean", "colour_glare"])
+def test_the_errors_that_were_measured_come_out_of_the_pose_tracker(case):
+    noise, pose, dt = FixNoise.measured(case), np.array([0.5, -0.2, 3.1, 0.0, 0.0, 0.0]), 0.02
+    tracker = PoseTracker(noise, seed=3)
+    fixes = [tracker.locate(pose, 10.0 + dt * k) for k in range(8000)]
+    error = np.array([[np.nan] * 3 if f is None else (f.x - 0.5, f.y + 0.2, np.angle(np.exp(1j * (f.yaw - 3.1)))) for f in fixes])
+    table = read_toml(calib_folder() / "camera_noise.toml")[case]
+    for column, name in ((0, "position"), (2, "yaw")):
+        part, lags = table[name], autocovariance(error[:, column])
+        assert lags[0] == pytest.approx(part["white"] ** 2 + part["lasting"] ** 2, rel=0.35 if part["tau"] > 1.0 else 0.12)
+        after = part["lasting"] ** 2 * np.exp(-dt / part["tau"]) if part["tau"] else 0.0
+        assert lags[1] == pytest.approx(after, abs=0.1 * lags[0] if part["tau"] < 1.0 else 0.35 * lags[0])
+    assert np.isnan(error[:, 0]).mean() == pytest.approx(table["missed"], abs=0.01)
+    most_mm, most_deg, least = GATES[case.partition("_")[2]]
+    assert np.sqrt(2) * noise.position < 1e-3 * most_mm and noise.heading < np.radians(most_deg)
+    assert noise.missed <= 1 - least / 100
 
 
 def test_same_settings_same_run_to_the_last_byte():

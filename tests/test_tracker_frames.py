@@ -8,7 +8,7 @@ import pytest
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, TagPlate
 from fishmj.studies.tracker import cases
-from fishmj.studies.tracker.error_statistics import parts
+from fishmj.studies.tracker.error_statistics import autocovariance, parts
 from fishmj.tracker.calibration import overhead
 
 cv2 = pytest.importorskip("cv2")
@@ -102,6 +102,14 @@ def test_a_fish_out_of_sight_leaves_the_empty_tank():
     assert np.array_equal(artist.draw((30.0, 0.0, 0.0), STRAIGHT, 0.0), artist.empty)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("place", [(50.0, 50.0, 0.0), (1e9, 0.0, 0.0), (np.nan, 0.0, 0.0)])
+def test_a_fish_that_is_nowhere_near_is_no_matter_of_numbers(place):
+    options = FrameOptions(glare=1.0, decoy=True, noise=0.0)
+    drawn = FrameArtist(CAMERA, FishLook.of("fish", "tag"), options).draw(place, np.zeros(3), 1.0)
+    assert drawn.shape == (*CAMERA.size[::-1], 3) and (drawn == 255).any()  # the other glints
+
+
 def test_a_fish_at_the_edge_is_cut_off_there():
     half = CAMERA.to_tank([(0.0, 180.0)])[0]
     assert frame(pose=(half[0], half[1], 0.0)).shape == (360, 640, 3)
@@ -125,7 +133,7 @@ def test_white_and_lasting_parts_of_an_error_are_told_apart():
         lasting[k] = keep * lasting[k - 1] + kicks[k]
     error = lasting + random.normal(0, 0.002, n)
     error[random.random(n) < 0.05] = np.nan
-    found = parts(error, dt)
+    found = parts(autocovariance(error), dt)
     assert found["white"] == pytest.approx(0.002, rel=0.08)
     assert found["lasting"] == pytest.approx(0.003, rel=0.08) and found["tau"] == pytest.approx(0.1, rel=0.15)
-    assert parts(random.normal(0, 0.002, n), dt)["lasting"] == pytest.approx(0.0, abs=4e-4)
+    assert parts(autocovariance(random.normal(0, 0.002, n)), dt)["lasting"] == pytest.approx(0.0, abs=4e-4)

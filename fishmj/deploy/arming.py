@@ -5,6 +5,7 @@ the tank.
 """
 
 from collections.abc import Callable
+from math import degrees, isfinite
 from typing import NamedTuple
 
 from fishmj.controllers.learned import LearnedController
@@ -12,7 +13,9 @@ from fishmj.deploy.links import Link
 from fishmj.deploy.supervisor import NONE, Condition
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import structure_of
-from fishmj.protocols.messages import RobotInfo
+from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.protocols.watchdog import LONGEST as BEARABLE
+from fishmj.protocols.watchdog import Limits, times_are_sound
 
 LONGEST = 1.0  # s; a firmware that waits longer for a command before it goes to neutral guards nothing
 SAME = 1e-3  # of the servo range
@@ -64,3 +67,31 @@ def examine(
 def asked_at_the_tank(link: Link, said: bool, ask: Callable[[str], bool]) -> bool:
     """Whether a person stands at the tank: `said` on the command line, or answered now; only asked where it matters."""
     return said or (not link.watched and ask(QUESTION))
+
+
+def why_not_armed(newest: Telemetry | None, servo_range: float, hold: float, neutral: float) -> str:
+    """Why a robot that was asked to arm has not, as the end of a line, "" where it says nothing of itself.
+
+    ARM is answered with INFO and the state, not with a reason. The rules are those of `protocols.watchdog`, and what they look at
+    is in the telemetry: state, joints, servos that do not answer.
+
+    Args:
+        newest: telemetry. servo_range: rad. hold, neutral: s, the times that ARM asked for.
+    """
+    if newest is None or newest.state is None:
+        return ""
+    said = f"; it says {newest.state.name}"
+    if newest.state is not RobotState.IDLE:
+        return said
+    if not times_are_sound(hold, neutral):
+        return f"{said}: it was asked for hold {hold:g} s, neutral {neutral:g} s; expected 0 < hold < neutral <= {BEARABLE:g} s"
+    silent = [k + 1 for k, fault in enumerate(newest.fault or ()) if ServoFault.NO_REPLY in fault]
+    silent += [k + 1 for k, angle in enumerate(newest.joint) if not isfinite(angle) and k + 1 not in silent]
+    if silent:
+        return f"{said}: servo {', '.join(map(str, silent))} (from the head) does not answer; look at its plug"
+    most = servo_range + Limits(servo_range=servo_range).near
+    far = [f"{k + 1} at {degrees(angle):.1f} deg" for k, angle in enumerate(newest.joint) if abs(angle) > most]
+    if far:
+        bound = f"beyond the {degrees(most):.0f} deg from which it arms"
+        return f"{said}: joint {', '.join(far)} (from the head), {bound}; straighten it, or set the servo's zero"
+    return f"{said}, and nothing that it tells speaks against arming; do its packets arrive, and ours there?"

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Protocol
 
-PRIORITY = 10  # of 99, among threads that go before all ordinary ones
+PRIORITY = 10  # of 99, among threads that go before all ordinary ones: the loop
+HEARING, SEEING = 9, 5  # who takes datagrams in, and who looks for the fish
 
 
 class Clock(Protocol):
@@ -32,15 +33,16 @@ class MonotonicClock:
 
 
 @contextmanager
-def first_in_line() -> Iterator[bool]:
+def first_in_line(priority: int = PRIORITY) -> Iterator[bool]:
     """Within, this thread goes before ordinary ones, where the system allows it (Linux, with the right to); whether it does.
 
-    Threads and processes that begin within are ordinary.
+    Of several such threads the one with the higher `priority`, 1 to 99, goes first. Threads and processes that begin within are
+    ordinary.
     """
     allowed = False
     if hasattr(os, "SCHED_RESET_ON_FORK"):
         with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
             allowed = True
     try:
         yield allowed

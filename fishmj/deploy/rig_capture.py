@@ -8,7 +8,7 @@ import numpy as np
 from fishmj import console
 from fishmj.deploy.cameras import Camera, Device, Frame, cv2
 from fishmj.deploy.clock import Clock, MonotonicClock
-from fishmj.deploy.wiring import make_camera
+from fishmj.deploy.wiring import camera_of, make_camera
 from fishmj.errors import ConfigError, StoreError
 from fishmj.store import write_bytes
 
@@ -76,7 +76,7 @@ def main(argv: list[str]) -> int:
     """The command. Exit code 0: all were taken; 1: not at the size at which the fish swims."""
     args = options().parse_args(argv)
     clock = MonotonicClock()
-    camera, opencv, files = make_camera(args.camera, clock, None), cv2(), []
+    camera, opencv, files = make_camera(camera_of(args.camera, None), clock), cv2(), []
     shots = Shots(camera, clock, args.every)
     camera.open()
     try:

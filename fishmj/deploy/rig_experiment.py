@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from functools import cache
 from math import inf
 from pathlib import Path
@@ -11,10 +11,10 @@ from typing import Any
 
 from fishmj import console, interrupt
 from fishmj.deploy import arming, wiring
-from fishmj.deploy.clock import MonotonicClock
+from fishmj.deploy.clock import MonotonicClock, first_in_line
 from fishmj.deploy.experiment import REPEATS, SESSIONS, Run, meta_of, placing, play, runs, unpoliced
 from fishmj.deploy.rig_prompt import Person
-from fishmj.deploy.swim import Rig
+from fishmj.deploy.swim import Outcome, Rig
 from fishmj.deploy.swim_command import flow
 from fishmj.deploy.way_out import way_out
 from fishmj.errors import ConfigError
@@ -23,6 +23,7 @@ from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import Manifest
 from fishmj.tracker.fix import Fix
 
+Wire = Callable[..., wiring.Wired]
 RAW, CUT = "host", "trials"  # folders below --out: the host's whole logs, and what goes into the data set
 EXAMPLES = """examples:
   fishmj deploy experiment session --link udp://192.168.1.40 --camera 0 --calibration tank.toml --out data/monday
@@ -62,8 +63,11 @@ def options() -> console.Parser:
     return made
 
 
-def main(argv: list[str]) -> int:
-    """The command. Exit code 0: everything was played; 1: some were not."""
+def main(argv: list[str], wire: Wire | None = None) -> int:
+    """The command. Exit code 0: everything was played; 1: some were not, or a robot did not say that it let go.
+
+    wire: opens what the options name, as `wiring.wire` (the default); another one may play in lockstep.
+    """
     args = options().parse_args(argv)
     if args.yes and args.link != "loopback":
         raise ConfigError("experiment: --yes is for --link loopback; a robot in water is put in place by a person")
@@ -76,6 +80,7 @@ def main(argv: list[str]) -> int:
     if done:
         console.say(f"{len(done)} of {len(todo)} are there already: going on")
     unplayed: dict[str, str] = {}
+    held: list[str] = []  # after which the robot did not say that its torque is off
     stop, at_the_tank = Event(), cache(console.confirmed)  # a person is asked once a session
     kept = lambda: f"{len(done)} trials are in {cut}; {interrupt.again('go on')}"
     for number, run in enumerate(todo):
@@ -85,7 +90,9 @@ def main(argv: list[str]) -> int:
             break
         console.say(f"{number + 1} of {len(todo)}: {run.name}, {run.what.seconds:.1f} s ({run.what.about})")
         with interrupt.keeping(kept):  # while the robot swims, `way_out` stands within
-            trial, why = _played(args, robot, run, free_name(raw, run.name), person, at_the_tank, stop, kept)
+            trial, outcome = _played(args, robot, run, free_name(raw, run.name), person, at_the_tank, stop, kept, wire)
+            why = outcome.words
+            held += [run.name] if outcome.released is False else []
             if trial is None:
                 unplayed[run.name] = why
                 console.warn(f"{run.name}: {why}")
@@ -96,8 +103,8 @@ def main(argv: list[str]) -> int:
     told = collect(args.out, done, args.robot)
     console.say(*told, *([interrupt.again("go on")] if stop.is_set() else []))
     if args.json:
-        console.emit_json({"trials": sorted(done), "unplayed": unplayed, "data": cut})
-    return console.FAILED_CHECK if unplayed else console.OK
+        console.emit_json({"trials": sorted(done), "unplayed": unplayed, "torque_not_off": held, "data": cut})
+    return console.FAILED_CHECK if unplayed or held else console.OK
 
 
 def finished(folder: Path) -> dict[str, Trial]:
@@ -127,12 +134,13 @@ def collect(out: Path, done: dict[str, Trial], model: str) -> list[str]:
 
 def _played(
     args: Namespace, robot: Robot, run: Run, folder: Path, person: Person, ask: Callable[[str], bool], stop: Event,
-    words: Callable[[], str],
-) -> tuple[Trial | None, str]:  # fmt: skip
+    words: Callable[[], str], wire: Wire | None = None,
+) -> tuple[Trial | None, Outcome]:  # fmt: skip
     """One experiment: the fish is put in place, everything is opened, played and closed.
 
     Args:
         ask: whether somebody stands at the tank. stop: is set by a signal while the robot swims. words: of `way_out`.
+        wire: as `main`.
 
     Raises:
         ConfigError: the robot has no watchdog and nobody stands at the tank; what `wiring.wire` raises.
@@ -144,7 +152,7 @@ def _played(
     if not args.yes:
         person.ready(placing(run.what) if args.medium == "water" else "hang the fish by its head, clear of everything")
     with ExitStack() as stack:
-        wired = wiring.wire(given, robot, stack) if args.medium == "water" else _blind(args, robot, stack)
+        wired = (wire or wiring.wire)(given, robot, stack) if args.medium == "water" else _blind(args, robot, stack)
         link, clock = wired.link, wired.clock
         at_the_tank = wired.loopback or arming.asked_at_the_tank(link, args.i_am_at_the_tank, ask)
         if not (link.watched or at_the_tank):
@@ -156,11 +164,12 @@ def _played(
         if not args.yes:
             person.hands_off(clock)
             wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
-        with way_out(stop, lambda: link.disarm(clock.now()), words):
+        ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)  # lockstep never waits
+        with way_out(stop, lambda: link.disarm(clock.now()), words), ahead:
             outcome, trial = play(
                 rig, run, folder, meta, medium=args.medium, wait=args.wait, stop=stop.is_set, bound=args.bound or inf
             )
-    return trial, outcome.words
+    return trial, outcome
 
 
 class Blind:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fishmj.deploy.arming import Refusal
+from fishmj.deploy.arming import Refusal, why_not_armed
 from fishmj.deploy.clock import Clock
 from fishmj.deploy.limits import Limiter, towards_zero
 from fishmj.deploy.links import Link
@@ -30,6 +30,7 @@ from fishmj.deploy.supervisor import NONE, Action, Condition, Decision, State, S
 from fishmj.deploy.ticker import Tick, Ticker
 from fishmj.deploy.trial_log import TrialLog
 from fishmj.deploy.watch import Thresholds, Watch
+from fishmj.engines import command_latency
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
 from fishmj.protocols.messages import RobotInfo, RobotState
@@ -140,8 +141,8 @@ class Swim:
         self.status = status or StatusLine(plan.seconds, quiet=True)
         self.supervisor, self.dt = rig.supervisor, rig.robot.timing.bus_dt
         self.observer, self.watch = Observer(rig.robot, plan.target), Watch(plan.thresholds)
-        ahead = rig.robot.timing.command_latency + self.dt
-        self.limiter = Limiter(rig.robot.servo.range, ahead, oldest=plan.thresholds.silent)
+        self.latency = command_latency(rig.robot)
+        self.limiter = Limiter(rig.robot.servo.range, self.latency + self.dt, oldest=plan.thresholds.silent)
         self.last = np.zeros(rig.robot.n_joints)  # the command on the bus
         self.info: RobotInfo | None = None
         self.refusal: Refusal | None = None if rig.link.greets else rig.examine(None)
@@ -193,8 +194,10 @@ class Swim:
         for t, value in self.rig.link.receive(now):
             if isinstance(value, RobotInfo):
                 self.info, self.refusal = value, self.rig.examine(value)
+                told = {name: getattr(value, name) for name in ("firmware", "firmware_sha256", "policy_sha256")}
+                self.log.meta["host"] = {**self.log.meta.get("host", {}), "robot": told}
                 continue
-            acted = [command for sent, command in self.sent if sent <= t - self.rig.robot.timing.command_latency]
+            acted = [command for sent, command in self.sent if sent <= t - self.latency]
             self.watch.hear(t, value, acted[-1] if acted else None)
             self.observer.telemetry(t, value)
             self.log.heard(t, value)
@@ -304,9 +307,8 @@ class Swim:
             reasons = named(decide(State.LINKED, true).because & ~Condition.HEARD)
             if self.supervisor.state is State.DOWN:
                 reasons = f"nothing heard of the robot in {self.plan.wait:g} s"
-            newest = self.watch.newest
-            says = f"; it says {newest.state.name}" if newest is not None and newest.state is not None else ""
-            self.refusal = Refusal(NONE, (reasons or f"the robot did not arm in {self.plan.wait:g} s{says}",))
+            why = why_not_armed(self.watch.newest, self.rig.robot.servo.range, self.plan.hold, self.plan.neutral)
+            self.refusal = Refusal(NONE, (reasons or f"the robot did not arm in {self.plan.wait:g} s{why}",))
             self.over = True
 
     def command(self, tick: Tick, decision: Decision) -> None:

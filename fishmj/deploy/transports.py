@@ -5,7 +5,7 @@ import threading
 from collections import deque
 from typing import Any, Protocol
 
-from fishmj.deploy.clock import Clock
+from fishmj.deploy.clock import HEARING, Clock, first_in_line
 from fishmj.errors import ConfigError, MissingExtra, StoreError
 
 LONGEST = 2048  # bytes of a datagram that is looked at; no protocol here sends more than a few hundred
@@ -69,17 +69,18 @@ class UdpTransport:
         self._thread.start()
 
     def _listen(self, opened: socket.socket) -> None:
-        while self._open.is_set():
-            try:
-                data, sender = opened.recvfrom(LONGEST)
-            except TimeoutError:
-                continue
-            except OSError:  # closed, or the robot's port is not open yet
-                continue
-            if sender[0] == self._address[0]:
-                self._heard.append((self.clock.now(), data))
-            else:
-                self.foreign += 1
+        with first_in_line(HEARING):
+            while self._open.is_set():
+                try:
+                    data, sender = opened.recvfrom(LONGEST)
+                except TimeoutError:
+                    continue
+                except OSError:  # closed, or the robot's port is not open yet
+                    continue
+                if sender[0] == self._address[0]:
+                    self._heard.append((self.clock.now(), data))
+                else:
+                    self.foreign += 1
 
     def send(self, data: bytes) -> None:
         if self._socket is not None:

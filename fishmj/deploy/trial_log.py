@@ -10,13 +10,12 @@
 the least t_rx - t_robot: even, as it was read. A fix is stamped as the schema wants it, when it arrives: its own time plus the
 median latency, which `latency.pose` in meta.toml holds.
 
-Rows are kept in arrays and written as a whole folder every few seconds, in a thread: what came since is all that a killed process
-loses.
+Every few seconds a thread appends what came to a journal on disk (`journal`), which becomes the folder at the end. So a long swim
+takes no more memory and time a second than a short one, and a killed process loses what came since the last time.
 """
 
 import tempfile
 import threading
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
@@ -25,6 +24,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from fishmj.deploy.journal import Journal, left
 from fishmj.deploy.observer import Pose
 from fishmj.deploy.supervisor import Condition, Event, named
 from fishmj.errors import FishmjError, LogError, StoreError
@@ -32,9 +32,10 @@ from fishmj.log import Table, Trial, write_trial
 from fishmj.log.trial_check import PLAUSIBLE, Plausible
 from fishmj.protocols.messages import Telemetry
 
-EVERY = 5.0  # s between two writings
-SHARE = 0.05  # of the time that writing may take: a long swim is written less often
-FIRST = 3000  # rows of a new table: a minute
+EVERY = 2.0  # s between two writings
+FIRST = 500  # rows that a table has room for: four seconds, and more where the disk refuses
+UNDER_WAY = "under way, or its host was killed: fishmj deploy recover FOLDER makes a trial of its journal"
+KILLED = "ended: its host was killed; recovered from the journal"
 ALL_BOUNDS = [field.name for field in fields(Plausible)]
 LEAST = {"voltage_least": 1e-30, "current_least": 1e-30}
 
@@ -49,7 +50,7 @@ class Listener(Protocol):
 
 
 class Rows:
-    """A table that grows: columns of float64, in an array that doubles."""
+    """Rows that wait for the disk: columns of float64, in an array that doubles where there is no room."""
 
     def __init__(self, columns: Sequence[str]):
         self.columns, self.count = tuple(columns), 0
@@ -62,10 +63,14 @@ class Rows:
         self._data[self.count] = values
         self.count += 1
 
-    def table(self) -> Table:
-        """What is there, as columns of their own."""
-        data = self._data[: self.count].copy()
-        return {name: data[:, k] for k, name in enumerate(self.columns)}
+    def waiting(self) -> np.ndarray:
+        """(n, C): what is there."""
+        return self._data[: self.count].copy()
+
+    def drop(self, count: int) -> None:
+        """The first rows are on disk."""
+        self._data[: self.count - count] = self._data[count : self.count].copy()
+        self.count -= count
 
 
 class TrialLog:
@@ -73,6 +78,7 @@ class TrialLog:
 
     Args:
         folder: must not exist. meta: of the trial; `clock`, `latency` and `host` are added. joints: J.
+        every: s between two writings.
 
     Attributes:
         listeners: are told every command, packet, fix and event, too.
@@ -98,6 +104,7 @@ class TrialLog:
         self.listeners: list[Listener] = []
         self.dropped, self.failed, self.closed = 0, "", False
         self._zero: float | None = None
+        self._journal: Journal | None = None
         self._lock, self._closing = threading.Lock(), threading.Lock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -171,55 +178,48 @@ class TrialLog:
         return True
 
     def trial(self) -> Trial:
-        """What is there so far, as a trial of the schema."""
+        """What is there so far, as a trial of the schema. Raises StoreError: the journal cannot be read."""
         with self._lock:
-            raw = {name: rows.table() for name, rows in self.rows.items() if rows.count}
-        zero, meta = self._zero or 0.0, dict(self.meta)
-        tables: dict[str, Table] = {}
-        clock = {"cmd": "host, sending", "obs": "host", "action": "host", "target": "host"}
-        latency = dict(meta.get("latency", {}))
-        for name in ("cmd", "obs", "action", "target"):
-            if name in raw:
-                tables[name] = {**raw[name], "t": raw[name]["t"] - zero}
-        if "joint" in raw:
-            tables["joint"], clock["joint"] = _on_even_clock(raw["joint"], zero)
-        if "power" in raw:
-            tables["power"], clock["power"] = _on_even_clock(raw["power"], zero)
-        if "pose" in raw:
-            pose = raw["pose"]
-            late = float(np.median(pose["t_rx"] - pose["t_taken"]))
-            rest = {name: values for name, values in pose.items() if name not in ("t_taken", "t_rx")}
-            stamps = {"t_taken": pose["t_taken"] - zero, "t_rx": pose["t_rx"] - zero}
-            tables["pose"] = {"t": pose["t_taken"] - zero + late, **rest, **stamps}
-            clock["pose"], latency["pose"] = "host, frame taken plus latency.pose", late
-        tables = {name: _rising(table) for name, table in tables.items()}
-        meta |= {"clock": {name: clock[name] for name in tables}}
-        meta |= {"latency": latency} if latency else {}
-        meta["host"] = {**meta.get("host", {}), "events": list(self.events), "rows_dropped": self.dropped}
-        return Trial(meta, tables, name=self.folder.name)
+            waiting = {name: rows.waiting() for name, rows in self.rows.items()}
+        kept = self._journal.rows() if self._journal is not None else {}
+        raw = {name: np.concatenate([kept[name], new]) if name in kept else new for name, new in waiting.items()}
+        tables = {name: dict(zip(self.rows[name].columns, rows.T, strict=True)) for name, rows in raw.items() if len(rows)}
+        return trial_of(tables, self._zero or 0.0, self._told(), self.folder.name)
+
+    def _told(self) -> dict[str, Any]:
+        """The meta data with what happened so far."""
+        host = {**self.meta.get("host", {}), "events": list(self.events), "rows_dropped": self.dropped}
+        return {**self.meta, "host": host}
+
+    def flush(self) -> None:
+        """Append what came to the journal. Raises StoreError: the disk refuses; the rows wait."""
+        if self._zero is None:
+            return
+        if self._journal is None:
+            self._journal = Journal(self.folder, self._zero, {name: rows.columns for name, rows in self.rows.items()})
+        told = self._told()
+        self._journal.tell({**told, "host": {**told["host"], "state": UNDER_WAY}})
+        for name, rows in self.rows.items():
+            with self._lock:
+                waiting = rows.waiting()
+            if len(waiting):
+                self._journal.append(name, waiting)
+                with self._lock:
+                    rows.drop(len(waiting))
 
     def write(self) -> None:
-        """Write what is there, the whole folder in one step."""
+        """Write the trial folder in one step; the journal goes."""
         trial = self.trial()
-        if not trial.tables:
-            return
-        save = partial(write_trial, self.folder, overwrite=True, form="npz", precision="float64")
-        try:
-            save(trial)
-        except LogError as error:  # a reading beyond all bounds is what one wants to see afterwards: it is kept, and said
-            host = {**trial.meta["host"], "implausible": str(error)}
-            save(replace(trial, meta={**trial.meta, "host": host, PLAUSIBLE: dict.fromkeys(ALL_BOUNDS, 1e30) | LEAST}))
+        if trial.tables:
+            write_whole(self.folder, trial)
 
     def _flush(self) -> None:
-        wait = self.every
-        while not self._stop.wait(wait):
-            begin = time.perf_counter()
+        while not self._stop.wait(self.every):
             try:
-                self.write()
+                self.flush()
                 self.failed = ""
             except FishmjError as error:  # a full disk: told, tried again, and the swim goes on
                 self.failed = str(error)
-            wait = max(self.every, (time.perf_counter() - begin) / SHARE)
 
     def close(self, why: str = "") -> None:
         """Write the last rows; may be called twice, also from another thread.
@@ -243,6 +243,60 @@ class TrialLog:
                 raise StoreError(f"{error}; the trial was kept in {self.folder}") from error
             finally:
                 self.closed = True
+                if self._journal is not None:
+                    self._journal.close()
+
+
+def recovered(folder: Path) -> Trial:
+    """The trial of a swim whose host was killed, made of its journal and written in its place.
+
+    Raises:
+        StoreError: there is no journal, or its host is still there. LogError: there is no row in it.
+    """
+    meta, zero, columns, rows = left(folder)
+    host = {name: value for name, value in meta.get("host", {}).items() if name != "state"}
+    meta = {**meta, "host": {**host, "events": [*host.get("events", []), KILLED]}}
+    tables = {name: dict(zip(columns[name], table.T, strict=True)) for name, table in rows.items() if len(table)}
+    trial = trial_of(tables, zero, meta, folder.name)
+    write_whole(folder, trial)
+    return trial
+
+
+def trial_of(raw: Mapping[str, Table], zero: float, meta: Mapping[str, Any], name: str) -> Trial:
+    """Rows as they were taken down, as tables of the schema.
+
+    Args:
+        raw: columns of `TrialLog.rows`; stamps are of the host's clock, s. zero: s of it at which the trial's time is 0.
+    """
+    tables: dict[str, Table] = {}
+    clock = {"cmd": "host, sending", "obs": "host", "action": "host", "target": "host"}
+    latency = dict(meta.get("latency", {}))
+    for table in ("cmd", "obs", "action", "target"):
+        if table in raw:
+            tables[table] = {**raw[table], "t": raw[table]["t"] - zero}
+    for table in ("joint", "power"):
+        if table in raw:
+            tables[table], clock[table] = _on_even_clock(raw[table], zero)
+    if "pose" in raw:
+        pose = raw["pose"]
+        late = float(np.median(pose["t_rx"] - pose["t_taken"]))
+        rest = {column: values for column, values in pose.items() if column not in ("t_taken", "t_rx")}
+        stamps = {"t_taken": pose["t_taken"] - zero, "t_rx": pose["t_rx"] - zero}
+        tables["pose"] = {"t": pose["t_taken"] - zero + late, **rest, **stamps}
+        clock["pose"], latency["pose"] = "host, frame taken plus latency.pose", late
+    tables = {table: _rising(columns) for table, columns in tables.items()}
+    told = {**meta, "clock": {table: clock[table] for table in tables}, **({"latency": latency} if latency else {})}
+    return Trial(told, tables, name=name)
+
+
+def write_whole(folder: Path, trial: Trial) -> None:
+    """Write a trial over what lies in its folder. Raises StoreError, LogError."""
+    save = partial(write_trial, folder, overwrite=True, form="npz", precision="float64")
+    try:
+        save(trial)
+    except LogError as error:  # a reading beyond all bounds is what one wants to see afterwards: it is kept, and said
+        host = {**trial.meta.get("host", {}), "implausible": str(error)}
+        save(replace(trial, meta={**trial.meta, "host": host, PLAUSIBLE: dict.fromkeys(ALL_BOUNDS, 1e30) | LEAST}))
 
 
 def _on_even_clock(table: Table, zero: float) -> tuple[Table, str]:

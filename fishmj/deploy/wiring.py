@@ -23,7 +23,7 @@ from fishmj import console
 from fishmj.deploy.cameras import Camera, Device, SharedFrames, VideoFile
 from fishmj.deploy.clock import Clock, MonotonicClock
 from fishmj.deploy.links import Fishmj1Link, Link, MishLink
-from fishmj.deploy.localiser import InThread, Localiser
+from fishmj.deploy.localiser import InProcess, Localiser
 from fishmj.deploy.servo_bus import ServoBusLink
 from fishmj.deploy.transports import UdpTransport, open_serial
 from fishmj.errors import ConfigError
@@ -120,13 +120,9 @@ def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
     """
     clock = MonotonicClock()
     fish = _loopback(args, robot, stack) if args.link == "loopback" else None
-    camera_text = args.camera or ("loopback" if fish else None)
-    if camera_text is None:
-        raise ConfigError("deploy: --camera is missing; give a camera's number, a video file, or shm:NAME")
-    link = make_link(args, robot, clock, fish)
-    camera = make_camera(camera_text, clock, fish)
-    calibration = calibration_of(args, fish)
-    localiser = InThread(camera, make_tracker(args, calibration))
+    camera = camera_of(args.camera, fish)
+    link, calibration = make_link(args, robot, clock, fish), calibration_of(args, fish)
+    localiser = InProcess(tracker_words(args, camera, fish))
     for part in (link, localiser):
         part.open()
         stack.callback(part.close)
@@ -158,17 +154,38 @@ def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> L
     return MishLink(transport, "fixed" if args.protocol == "mish-fixed" else "mish-0.1.0")
 
 
-def make_camera(text: str, clock: Clock, fish: Loopback | None) -> Camera:
-    """The camera that the option names, not opened yet. Raises ConfigError."""
-    if text == "loopback":
-        if fish is None or fish.frames is None:
-            raise ConfigError("--camera loopback: only with --link loopback; of a robot that runs already take shm:NAME")
-        return SharedFrames(fish.frames, clock)
+def camera_of(text: str | None, fish: Loopback | None) -> str:
+    """The camera that the option names, as `make_camera` takes it. Raises ConfigError."""
+    if text is None and fish is None:
+        raise ConfigError("deploy: --camera is missing; give a camera's number, a video file, or shm:NAME")
+    if text not in (None, "loopback"):
+        return str(text)
+    if fish is None or fish.frames is None:
+        raise ConfigError("--camera loopback: only with --link loopback; of a robot that runs already take shm:NAME")
+    return f"shm:{fish.frames}"
+
+
+def make_camera(text: str, clock: Clock) -> Camera:
+    """The camera `shm:NAME`, of a number or in a film, not opened yet."""
     if text.startswith("shm:"):
         return SharedFrames(text.removeprefix("shm:"), clock)
     if re.fullmatch(r"\d{1,2}", text):
         return Device(int(text))
     return VideoFile(text, clock)
+
+
+def tracker_words(args: Any, camera: str, fish: Loopback | None) -> list[str]:
+    """The command line of camera and tracker in a process of their own, with what the options say of them."""
+    several = lambda values: ",".join(map(repr, values))
+    pairs = lambda values: ",".join(f"{x!r}:{width!r}" for x, width in values)
+    given = {
+        "camera": camera, "calibration": fish.calibration if args.calibration is None and fish else args.calibration,
+        "tracker": args.tracker, "tag-family": args.tag_family, "tag-number": args.tag_number, "tag-size": repr(args.tag_size),
+        "tag-mount": several(args.tag_mount), "tag-height": repr(args.tag_height), "red": pairs(args.red),
+        "yellow": pairs(args.yellow), "paint-height": repr(args.paint_height), "parent": os.getpid(),
+    }  # fmt: skip
+    words = [sys.executable, "-m", "fishmj.deploy.tracker_process"]
+    return words + [f"--{name}={value}" for name, value in given.items()]
 
 
 def calibration_of(args: Any, fish: Loopback | None) -> Calibration:

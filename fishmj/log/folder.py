@@ -22,6 +22,7 @@ from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, write_text
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
+JOURNAL = "journal"  # folder of rows that the robot's host appends while the fish swims
 FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
 FLAT |= {"V": "power", "I": "power", "o#": "obs", "a#": "action", "seq": "cmd", "t_rx": "cmd", "on#": "cmd", "temp#": "joint"}
 FLAT |= dict.fromkeys(("amplitude", "bias", "frequency"), "gait") | dict.fromkeys(("surge", "sway", "yaw_rate"), "velocity")
@@ -59,6 +60,8 @@ def read_trial(path: str | Path) -> Trial:
         tables[file.stem], told = _read_table(file, bounds)
         notes += told
     if not tables:
+        if (path / JOURNAL).is_dir():
+            raise LogError(f"{path}: a swim under way, or one whose host was killed; then run: fishmj deploy recover {path}")
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
     notes += trial_check.check_counts(tables)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))

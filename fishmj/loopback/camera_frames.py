@@ -271,10 +271,10 @@ class FrameArtist:
             views.append(pixels)
         every = np.concatenate(views)
         limit = np.array(self.calibration.size)
-        low = np.floor(every.min(0) - 4).astype(int).clip(0, limit - 1)
-        high = np.ceil(every.max(0) + 5).astype(int).clip(low + 1, limit)
-        if (every.max(0) < 0).any() or (every.min(0) > limit).any():
-            return  # out of sight
+        if not ((every.max(0) >= 0).all() and (every.min(0) <= limit).all()):
+            return  # out of sight; so is what has no place
+        low = np.floor(every.min(0).clip(0, limit) - 4).astype(int).clip(0, limit - 1)
+        high = np.ceil(every.max(0).clip(0, limit) + 5).astype(int).clip(low + 1, limit)
         (width, height_px), where = high - low, (slice(low[1], high[1]), slice(low[0], high[0]))
         under = image[where]
         for pixels in views:
@@ -325,6 +325,8 @@ class FrameArtist:
             near = k % 2 == 0
             at = fish + random.normal(0, 0.16 / px, 2) if near else random.uniform(0, [width, height])
             at = at + random.normal(0, 0.15 / px, 2) * (share - 0.5) * GLINT_LIFE
+            if not (np.abs(at / (width, height) - 0.5) < 1.0).all():
+                continue  # out of sight, as those round a fish that is
             streak = random.random() < 0.4
             long = random.uniform(0.02, 0.12) if streak else random.uniform(0.006, 0.022)
             wide = random.uniform(0.0025, 0.006) if streak else long * random.uniform(0.4, 1.0)

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.calib import constant
+from fishmj.calib import calib_folder, constant, read_toml
+from fishmj.errors import UnknownName
 from fishmj.loopback.camera_frames import FrameArtist
 from fishmj.loopback.robot import LoopbackRobot
 from fishmj.tracker.fix import Fix
@@ -109,29 +110,66 @@ class LockstepCamera:
 
 
 class FixNoise(NamedTuple):
-    """Errors of a tracker, as measured on drawn frames; the defaults are the noise that tasks put on the camera.
+    """Errors of a tracker.
 
     Attributes:
         position, heading: standard deviation, m and rad. slow: share of the variance that stays for a while, with memory
-            `memory` s. missed: share of the frames without a fix.
+            `memory` s; slow_heading, memory_heading: the same of the heading, None as of the position.
+        missed: share of the frames without a fix.
     """
 
-    position: float = constant("noise", "position")
-    heading: float = constant("noise", "yaw")
+    position: float
+    heading: float
     slow: float = 0.0
     memory: float = 0.2
     missed: float = 0.0
+    slow_heading: float | None = None
+    memory_heading: float | None = None
+
+    @classmethod
+    def measured(cls, case: str = "tag_clean") -> "FixNoise":
+        """As measured on drawn frames (`data/calib/camera_noise.toml`); case: tag_clean, tag_glare, colour_clean, colour_glare.
+
+        Raises:
+            UnknownName: no such case.
+        """
+        table = read_toml(calib_folder() / "camera_noise.toml")
+        cases = {name: entry for name, entry in table.items() if isinstance(entry, dict) and "position" in entry}
+        if case not in cases:
+            raise UnknownName("case of camera_noise.toml", case, cases)
+        found = cases[case]
+        (x, lasting), (yaw, lasting_yaw) = (_size(found[name]) for name in ("position", "yaw"))
+        memories = [found[name]["tau"] or 0.2 for name in ("position", "yaw")]
+        return cls(x, yaw, lasting, memories[0], found["missed"], lasting_yaw, memories[1])
+
+    @classmethod
+    def of_the_task(cls) -> "FixNoise":
+        """The noise that training puts on the camera, white: [noise] of paper.toml."""
+        return cls(constant("noise", "position"), constant("noise", "yaw"))
+
+
+def _size(part: dict) -> tuple[float, float]:
+    """Standard deviation of a white and a lasting part together, and the lasting one's share of the variance."""
+    variance = part["white"] ** 2 + part["lasting"] ** 2
+    return variance**0.5, part["lasting"] ** 2 / variance if variance else 0.0
 
 
 class PoseTracker:
-    """In the place of a tracker: adds its errors to the poses of a `LockstepCamera` without an artist."""
+    """In the place of a tracker: adds its errors to the poses of a `LockstepCamera` without an artist.
+
+    Args:
+        noise: of its fixes; None: of the tag on clean frames, as measured.
+    """
 
     def __init__(self, noise: FixNoise | None = None, seed: int = 0):
-        self.noise = noise or FixNoise()
+        self.noise = found = noise or FixNoise.measured()
         self._random = random_streams.stream(seed, "fix")
         self._slow, self._t = np.zeros(3), 0.0
-        sizes = np.array([self.noise.position, self.noise.position, self.noise.heading])
-        self._fast_size, self._slow_size = np.sqrt(1.0 - self.noise.slow) * sizes, np.sqrt(self.noise.slow) * sizes
+        sizes = np.array([found.position, found.position, found.heading])
+        as_position = lambda value, heading: np.array([value, value, value if heading is None else heading])
+        slow = as_position(found.slow, found.slow_heading)
+        self._memory = as_position(found.memory, found.memory_heading)
+        self._fast_size, self._slow_size = np.sqrt(1.0 - slow) * sizes, np.sqrt(slow) * sizes
         self._covariance = np.diag(sizes**2)
 
     def reset(self) -> None:
@@ -140,7 +178,7 @@ class PoseTracker:
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
         """The fix in a "frame" (3 + J,) stamped t [s]; None where it is missed."""
         draws, missed = self._random.standard_normal((2, 3)), self._random.random() < self.noise.missed
-        keep = np.exp(-max(t - self._t, 0.0) / self.noise.memory) if self._t else 0.0
+        keep = np.exp(-max(t - self._t, 0.0) / self._memory) if self._t else np.zeros(3)
         self._slow, self._t = keep * self._slow + np.sqrt(1.0 - keep * keep) * draws[0] * self._slow_size, t
         if missed:
             return None

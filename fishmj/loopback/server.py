@@ -4,7 +4,8 @@
      "frame_rate": 50.0, "pid": 7}
 
 is the line that `serve` prints when it is ready. Telemetry goes to whoever sent a datagram last, or to `host_port` before anybody
-did. One thread keeps the robot's clock with the machine's monotonic clock, another draws frames while their latency runs.
+did. One thread keeps the robot's clock with the machine's monotonic clock, another draws frames while their latency runs. Both go
+before other programs where the system allows it: a robot and its camera keep time however busy the host's computer is.
 """
 
 import contextlib
@@ -21,6 +22,7 @@ from math import floor
 from typing import Any
 
 from fishmj import console, interrupt
+from fishmj.deploy.clock import first_in_line
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.loopback.bodies import MILLISECOND, SOLVER
 from fishmj.loopback.camera import Frame
@@ -36,6 +38,7 @@ MOST = 200  # datagrams that are taken in one turn
 BEHIND = 0.5  # s; whoever is further behind the clock sets it back instead of catching up
 LOOK = 0.25  # s between two looks whether the parent is there
 WAITING = 8  # frames that may wait to be drawn
+CLOCK, DRAWING = 8, 4  # priorities, below that of a host's loop
 SWITCH = 5e-4  # s that the drawing thread may keep the clock's thread waiting, where it holds the interpreter
 
 
@@ -210,13 +213,14 @@ class Server:
     def _paint(self) -> None:
         """Thread: draw each frame, and show it when it is due."""
         try:
-            while not self._over.is_set():
-                with contextlib.suppress(queue.Empty):
-                    frame = self._jobs.get(timeout=LOOK)
-                    if self.clock() - self.start > frame.readable and not self._jobs.empty():
-                        self.figures["dropped_frames"] += 1  # a slow machine shows fewer frames, not older ones
-                    else:
-                        self._show(frame)
+            with first_in_line(DRAWING):
+                while not self._over.is_set():
+                    with contextlib.suppress(queue.Empty):
+                        frame = self._jobs.get(timeout=LOOK)
+                        if self.clock() - self.start > frame.readable and not self._jobs.empty():
+                            self.figures["dropped_frames"] += 1  # a slow machine shows fewer frames, not older ones
+                        else:
+                            self._show(frame)
         except FishmjError as error:
             self._failed = error
 
@@ -243,7 +247,7 @@ def serve(options: ServeOptions) -> dict[str, float]:
     server = Server(options)
     sys.setswitchinterval(SWITCH)
     try:
-        with interrupt.raising(), interrupt.finishing(lambda: ""):
+        with interrupt.raising(), interrupt.finishing(lambda: ""), first_in_line(CLOCK):
             console.emit_json(server.told())
             server.run(interrupt.asked)
     except KeyboardInterrupt:

@@ -8,15 +8,21 @@ w is what changes from frame to frame (noise of pixels), s what lasts (waves, th
 log c_m over the lags that are well above zero gives s and tau, and w^2 = c_0 - s^2.
 """
 
+from typing import Any
+
 import numpy as np
 
 LAGS = 6  # frames of the fit
 LONG = 5.0  # s that a tau is at most told as
 
 
-def parts(error: np.ndarray, dt: float) -> dict[str, float]:
-    """White part, lasting part and its time of one channel (n,), NaN where there was no fix; about zero, so that a bias lasts."""
-    lags = np.array([float(np.nanmean(error[: len(error) - m] * error[m:])) for m in range(LAGS + 1)])
+def autocovariance(error: np.ndarray) -> np.ndarray:
+    """(LAGS + 1,) c_m of one channel (n,), NaN where there was no fix; about zero, so that a bias lasts."""
+    return np.array([float(np.nanmean(error[: len(error) - m] * error[m:])) for m in range(LAGS + 1)])
+
+
+def parts(lags: np.ndarray, dt: float) -> dict[str, float]:
+    """White part, lasting part and its time, of an autocovariance (LAGS + 1,)."""
     good = 1 + np.flatnonzero(np.cumprod(lags[1:] > 0.1 * lags[0]))
     if len(good) < 2:
         return {"white": float(np.sqrt(lags[0])), "lasting": 0.0, "tau": 0.0}
@@ -26,9 +32,9 @@ def parts(error: np.ndarray, dt: float) -> dict[str, float]:
     return {"white": float(np.sqrt(lags[0] - lasting)), "lasting": float(np.sqrt(lasting)), "tau": float(tau)}
 
 
-def noise(error: np.ndarray, dt: float) -> dict[str, dict[str, float]]:
-    """Parts of position (m, the mean of x and y) and yaw (rad) of errors (n, 3)."""
-    x, y, yaw = (parts(column, dt) for column in error.T)
+def noise(error: np.ndarray, dt: float) -> dict[str, Any]:
+    """Parts of position (m, the mean of x and y) and yaw (rad) of errors (n, 3), and the share of frames without a fix."""
+    x, y, yaw = (parts(autocovariance(column), dt) for column in error.T)
     mean = lambda key: float(np.sqrt(0.5 * (x[key] ** 2 + y[key] ** 2)))
     position = {"white": mean("white"), "lasting": mean("lasting"), "tau": 0.5 * (x["tau"] + y["tau"])}
-    return {"position": position, "yaw": yaw}
+    return {"position": position, "yaw": yaw, "missed": float(np.mean(np.isnan(error[:, 0])))}

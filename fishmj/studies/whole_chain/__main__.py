@@ -1,10 +1,12 @@
-"""Holding station through the whole chain of the robot, against the direct simulation: same fish, water, streams, targets.
+"""Holding station through the whole chain of the robot, against the direct simulation: same fish, water, streams, targets, noise.
 
     python -m fishmj.studies.whole_chain --out runs/whole_chain                     24 trials, drawn frames, 2 % radio loss
-    python -m fishmj.studies.whole_chain --trials 2 --marks poses --out runs/look   no frames: poses with the task's noise
+    python -m fishmj.studies.whole_chain --body virtual --out runs/second           in the second robot and its water
+    python -m fishmj.studies.whole_chain --trials 2 --marks poses --out runs/look   no frames: poses with a tracker's errors
 
 Chain: the host of `fishmj deploy` in lockstep with the loopback robot; camera frames that a tracker reads, servo counts, radio
-latency and loss, supervisor, limits. Direct: `evaluate`'s own loop. Both swim the nominal fish in the compiled engine.
+latency and loss, supervisor, limits. Direct: `evaluate`'s own loop, or the second robot without its chain. Its observations have
+the noise of the chain's own tracker: the errors of the chain's fixes through the velocity filter (`direct`).
 
     distance      between the true reference point and the target
     RMSE          of it from the first entry into 0.1 m until 30 s; of a trial that does not arrive 10 to 30 s
@@ -16,140 +18,104 @@ latency and loss, supervisor, limits. Direct: `evaluate`'s own loop. Both swim t
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from fishmj import console, cores
-from fishmj.calib import constant
 from fishmj.controllers.learned import LearnedController
-from fishmj.deploy import arming, wiring
-from fishmj.deploy.links import Fishmj1Link
-from fishmj.deploy.localiser import InStep
-from fishmj.deploy.pilot import PolicyPilot
-from fishmj.deploy.swim import Plan, Rig, Swim
-from fishmj.deploy.trial_log import TrialLog
 from fishmj.evaluate import metrics, protocol, run_trials
 from fishmj.evaluate.protocol import Trials
-from fishmj.loopback import faults
-from fishmj.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.loopback.settings import Settings, artist_of, calibration_of, make_robot
+from fishmj.loopback.bodies import FITTED, VIRTUAL
 from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json, write_json
+from fishmj.studies.whole_chain.chain import MARKS, SECONDS, swum
+from fishmj.studies.whole_chain.direct import AsSensed, in_second_robot, observation_noise
 from fishmj.water.choice import in_water
 
-SECONDS = 30.0
 SPEEDS, REPEATS = (0.1, 0.2, 0.3), 1
-MARKS = ("tag", "colour", "poses")
 LIMIT = 0.02  # m
+TURBULENCE = {FITTED: "default", VIRTUAL: "gust"}  # the second robot's water is uniform in space
 
 
-class Watched(LockstepClock):
-    """A lockstep clock that keeps the true path, (s, m, m) a row."""
-
-    def __init__(self, robot):
-        super().__init__(robot)
-        self.path: list[tuple[float, float, float]] = []
-
-    def sleep_until(self, t: float) -> None:
-        super().sleep_until(t)
-        pose = self.robot.pose()
-        self.path.append((self.now(), float(pose[0]), float(pose[1])))
-
-
-def swum(item: int, trials: Trials, policy: str, marks: str, loss: float) -> dict:
-    """One trial through the chain: its figures, {"rmse" m, "arrival" s or None, "share_of_fixes", "complete", "ended"}."""
-    (starts, targets), flow = trials.ends(), trials.flows()[item]
-    (x, y, yaw), (there_x, there_y) = starts[item].tolist(), targets[item].tolist()
-    settings = Settings(
-        body="fitted", engine="compiled", start=(x, y, yaw), flow=flow, seed=item, marks="tag" if marks == "poses" else marks,
-        faults=faults.parse([f"loss={loss}"]) if loss else (),
-    )  # fmt: skip
-    clock, description = Watched(make_robot(settings)), load_robot("fish")
-    link, controller = Fishmj1Link(LockstepTransport(clock)), LearnedController(description, policy)
-    if marks == "poses":
-        localiser = InStep(LockstepCamera(clock), PoseTracker(seed=item))
-    else:
-        parser = console.parser("studies.whole_chain", "")
-        wiring.tracker_options(parser)
-        tracker = wiring.make_tracker(parser.parse_args(["--tracker", marks]), calibration_of(settings))
-        localiser = InStep(LockstepCamera(clock, artist_of(settings)), tracker)
-    rig = Rig(
-        robot=description, link=link, localiser=localiser, clock=clock,
-        examine=lambda info: arming.examine(link, info, description, controller, False),
-    )  # fmt: skip
-    localiser.open()
-    with (
-        TemporaryDirectory() as folder,
-        TrialLog(Path(folder) / "swim", {"origin": "synthetic", "robot": "fish"}, 3, every=1e6) as log,
-    ):
-        swim = Swim(rig, PolicyPilot(controller), Plan(seconds=SECONDS, target=(there_x, there_y)), log)
-        outcome = swim.run()
-    camera = outcome.figures["camera"]
-    told = {"complete": outcome.complete, "ended": outcome.words, "share_of_fixes": camera["fixes"] / max(camera["frames"], 1)}
-    return told | figures(np.array(clock.path), swim.began or 0.0, targets[item])
-
-
-def figures(path: np.ndarray, began: float, target: np.ndarray) -> dict:
-    """RMSE and arrival of a path (T, 3) [s, m, m] that the policy steers from `began` s."""
-    t = path[:, 0] - began
-    distance = np.hypot(*(path[:, 1:] - target).T)
-    inside = (t >= 0.0) & (t <= SECONDS + 1e-9)
-    entered = np.flatnonzero(inside & (distance <= constant("protocol", "arrival_radius")))
-    arrival = float(t[entered[0]]) if len(entered) else None
-    counted = inside & (t >= (constant("protocol", "missed_window")[0] if arrival is None else arrival))
-    return {"rmse": float(np.sqrt(np.mean(distance[counted] ** 2))), "arrival": arrival}
-
-
-def one(out: Path, trials: Trials, policy: str, marks: str, loss: float, item: int) -> dict:
+def one(out: Path, trials: Trials, policy: str, marks: str, loss: float, body: str, item: int) -> dict:
     """The figures of a trial, kept in `out`."""
-    file = out / f"{policy.replace('/', '_')}_{marks}_{loss:g}_{item:02d}.json"
+    file = out / f"{policy.replace('/', '_')}_{body}_{marks}_{loss:g}_{trials.items[item].seed[0]}_{item:02d}.json"
     if not file.is_file():
-        write_json(file, swum(item, trials, policy, marks, loss))
+        write_json(file, swum(item, trials, policy, marks, loss, body))
     return read_json(file)
+
+
+def options() -> console.Parser:
+    """The arguments."""
+    parser = console.parser("studies.whole_chain", __doc__ or "")
+    add = parser.add_argument
+    add("--policy", type=console.text, default="station", help="shipped name or file")
+    add("--body", choices=(FITTED, VIRTUAL), default=FITTED, help="one fish in the fitted water, or the second robot in its own")
+    add("--trials", type=console.whole(2, 72), default=24, help="of 24 a repeat: 3 speeds, 8 directions")
+    add("--marks", choices=MARKS, default="tag", help="what is drawn and tracked; poses: no frames")
+    add("--loss", type=console.number(0, 0.5), default=0.02, help="share of datagrams that get lost, each way")
+    add("--seed", type=console.whole(0, 2**31), default=40, help="of the trials")
+    add("--jobs", type=console.whole(1, 256), default=cores.usable_cores(), help="trials at a time (default: one a core)")
+    add("--out", type=console.out_folder, required=True, help="folder; the same command goes on with what is there")
+    return parser
 
 
 def main(argv: list[str]) -> int:
     """Exit code 0: the chain is within 0.02 m of the direct simulation; 1: it is not."""
-    parser = console.parser("studies.whole_chain", __doc__ or "")
-    parser.add_argument("--policy", type=console.text, default="station", help="shipped name or file")
-    parser.add_argument("--trials", type=console.whole(2, 72), default=24, help="of 24 a repeat: 3 speeds, 8 directions")
-    parser.add_argument("--marks", choices=MARKS, default="tag", help="what is drawn and tracked; poses: no frames")
-    parser.add_argument("--loss", type=console.number(0, 0.5), default=0.02, help="share of datagrams that get lost, each way")
-    parser.add_argument("--seed", type=console.whole(0, 2**31), default=40, help="of the trials")
-    parser.add_argument("--jobs", type=console.whole(1, 256), default=cores.usable_cores())
-    parser.add_argument("--out", type=console.out_folder, required=True)
-    args = parser.parse_args(argv)
+    args = options().parse_args(argv)
     repeats = -(-args.trials // 24)
-    trials = protocol.trials(speeds=SPEEDS, repeats=repeats, seed=args.seed, randomisation=0.0, duration=SECONDS)
+    trials = protocol.trials(
+        speeds=SPEEDS, repeats=repeats, seed=args.seed, randomisation=0.0, duration=SECONDS, turbulence=TURBULENCE[args.body]
+    )
     count = min(args.trials, len(trials))
     args.out.mkdir(parents=True, exist_ok=True)
-    done = partial(one, args.out, trials, args.policy, args.marks, args.loss)
-    rows: list[dict] = []
-    with ProcessPoolExecutor(args.jobs) as pool, console.Progress(count, "trials", "trials") as bar:
-        for row in pool.map(done, range(count)):
-            rows.append(row)
-            bar.update(len(rows))
-    robot = in_water(load_robot("fish"), "fitted")
-    direct = metrics.figures(run_trials.run(LearnedController(robot, args.policy), robot, trials, engine="compiled"))
-    chain = np.array([row["rmse"] for row in rows])
-    found = metrics.difference("rmse_after_arrival", direct["rmse_after_arrival"][:count], chain)
-    told = {
+    rows = _each(partial(one, args.out, trials, args.policy, args.marks, args.loss, args.body), count, args.jobs, "trials")
+    sigma = observation_noise(np.mean([row["covariance"] for row in rows], 0), load_robot("fish"))
+    told: dict = {
         "n": count,
-        "direct_rmse_m": float(np.mean(direct["rmse_after_arrival"][:count])),
-        "chain_rmse_m": float(np.mean(chain)),
-        "difference_m": [found.value, found.low, found.high],
-        "arrived_direct": int(np.sum(direct["arrival"][:count])),
+        "body": args.body,
+        "chain_rmse_m": float(np.mean([row["rmse"] for row in rows])),
         "arrived_chain": sum(row["arrival"] is not None for row in rows),
         "complete": sum(row["complete"] for row in rows),
         "share_of_fixes": float(np.mean([row["share_of_fixes"] for row in rows])),
         "ended": sorted({row["ended"] for row in rows if not row["complete"]}),
+        "sigma": {name: float(sigma[at]) for name, at in (("position", 0), ("velocity", 2), ("yaw_rate", 4), ("joint", 5))},
     }
-    write_json(args.out / "whole_chain.json", told)
-    console.say(console.table([told | {"difference_m": f"{found.value:+.4f} ({found.low:+.4f} to {found.high:+.4f})"}]))
+    shown, chain = [], np.array([row["rmse"] for row in rows])
+    for name, sensed in (("measured", AsSensed.of(trials, sigma)), ("task", trials)):
+        rmse, arrived = _direct(args.policy, args.body, sensed, count, args.jobs)
+        found = metrics.difference("rmse", rmse, chain)
+        told[name] = {"direct_rmse_m": float(np.mean(rmse)), "arrived_direct": arrived}
+        told[name]["difference_m"] = [found.value, found.low, found.high]
+        line = {"noise of the direct simulation": name, "n": count, "direct, m": told[name]["direct_rmse_m"]}
+        between = f"{found.value:+.4f} ({found.low:+.4f} to {found.high:+.4f})"
+        line |= {"chain, m": told["chain_rmse_m"], "chain - direct, m": between}
+        shown.append(line | {"arrived: direct, chain": f"{arrived}, {told['arrived_chain']}"})
+    write_json(args.out / f"whole_chain_{args.body}.json", told)
+    console.say(console.table(shown))
     if args.json:
         console.emit_json(told)
-    return console.OK if abs(found.value) <= LIMIT and told["complete"] == count else console.FAILED_CHECK
+    within = abs(told["measured"]["difference_m"][0]) <= LIMIT
+    return console.OK if within and told["complete"] == count else console.FAILED_CHECK
+
+
+def _each(work, count: int, jobs: int, what: str) -> list[dict]:
+    rows: list[dict] = []
+    with ProcessPoolExecutor(jobs) as pool, console.Progress(count, what, "trials") as bar:
+        for row in pool.map(work, range(count)):
+            rows.append(row)
+            bar.update(len(rows))
+    return rows
+
+
+def _direct(policy: str, body: str, trials: Trials, count: int, jobs: int) -> tuple[np.ndarray, int]:
+    """RMSE (n,) m of the direct simulation, and how many arrived."""
+    if body == VIRTUAL:
+        rows = _each(partial(in_second_robot, trials=trials, policy=policy), count, jobs, "direct")
+        return np.array([row["rmse"] for row in rows]), sum(row["arrival"] is not None for row in rows)
+    robot = in_water(load_robot("fish"), FITTED)
+    found = metrics.figures(run_trials.run(LearnedController(robot, policy), robot, trials, engine="compiled"))
+    return found["rmse_after_arrival"][:count], int(np.sum(found["arrival"][:count]))
 
 
 if __name__ == "__main__":
