@@ -13,7 +13,7 @@ from fishmj.hydro_fit.fit.descent import quick
 FOLDER = Path(__file__).resolve().parent.parent / "examples"
 QUICK = ("own_controller", "own_effect", "own_importer", "own_reward", "read_trial", "side_by_side")
 DEAR = ("boat_study", "flow_solver", "gymnasium_policy", "mjx_batch", "search", "solver_suite")  # more than 5 s of CPU
-ELSEWHERE = ("gait_map", "lab_csv")  # run by tests of their own
+ELSEWHERE = ("gait_map", "lab_csv", "whole_loop")  # run by tests of their own
 LONGER = ("five_links", "gap_answers", "own_code")  # stories that pages of the docs quote; tests of their own
 LINES = 60
 

@@ -78,7 +78,7 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
     """The calibrated fish, `batch` times, without randomisation (NumPy)."""
     s, added = planar_chain.nominal(robot), Extensions.of(robot)
     rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))
-    delay = round((robot.timing.command_latency + added.late(np, added.row, "command")) / robot.timing.physics_dt)
+    delay = round(command_latency(robot) / robot.timing.physics_dt)
     return FishParams(
         mass=rows(s.mass),
         kp=rows(s.kp),
@@ -89,6 +89,12 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
         delay=np.full(batch, delay, np.int32),
         effects=rows(added.row),
     )
+
+
+def command_latency(robot: Robot) -> float:
+    """s until a command acts: nominal, and what the effects of the description add."""
+    added = Extensions.of(robot) if robot.effects else None
+    return robot.timing.command_latency + (float(added.late(np, added.row, "command")) if added is not None else 0.0)
 
 
 def swimmer(params: FishParams) -> planar_chain.Swimmer:
@@ -126,6 +132,6 @@ def check_commands(commands, joints: int) -> None:
 
 
 __all__ = [
-    "BUFFER", "NAMES", "Extensions", "Current", "FishParams", "FishState", "Trace", "at_rest", "flat_water", "in_water",
-    "make", "nominal_params", "rows_of", "swimmer", "with_effects",
+    "BUFFER", "NAMES", "Extensions", "Current", "FishParams", "FishState", "Trace", "at_rest", "command_latency", "flat_water",
+    "in_water", "make", "nominal_params", "rows_of", "swimmer", "with_effects",
 ]  # fmt: skip

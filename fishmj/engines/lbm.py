@@ -21,7 +21,9 @@ from fishmj.engines.tank_effects import check_effects
 from fishmj.engines.tank_run import EffectRun, TankEffects
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
+from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.refined_run import RefinedRun
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.mjcf.description import Robot
@@ -123,7 +125,7 @@ class Engine:
             domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.device,
             pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
         )  # fmt: skip
-        coupled = stage.coupled(None if added is None else added.body(self.domain.dt))
+        coupled = stage.coupled(None if added is None else added.body(self.domain.body_level.dt))
         if added is None:
             personalise(coupled.body.model, **own)
         coupled.body.forward()
@@ -134,7 +136,8 @@ class Engine:
                 f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
             )
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
-        run = Run if added is None else partial(EffectRun, added)
+        plain: type[Run] = RefinedRun if isinstance(coupled, RefinedStructure) else Run
+        run = plain if added is None else partial(EffectRun, added)
         return run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
 
 

@@ -16,8 +16,9 @@ how often that is wrong.
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -192,6 +193,7 @@ UNITS = {
 NEAR = 1.35  # a ratio of amplitudes within this factor of a unit's is that unit
 AGAINST, ALIKE, STILL = -0.6, 0.8, 0.1  # correlations; part of the model's amplitude
 BENT, TURNED, AWAY = 0.35, 0.5, 0.5  # rad of a joint's mean, rad of a path's direction, m from where it was put
+LATE = np.arange(0.02, 0.31, 0.02)  # s by which a joint may follow its own command later than the model's does
 JUMP = 0.4  # rad between two frames, in a tenth of them
 MOVES = {"joint": 0.02, "yaw": 0.05, "path": 0.05, "power": 0.2}  # rad, rad, m, W: less says nothing about a ratio
 
@@ -254,7 +256,7 @@ def likely(e: Likelihood) -> list[str]:
     predictions = e.model.predict(e.records, e.model.null)
     sets = list(zip(e.records, predictions, strict=True))
     joints = [pair(sets, "joint", i) for i in range(e.model.joints)]
-    out = [text for i, p in enumerate(joints) for text in of_joint(i, p, joints)]
+    out = [text for i, p in enumerate(joints) for text in of_joint(i, p, joints, partial(following, sets, i))]
     yaw = pair(sets, "pose", 2)
     yaws = [r.pose.values[:, 2] for r in e.records if r.pose is not None]
     jump = max((float(np.quantile(np.abs(np.diff(values)), 0.9)) for values in yaws), default=0)
@@ -284,6 +286,21 @@ def pair(sets, sensor: str, column: int) -> Pair | None:
     return Pair(np.concatenate(measured), np.concatenate(predicted), float(np.median(offsets)))
 
 
+def following(sets, i: int) -> float:
+    """Best correlation of a joint with its own prediction, later by one of LATE."""
+    found = -1.0
+    for late in LATE:
+        shifted = []
+        for record, prediction in sets:
+            if record.joint is not None:
+                t, values = record.joint.t, prediction["joint"][0]
+                moved = np.stack([np.interp(t - late, t, column) for column in values.T], 1)
+                shifted.append((record, {"joint": moved[None]}))
+        p = pair(shifted, "joint", i)
+        found = max(found, -1.0 if p is None else p.correlation)
+    return found
+
+
 def moves(p: Pair, kind: str) -> bool:
     """Whether the model moves enough for a ratio to say something."""
     return float(np.std(p.predicted)) > MOVES[kind]
@@ -298,8 +315,12 @@ def units(name: str, p: Pair, kind: str) -> list[str]:
     return []
 
 
-def of_joint(i: int, p: Pair | None, joints: list) -> list[str]:
-    """Unit, sign, order, zero, power."""
+def of_joint(i: int, p: Pair | None, joints: list, late: Callable[[], float] = lambda: -1.0) -> list[str]:
+    """Unit, sign, order, zero, power.
+
+    late: best correlation with its own prediction some time later. In a gait a joint moves as the one before it, a sixth of a
+    beat later: a joint that is late is not another one.
+    """
     name = f"joint {i + 1}"
     if p is None:
         return []
@@ -315,7 +336,7 @@ def of_joint(i: int, p: Pair | None, joints: list) -> list[str]:
     if p.ratio < STILL:
         return [f"{name}: moves {p.ratio:.0%} of what it was told: unpowered, or another column"]
     across = [-1.0 if q is None or k == i else _across(p, q) for k, q in enumerate(joints)]
-    if p.correlation < ALIKE < max(across) and max(across) > p.correlation + 0.2:
+    if p.correlation < ALIKE < max(across) and max(across) > p.correlation + 0.2 and late() < max(across):
         return [f"{name}: follows the command of joint {int(np.argmax(across)) + 1}: the order of the joints"]
     return zero
 

@@ -50,6 +50,8 @@ def main(argv: list[str]) -> int:
     data = "the data set, when it is no longer where the search read it; default, there"
     add("--data", type=console.path, help=data)
     add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
+    counted = "also effects that were fitted beside the named ones and are too small a part of the gap to be named (default: no)"
+    add("--counted-in", action="store_true", help=counted)
     back = "put the parent's text back in the place of this version (default none)"
     add("--revert", type=console.path, metavar="MODEL", help=back)
     own_effects.option(parser)
@@ -62,7 +64,7 @@ def main(argv: list[str]) -> int:
         aside = model_version.revert(args.revert)
         console.say(f"{args.revert} is its parent again; the version is kept as {aside}")
         return console.OK
-    written = apply(args.report, args.out, args.data, args.force)
+    written = apply(args.report, args.out, args.data, args.force, args.counted_in)
     console.say(written.reason, *([f"written: {written.path}"] if written.path else []))
     if written.mjcf:
         console.say(written.mjcf.rstrip("\n"))
@@ -75,8 +77,12 @@ def main(argv: list[str]) -> int:
     return console.OK if written.accepted or written.path is None else console.FAILED_CHECK
 
 
-def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, force: bool = False) -> Written:
+def apply(
+    report: Path, out: "Path | None" = None, data: "Path | None" = None, force: bool = False, counted_in: bool = False
+) -> Written:
     """The next version from a report on disk; measures both gaps on the records that the report names.
+
+    counted_in: with the effects that were fitted beside the named ones, and not named.
 
     Raises:
         ConfigError: not a report, model or data are not what the search saw, or a file of the version's name is there.
@@ -103,18 +109,24 @@ def apply(report: Path, out: "Path | None" = None, data: "Path | None" = None, f
     admission.null_fits(null, robot, context["model"])
     given = (trials_named(data, context["judged"]), null, context.get("water", STRUCTURED))
     measure = lambda versions: gaps(versions, *given)
-    return settle(verdict, context, measure, out, folder, force)
+    return settle(verdict, context, measure, out, folder, force, counted_in)
 
 
-def settle(verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False) -> Written:
+def settle(
+    verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False, counted_in: bool = False
+) -> Written:
     """Write the version to `out`, or the rejected candidate into `folder`. measure: [parent, candidate] -> what
-    `check.gaps` says of them on the records that the report judges by."""
+    `check.gaps` says of them on the records that the report judges by. counted_in: as `apply`."""
     answer, parent = verdict["answer"], load_robot(context["model"])
     if not verdict["effects"]:
         return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
     which = UNSEEN if verdict.get("gap_after_unseen") is not None else HELD_OUT
-    provenance = f"{answer}: {len(context['judged'])} {which} of {context['data']}"
+    seen = f"{len(context['judged'])} {which} of {context['data']}"
+    provenance = f"{answer}: {seen}"
     effects = model_version.found(verdict, provenance, context["data_sha256"])
+    if counted_in and answer == "NAMED":  # their values were fitted together
+        beside = {"effects": verdict.get("tentative", [])}
+        effects += model_version.found(beside, f"counted in, not named: {seen}", context["data_sha256"])
     with tempfile.TemporaryDirectory() as scratch:
         table = {"effects": [e.name for e in effects], "answer": answer}
         table |= {key: context[key] for key in ("data", "data_sha256", "judged")}
