@@ -7,7 +7,7 @@ Both are centred: the tank's middle is the world's origin, mid-depth is z = 0, t
 """
 
 from dataclasses import dataclass, replace
-from math import cos, sin
+from math import ceil, cos, sin
 from typing import Any
 
 import numpy as np
@@ -16,18 +16,26 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE, Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.refined.refined_fluid import RATIO
 from fishmj.units import wrap
 
 TURN = 0.5  # rad/s, greatest rate at which the window's lead follows the heading
 LEAD = 0.15  # of the window's length: the fish sits this far behind the middle and leaves its wake the longer part
 BOTTOMS = ("slip", "wall")
+AROUND = {  # m, box of finer cells round a fish of 0.54 m at any heading
+    "paper": (1.0, 1.0, 0.4),
+    "forcemap": (1.0, 1.0, 0.4),
+    "window": (1.0, 0.8, 0.4),
+    "laptop": (0.72, 0.72, 0.32),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Domain:
     """Cells (nx, ny, nz) of dx [m], time step dt [s]; `follows` makes it a window. `bottom`: `slip` or `wall`.
 
-    `sides` are the kinds of the four side faces, `open` for a current, `wall` for a basin.
+    `sides` are the kinds of the four side faces, `open` for a current, `wall` for a basin. `fine` [m] is the size of a box round
+    the fish in which cells and steps are half as large (`refined`); None: there is none.
     """
 
     name: str
@@ -38,6 +46,7 @@ class Domain:
     bottom: str = "slip"
     sides: str = "open"
     sponge: int = SPONGE
+    fine: tuple[float, float, float] | None = None
 
     def __post_init__(self):
         if self.bottom not in BOTTOMS:
@@ -55,6 +64,20 @@ class Domain:
     def lattice(self) -> Lattice:
         x, y, z = (-(n - 1) / 2 * self.dx for n in self.shape)
         return Lattice(dx=self.dx, dt=self.dt, corner=(x, y, z))
+
+    @property
+    def fine_cells(self) -> tuple[int, int, int]:
+        """Coarse cells of the finer box."""
+        x, y, z = (ceil(round(s / self.dx, 6)) for s in self.fine or (0.0, 0.0, 0.0))
+        return x, y, z
+
+    @property
+    def body_level(self) -> "Domain":
+        """The water that the body is in: this one, or the finer box as a domain of its own."""
+        if self.fine is None:
+            return self
+        x, y, z = (RATIO * n for n in self.fine_cells)
+        return replace(self, shape=(x, y, z), dx=self.dx / RATIO, dt=self.dt / RATIO, fine=None)
 
     @property
     def boundaries(self) -> Boundaries:
@@ -88,17 +111,24 @@ def _presets() -> dict[str, Domain]:
     }
 
 
+def _refined() -> dict[str, Domain]:
+    """Those of them that have a box of finer cells, by names that end in `_refined`."""
+    plain = _presets()
+    return {f"{name}_refined": replace(plain[name], name=f"{name}_refined", fine=size) for name, size in AROUND.items()}
+
+
 PREVIEWS = ("laptop",)  # too coarse for a judgement
 NAMES = ("paper", "forcemap", "flow_tank", "window", "window_fine", "window_coarse", "laptop")
+REFINED = tuple(f"{name}_refined" for name in AROUND)  # of `swim` and `forcemap`
 
 
 def preset(name: str) -> Domain:
-    """A box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop.
+    """A box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop; paper_refined and so on.
 
     Raises:
         UnknownName: none of them.
     """
-    table = _presets()
+    table = _presets() | _refined()
     if name not in table:
         raise UnknownName("domain", name, table)
     return table[name]

@@ -20,6 +20,7 @@ import warp as wp
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
 from fishmj.log import SCHEMA, Trial, numbered
@@ -352,6 +353,9 @@ def _meta(run, tables) -> dict:
     (x, y, turn), c, s = run.pushed, np.cos(run.first[2]), np.sin(run.first[2])
     water = {"dx": lattice.dx, "dt": lattice.dt, "shape": list(fluid.shape), "slip": run.coupled.slip}
     water |= {"subgrid": fluid.subgrid, "kernel": edge.width, "passes": edge.passes, "markers": edge.count}
+    if isinstance(fluid, RefinedFluid):
+        coarse = fluid.outer
+        water["coarse"] = {"dx": coarse.lattice.dx, "dt": coarse.lattice.dt, "shape": list(coarse.shape)}
     return {
         "schema": SCHEMA,
         "origin": "synthetic",

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from math import pi, radians
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +12,13 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import fish_markers
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, lowest
+from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import Domain, Follower, margin, preset
+from fishmj.lbm_oracle.run.refined_run import RefinedRun
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
@@ -82,13 +87,23 @@ class SwimSetup:
     def assembled(self, body: ImmersedBody) -> FluidStructure:
         """Fish and water at t = 0, the undisturbed flow, the fish at rest over ground; whether it would run is not looked at."""
         robot, domain, slip, width = load_robot(self.robot), self.domain, self.slip, self.width
+        level = domain.body_level
         fluid = Fluid(domain.lattice, domain.shape, self.device, boundaries=domain.boundaries, flow=self.flow)
         joints = np.asarray(self.joints or np.zeros(robot.n_joints), float)
         if joints.shape != (robot.n_joints,):
             raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
         body.place(reference_qpos(body.model, self.pose, joints))
-        markers = fish_markers(robot, domain.dx, slip=slip, width=width, hydro_offset=self.hydro_offset, spacing=self.spacing)
-        made = FluidStructure(fluid, body, markers, slip=slip, width=width, passes=self.passes)
+        markers = fish_markers(robot, level.dx, slip=slip, width=width, hydro_offset=self.hydro_offset, spacing=self.spacing)
+        options: dict[str, Any] = {"slip": slip, "width": width, "passes": self.passes}
+        if domain.fine is None:
+            made = FluidStructure(fluid, body, markers, **options)
+        else:
+            middle = 0.5 * np.sum(body.bounds(Corners.of(markers, body.water.centre)), 0)
+            follower = Follower(domain, self.pose[2])
+            while follower.follow(fluid, middle, self.pose[2]):
+                pass
+            box = RefinedFluid(fluid, lowest(fluid, middle, domain.fine_cells), domain.fine_cells)
+            made = RefinedStructure(box, body, markers, **options)
         edge = DomainWatch(domain, self.pose[2])
         while edge.follow(made):  # a window starts round its fish
             pass
@@ -100,7 +115,7 @@ class SwimSetup:
         Raises:
             OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
         """
-        domain = self.domain
+        domain = self.domain.body_level
         made = self.assembled(body or ImmersedBody.of(self.robot, self.root, domain.dt))
         room = margin(made.fluid, *made.body.bounds(made.boundary.corners))
         stability.check(domain, speed=max(self.flow.speed, stability.SLOW), spacing=self.spacing * domain.dx, clearance=room)
@@ -108,20 +123,23 @@ class SwimSetup:
 
     def run(self, **options) -> Run:
         """The same as a run by bus ticks; options are those of `Run`."""
-        return Run(self.coupled(), self.robot, follow=DomainWatch(self.domain, self.pose[2]), **options)
+        made, edge = self.coupled(), DomainWatch(self.domain, self.pose[2])
+        if isinstance(made, RefinedStructure):
+            return RefinedRun(made, self.robot, follow=edge, **options)
+        return Run(made, self.robot, follow=edge, **options)
 
 
 class DomainWatch:
     """What happens after every step: a window follows the fish, and a fish that comes too close to a face ends the run."""
 
     def __init__(self, domain: Domain, heading: float = 0.0):
-        self.domain, self.follower = domain, Follower(replace(domain, dt=LOOK * domain.dt), heading)
+        self.domain, self.follower = domain, Follower(replace(domain, dt=LOOK * domain.body_level.dt), heading)
 
     def __call__(self, coupled: FluidStructure) -> None:
         """Raises LeftDomain when a marker is nearer than the margin."""
         if coupled.steps % LOOK:
             return
-        if self.domain.follows:
+        if self.domain.follows or self.domain.fine:
             with coupled.scope():
                 self.follow(coupled)
         body, fluid = coupled.body, coupled.fluid
@@ -134,8 +152,11 @@ class DomainWatch:
             )
 
     def follow(self, coupled: FluidStructure) -> bool:
-        """Move a window so that the middle of the fish sits where it should; True if it moved."""
-        body = coupled.body
+        """Move a window so that the middle of the fish sits where it should, and a box of finer cells; True if one moved."""
+        body, fluid = coupled.body, coupled.fluid
         low, high = body.bounds(coupled.boundary.corners)
-        heading = float(reference_pose(body.model, body.data)[2])
-        return self.follower.follow(coupled.fluid, 0.5 * (low + high), heading)
+        middle, heading = 0.5 * (low + high), float(reference_pose(body.model, body.data)[2])
+        if not isinstance(fluid, RefinedFluid):
+            return self.follower.follow(fluid, middle, heading)
+        moved = self.follower.follow(fluid.outer, middle, heading)
+        return fluid.centre_on(middle) or moved

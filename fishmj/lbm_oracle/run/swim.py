@@ -24,7 +24,7 @@ from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.slices import STRONG, add_fields
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
+from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, REFINED, preset
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
@@ -47,14 +47,15 @@ def main(argv: list[str]) -> int:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
     stage = _stage(args)
     less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
-    solver_cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
+    levels = {stage.domain: seconds, stage.domain.body_level: seconds}
+    solver_cost.agree("lbm_oracle swim", args.device, levels.items(), instead=less)
     run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         snapshot.load(args.start, run.coupled)
         run.begin()
     if args.preset in PREVIEWS:
         console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
-    recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
+    recorder, kept = _recorder(args, run), LastGood() if (args.out or args.save) and stage.domain.fine is None else None
     with interrupt.finishing(lambda: _words(args, run)):
         wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
     found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
@@ -65,7 +66,7 @@ def main(argv: list[str]) -> int:
     lost = run.stopped.startswith("diverged")
     if lost and kept:
         found["last_good"] = kept.save(args.save or f"{args.out}.last_good.safetensors", run)
-    elif args.save:
+    elif args.save and not lost:
         found["state"] = str(snapshot.save(args.save, run.coupled, robot=robot.name))
     console.say(console.table([{"figure": name, "value": value} for name, value in found.items()]))
     if args.json:
@@ -200,7 +201,8 @@ def _stage(args) -> SwimSetup:
 def _parser() -> console.Parser:
     p = console.parser("lbm_oracle swim", "A gait in the flow solver; writes a trial folder.")
     add, angle = p.add_argument, console.number(-360, 360)
-    add("--preset", choices=NAMES, default="window", help="box of water; laptop is a preview")
+    box = "box of water; laptop is a preview, _refined has finer cells round the fish"
+    add("--preset", choices=NAMES + REFINED, default="window", help=box)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     add("--frequency", type=console.number(0.01, 20), default=1.0, metavar="HZ", help="of the beat")

@@ -26,7 +26,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
+from fishmj.lbm_oracle.run.domain import NAMES, REFINED, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
@@ -181,7 +181,8 @@ def main(argv: list[str]) -> int:
     )
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
-    runs = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
+    waters = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
+    runs = [(level, water) for domain, water in waters for level in {domain, domain.body_level}]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     device = str(device_of(args.device))
@@ -217,7 +218,7 @@ def _parser() -> console.Parser:
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
     add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
-    add("--domain", choices=NAMES, default="window", help="whose box in metres")
+    add("--domain", choices=NAMES + REFINED, default="window", help="whose box in metres; _refined: half the cell round the fish")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
     settle = "before a force is averaged; by default 5 body lengths of water flow past"
     add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)

@@ -1,0 +1,373 @@
+"""Water on two levels: a box of finer cells in a coarser `Fluid`, stepped together.
+
+    step 2 n      explode into the ghosts, fine step, what enters next, coalesce into the coarse populations
+    step 2 n + 1  fine step, coarse step, restrict                                             (exchange.py)
+
+A `RefinedFluid` is the fine level, with all that a `Fluid` offers: a body is coupled to it, and steps with it. `outer` is the
+coarse level, which may be a window, and may itself be refined. Between two coarse steps (`whole`) both levels are complete: then
+the box may move by whole coarse cells. What it leaves is in the coarse cells already; what it comes to cover is made from them.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.flow import Flow
+from fishmj.lbm_oracle.fluid.domain_faces import FACES, PERIODIC, Boundaries
+from fishmj.lbm_oracle.fluid.fields import Survey
+from fishmj.lbm_oracle.fluid.fluid import NOWHERE, Fluid
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice, Q
+from fishmj.lbm_oracle.refined import exchange
+from fishmj.lbm_oracle.refined.exchange import GHOST, Nest
+
+RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one
+ROOM = 2  # coarse cells between R and a face of the coarse water
+
+Cells = tuple[int, int, int]
+
+
+def fine_lattice(coarse: Lattice) -> Lattice:
+    """Half the cell, half the step; fine node 2 N and 2 N + 1 share the coarse cell N."""
+    x, y, z = (c - coarse.dx / 4 for c in coarse.corner)
+    return replace(coarse, dx=coarse.dx / RATIO, dt=coarse.dt / RATIO, corner=(x, y, z))
+
+
+class RefinedFluid(Fluid):
+    """The finer box in `outer`, with steps of half its dt.
+
+    Args:
+        outer: the coarse water, at rest or developed; the box begins with what is there.
+        low: (3,) world node of `outer` at the box's low corner. size: (3,) coarse cells of the box.
+        linear: False explodes uniformly (Rohde et al. 2006), kept to show what that costs.
+
+    Attributes:
+        size_lu: (3,) `size`. embedded: numbers of the axes that the box does not fill.
+        shape: of the fine array, a ghost cell on every side of the box but along an axis that it fills.
+
+    Raises:
+        ConfigError: the box does not fit into `outer` with two cells to spare, or half precision.
+    """
+
+    def __init__(self, outer: Fluid, low: Cells, size: Cells, *, linear: bool = True, threads: int | None = None):
+        self._made = False
+        self.outer, self.size_lu = outer, np.array(size, int)
+        options = outer._options
+        if options["dtype"] != "float32":
+            raise ConfigError(f"refined: populations of the coarse water are {options['dtype']}; expected float32")
+        fills = self._fills(np.array(low, int))
+        self._linear = linear
+        self._ghost = np.where(fills, 0, GHOST)
+        self.embedded = np.flatnonzero(~fills).tolist()
+        faces = Boundaries(**{name: getattr(PERIODIC, name) for name in "xyz"})
+        more: dict[str, Any] = {name: value for name, value in options.items() if name != "dtype"}
+        super().__init__(
+            fine_lattice(outer.lattice),
+            _cells(RATIO * self.size_lu + 2 * self._ghost),
+            outer.device,
+            boundaries=faces,
+            subgrid=outer.subgrid,
+            flow=outer.flow,
+            threads=threads or outer.threads,
+            **more,
+        )
+        self._made = True
+        self._nest = _nest(outer.shape, self.shape, RATIO * self.size_lu, self._ghost, linear)
+        cells = lambda found: wp.array(np.array(found, np.int32).reshape(-1, 3), dtype=wp.vec3i, device=self.device)
+        self._ghosts = cells(_layers(RATIO * self.size_lu, self._ghost))
+        self._directions = cells(VELOCITIES)
+        self._shell = cells(_shell(self.size_lu, ~fills))
+        self._place(RATIO * np.array(low, int) - self._ghost)
+        self.steps = RATIO * outer.steps
+        self.clock.fill_(self.steps)
+        self.prolong()
+
+    def _fills(self, low: np.ndarray) -> np.ndarray:
+        """(3,) whether a box at `low` fills an axis from end to end; it must be periodic."""
+        shape, first = np.array(self.outer.shape), self.outer.origin_lu
+        room = _room(self.outer)
+        fills = self.size_lu == shape
+        for a, axis in enumerate(self.outer.boundaries.axes):
+            wraps = FACES[axis.low].wraps
+            at, name = low[a] - first[a], "xyz"[a]
+            if fills[a]:
+                if not wraps or at != 0 or isinstance(self.outer, RefinedFluid):
+                    raise ConfigError(f"refined: the box fills axis {name}, which must be periodic, from its first cell on")
+            elif self.size_lu[a] < 2 or at < room or at + self.size_lu[a] > shape[a] - room:
+                raise ConfigError(
+                    f"refined: cells {at} to {at + self.size_lu[a]} of axis {name}; expected two or more of {shape[a]},"
+                    f" with {room} to spare at both ends. Make the box smaller, or the water larger"
+                )
+        return fills
+
+    @property
+    def low_lu(self) -> np.ndarray:
+        """(3,) world node of the coarse level at the box's low corner."""
+        return (self.origin_lu + self._ghost) // RATIO
+
+    @property
+    def whole(self) -> bool:
+        """Are both levels at the same time?"""
+        return self.steps % RATIO == 0
+
+    def set_flow(self, flow: Flow) -> None:
+        super().set_flow(flow)
+        if flow is not self.outer.flow:
+            self.outer.set_flow(flow)
+
+    def settle(self) -> None:
+        """Undisturbed background flow everywhere on both levels."""
+        if self._made:
+            self.outer.settle()
+        super().settle()
+
+    def stream_collide(self) -> None:
+        """One fine time step, and every second time a coarse one."""
+        coarse = self.outer
+        if self.whole:
+            self._explode(0)
+            super().stream_collide()
+            self._explode(1)
+            args = [self._nest, self._directions, self._shell, self.origin, self._f[1 - self.parity].flatten(), self.f.flatten()]
+            self._exchange(exchange.coalesce, (Q, len(self._shell)), args, [coarse.f.flatten()])
+        else:
+            super().stream_collide()
+            coarse.stream_collide()
+            self.restrict()
+            if isinstance(coarse, RefinedFluid) and coarse.whole:
+                coarse.restrict()  # again: its own came before the finest level's
+
+    def _explode(self, second: int) -> None:
+        args = [self._nest, self._directions, self._ghosts, self.origin, second, self.outer.f.flatten(), self.outer.u.flatten()]
+        self._exchange(exchange.explode, (Q, len(self._ghosts)), args, [self.f.flatten(), self.u.flatten()])
+
+    def restrict(self) -> None:
+        """Coarse cells in the box from the fine ones."""
+        args = [self._nest, RATIO**3, self.origin, self.f.flatten(), self.u.flatten()]
+        self._exchange(exchange.restrict, tuple(self.size_lu.tolist()), args, [self.outer.f.flatten(), self.outer.u.flatten()])
+
+    def prolong(self, kept: tuple | None = None) -> None:
+        """Fine cells from the coarse ones, but for those in the box `kept` of coarse cells, (low, size)."""
+        low, size = kept if kept is not None else NOWHERE
+        args = [self._nest, self.origin, wp.vec3i(*map(int, low)), wp.vec3i(*map(int, size))]
+        args += [self.outer.f.flatten(), self.outer.u.flatten()]
+        self._exchange(exchange.prolong, tuple(self.size_lu.tolist()), args, [self.f.flatten(), self.u.flatten()])
+
+    def _exchange(self, kernel, dim, inputs, outputs) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+    def move(self, by: Cells) -> None:
+        """Move the box by whole coarse cells, between two coarse steps.
+
+        Raises:
+            ConfigError: in the middle of a coarse step, or out of the coarse water.
+        """
+        if not self.whole:
+            raise ConfigError("refined: the box moves between two coarse steps only, after an even number of its own")
+        old = self.low_lu
+        self._fills(old + by)
+        self._place(RATIO * (old + by) - self._ghost)
+        self.prolong((old, self.size_lu))
+
+    def centre_on(self, point) -> bool:
+        """Move the box so that its middle comes within a coarse cell of `point` (3,) m, as far as the coarse water goes."""
+        best = lowest(self.outer, point, self.size_lu)
+        low = np.where(np.abs(self._offset_of(point)) >= 1, best, np.clip(self.low_lu, *_limits(self.outer, self.size_lu)))
+        by = np.where(self._ghost > 0, low - self.low_lu, 0)
+        if not by.any():
+            return False
+        self.move(_cells(by))
+        return True
+
+    def _offset_of(self, point) -> np.ndarray:
+        """(3,) coarse cells from the middle of the box to a point in m."""
+        return self.outer.lattice.to_lu(point) - (self.low_lu + (self.size_lu - 1) / 2)
+
+    def shift(self, by: Cells) -> None:
+        raise ConfigError("refined: a box moves by whole coarse cells, `move`, and its coarse water by `outer.shift`")
+
+    def run(self, steps: int, before=None) -> None:
+        """Fine steps without a body; on cuda in captured graphs of `period` steps."""
+        self.set_box(NOWHERE)
+        if before is None and self.device.is_cuda and steps >= self.period:
+            graph, times = self._captured(self.period), steps // self.period
+            for _ in range(times):
+                wp.capture_launch(graph)
+            self.skip(times * self.period)
+            steps -= times * self.period
+        for _ in range(steps):
+            if before is not None:
+                before()
+            self.stream_collide()
+
+    @property
+    def period(self) -> int:
+        """Fine steps after which the copies of all levels are where they were."""
+        return RATIO * (self.outer.period if isinstance(self.outer, RefinedFluid) else 2)
+
+    @property
+    def phase(self) -> int:
+        """Which copies the next step reads on every level, and in which half of a coarse step: a number for each case."""
+        return self.parity + 2 * (self.steps % RATIO) + 4 * getattr(self.outer, "phase", self.outer.parity)
+
+    def skip(self, steps: int) -> None:
+        """The host's account of steps that a graph has done."""
+        for _ in range(steps):
+            if not self.whole and isinstance(self.outer, RefinedFluid):
+                self.outer.skip(1)
+            elif not self.whole:
+                self.outer.parity, self.outer.steps = 1 - self.outer.parity, self.outer.steps + 1
+            self.parity, self.steps = 1 - self.parity, self.steps + 1
+
+    def _captured(self, stride: int) -> wp.Graph:
+        """A graph of a whole period from the present phase on; capturing does not run it."""
+        key = self.phase
+        if key not in self._graphs:
+            wp.load_module(exchange, device=self.device)
+            exchange.restrict.module.load(self.device)
+            for level in self.levels:
+                level._kernel.module.load(self.device)
+            account = self.account
+            with wp.ScopedCapture(self.device) as capture:
+                for _ in range(stride):
+                    self.stream_collide()
+            self._graphs[key], self.account = capture.graph, account
+        return self._graphs[key]
+
+    @property
+    def levels(self) -> list[Fluid]:
+        """All of them, the finest first."""
+        return [self, *(self.outer.levels if isinstance(self.outer, RefinedFluid) else [self.outer])]
+
+    @property
+    def account(self) -> list[tuple[int, int]]:
+        """Copy and steps of each level, as the host counts them."""
+        return [(level.parity, level.steps) for level in self.levels]
+
+    @account.setter
+    def account(self, value: list[tuple[int, int]]) -> None:
+        for level, (parity, steps) in zip(self.levels, value, strict=True):
+            level.parity, level.steps = parity, steps
+
+    def totals(self) -> np.ndarray:
+        """Mass less that of still water, kg, and momentum, (3,) kg m/s, of all levels together, each place once."""
+        sums, hole = np.zeros(len(VELOCITIES)), None
+        for level in self.levels:
+            counts = np.ones(level.shape, bool)
+            if isinstance(level, RefinedFluid):
+                counts[:] = False
+                counts[_memory(level, RATIO * level.low_lu, RATIO * level.size_lu)] = True
+            if hole is not None:
+                counts[hole] = False
+            sums += level.f.numpy()[:, counts].sum(1, dtype=float) * level.lattice.mass
+            if isinstance(level, RefinedFluid):
+                hole = _memory(level.outer, level.low_lu, level.size_lu)
+        return np.concatenate([[sums.sum()], VELOCITIES.T @ sums * self.lattice.velocity])
+
+    def box_slices(self) -> tuple[slice, slice, slice]:
+        """Where the box is in arrays of the fine level that begin at its low corner (`velocity`, `pressure`): without ghosts."""
+        x, y, z = (slice(int(g), int(n - g)) for g, n in zip(self._ghost, self.shape, strict=True))
+        return x, y, z
+
+    def begin_survey(self) -> None:
+        super().begin_survey()
+        self.outer.begin_survey()
+
+    def surveyed(self) -> Survey:
+        """Extremes of both levels; the mass is scaled: its mean over the cells of this level is that of the coarse water."""
+        fine, coarse = super().surveyed(), self.outer.surveyed()
+        mass = coarse.mass / self.outer.cells * self.cells
+        speed, lost = max(fine.speed, coarse.speed), fine.lost + coarse.lost
+        return Survey(min(fine.rho_min, coarse.rho_min), max(fine.rho_max, coarse.rho_max), speed, mass, lost)
+
+    def finer(self, factor: int) -> Fluid:
+        raise OracleUnstable(
+            "refined: this run takes finer steps on one level only; take a `RefinedRun`, or half the dt", limit="mach"
+        )
+
+    def finer_levels(self, factor: int) -> "RefinedFluid":
+        """Undisturbed water on both levels, of the same cells where they are now, with steps `factor` times finer."""
+        outer = self.outer.finer(factor)
+        outer._place(self.outer.origin_lu.copy())
+        x, y, z = self.low_lu
+        return RefinedFluid(outer, (x, y, z), _cells(self.size_lu), linear=self._linear, threads=self.threads)
+
+    def take_outer(self, other: "RefinedFluid") -> None:
+        """The coarse water of another box of the same cells and another time step: its place, clock and state."""
+        mine, theirs = self.outer, other.outer
+        r = mine.lattice.dt / theirs.lattice.dt
+        args = [theirs.f.flatten(), theirs.u.flatten(), r]
+        self._exchange(exchange.change_step, mine.cells, args, [mine.f.flatten(), mine.u.flatten()])
+        mine._place(theirs.origin_lu.copy())
+        mine.steps = round(theirs.steps / r)
+        mine.clock.fill_(mine.steps)
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """Of both levels, those of the coarse one under `outer.`.
+
+        Raises:
+            ConfigError: in the middle of a coarse step.
+        """
+        if not self.whole:
+            raise ConfigError("refined: a state is kept between two coarse steps only, after an even number of fine ones")
+        return super().snapshot() | {f"outer.{name}": value for name, value in self.outer.snapshot().items()}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from a snapshot, bit for bit; the coarse clock follows the fine one.
+
+        Raises:
+            ConfigError: it was taken in boxes of other shapes, or holds one level only.
+        """
+        outer = {name.removeprefix("outer."): value for name, value in state.items() if name.startswith("outer.")}
+        if "f" not in outer:
+            raise ConfigError("refined: a snapshot of one level; expected one of refined water, with both")
+        super().restore(state)
+        self.outer.restore(outer | {"steps": np.array(self.steps // RATIO)})
+
+
+def _cells(n) -> Cells:
+    x, y, z = (int(a) for a in n)
+    return x, y, z
+
+
+def lowest(outer: Fluid, point, size) -> Cells:
+    """World node of the low corner of a box of `size` cells of `outer` round `point` (3,) m, as near as its room allows."""
+    wanted = np.rint(outer.lattice.to_lu(point) - (np.array(size) - 1) / 2).astype(int)
+    return _cells(np.clip(wanted, *_limits(outer, size)))
+
+
+def _limits(outer: Fluid, size) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest world node (3,) that the low corner of a box in `outer` may have."""
+    low = outer.origin_lu + _room(outer)
+    return low, outer.origin_lu + np.array(outer.shape) - _room(outer) - np.array(size)
+
+
+def _room(outer: Fluid) -> int:
+    """Cells between the box and the ends of the coarse array."""
+    return ROOM + (GHOST if isinstance(outer, RefinedFluid) else 0)
+
+
+def _nest(coarse, fine, size, ghost, linear: bool) -> Nest:
+    made = Nest()
+    made.coarse, made.fine, made.size, made.ghost = (wp.vec3i(*map(int, n)) for n in (coarse, fine, size, ghost))
+    made.linear = float(linear)
+    return made
+
+
+def _memory(level: Fluid, low, size) -> tuple[np.ndarray, ...]:
+    """Index of a box of world nodes in a level's arrays."""
+    return np.ix_(*((a + np.arange(b)) % n for a, b, n in zip(low, size, level.shape, strict=True)))
+
+
+def _layers(size: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Cells round a box of `size` from (0, 0, 0) on, `width` of them on either side of each axis, (n, 3)."""
+    r = np.indices(tuple(size + 2 * width)).reshape(3, -1).T - width
+    return r[np.any((r < 0) | (r >= size), 1)]
+
+
+def _shell(size: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Cells on both sides of the faces of a box, on the axes that have `ends`, (n, 3)."""
+    r = np.indices(tuple(size + 2 * ends)).reshape(3, -1).T - ends
+    return r[~np.all((r > 0) & (r < size - 1) | ~ends, 1)]
