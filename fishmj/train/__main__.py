@@ -19,6 +19,7 @@ EXAMPLES = """examples:
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
   fishmj train --memory 8                        the policy sees its last eight observations
+  fishmj train --begin station --robot mine.toml begin with a policy that can swim, not from nothing
   fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
   fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
   fishmj evaluate runs/quick-ppo-0               judge what came out: its best.safetensors
@@ -81,6 +82,8 @@ def options() -> console.Parser:
     add("--hide", type=console.Listed(console.OneOf(GROUPS)), metavar="NAME,..", help=hide)
     drawn = "effects of the catalogue drawn in typical sizes for each episode (default: none)"
     add("--randomise-effects", type=console.Listed(console.text), metavar="NAME,..", help=drawn)
+    begin = "shipped name, policy file or folder of a training whose network PPO begins with; its widths, memory and command path"
+    add("--begin", type=console.text, metavar="POLICY", help=f"{begin} come with it (default: from nothing)")
     own_effects.option(p)
     reward = "weights of the reward: wG, wD, wS (default: the paper's)"
     add("--reward", type=weight, nargs="*", default=[], metavar="KEY=VALUE", help=reward)
@@ -156,6 +159,12 @@ def settings_from(args, run=None):
     return made
 
 
+def _asked_of(args) -> dict:
+    """Of the options that a policy decides, those that were given."""
+    given = {"--hidden": args.hidden and tuple(args.hidden), "--memory": args.memory, "--command-path": args.command_path}
+    return {option: value for option, value in given.items() if value}
+
+
 def _by_device() -> str:
     import jax
 
@@ -211,9 +220,13 @@ def main(argv: list[str]) -> int:
     from fishmj.policy import one_line
     from fishmj.store import Checkpoints
     from fishmj.train import training_cost
+    from fishmj.train.begin import begin_with
     from fishmj.train.build import referred, settled, water_for
     from fishmj.train.settings import ALGORITHMS, as_dict, change, of_run, same
 
+    if args.begin and (args.resume or args.together):
+        other = "--resume" if args.resume else "--together"
+        raise ConfigError(f"--begin beside {other}: a run begins with a policy once, and alone; leave one of them out")
     if args.seeds and args.seed is not None:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
     settings = settings_from(args)
@@ -227,6 +240,9 @@ def main(argv: list[str]) -> int:
         for seed, folder in folders.items():
             if folder in there:
                 same(folder, change(settings, seed=seed), as_dict(there[folder]))
+    begin = None
+    if args.begin:
+        begin, settings = begin_with(args.begin, settings, _asked_of(args))
     water, settings = water_for(settings).said, settled(settings)
     training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
     console.say(f"water: {water}")
@@ -248,7 +264,7 @@ def main(argv: list[str]) -> int:
             from fishmj.train.training_run import TrainingRun, learner_of
 
             learner = learner or learner_of(one)
-            results.append(TrainingRun(one, folder, resume=resume, learner=learner, command=typed).go())
+            results.append(TrainingRun(one, folder, resume=resume, learner=learner, command=typed, begin=begin).go())
         if results[-1]["stopped"]:
             break
     for r in results:

@@ -24,8 +24,10 @@ import numpy as np
 from fishmj import console, interrupt, store
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, SimDiverged
+from fishmj.policy import Policy
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
+from fishmj.train.begin import begun
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
@@ -209,6 +211,7 @@ class TrainingRun:
     """Train one policy. `TrainingRun(settings, folder).go()` returns the summary dict.
 
     command: as it was typed, for the header of the policy; a run that goes on keeps its first one. None: called from Python.
+    begin: policy whose network a fresh run begins with, `settings` as `begin.begin_with` makes them.
     """
 
     def __init__(
@@ -220,6 +223,7 @@ class TrainingRun:
         quiet: bool = False,
         learner=None,
         command: str | None = None,
+        begin: Policy | None = None,
     ):
         self.settings, self.folder, self.quiet, self.command = settled(settings), Path(folder), quiet, command
         self.env, self.algorithm, self.assess = learner or learner_of(settings)
@@ -242,6 +246,8 @@ class TrainingRun:
             self._restore()
         elif self.checkpoints.paths():
             raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
+        elif begin is not None:
+            self.training = begun(self.training, begin)
         self.bar.begun = self.done
         store.write_json(self.folder / FILE, as_dict(settings))
 

@@ -1,7 +1,7 @@
 """The whole loop on robots with 150 ms more latency and a horn that is 10 deg off: measure, search, patch, train, swim.
 
     python -m fishmj.studies.whole_loop --seeds 10 --out runs/whole_loop
-    python -m fishmj.studies.whole_loop --only 0 --steps 2e6 --swims 4 --out runs/look           one robot, a shorter training
+    python -m fishmj.studies.whole_loop --only 0 --steps 5e5 --swims 4 --out runs/look           one robot, a shorter training
 
 A robot is the second one with constants of its seed; horn and side follow from the seed by rule (`steps.Fault.of`). Every step is
 a command of its user's: twelve experiments while it is healthy, its water calibrated to them; then the fault sets in, the same
@@ -66,7 +66,7 @@ def main(argv: list[str]) -> int:
     add("--experiments", type=console.text, nargs="+", default=list(steps.EXPERIMENTS), metavar="NAME", help=experiments)
     add("--null-runs", type=console.whole(8, 1000), default=96, metavar="N", help="of gap find (default 96)")
     add("--preset", type=console.text, default="quick", help="of the trainings (default quick)")
-    add("--steps", type=console.number(1, 1e10), default=8e6, metavar="N", help="control steps of each training (default 8e6)")
+    add("--steps", type=console.number(1, 1e10), default=2e6, metavar="N", help="control steps of each training (default 2e6)")
     add("--swims", type=console.whole(1, 72), default=8, help="of each arm (default 8)")
     add("--seconds", type=console.number(1, 60), default=steps.SECONDS, help=f"of a swim (default {steps.SECONDS:g})")
     add("--jobs", type=console.whole(0, 256), default=0, metavar="N", help="robots at once; 0: one a core (default 0)")

@@ -65,7 +65,7 @@ class Loop:
     experiments: tuple[str, ...] = EXPERIMENTS
     null_runs: int = 96
     preset: str = "quick"
-    steps: int = 8_000_000
+    steps: int = 2_000_000
     swims: int = 8
     seconds: float = SECONDS
 
@@ -124,15 +124,17 @@ def answered(verdict: dict) -> dict:
 
 
 def train(loop: Loop, seed: int, arm: str) -> None:
-    """A short training from nothing in the last version (`after`), or in the model before any patch (`unpatched`)."""
+    """A short training in the last version (`after`), or in the model before any patch (`unpatched`). It begins with the policy
+    of the healthy day."""
     folder = loop.folder(seed)
     model, out = model_of(loop, seed, arm), folder / f"trained_{arm}"
     done = folder / f"trained_{arm}.json"  # not a policy file: an interrupted training leaves these, too
     if done.is_file() or arm == AFTER and not patched(loop, seed):
         return
     words = ["--preset", loop.preset, "--steps", loop.steps, "--robot", model, "--out", out]
-    called(loop, seed, "train", *words, *(["--resume"] if any((out / "checkpoints").glob("*")) else []))
-    write_json(done, {"steps": loop.steps, "preset": loop.preset})
+    going = any((out / "checkpoints").glob("*"))
+    called(loop, seed, "train", *words, *(["--resume"] if going else ["--begin", loop.policy]))
+    write_json(done, {"steps": loop.steps, "preset": loop.preset, "begin": loop.policy})
 
 
 def patched(loop: Loop, seed: int) -> bool:

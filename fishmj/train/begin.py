@@ -1,0 +1,55 @@
+"""A training that begins with a policy's network in place of chance: `fishmj train --begin POLICY`.
+
+The actor is the policy's; the critic, which no policy file holds, begins anew. Exploration begins at SIGMA: at the usual
+deviation of u a fish that can swim would be pushed off its course before the critic knows what that costs.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from fishmj.controllers.learned import LearnedController
+from fishmj.errors import ConfigError
+from fishmj.policy import Policy
+from fishmj.train.build import robot_for
+from fishmj.train.networks import scale
+from fishmj.train.settings import Settings, change
+
+SIGMA = 0.2  # initial standard deviation of u
+
+
+def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tuple[Policy, Settings]:
+    """The policy, and the settings with its widths, activation, memory and command path.
+
+    Args:
+        source: shipped name, policy file or folder of a training. asked: of --hidden, --memory and --command-path what was given.
+
+    Raises:
+        ConfigError: another algorithm than PPO, a policy for another structure, or one that is not as asked.
+        UnknownName, StoreError: no such policy, or a damaged one.
+    """
+    if settings.algo != "ppo":
+        raise ConfigError(f"--begin: {settings.algo} learns from nothing; --algo ppo begins with a policy")
+    policy = Policy.load(source)
+    hidden, path = tuple(len(b) for _, b in policy.weights[:-1]), policy.meta.get("command_path") or settings.command_path
+    for option, theirs in (("--hidden", hidden), ("--memory", policy.memory), ("--command-path", path)):
+        if asked.get(option, theirs) != theirs:
+            raise ConfigError(f"--begin {source}: {option} {asked[option]}, the policy has {theirs}; leave {option} out")
+    network = {"hidden": hidden, "activation": policy.meta["activation"], "sigma": SIGMA}
+    made = change(settings, command_path=path, task={"memory": policy.memory}, algorithm=network)
+    robot = robot_for(made)
+    LearnedController(robot, source)  # refuses one for another structure
+    if not np.allclose(policy.meta["scale"], scale(robot.n_joints)):
+        raise ConfigError(f"--begin {source}: it divides its observations by other numbers than trainings of this version do")
+    return policy, made
+
+
+def begun(training, policy: Policy):
+    """A fresh train state whose actor is the policy's."""
+    layers = [(jnp.asarray(w.T, jnp.float32), jnp.asarray(b, jnp.float32)) for w, b in policy.weights]
+    shapes = lambda actor: [(w.shape, b.shape) for w, b in actor]
+    if shapes(layers) != shapes(training.actor):
+        raise ConfigError(f"--begin: the policy's layers are {shapes(layers)}, this training's {shapes(training.actor)}")
+    return training._replace(actor=layers)
