@@ -19,7 +19,7 @@ EXAMPLES = """examples:
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
   fishmj train --memory 8                        the policy sees its last eight observations
-  fishmj train --begin station --robot mine.toml begin with a policy that can swim, not from nothing
+  fishmj train --begin station                   begin with a policy that can swim, not from nothing
   fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
   fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
   fishmj evaluate runs/quick-ppo-0               judge what came out: its best.safetensors
