@@ -15,7 +15,6 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, fine_lattice
 from fishmj.lbm_oracle.run.domain import Domain, preset
-from fishmj.lbm_oracle.run.refined_run import hand_over_both
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
 
 pytestmark = pytest.mark.oracle
@@ -241,9 +240,9 @@ def test_levels_survive_another_time_step_and_back():
     water = run.coupled.fluid
     before = [level.velocity() for level in water.levels], water.account
     fine = run._refinement._fine(2)
-    hand_over_both(run.coupled, fine)
+    run._refinement.hand_over(run.coupled, fine)
     assert fine.fluid.account[1][1] == 2 * before[1][1][1] and fine.fluid.outer.lattice.dt == 0.005
-    hand_over_both(fine, run.coupled)
+    run._refinement.hand_over(fine, run.coupled)
     for level, velocity in zip(water.levels, before[0], strict=True):
         assert level.velocity() == pytest.approx(velocity, abs=1e-6)
     assert water.account == before[1]

@@ -31,9 +31,7 @@ from fishmj.mjcf.identity import robot_sha256
 from fishmj.source import made_by
 from fishmj.tracker.calibration import Calibration
 
-SWITCH = (
-    5e-4  # s that the tracker's thread may keep the loop waiting where it holds the interpreter; Python's own 5 ms are too long
-)
+SWITCH = 5e-4  # s that another thread may keep the loop waiting where it holds the interpreter; Python's own 5 ms are too long
 BOUND = constant("task", "bound")  # m
 APART = 0.01  # m between a place and where its pixel is: farther apart, the lens was not calibrated there
 EXAMPLES = """examples:

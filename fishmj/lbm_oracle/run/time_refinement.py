@@ -95,6 +95,8 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
 class Refinement:
     """The finer waters of one coupled fish, and the ticks that are done again in them."""
 
+    structure: type[FluidStructure] = FluidStructure  # of the finer waters
+
     def __init__(self, coupled: FluidStructure):
         self.coupled = coupled
         self._finer: dict[int, FluidStructure] = {}
@@ -106,9 +108,9 @@ class Refinement:
             SimDiverged, OracleUnstable: what the finest steps raised.
         """
         for factor in factors:
-            restore(self.coupled, kept)
+            self.restore(kept)
             fine = self._fine(factor)
-            hand_over(self.coupled, fine)
+            self.hand_over(self.coupled, fine)
             fine.take_wrench(1.0)  # what an attempt that was given up had summed
             try:
                 done = yield from steps(fine, factor)
@@ -117,19 +119,31 @@ class Refinement:
                     raise
                 continue
             if done is not None:
-                hand_over(fine, self.coupled)
+                self.hand_over(fine, self.coupled)
                 return done
         return None
+
+    def restore(self, kept: TickState) -> None:
+        """Back to the start of the tick."""
+        restore(self.coupled, kept)
+
+    def hand_over(self, giver: FluidStructure, taker: FluidStructure) -> None:
+        """Fish and water from one time step to the other."""
+        hand_over(giver, taker)
+
+    def finer_water(self, factor: int) -> Fluid:
+        """The water with steps shorter by `factor`."""
+        return self.coupled.fluid.finer(factor)
 
     def _fine(self, factor: int) -> FluidStructure:
         """The same body in finer water: made once, since its arrays are as large as the first ones; its state is not set."""
         if factor not in self._finer:
             old = self.coupled
-            water = old.fluid.finer(factor)
+            water = self.finer_water(factor)
             old.body.set_step(water.lattice.dt)
             same = {"slip": old.slip, "width": old.boundary.width, "passes": old.boundary.passes}
             same |= {"scheme": old.scheme, "interior": old.interior}
-            self._finer[factor] = FluidStructure(water, old.body, old.boundary.markers, **same)
+            self._finer[factor] = self.structure(water, old.body, old.boundary.markers, **same)
         return self._finer[factor]
 
 
