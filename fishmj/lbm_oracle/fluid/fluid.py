@@ -22,13 +22,16 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey, Surveyor
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
-from fishmj.lbm_oracle.fluid.lattice import Lattice, Q
+from fishmj.lbm_oracle.fluid.lattice import Lattice, Q, vec19i
+from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
+from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
 from fishmj.lbm_oracle.fluid.step import Params, stream_collide
 from fishmj.lbm_oracle.fluid.storage import STORAGE
 
 MOST = 16  # cores that one box keeps busy
 _POOL = ThreadPoolExecutor(max_workers=MOST, thread_name_prefix="slab")
 THINNEST = 4  # planes of x in a slab, at least
+ROWS = 40_000  # cells from which on a CPU goes by rows: twice as fast, and longer to compile
 SUBGRID = ("wale", "none")
 CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
@@ -45,8 +48,18 @@ def slabs_for(device, planes: int, wanted: int | None = None) -> int:
     return max(1, min(wanted or usable_cores(), planes // THINNEST or 1, MOST))
 
 
+def kernel_for(shape: tuple[int, int, int], device) -> tuple[Callable[..., wp.Kernel], int]:
+    """Who makes the kernel of a step, and how many threads a plane of x takes; all kernels compute the same."""
+    row, cells = shape[2], int(np.prod(shape))
+    if device.is_cuda and row % 2 == 0:
+        return stream_collide_pairs, shape[1] * row // 2
+    if not device.is_cuda and cells >= ROWS:
+        return stream_collide_rows, shape[1]
+    return stream_collide, shape[1] * row
+
+
 def record(kernel: wp.Kernel, planes: int, plane: int, args: list[Any], device, slabs: int) -> list[Any]:
-    """Launches over `planes` times `plane` cells; the kernel's first argument is the first cell of its slab."""
+    """Launches over `planes` times `plane` threads; the kernel's first argument is the first thread of its slab."""
     edges = np.linspace(0, planes, slabs + 1).astype(int) * plane
     return [
         wp.launch(kernel, dim=int(high - low), inputs=[int(low), *args], device=device, record_cmd=True)
@@ -63,6 +76,20 @@ def launch(slabs: list[Any]) -> None:
     slabs[0].launch()
     for done in waiting:
         done.result()
+
+
+def pool() -> ThreadPoolExecutor:
+    """The threads that step slabs."""
+    return _POOL
+
+
+def pieces(first: int, count: int, size: int) -> list[tuple[int, int]]:
+    """`count` world planes from `first` on, as runs (first, count) of an array that is indexed modulo `size`."""
+    if count == 0:
+        return []
+    start = first % size
+    over = max(0, start + count - size)
+    return [(start, count - over)] + ([(0, over)] if over else [])
 
 
 class Fluid:
@@ -120,7 +147,8 @@ class Fluid:
         self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
         self.flow = flow or Flow()
-        self._kernel = stream_collide(boundaries.axes, subgrid == "wale", dtype, keep_velocity)
+        make, self._plane = kernel_for(shape, self.device)
+        self._kernel, self._paired = make(boundaries.axes, subgrid == "wale", dtype, keep_velocity), make is stream_collide_pairs
         self._keeps = keep_velocity
         self._options: dict[str, Any] = {"cw": cw, "omega_bulk": omega_bulk, "blend": blend, "dtype": dtype}
         self._options["body_acceleration"] = body_acceleration
@@ -134,6 +162,7 @@ class Fluid:
             self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(6, dtype=int)
         self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
         self._launches: list[list[Any]] | None = None
+        self._parts: dict[tuple[int, int, int], Any] = {}
         self._graphs: dict[int, wp.Graph] = {}
         self._surveyor = Surveyor(shape, self.device)
         self.set_flow(self.flow)
@@ -163,11 +192,35 @@ class Fluid:
     def cells(self) -> int:
         return int(np.prod(self.shape))
 
+    @property
+    def levels(self) -> list["Fluid"]:
+        """All levels of water, the finest first: this one."""
+        return [self]
+
+    @property
+    def phase(self) -> int:
+        """Which copies the next step reads: a captured graph of steps holds for one phase."""
+        return self.parity
+
+    @property
+    def account(self) -> list[tuple[int, int]]:
+        """Copy and steps of each level, as the host counts them."""
+        return [(level.parity, level.steps) for level in self.levels]
+
+    @account.setter
+    def account(self, value: list[tuple[int, int]]) -> None:
+        for level, (parity, steps) in zip(self.levels, value, strict=True):
+            level.parity, level.steps = parity, steps
+
+    def skip(self, steps: int) -> None:
+        """The host's account of steps that a graph has done."""
+        self.parity, self.steps = (self.parity + steps) % 2, self.steps + steps
+
     def set_flow(self, flow: Flow) -> None:
         """Change the background flow from now on; the water inside follows through the sponge."""
         self.flow = flow
         self._inflow = inflow_of(flow, self.lattice, self.device)
-        self._launches, self._graphs = None, {}
+        self._launches, self._graphs, self._parts = None, {}, {}
 
     def settle(self) -> None:
         """Undisturbed background flow everywhere, at the present time."""
@@ -204,13 +257,38 @@ class Fluid:
         launch(self._launches[self.parity])
         self.parity, self.steps = 1 - self.parity, self.steps + 1
 
+    def planes(self, first: int, count: int) -> Any:
+        """The launch of a part of a time step: `count` planes of x from `first` on, in memory order. `skip(1)` counts a step.
+
+        The parts of a step may come in any order: each reads what the step before left.
+        """
+        key = self.parity, first, count
+        if key not in self._parts:
+            if not 0 <= first < first + count <= self.shape[0]:
+                raise ConfigError(f"fluid: planes {first} to {first + count} of {self.shape[0]}; expected some within the box")
+            args = [first * self._plane, *self._arguments(self.parity)]
+            self._parts[key] = wp.launch(self._kernel, dim=count * self._plane, inputs=args, device=self.device, record_cmd=True)
+        return self._parts[key]
+
     def _recorded(self, parity: int) -> list[Any]:
         """The launches of a step that starts from this parity."""
+        turn = self.shape[0] * self._plane - 1 if parity else -1  # back and forth: what was written last is read first
+        return record(self._kernel, self.shape[0], self._plane, self._arguments(parity, turn), self.device, self.threads)
+
+    def _arguments(self, parity: int, turn: int = -1) -> list[Any]:
+        """What the kernel takes in a step that starts from this parity, behind its first thread; `turn`: pairs.py."""
         a, b = parity, 1 - parity
-        args = [self.params, self._inflow, self.origin, self.box, self._clock[a], _flat(self._f[a]), _flat(self._u[a])]
-        args += [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
-        planes, plane = self.shape[0], self.shape[1] * self.shape[2]
-        return record(self._kernel, planes, plane, args, self.device, self.threads)
+        args = [
+            *([turn] if self._paired else []),
+            self.params,
+            self._inflow,
+            self.origin,
+            self.box,
+            self._clock[a],
+            _flat(self._f[a]),
+            _flat(self._u[a]),
+        ]
+        return args + [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
         """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""
@@ -316,6 +394,8 @@ class Fluid:
 def _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend) -> Params:
     made = Params()
     made.nx, made.ny, made.nz = shape
+    made.planes = vec19i(*(i * int(np.prod(shape)) for i in range(Q)))
+    made.by_ny, made.by_nz = wp.vec2i(*split_by(shape[1])), wp.vec2i(*split_by(shape[2]))
     made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
     share = blend * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity  # the same loss in a second
     made.hybrid_share, made.hybrid_share_layer = min(1.0, share), min(1.0, LAYER * share)

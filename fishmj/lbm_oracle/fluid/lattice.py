@@ -32,6 +32,8 @@ WEIGHTS = np.array(W)  # (19,)
 
 vec19 = wp.types.vector(length=Q, dtype=wp.float32)
 vec6 = wp.types.vector(length=6, dtype=wp.float32)  # symmetric tensor: xx, yy, zz, xy, xz, yz
+vec6i = wp.types.vector(length=6, dtype=wp.int32)
+vec19i = wp.types.vector(length=Q, dtype=wp.int32)
 
 
 def index_of(c) -> int:

@@ -18,8 +18,8 @@ import warp as wp
 from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Source, completes, ramp, sources
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
-from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec19
-from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, poke, poke3
+from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec6i, vec19, vec19i
+from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, poke, poke3, six
 
 OPTIONS = {"max_unroll": 32, "enable_backward": False}  # and quick roots and quotients on a GPU where there is an eddy viscosity
 Faces = tuple[Axis, Axis, Axis]
@@ -32,6 +32,9 @@ class Params:
     nx: int
     ny: int
     nz: int
+    planes: vec19i  # where each population begins
+    by_ny: wp.vec2i  # what divides by ny and by nz (pairs.py)
+    by_nz: wp.vec2i
     nu: float
     omega_bulk: float
     cw2: float  # square of the WALE constant
@@ -186,7 +189,7 @@ def gradient_within(faces: Faces):
 
 
 @wp.func
-def acceleration_at(s: Params, box: wp.array(dtype=int), force: wp.array(dtype=wp.vec3), node: wp.vec3i, here: int):
+def push_at(s: Params, box: vec6i, force: wp.array(dtype=wp.vec3), node: wp.vec3i, here: int):
     """Acceleration of a world node, uniform and, inside `box`, the body's; and the share of stress that the gradient gives."""
     push = wp.vec3()
     # only in the body's box is there a force to load: 12 bytes that all other nodes save
@@ -203,11 +206,54 @@ def acceleration_at(s: Params, box: wp.array(dtype=int), force: wp.array(dtype=w
     return s.body_acceleration + push, share
 
 
-def _module(faces: Faces, model: str, dtype: str, keeps: str):
+def module_of(faces: Faces, model: str, dtype: str, keeps: str):
     """A module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop."""
     module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), model, dtype, keeps]))
     wp.set_module_options(OPTIONS | {"fast_math": model != "none"}, module)
     return module
+
+
+def update_through(faces: Faces, subgrid: bool):
+    """The Warp function of what becomes of a cell: from pulled populations q and velocity gradient d to those it stores, and its
+    velocity."""
+    opened = any(any(completes(axis)) for axis in faces)
+    _, leave = leave_through(faces)
+
+    @wp.func
+    def update(
+        q: vec19,
+        d: wp.mat33,
+        s: Params,
+        flow: Inflow,
+        at: wp.vec3i,
+        inner: wp.vec3i,
+        node: wp.vec3i,
+        step: int,
+        g: wp.vec3,
+        share: float,
+    ):
+        drho = density(q)  # of the pulled populations: ten moments are all that the collision needs of nineteen
+        u = (1.0 / (1.0 + drho)) * momentum(q)
+        p = non_equilibrium_stress(q, drho, u)
+        sigma = float(0.0)  # noqa: UP018
+        target = wp.vec3()
+        if wp.static(opened):
+            drho, u, sigma, target = leave(s, flow, at, inner, node, step + 1, drho, u)
+        nu = s.nu
+        if wp.static(subgrid):  # from the last step's velocity: this step's neighbours are being written by other threads
+            nu += wale(d[0], d[1], d[2], s.cw2)
+            p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
+        p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
+        v = u + g  # exact difference: f_eq(u + G) - f_eq(u), without a half-force correction of P (collide.py)
+        if wp.static(opened):
+            if sigma > 0.0:  # in moments, P among them: at sigma = 1 the node would be the background's equilibrium
+                drho -= sigma * drho
+                u += sigma * (target - u)
+                v += sigma * (target - v)
+                p *= 1.0 - sigma
+        return reconstruct(drho, u, v, p), 0.5 * (u + v)  # u + G / 2, the second-order velocity of the water
+
+    return update
 
 
 @cache
@@ -217,10 +263,10 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
     `dtype` is how populations are stored. `keeps` stores the velocity of each step, which the next one needs for them.
     """
     number = STORAGE[dtype]
-    module = _module(faces, "wale" if subgrid else "none", dtype, "u" if keeps else "f")
+    module = module_of(faces, "wale" if subgrid else "none", dtype, "u" if keeps else "f")
     pull, velocity_gradient = pull_through(faces, number), gradient_within(faces)
     opened = any(any(completes(axis)) for axis in faces)
-    inward, leave = leave_through(faces)
+    inward, update = leave_through(faces)[0], update_through(faces, subgrid)
 
     @wp.kernel(module=module, grid_stride=False)
     def stream_collide(
@@ -251,34 +297,16 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
             inner = inward(s, at)
             inner_m = wp.vec3i(within(m[0] + inner[0] - at[0], s.nx), within(m[1] + inner[1] - at[1], s.ny), m[2])
         q = pull(f, s, inner, inner_m)
-        drho = density(q)  # of the pulled populations: ten moments are all that the collision needs of nineteen
-        u = (1.0 / (1.0 + drho)) * momentum(q)
-        p = non_equilibrium_stress(q, drho, u)
-        sigma = float(0.0)  # noqa: UP018
-        target = wp.vec3()
-        if wp.static(opened):
-            drho, u, sigma, target = leave(s, flow, at, inner, node, step + 1, drho, u)
-
-        g, share = acceleration_at(s, box, force, node, here)
-        nu = s.nu
-        if wp.static(subgrid):  # from the last step's velocity: this step's neighbours are being written by other threads
+        d = wp.mat33()
+        if wp.static(subgrid):
             d = velocity_gradient(u_old, s, at, m)
-            nu += wale(d[0], d[1], d[2], s.cw2)
-            p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
-        p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
-        v = u + g  # exact difference: f_eq(u + G) - f_eq(u), without a half-force correction of P (collide.py)
-        if wp.static(opened):
-            if sigma > 0.0:  # in moments, P among them: at sigma = 1 the node would be the background's equilibrium
-                drho -= sigma * drho
-                u += sigma * (target - u)
-                v += sigma * (target - v)
-                p *= 1.0 - sigma
-        q = reconstruct(drho, u, v, p)
+        g, share = push_at(s, six(box), force, node, here)
+        q, w = update(q, d, s, flow, at, inner, node, step, g, share)
         n_cells = s.nx * s.ny * s.nz
         for i in range(wp.static(Q)):
             # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
             poke(f_next, wp.static(i) * n_cells + here, q[i])
         if wp.static(keeps):
-            poke3(u_next, here, 0.5 * (u + v))  # u + G / 2, the second-order velocity of the water
+            poke3(u_next, here, w)
 
     return stream_collide

@@ -9,6 +9,8 @@ Half precision stores 2^15 (f - w): values of 1e-6 to 1 keep their eleven bits, 
 
 import warp as wp
 
+from fishmj.lbm_oracle.fluid.lattice import vec6i
+
 STORAGE = {"float32": wp.float32, "float16": wp.float16}
 
 
@@ -34,6 +36,120 @@ def peek3(values: wp.array(dtype=wp.vec3), i: int) -> wp.vec3: ...
 
 @wp.func_native("values.data[i] = value;")
 def poke3(values: wp.array(dtype=wp.vec3), i: int, value: wp.vec3): ...
+
+
+# two neighbours at once, the first at an even place: one load or store of twice the width on an accelerator (pairs.py)
+
+mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
+
+
+def _for(accelerator: str, cpu: str) -> str:
+    """A native function's text that differs on an accelerator."""
+    return f"#if defined(__CUDA_ARCH__)\n{accelerator}\n#else\n{cpu}\n#endif\n"
+
+
+@wp.func_native(
+    _for(
+        "float2 v = *(const float2*)(values.data + i); return wp::vec2(v.x, v.y);",
+        "return wp::vec2(values.data[i], values.data[i + 1]);",
+    )
+)
+def peek_pair(values: wp.array(dtype=wp.float32), i: int) -> wp.vec2: ...
+
+
+@wp.func_native(
+    _for(
+        """unsigned int v = *(const unsigned int*)(values.data + i);
+        float a, b;
+        asm("{.reg .f16 low, high; mov.b32 {low, high}, %2; cvt.f32.f16 %0, low; cvt.f32.f16 %1, high;}"
+            : "=f"(a), "=f"(b) : "r"(v));
+        return wp::vec2(a * 3.0517578125e-05f, b * 3.0517578125e-05f);""",
+        """return wp::vec2(
+            wp::float32(values.data[i]) * 3.0517578125e-05f, wp::float32(values.data[i + 1]) * 3.0517578125e-05f);""",
+    )
+)
+def peek_pair(values: wp.array(dtype=wp.float16), i: int) -> wp.vec2: ...  # noqa: F811
+
+
+@wp.func_native(_for("*(float2*)(values.data + i) = make_float2(a, b);", "values.data[i] = a; values.data[i + 1] = b;"))
+def poke_pair(values: wp.array(dtype=wp.float32), i: int, a: wp.float32, b: wp.float32): ...
+
+
+@wp.func_native(
+    _for(
+        """unsigned int v;
+        asm("{.reg .f16 low, high; cvt.rn.f16.f32 low, %1; cvt.rn.f16.f32 high, %2; mov.b32 %0, {low, high};}"
+            : "=r"(v) : "f"(a * 32768.0f), "f"(b * 32768.0f));
+        *(unsigned int*)(values.data + i) = v;""",
+        "values.data[i] = wp::float16(a * 32768.0f); values.data[i + 1] = wp::float16(b * 32768.0f);",
+    )
+)
+def poke_pair(values: wp.array(dtype=wp.float16), i: int, a: wp.float32, b: wp.float32): ...  # noqa: F811
+
+
+@wp.func_native(
+    _for(
+        """const float2* w = (const float2*)(values.data + i);
+        float2 a = w[0], b = w[1], c = w[2];
+        wp::mat_t<2, 3, wp::float32> r;
+        r.data[0][0] = a.x; r.data[0][1] = a.y; r.data[0][2] = b.x; r.data[1][0] = b.y; r.data[1][1] = c.x; r.data[1][2] = c.y;
+        return r;""",
+        """wp::mat_t<2, 3, wp::float32> r;
+        for (int k = 0; k < 3; ++k) { r.data[0][k] = values.data[i][k]; r.data[1][k] = values.data[i + 1][k]; }
+        return r;""",
+    )
+)
+def peek3_pair(values: wp.array(dtype=wp.vec3), i: int) -> mat23: ...
+
+
+@wp.func_native(
+    _for(
+        """float2* w = (float2*)(values.data + i);
+        w[0] = make_float2(a[0], a[1]); w[1] = make_float2(a[2], b[0]); w[2] = make_float2(b[1], b[2]);""",
+        "values.data[i] = a; values.data[i + 1] = b;",
+    )
+)
+def poke3_pair(values: wp.array(dtype=wp.vec3), i: int, a: wp.vec3, b: wp.vec3): ...
+
+
+@wp.func_native(
+    _for(
+        """int4 a = *(const int4*)values.data;
+        int2 b = *(const int2*)(values.data + 4);
+        wp::vec_t<6, wp::int32> r;
+        r[0] = a.x; r[1] = a.y; r[2] = a.z; r[3] = a.w; r[4] = b.x; r[5] = b.y;
+        return r;""",
+        "wp::vec_t<6, wp::int32> r; for (int k = 0; k < 6; ++k) r[k] = values.data[k]; return r;",
+    )
+)
+def six(values: wp.array(dtype=int)) -> vec6i: ...
+
+
+# the same with a base and an index apart, and velocities by component: a compiler makes vector instructions of it (rows.py)
+
+
+@wp.func_native("return (values.data + base)[i];")
+def peek_at(values: wp.array(dtype=wp.float32), base: int, i: int) -> wp.float32: ...
+
+
+@wp.func_native("return wp::float32((values.data + base)[i]) * 3.0517578125e-05f;")
+def peek_at(values: wp.array(dtype=wp.float16), base: int, i: int) -> wp.float32: ...  # noqa: F811
+
+
+@wp.func_native("(values.data + base)[i] = value;")
+def poke_at(values: wp.array(dtype=wp.float32), base: int, i: int, value: wp.float32): ...
+
+
+@wp.func_native("(values.data + base)[i] = wp::float16(value * 32768.0f);")
+def poke_at(values: wp.array(dtype=wp.float16), base: int, i: int, value: wp.float32): ...  # noqa: F811
+
+
+@wp.func_native("return ((const float*)(values.data + base))[3 * i + part];")
+def peek3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int) -> wp.float32: ...
+
+
+@wp.func_native("((float*)(values.data + base))[3 * i + part] = value;")
+def poke3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int, value: wp.float32): ...
 
 
 @wp.func

@@ -1,0 +1,241 @@
+"""The step of the fluid for a CPU, a row of z a thread: cells side by side in its vector registers, the same numbers to the bit.
+
+A compiler turns a loop into vector instructions where it has no branch, no store that could meet a load, and a plain count. So a
+thread loads up to `LONG` cells of its row into a buffer, collides them in one such loop, and stores them. What has a branch stays
+outside of it: cells that a face redirects, the body's force, the background flow of the sponge. Rows whose nodes an open face
+completes go cell by cell.
+
+What the compiler must see: `while` loops, for Warp's `range` hides the count; a base and an index apart; velocities by component
+and `wp.where` on single numbers, for vectors of three become wide loads that it does not take apart again.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
+from fishmj.lbm_oracle.fluid.domain_faces import FACES, completes, ramp
+from fishmj.lbm_oracle.fluid.inflow import Inflow, background
+from fishmj.lbm_oracle.fluid.lattice import C, Q, vec19, vec19i
+from fishmj.lbm_oracle.fluid.step import (
+    Faces,
+    Params,
+    gradient_within,
+    leave_through,
+    module_of,
+    pick,
+    pull_through,
+    push_at,
+    update_through,
+    within,
+)
+from fishmj.lbm_oracle.fluid.storage import STORAGE, peek3_at, peek_at, poke, poke3, poke3_at, poke_at, six
+
+CELLS = 32  # that are collided at once
+WIDTH = 8  # numbers in a vector register, at most: the loop goes on to a multiple of it and what is too much is not stored
+LONG = wp.constant(CELLS)
+Populations = wp.types.vector(length=Q * CELLS, dtype=wp.float32)
+Gradients = wp.types.vector(length=9 * CELLS, dtype=wp.float32)
+Velocities = wp.types.vector(length=3 * CELLS, dtype=wp.float32)
+
+
+def collide_through(subgrid: bool, opened: bool):
+    """The Warp function of one cell without a branch: `update_through` behind faces that complete nothing."""
+
+    @wp.func
+    def collide(q: vec19, d: wp.mat33, s: Params, g: wp.vec3, damped: bool, sigma: float, target: wp.vec3):
+        drho = density(q)
+        u = (1.0 / (1.0 + drho)) * momentum(q)
+        p = non_equilibrium_stress(q, drho, u)
+        share = wp.where(g[0] * g[0] + g[1] * g[1] + g[2] * g[2] == 0.0, s.hybrid_share, s.hybrid_share_layer)
+        nu = s.nu
+        if wp.static(subgrid):
+            nu += wale(d[0], d[1], d[2], s.cw2)
+            p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
+        p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
+        v = u + (s.body_acceleration + g)
+        if wp.static(opened):
+            drho = wp.where(damped, drho - sigma * drho, drho)
+            for a in range(3):
+                u[a] = wp.where(damped, u[a] + sigma * (target[a] - u[a]), u[a])
+                v[a] = wp.where(damped, v[a] + sigma * (target[a] - v[a]), v[a])
+            for a in range(6):
+                p[a] = wp.where(damped, p[a] * (1.0 - sigma), p[a])
+        return reconstruct(drho, u, v, p), 0.5 * (u + v)
+
+    return collide
+
+
+@cache
+def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: bool = True) -> wp.Kernel:
+    """The kernel of `step.stream_collide` for a CPU; its first argument is the first row, not the first cell."""
+    number = STORAGE[dtype]
+    module = module_of(faces, "wale" if subgrid else "none", dtype, "u_rows" if keeps else "f_rows")
+    pull, velocity_gradient = pull_through(faces, number), gradient_within(faces)
+    opened = any(any(completes(axis)) for axis in faces)
+    inward, update = leave_through(faces)[0], update_through(faces, subgrid)
+    collide = collide_through(subgrid, opened)
+    (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
+    wraps = [FACES[axis.low].wraps for axis in faces]
+
+    @wp.kernel(module=module, grid_stride=False)
+    def stream_collide_rows(
+        start: int,
+        s: Params,
+        flow: Inflow,
+        origin: wp.array(dtype=int),
+        box: wp.array(dtype=int),
+        clock: wp.array(dtype=int),
+        f: wp.array(dtype=number),
+        u_old: wp.array(dtype=wp.vec3),
+        force: wp.array(dtype=wp.vec3),
+        f_next: wp.array(dtype=number),
+        u_next: wp.array(dtype=wp.vec3),
+        clock_next: wp.array(dtype=int),
+    ):
+        column = start + wp.tid()
+        step = clock[0]
+        if column == 0:
+            clock_next[0] = step + 1
+        nx, ny, nz = s.nx, s.ny, s.nz
+        cells = nx * ny * nz
+        plane = ny * nz
+        x, y = column / ny, column % ny
+        row = column * nz
+        x0, y0 = x * plane, y * nz
+        xm, xp = wp.where(x > 0, x - 1, nx - 1) * plane, wp.where(x < nx - 1, x + 1, 0) * plane
+        ym, yp = wp.where(y > 0, y - 1, ny - 1) * nz, wp.where(y < ny - 1, y + 1, 0) * nz
+        at_x, at_y = within(x - origin[3], nx), within(y - origin[4], ny)
+        node_x, node_y = at_x + origin[0], at_y + origin[1]
+        low_z = within(origin[5], nz)  # where the lowest cell of the window lies in memory, and behind it the highest
+        high_z = within(low_z + nz - 1, nz)
+        edge = wp.static(not wraps[0]) and (at_x == 0 or at_x == nx - 1)
+        edge = edge or (wp.static(not wraps[1]) and (at_y == 0 or at_y == ny - 1))
+        inner, inner_x, inner_y = wp.vec3i(at_x, at_y, 0), x, y
+        if wp.static(opened):
+            inner = inward(s, inner)
+            inner_x, inner_y = within(x + inner[0] - at_x, nx), within(y + inner[1] - at_y, ny)
+        sigma = float(0.0)  # noqa: UP018  a variable to Warp
+        if wp.static(opened):
+            sigma = ramp(wp.static(low_x), wp.static(high_x), at_x, nx, s.sponge)
+            sigma += ramp(wp.static(low_y), wp.static(high_y), at_y, ny, s.sponge)
+            sigma = s.sponge_rate * sigma
+        damped = sigma > 0.0
+        pushed = node_x >= box[0] and node_x < box[3] and node_y >= box[1] and node_y < box[4]
+
+        if wp.static(opened):
+            if inner_x != x or inner_y != y:  # the face completes what it takes from the inner neighbour
+                for z in range(nz):
+                    m = wp.vec3i(x, y, z)
+                    at = wp.vec3i(at_x, at_y, within(z - origin[5], nz))
+                    node = wp.vec3i(node_x, node_y, at[2] + origin[2])
+                    within_face = wp.vec3i(inner[0], inner[1], at[2])
+                    q = pull(f, s, within_face, wp.vec3i(inner_x, inner_y, z))
+                    d = wp.mat33()
+                    if wp.static(subgrid):
+                        d = velocity_gradient(u_old, s, at, m)
+                    g, share = push_at(s, six(box), force, node, row + z)
+                    q, w = update(q, d, s, flow, at, within_face, node, step, g, share)
+                    for i in range(wp.static(Q)):
+                        poke(f_next, i * cells + row + z, q[i])
+                    if wp.static(keeps):
+                        poke3(u_next, row + z, w)
+                return
+
+        sources = vec19i()
+        for i in range(wp.static(Q)):
+            sources[i] = wp.static(i) * cells + pick(wp.static(C[i][0]), xm, x0, xp) + pick(wp.static(C[i][1]), ym, y0, yp)
+            sources[i] = sources[i] - wp.static(C[i][2])
+        first = int(0)  # noqa: UP018
+        populations, gradients = Populations(), Gradients()
+        while first < nz:
+            count = wp.min(LONG, nz - first)
+            # rows as they lie in memory, then cell by cell what wraps in z or is redirected
+            i = int(0)  # noqa: UP018
+            while i < wp.static(Q):
+                base = sources[i] + first
+                k = wp.where(first == 0, 1, 0)
+                last = wp.where(first + count == nz, count - 1, count)
+                while k < last:
+                    populations[i * LONG + k] = peek_at(f, base, k)
+                    k += 1
+                i += 1
+            if wp.static(subgrid):
+                k = wp.where(first == 0, 1, 0)
+                last = wp.where(first + count == nz, count - 1, count)
+                here = row + first
+                while k < last:
+                    for a in range(3):
+                        east, west = peek3_at(u_old, xp + y0 + first, k, a), peek3_at(u_old, xm + y0 + first, k, a)
+                        north, south = peek3_at(u_old, x0 + yp + first, k, a), peek3_at(u_old, x0 + ym + first, k, a)
+                        above, below = peek3_at(u_old, here + 1, k, a), peek3_at(u_old, here - 1, k, a)
+                        gradients[wp.static(a) * LONG + k] = 0.5 * (east - west)
+                        gradients[wp.static(3 + a) * LONG + k] = 0.5 * (north - south)
+                        gradients[wp.static(6 + a) * LONG + k] = 0.5 * (above - below)
+                    k += 1
+            e = int(0)  # noqa: UP018
+            while e < wp.where(edge, count, 4):
+                z = first + e
+                if not edge:
+                    z = wp.where(e < 2, wp.where(e == 0, 0, nz - 1), wp.where(e == 2, low_z, high_z))
+                if z >= first and z < first + count:
+                    k = z - first
+                    at, m = wp.vec3i(at_x, at_y, within(z - origin[5], nz)), wp.vec3i(x, y, z)
+                    q = pull(f, s, at, m)
+                    for i in range(wp.static(Q)):
+                        populations[wp.static(i) * LONG + k] = q[i]
+                    if wp.static(subgrid):
+                        d = velocity_gradient(u_old, s, at, m)
+                        for a in range(9):
+                            gradients[wp.static(a) * LONG + k] = d[wp.static(a // 3), wp.static(a % 3)]
+                e += 1
+            pushes, targets = Velocities(), Velocities()
+            k = int(0)  # noqa: UP018
+            if pushed or damped:
+                while k < count:
+                    node_z = within(first + k - origin[5], nz) + origin[2]
+                    if pushed and node_z >= box[2] and node_z < box[5]:
+                        for a in range(3):
+                            pushes[wp.static(a) * LONG + k] = peek3_at(force, row + first, k, a)
+                    if wp.static(opened):
+                        if damped:
+                            target = background(flow, wp.vec3(float(node_x), float(node_y), float(node_z)), step + 1)
+                            for a in range(3):
+                                targets[wp.static(a) * LONG + k] = target[a]
+                    k += 1
+
+            k = int(0)  # noqa: UP018
+            last = (count + WIDTH - 1) / WIDTH * WIDTH
+            while k < last:
+                q = vec19()
+                for i in range(wp.static(Q)):
+                    q[i] = populations[wp.static(i) * LONG + k]
+                d = wp.mat33()
+                for a in range(9):
+                    d[wp.static(a // 3), wp.static(a % 3)] = gradients[wp.static(a) * LONG + k]
+                g = wp.vec3(pushes[k], pushes[LONG + k], pushes[2 * LONG + k])
+                target = wp.vec3(targets[k], targets[LONG + k], targets[2 * LONG + k])
+                q, w = collide(q, d, s, g, damped, sigma, target)
+                for i in range(wp.static(Q)):
+                    populations[wp.static(i) * LONG + k] = q[i]
+                for a in range(3):
+                    pushes[wp.static(a) * LONG + k] = w[a]
+                k += 1
+
+            i = int(0)  # noqa: UP018
+            while i < wp.static(Q):
+                base = i * cells + row + first
+                k = int(0)  # noqa: UP018
+                while k < count:
+                    poke_at(f_next, base, k, populations[i * LONG + k])
+                    k += 1
+                i += 1
+            if wp.static(keeps):
+                k = int(0)  # noqa: UP018
+                while k < count:
+                    for a in range(3):
+                        poke3_at(u_next, row + first, k, a, pushes[wp.static(a) * LONG + k])
+                    k += 1
+            first += LONG
+
+    return stream_collide_rows
