@@ -1,5 +1,7 @@
 """Steps that never wait for the host, beside the host's own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -13,6 +15,9 @@ from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
 from fishmj.lbm_oracle.immersed.markers import fish_markers, sphere_markers
+from fishmj.lbm_oracle.run.domain import Domain, preset
+from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
 from fishmj.mjcf import Link, Robot
 
 wp.config.quiet = True
@@ -43,13 +48,15 @@ def state_of(coupled) -> np.ndarray:
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize("root", ["planar", "free"])
-def test_a_tick_on_the_device_is_the_hosts_tick(root):
+@pytest.mark.parametrize(("root", "warps"), [("planar", False), ("planar", True), ("free", True)])
+def test_a_tick_on_the_device_is_the_hosts_tick(root, warps):
+    """With the markers' kernels of the host's steps, and with those of a warp a marker; MuJoCo's own steps agree."""
     one, other = pond("cpu", root=root), pond("cpu", root=root)
-    steps = DeviceSteps(other, COUNT)
+    steps = DeviceSteps(other, COUNT, warps=warps)
     for tick in range(3):
         torque, rate, fastest = by_the_host(one, tick)
-        seen = steps.run(command(tick))
+        steps.queue(command(tick))
+        seen = steps.finish(audit=True)
         np.testing.assert_allclose(state_of(other), state_of(one), atol=1e-11)
         np.testing.assert_allclose(seen.torque, torque, atol=1e-10)
         np.testing.assert_allclose(seen.rate, rate, atol=1e-11)
@@ -116,6 +123,125 @@ def test_a_body_that_runs_away_stops_and_says_which_joint():
     with pytest.raises(SimDiverged, match=r"velocity of joint '.+' is"):
         steps.run(np.zeros((1, 3)))
     np.testing.assert_array_equal(coupled.body.data.qpos, before)
+
+
+def tube(**options) -> SwimSetup:
+    """Long enough for water far from the fish, which reaches round the end of the array."""
+    domain = Domain(name="tube", shape=(130, 40, 20), dx=0.02, dt=0.004, follows=True, sponge=4)
+    return SwimSetup(domain=domain, pose=(1.5, 0.0, 0.0), **options)
+
+
+def test_water_stepped_near_the_fish_and_far_from_it_is_all_the_water():
+    one, other = tube().coupled(), tube().coupled()
+    steps = DeviceSteps(other, COUNT, warps=True, split=True)
+    for tick in range(2):
+        by_the_host(one, tick)
+        steps.run(command(tick))
+        low, count = steps._near()
+        assert count < 65 and low // 130 != (low + count - 1) // 130
+    np.testing.assert_array_equal(other.fluid.f.numpy(), one.fluid.f.numpy())
+    np.testing.assert_array_equal(other.fluid.clock.numpy(), one.fluid.clock.numpy())
+    assert not other.fluid.force.numpy().any()
+    np.testing.assert_allclose(state_of(other), state_of(one), atol=1e-11)
+
+
+def test_a_body_that_leaves_the_near_water_is_not_believed():
+    coupled = tube().coupled()
+    steps = DeviceSteps(coupled, COUNT, split=True)
+    coupled.body.place(coupled.body.data.qpos.copy(), np.array([4.0, 0, 0, 0, 0, 0]))
+    with pytest.raises(SimDiverged, match=r"the body moved by [3-9] cells within 5 steps"):
+        steps.run(np.zeros((COUNT, 3)))
+
+
+def test_an_audit_names_both_numbers_where_mujoco_disagrees():
+    coupled = pond("cpu")
+    steps, before = DeviceSteps(coupled, COUNT), coupled.body.data.qpos.copy()
+    coupled.body.model.body_mass[2] *= 1.01  # of MuJoCo's fish, not of the device's
+    steps.queue(command(0))
+    with pytest.raises(SimDiverged, match=r"audit by mj_step at t = 0 s: velocity \d is .+ on the device and .+ in MuJoCo"):
+        steps.finish(audit=True)
+    np.testing.assert_array_equal(coupled.body.data.qpos, before)
+    assert coupled.steps == 0 and coupled.time == 0.0
+
+
+def test_levels_of_water_are_the_hosts_too():
+    box, made = Domain(name="pool", shape=(44, 40, 20), dx=0.02, dt=0.004, sponge=4, fine=(0.64, 0.56, 0.28)), []
+    for on_device in (False, True):
+        run = SwimSetup(domain=box).run(on_device=on_device, latency=0.0)
+        for tick in range(2):
+            run.tick(0.3 * command(tick)[0])
+        made.append(run)
+    one, other = made
+    assert other._at_once is not None and one._at_once is None
+    np.testing.assert_allclose(state_of(other.coupled), state_of(one.coupled), atol=1e-11)
+    assert other.coupled.fluid.account == one.coupled.fluid.account
+
+
+# in runs --------------------------------------------------------------------------------------------------------------
+
+
+def columns(run: Run) -> list[np.ndarray]:
+    return [np.array(column) for column in zip(*run.rows, strict=True)]
+
+
+def test_a_run_on_the_device_is_the_run_of_the_host():
+    gait, made = Gait(ramp=0.2), []
+    for on_device in (False, True):
+        run = Run(pond("cpu"), on_device=on_device)
+        for _ in range(12):
+            run.tick(gait(run.time))
+        made.append(run)
+    one, other = made
+    assert other._at_once is not None and one._at_once is None
+    for mine, theirs in zip(columns(other), columns(one), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-11, rtol=1e-9)
+    assert (other.watch.looks, other.coupled.steps) == (one.watch.looks, one.coupled.steps)
+    assert other.fastest == pytest.approx(one.fastest)
+
+
+def test_a_tick_too_fast_for_the_device_is_done_again_by_the_host(monkeypatch):
+    gait, ends = Gait(ramp=0.2), []
+    monkeypatch.setattr(Run, "limit", 0.35)
+    for on_device in (False, True):
+        run = Run(pond("cpu"), on_device=on_device, latency=0.0)
+        for _ in range(12):
+            run.tick(gait(run.time))
+        ends.append((run.refined, run.pose))
+    assert ends[1][0] == ends[0][0] > 0
+    np.testing.assert_allclose(ends[1][1], ends[0][1], atol=1e-11)
+
+
+def test_what_is_held_or_led_is_left_to_the_host():
+    run = Run(pond("cpu"), on_device=True, tethered=True)
+    run.tick(np.zeros(3))
+    assert run._at_once is None
+    run.tethered = False
+    run.tick(np.zeros(3))
+    assert run._at_once is not None
+    led = Run(pond("cpu"), on_device=True, prescribed=Gait())
+    led.tick()
+    assert led._at_once is None
+    other = Run(pond("cpu", scheme="explicit"), on_device=True)
+    other.tick(np.zeros(3))
+    assert other._at_once is None and not other.on_device
+
+
+def test_a_tank_alone_keeps_its_steps_on_the_host_on_a_cpu():
+    """Shipped data were made so, to the bit."""
+    assert not Run(pond("cpu")).on_device
+
+
+def test_the_domain_is_looked_after_as_often_in_steps_together_as_one_by_one():
+    looks = []
+    for together in (1, 5, 10):
+        watch, coupled = DomainWatch(replace(preset("laptop"), shape=(120, 120, 40))), tube().coupled()
+        seen: list[int] = []
+        watch.follow = lambda coupled, seen=seen: seen.append(coupled.steps)
+        for coupled.steps in range(together, 61, together):
+            coupled.together = together
+            watch(coupled)
+        looks.append(len(seen))
+    assert looks == [15, 15, 15]
 
 
 def test_the_explicit_scheme_is_left_to_the_host():

@@ -80,6 +80,8 @@ class Motion:
     screw: wp.array(dtype=wp.float64)  # 6 n, S
     drift: wp.array(dtype=wp.float64)  # 6 n, c
     momentum: wp.array(dtype=wp.float64)  # 6 n, I_j S_j
+    arm: wp.array(dtype=wp.float64)  # 3 L, centres of mass from r
+    turned: wp.array(dtype=wp.float64)  # 9 L, inertia about them in the world's axes
     force: wp.array(dtype=wp.float64)  # 6 L, (N, F)
     mass_matrix: wp.array(dtype=wp.float64)  # n n
     bias: wp.array(dtype=wp.float64)  # n
@@ -183,21 +185,17 @@ def set_drift(t: Tree, s: Motion, d: int):
 
 
 @wp.func
-def arm_of(t: Tree, s: Motion, l: int) -> wp.vec3d:
-    """The centre of mass of link l from r."""
-    return point3(s.pose, 12 * l) - point3(s.pose, 0) + matrix3(s.pose, 12 * l + 3) * point3(t.centre, 3 * l)
-
-
-@wp.func
 def inertia_about(turn: wp.mat33d, inertia: wp.mat33d) -> wp.mat33d:
     """Moments of inertia in the world's axes."""
     return turn * inertia * wp.transpose(turn)
 
 
 @wp.func
-def inertia_of(t: Tree, s: Motion, l: int) -> wp.mat33d:
-    """Of link l about its centre of mass."""
-    return inertia_about(matrix3(s.pose, 12 * l + 3), matrix3(t.inertia, 9 * l))
+def set_masses(t: Tree, s: Motion, l: int):
+    """Where link l's mass is, and how it is turned."""
+    turn = matrix3(s.pose, 12 * l + 3)
+    put(s.arm, 3 * l, point3(s.pose, 12 * l) - point3(s.pose, 0) + turn * point3(t.centre, 3 * l))
+    put3(s.turned, 9 * l, inertia_about(turn, matrix3(t.inertia, 9 * l)))
 
 
 @wp.func
@@ -211,7 +209,7 @@ def set_force(t: Tree, s: Motion, l: int):
         u += speed * point3(s.screw, 6 * d + 3)
         dw += reach * point3(s.drift, 6 * d)
         du += reach * point3(s.drift, 6 * d + 3)
-    p, inertia = arm_of(t, s, l), inertia_of(t, s, l)
+    p, inertia = point3(s.arm, 3 * l), matrix3(s.turned, 9 * l)
     gained = du + wp.cross(dw, p) + wp.cross(w, u + wp.cross(w, p))
     force = t.mass[l] * (gained - t.gravity)
     put(s.force, 6 * l, inertia * dw + wp.cross(w, inertia * w) + wp.cross(p, force))
@@ -224,10 +222,10 @@ def set_momentum(t: Tree, s: Motion, d: int):
     mass, first, second = wp.float64(0.0), wp.vec3d(), wp.mat33d()
     for l in range(t.links):
         if t.reach[l * t.dofs + d] > wp.float64(0.5):
-            p = arm_of(t, s, l)
+            p = point3(s.arm, 3 * l)
             mass += t.mass[l]
             first += t.mass[l] * p
-            second += inertia_of(t, s, l)
+            second += matrix3(s.turned, 9 * l)
             second += t.mass[l] * (wp.dot(p, p) * wp.identity(n=3, dtype=wp.float64) - wp.outer(p, p))
     a, b = point3(s.screw, 6 * d), point3(s.screw, 6 * d + 3)
     put(s.momentum, 6 * d, second * a + wp.cross(first, b))
@@ -271,7 +269,11 @@ def place_body(t: Tree, s: Motion, me: int, threads: int):
 @wp.func
 def weigh_body(t: Tree, s: Motion, me: int, threads: int):
     """M, bias, passive and servo forces, after `place_body`."""
-    d, l, k = int(me), int(me), int(me)
+    d, l, k, c = int(me), int(me), int(me), int(me)
+    while c < t.links:
+        set_masses(t, s, c)
+        c += threads
+    wait_for_block()
     while d < t.dofs:
         set_drift(t, s, d)
         set_momentum(t, s, d)
@@ -386,7 +388,16 @@ def motion_of(model: mujoco.MjModel, device: Any, **given: wp.array) -> Motion:
     """Arrays for the state of a model, and for what follows from it; those `given` by name are taken, the others made."""
     n, count, s = model.nv, model.nbody - 1, Motion()
     sizes = {"qpos": model.nq, "qvel": n, "command": model.nu, "pose": 13 * count + 6 * n, "screw": 6 * n, "drift": 6 * n}
-    sizes |= {"momentum": 6 * n, "force": 6 * count, "mass_matrix": n * n, "bias": n, "actuator": n, "passive": n}
+    sizes |= {
+        "momentum": 6 * n,
+        "arm": 3 * count,
+        "turned": 9 * count,
+        "force": 6 * count,
+        "mass_matrix": n * n,
+        "bias": n,
+        "actuator": n,
+        "passive": n,
+    }
     for name, size in sizes.items():
         setattr(s, name, given[name] if name in given else wp.zeros(size, dtype=wp.float64, device=device))
     return s

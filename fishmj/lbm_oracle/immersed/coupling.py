@@ -12,8 +12,10 @@ light tail, is stable so; the explicit scheme takes the water's answer to the ol
 Host and device work side by side: the device makes up K while the host makes up M, and moves the water while MuJoCo steps.
 """
 
+from collections.abc import Callable, Hashable
 from contextlib import nullcontext
-from typing import Literal, Protocol
+from functools import partial
+from typing import Literal
 
 import numpy as np
 import warp as wp
@@ -22,12 +24,14 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
+from fishmj.lbm_oracle.immersed.early_water import EarlyWater
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 SCHEMES = ("implicit", "explicit")
 # of a step: what the device does between two things that the host does; or several steps without it (device_steps.py)
 Part = Literal["response", "solution", "water", "steps"]
-NEXT, LAST = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]  # of x, y, z: a x b is the first less the second half of a_next b_last
+MOST_GRAPHS = 64  # kept of one fluid
+NEXT, LAST = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])  # a x b: the first less the second half of a_next b_last
 
 
 class FluidStructure:
@@ -53,8 +57,11 @@ class FluidStructure:
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
         self.steps = 0
+        self.together = 1  # steps between the last two times that the host saw the body
         self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`
-        self._graphs = Graphs(self) if fluid.device.is_cuda else None
+        self.graphs = Graphs(fluid) if fluid.device.is_cuda else None
+        cores = not fluid.device.is_cuda and type(fluid) is Fluid and fluid.threads > 1
+        self.early = EarlyWater(fluid) if cores else None
 
     @property
     def time(self) -> float:
@@ -105,27 +112,29 @@ class FluidStructure:
 
     def advance(self) -> np.ndarray:
         """Wait for the velocity, (n,), and let MuJoCo take it."""
-        if self._graphs is not None:
-            self._graphs.wait()
+        if self.graphs is not None:
+            self.graphs.wait()
         velocity = self.boundary.velocity.copy()  # the device writes there again in the next step
         if self.boundary.interior is not None:
             self.body.set_interior_speed(self.boundary.interior_speed)
         self.body.advance(velocity)
-        self.steps += 1
+        self.steps, self.together = self.steps + 1, 1
         return velocity
 
     def scope(self):
         """The stream of this tank: whatever else looks at its arrays or moves them does so inside."""
-        return nullcontext() if self._graphs is None else wp.ScopedStream(self._graphs.stream)
+        return nullcontext() if self.graphs is None else wp.ScopedStream(self.graphs.stream)
 
     def join_stream(self) -> None:
         """From here on, who looks at the arrays outside `scope` sees them after the step; the host does not wait."""
-        if self._graphs is not None:
-            self._graphs.join_stream()
+        if self.graphs is not None:
+            self.graphs.join_stream()
 
     def launch(self, part: Part) -> None:
         """The kernels of one part of a step, in their order; no look at the host, so that a graph can hold them."""
         if part == "response":
+            if self.early is not None:
+                self.early.begin(int(self.boundary.view["box"][0]), self.boundary.box_shape[0])
             self.boundary.fetch_place()
             self.boundary.assemble_response(self.fluid.f.flatten(), self.fluid.origin, self.fluid.box)
         elif part == "solution":
@@ -134,15 +143,18 @@ class FluidStructure:
             self.boundary.sum_wrench()
         else:
             self.boundary.spread_force(self.fluid.force)
-            self.fluid.stream_collide()
+            if self.early is None:
+                self.fluid.stream_collide()
+            else:
+                self.early.finish()
             self.boundary.clear_force(self.fluid.force)
 
     def _queue(self, part: Part) -> None:
         """Launch a part, from a graph where there are graphs."""
-        if self._graphs is None:
+        if self.graphs is None:
             self.launch(part)
         else:
-            self._graphs.launch(part)
+            self.graphs.launch(part, partial(self.launch, part))
 
     def take_wrench(self, seconds: float) -> tuple[np.ndarray, np.ndarray]:
         """Mean wrench of the water on every link over the last `seconds` (since the last call), each (L, 6).
@@ -157,49 +169,47 @@ class FluidStructure:
         return raw, raw + gain
 
 
-class Queued(Protocol):
-    """What has parts to launch, and the fluid that they move on."""
-
-    fluid: Fluid
-
-    def launch(self, part: Part) -> None:
-        """The kernels of one part, in their order."""
-
-
 class Graphs:
-    """Parts of a step, captured for each parity of the fluid's copies, on a stream of their own."""
+    """Parts of steps of one fluid, captured for each of its phases, on a stream of their own."""
 
-    def __init__(self, coupled: Queued):
-        self.coupled, self.device = coupled, coupled.fluid.device
-        self.stream, self.solved = wp.Stream(self.device), wp.Event(self.device)
+    def __init__(self, fluid: Fluid):
+        self.fluid, self.device = fluid, fluid.device
+        # ahead of other streams' kernels: what one tank waits for is small, and the water of another fills the device
+        self.stream, self.solved = wp.Stream(self.device, priority=-1), wp.Event(self.device)
         self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)
         self.warm: set[tuple[Part, int]] = set()
-        self.graphs: dict[tuple[Part, int], tuple[wp.Graph, int]] = {}  # and how many steps each moves the fluid on
-        self.flow, self.joined = coupled.fluid.flow, True
+        self.kept: dict[tuple[Part, int, Hashable], tuple[wp.Graph, int]] = {}  # and how many steps each moves the fluid on
+        self.flow, self.joined = fluid.flow, True
         wp.synchronize_device(self.device)  # the arrays were made on another stream
 
-    def launch(self, part: Part) -> None:
-        """Queue it: launch by launch the first time, which loads the modules, and from a graph ever after."""
-        fluid = self.coupled.fluid
+    def launch(self, part: Part, queue: Callable[[], None], variant: Hashable = 0) -> None:
+        """Queue it: launch by launch the first time in a phase, which loads the modules, and from a graph ever after.
+
+        Args:
+            queue: makes the launches. variant: what they depend on besides the phase.
+        """
+        fluid = self.fluid
         if fluid.flow is not self.flow:  # a new background flow has new launches
-            self.flow, self.graphs = fluid.flow, {}
+            self.flow, self.kept = fluid.flow, {}
         if self.joined:
             self.stream.wait_stream(self.device.stream)  # what was queued outside `scope` since
             self.joined = False
-        key = part, fluid.parity
-        if key not in self.graphs:
+        first, key = (part, fluid.phase), (part, fluid.phase, variant)
+        if key not in self.kept:
             with wp.ScopedStream(self.stream):
-                if key in self.warm:
-                    self.graphs[key] = self._capture(part)
+                if first in self.warm:
+                    if len(self.kept) >= MOST_GRAPHS:
+                        self.kept = {}
+                    self.kept[key] = self._capture(queue)
                 else:
-                    self.coupled.launch(part)
-        if key in self.graphs:
-            graph, moved = self.graphs[key]
+                    queue()
+        if key in self.kept:
+            graph, moved = self.kept[key]
             with self.here:
                 wp.capture_launch(graph, self.stream)
-            fluid.parity, fluid.steps = (fluid.parity + moved) % 2, fluid.steps + moved
-        self.warm.add(key)
-        if part in ("solution", "steps"):
+            fluid.skip(moved)
+        self.warm.add(first)
+        if part == "solution":
             self.stream.record_event(self.solved)
 
     def join_stream(self) -> None:
@@ -210,11 +220,15 @@ class Graphs:
         """Until the velocity is on the host."""
         wp.synchronize_event(self.solved)
 
-    def _capture(self, part: Part) -> tuple[wp.Graph, int]:
-        fluid = self.coupled.fluid
-        parity, steps = fluid.parity, fluid.steps
+    def idle(self) -> bool:
+        """Has the device done all that was queued here?"""
+        return bool(self.stream.is_complete)
+
+    def _capture(self, queue: Callable[[], None]) -> tuple[wp.Graph, int]:
+        fluid = self.fluid
+        account, steps = fluid.account, fluid.steps
         with wp.ScopedCapture(self.device, stream=self.stream) as captured:
-            self.coupled.launch(part)
+            queue()
         moved = fluid.steps - steps
-        fluid.parity, fluid.steps = parity, steps
+        fluid.account = account
         return captured.graph, moved

@@ -113,8 +113,8 @@ def pivot_row(rows: wp.array(dtype=wp.float64), step: wp.array(dtype=int), p: in
     return found
 
 
-@wp.kernel
-def solve(
+@wp.func
+def solve_block(
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     water: wp.array2d(dtype=wp.float64),
@@ -124,19 +124,11 @@ def solve(
     pivots: wp.array(dtype=int),
     v: wp.array(dtype=wp.float64),
     target: wp.array(dtype=wp.float64),
+    me: int,
+    threads: int,
 ):
-    """(A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
-
-    One block of threads for any number n of degrees of freedom; a thread alone on the CPU. The loops run at run time: unrolled
-    for n, as the matrix in the registers of one thread wants them, they take minutes to compile from n = 18 on.
-
-    Args:
-        implicit: 0 is the explicit coupling (the water sees the old velocity), kept to show that it fails.
-        rows: n (n + 1), the matrix and the right-hand side by rows. step: (n,) in which each row is the pivot's.
-        pivots: (n,) row of each step.
-    """
-    me = wp.tid()
-    n, threads = at.dofs, wp.block_dim()
+    """`solve` by thread `me` of a block of so many `threads`, all of which call it."""
+    n = at.dofs
     wide = n + 1
     across = wp.min(threads, wp.static(WARP))
     column, row, down = me % across, me // across, threads // across
@@ -174,6 +166,31 @@ def solve(
         # the explicit scheme pushes the water by the old velocity, which is what makes it explicit
         target[k] = wp.where(implicit == 0 and host[at.fixed + k] < wp.float64(0.5), host[at.before + k], x)
         k += threads
+
+
+@wp.kernel
+def solve(
+    host: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    water: wp.array2d(dtype=wp.float64),
+    implicit: int,
+    rows: wp.array(dtype=wp.float64),
+    step: wp.array(dtype=int),
+    pivots: wp.array(dtype=int),
+    v: wp.array(dtype=wp.float64),
+    target: wp.array(dtype=wp.float64),
+):
+    """(A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
+
+    One block of threads for any number n of degrees of freedom; a thread alone on the CPU. The loops run at run time: unrolled
+    for n, as the matrix in the registers of one thread wants them, they take minutes to compile from n = 18 on.
+
+    Args:
+        implicit: 0 is the explicit coupling (the water sees the old velocity), kept to show that it fails.
+        rows: n (n + 1), the matrix and the right-hand side by rows. step: (n,) in which each row is the pivot's.
+        pivots: (n,) row of each step.
+    """
+    solve_block(host, at, water, implicit, rows, step, pivots, v, target, wp.tid(), wp.block_dim())
 
 
 @wp.kernel

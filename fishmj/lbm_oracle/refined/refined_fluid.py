@@ -210,15 +210,13 @@ class RefinedFluid(Fluid):
     @property
     def phase(self) -> int:
         """Which copies the next step reads on every level, and in which half of a coarse step: a number for each case."""
-        return self.parity + 2 * (self.steps % RATIO) + 4 * getattr(self.outer, "phase", self.outer.parity)
+        return self.parity + 2 * (self.steps % RATIO) + 4 * self.outer.phase
 
     def skip(self, steps: int) -> None:
         """The host's account of steps that a graph has done."""
         for _ in range(steps):
-            if not self.whole and isinstance(self.outer, RefinedFluid):
+            if not self.whole:
                 self.outer.skip(1)
-            elif not self.whole:
-                self.outer.parity, self.outer.steps = 1 - self.outer.parity, self.outer.steps + 1
             self.parity, self.steps = 1 - self.parity, self.steps + 1
 
     def _captured(self, stride: int) -> wp.Graph:
@@ -237,19 +235,14 @@ class RefinedFluid(Fluid):
         return self._graphs[key]
 
     @property
-    def levels(self) -> list[Fluid]:
-        """All of them, the finest first."""
-        return [self, *(self.outer.levels if isinstance(self.outer, RefinedFluid) else [self.outer])]
+    def boxes(self) -> "list[RefinedFluid]":
+        """Of finer cells, the finest first."""
+        return [self, *(self.outer.boxes if isinstance(self.outer, RefinedFluid) else [])]
 
     @property
-    def account(self) -> list[tuple[int, int]]:
-        """Copy and steps of each level, as the host counts them."""
-        return [(level.parity, level.steps) for level in self.levels]
-
-    @account.setter
-    def account(self, value: list[tuple[int, int]]) -> None:
-        for level, (parity, steps) in zip(self.levels, value, strict=True):
-            level.parity, level.steps = parity, steps
+    def levels(self) -> list[Fluid]:
+        """All of them, the finest first; the last is the water round all boxes."""
+        return [*self.boxes, self.boxes[-1].outer]
 
     def totals(self) -> np.ndarray:
         """Mass less that of still water, kg, and momentum, (3,) kg m/s, of all levels together, each place once."""
@@ -289,13 +282,13 @@ class RefinedFluid(Fluid):
 
     def finer_levels(self, factor: int) -> "RefinedFluid":
         """Undisturbed water on both levels, of the same cells where they are now, with steps `factor` times finer."""
-        outer = self.outer.finer(factor)
+        outer = self.outer.finer_levels(factor) if isinstance(self.outer, RefinedFluid) else self.outer.finer(factor)
         outer._place(self.outer.origin_lu.copy())
         x, y, z = self.low_lu
         return RefinedFluid(outer, (x, y, z), _cells(self.size_lu), linear=self._linear, threads=self.threads)
 
     def take_outer(self, other: "RefinedFluid") -> None:
-        """The coarse water of another box of the same cells and another time step: its place, clock and state."""
+        """All coarser water of another box of the same cells and another time step: its place, clock and state."""
         mine, theirs = self.outer, other.outer
         r = mine.lattice.dt / theirs.lattice.dt
         args = [theirs.f.flatten(), theirs.u.flatten(), r]
@@ -303,6 +296,8 @@ class RefinedFluid(Fluid):
         mine._place(theirs.origin_lu.copy())
         mine.steps = round(theirs.steps / r)
         mine.clock.fill_(mine.steps)
+        if isinstance(mine, RefinedFluid) and isinstance(theirs, RefinedFluid):
+            mine.take_outer(theirs)
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Of both levels, those of the coarse one under `outer.`.

@@ -20,6 +20,7 @@ import warp as wp
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
@@ -33,6 +34,8 @@ from fishmj.mjcf.servos import arrived, on_the_bus
 from fishmj.source import made_by
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
+PATIENCE = 2000  # turns that other tanks are given while one's device works
+AUDIT = 50  # ticks between two that MuJoCo does again, where the device moves the fish by itself
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
 
 
@@ -76,9 +79,12 @@ class Servos:
 
     @property
     def power(self) -> float:
-        """P = sum max(tau (tau - k_b w) / k_b, 0), mean over the steps."""
-        torque, rate, kb = np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb
-        return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)
+        return servo_power(np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb)
+
+
+def servo_power(torque: np.ndarray, rate: np.ndarray, kb: float) -> float:
+    """P = sum max(tau (tau - k_b w) / k_b, 0), mean over the steps, W; torque N m and rate rad/s, (S, J)."""
+    return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)
 
 
 class LeftDomain(FishmjError, RuntimeError):
@@ -95,6 +101,8 @@ class Run:
         latency: of commands, s; the robot's nominal one by default.
         follow: called with the coupled fish after every step: a window moves, a tank looks after its walls. It touches the
             water in `FluidStructure.scope` only.
+        on_device: a tick's steps are done in one, the fish's own motion on the device (`DeviceSteps`), wherever servos alone
+            drive a plain body; by default on an accelerator. `follow` is then called once a tick.
 
     Attributes:
         root: of a tethered fish, its path: t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
@@ -114,7 +122,10 @@ class Run:
         prescribed: Callable[[float], np.ndarray] | None = None,
         latency: float | None = None,
         follow: Callable[[FluidStructure], None] | None = None,
+        on_device: bool | None = None,
     ):
+        self.on_device = coupled.fluid.device.is_cuda if on_device is None else on_device
+        self._at_once: DeviceSteps | None = None
         self.coupled, self.robot = coupled, load_robot(robot)
         self.tethered, self.prescribed, self.follow = tethered, prescribed, follow
         timing, dt = self.robot.timing, coupled.body.dt
@@ -191,6 +202,9 @@ class Run:
 
         With `give_up` it returns None as soon as a marker is too fast for them.
         """
+        at_once = self._device_steps() if factor == 1 else None
+        if at_once is not None:
+            return (yield from self._steps_at_once(at_once, give_up))
         count, corners = self.steps * factor, coupled.boundary.corners
         driver, finished = self._driver(coupled, factor), False
         self.fastest = 0.0
@@ -218,9 +232,45 @@ class Run:
         self.factor = factor
         return driver.power, *coupled.take_wrench(count * coupled.body.dt)
 
+    def _device_steps(self) -> DeviceSteps | None:
+        """What does a tick's steps in one; None where the host does them: by choice, or for what it moves otherwise."""
+        if not self.on_device or self.tethered or self.prescribed or type(self)._driver is not Run._driver:
+            return None
+        if self._at_once is None:
+            try:
+                self._at_once = DeviceSteps(self.coupled, self.steps)
+            except ConfigError:  # a body or a coupling that the device does not compute
+                self.on_device = False
+        return self._at_once
+
+    def _steps_at_once(self, at_once: DeviceSteps, give_up: bool) -> Generator[None, None, Tick | None]:
+        """The steps of one tick without the host; as `_steps`."""
+        coupled, first, finished = self.coupled, self.ticks * self.steps, False
+        self.fastest = 0.0
+        try:
+            at_once.queue(np.array([self.servo_target(first + i) for i in range(self.steps)]))
+            for _ in range(PATIENCE):
+                yield
+                if at_once.ready():
+                    break
+            seen = at_once.finish(audit=self.ticks % AUDIT == 0)
+            self.watch.end()  # the look begun after the tick before: it lies ahead of what was just waited for
+            self.fastest = seen.fastest
+            if give_up and self.fastest > self.limit:
+                return None
+            self._look(coupled)
+            finished = True
+        finally:
+            coupled.join_stream()
+            if not finished:
+                self.watch.pending = None
+        self.factor = 1
+        drawn = servo_power(seen.torque, seen.rate[:, -self.joints :], self.robot.servo.kb)
+        return drawn, *coupled.take_wrench(self.steps * coupled.body.dt)
+
     def _look(self, coupled: FluidStructure) -> None:
-        """After a step: the watch looks at the water, a window follows its fish."""
-        if self.watch.due(coupled.fluid):
+        """After a step, or several in one: the watch looks at the water, a window follows its fish."""
+        if self.watch.due(coupled.fluid, coupled.together):
             with coupled.scope():
                 self.watch.begin(coupled.fluid)
         if self.follow is not None:

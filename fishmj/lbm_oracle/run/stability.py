@@ -127,9 +127,9 @@ class Watch:
     looks: int = 0
     pending: tuple | None = None  # fluid and step of a look that was begun
 
-    def due(self, fluid) -> bool:
-        """Whether this is a step to look after."""
-        return fluid.steps % self.every == 0
+    def due(self, fluid, since: int = 1) -> bool:
+        """Whether this is a step to look after, or one of the last `since` was."""
+        return fluid.steps % self.every < since
 
     def after_step(self, fluid) -> bool:
         """To be called after each step; True when it looked and found all well: the moment to keep a checkpoint."""

@@ -1,0 +1,256 @@
+"""The body's own part of the steps that it does without the host: its equation, its motion, the water inside it.
+
+    begin     what the host sent -> state                                                                     once
+    follow    v+ -> state -> pose, box, fastest corner                                                        a step
+    equation  M + dt D and right-hand side                                                                    a step
+    give_back state, torques, rates, wrenches -> the host's memory, and last the number of the run             once
+
+Each is one block of threads, a thread for each link and each degree of freedom; alone on the CPU. The formulas are those of
+`articulated_body.py` (M, bias, servos) and of `link_dynamics.py` (the water inside the links).
+"""
+
+import warp as wp
+
+from fishmj.lbm_oracle.fluid.storage import matrix3, point3
+from fishmj.lbm_oracle.immersed.articulated_body import Motion, Tree, inertia_about, move_joint, paired, place_body, weigh_body
+from fishmj.lbm_oracle.immersed.fsi_solve import wait_for_block
+from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
+from fishmj.lbm_oracle.immersed.link_dynamics import put
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})  # unrolled further it takes long to compile
+
+
+@wp.struct
+class Inside:
+    """The water inside L links, and the boxes round their markers; float64, SI."""
+
+    dt: wp.float64
+    counts: int  # whether its gain does
+    mass: wp.array(dtype=wp.float64)  # L
+    centre: wp.array(dtype=wp.float64)  # 3 L, in the link's frame
+    inertia: wp.array(dtype=wp.float64)  # 9 L
+    weight: wp.array(dtype=wp.float64)  # 6 L, dt m g
+    slid: wp.array(dtype=wp.float64)  # L, speed along the link as this step measures it
+    speed: wp.array(dtype=wp.float64)  # L, as the step before measured it; nan: it moves as the link does
+    last: wp.array(dtype=wp.float64)  # 6 L, momentum at the start of the step before
+    total: wp.array(dtype=wp.float64)  # 6 L, what it gained in all steps
+    push: wp.array(dtype=wp.float64)  # 6 L, moment about the first link's frame and force times dt
+    applied: wp.array(dtype=wp.float64)  # n
+    corner: wp.array(dtype=wp.float64)  # 24 L, of the boxes
+    seen: wp.array(dtype=wp.float64)  # 7 L, low, high, and square of the greatest speed, of each link
+    fastest: wp.array(dtype=wp.float64)  # 1, of all steps
+    planes: wp.array(dtype=wp.float64)  # 2, least and greatest first cell of the scratch box along x, of all steps
+    dx: wp.float64
+    grid: wp.vec3d  # corner of the grid
+    size: wp.vec3d  # cells of the scratch box
+
+
+@wp.func
+def twist_of(t: Tree, s: Motion, l: int):
+    """Angular velocity, and velocity of the link's point at the first link's frame."""
+    w, u = wp.vec3d(), wp.vec3d()
+    for d in range(t.dofs):
+        speed = t.reach[l * t.dofs + d] * s.qvel[d]
+        w += speed * point3(s.screw, 6 * d)
+        u += speed * point3(s.screw, 6 * d + 3)
+    return w, u
+
+
+@wp.func
+def push_link(t: Tree, s: Motion, e: Inside, l: int):
+    """The momentum that the water inside link l gained since the step before, and its buoyancy over this one."""
+    w, u = twist_of(t, s, l)
+    turn = matrix3(s.pose, 12 * l + 3)
+    p = point3(s.pose, 12 * l) - point3(s.pose, 0) + turn * point3(e.centre, 3 * l)
+    u += wp.cross(w, p)
+    if e.speed[l] == e.speed[l]:  # not nan
+        along = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
+        u += (e.speed[l] - wp.dot(along, u)) * along
+    linear, angular = e.mass[l] * u, inertia_about(turn, matrix3(e.inertia, 9 * l)) * w
+    gained, spun = linear - point3(e.last, 6 * l), angular - point3(e.last, 6 * l + 3)
+    put(e.last, 6 * l, linear)
+    put(e.last, 6 * l + 3, angular)
+    if e.counts == 0:
+        gained, spun = wp.vec3d(), wp.vec3d()
+    put(e.total, 6 * l, point3(e.total, 6 * l) + gained)
+    put(e.total, 6 * l + 3, point3(e.total, 6 * l + 3) + spun)
+    gained -= point3(e.weight, 6 * l)
+    put(e.push, 6 * l, wp.cross(p, gained) + spun)
+    put(e.push, 6 * l + 3, gained)
+
+
+@wp.kernel
+def equation(
+    t: Tree, s: Motion, e: Inside, block: wp.array(dtype=wp.float64), at: CouplingArrays, rate: wp.array(dtype=wp.float64)
+):
+    """M + dt D, the right-hand side and the velocity into the block that the solve reads."""
+    me, threads = wp.tid(), wp.block_dim()
+    n = t.dofs
+    weigh_body(t, s, me, threads)
+    l = int(me)
+    while l < t.links:
+        push_link(t, s, e, l)
+        l += threads
+    wait_for_block()
+    i = int(me)
+    while i < n:
+        rate[i] = s.qvel[i]
+        block[at.before + i] = s.qvel[i]
+        right = e.dt * (s.passive[i] + s.actuator[i] - s.bias[i] + e.applied[i])
+        for k in range(t.links):
+            right += t.reach[k * n + i] * paired(s.screw, i, e.push, k)
+        for j in range(n):
+            entry = s.mass_matrix[n * i + j] + wp.where(i == j, e.dt * t.damping[i], wp.float64(0.0))
+            block[at.system + n * i + j] = entry
+            right += entry * s.qvel[j]
+        block[at.momentum + i] = right
+        i += threads
+
+
+@wp.func
+def settle_inside(s: Motion, e: Inside, l: int):
+    """The speed along the link as measured; the first one is a state, not a gain."""
+    if e.speed[l] != e.speed[l]:
+        along = wp.vec3d(s.pose[12 * l + 3], s.pose[12 * l + 6], s.pose[12 * l + 9])
+        linear = point3(e.last, 6 * l)
+        put(e.last, 6 * l, linear + (e.mass[l] * e.slid[l] - wp.dot(along, linear)) * along)
+    e.speed[l] = e.slid[l]
+
+
+@wp.func
+def look_round(t: Tree, s: Motion, e: Inside, l: int):
+    """The upright box round link l's markers, and the square of its fastest corner's speed."""
+    w, u = twist_of(t, s, l)
+    place, turn = point3(s.pose, 12 * l), matrix3(s.pose, 12 * l + 3)
+    far, fast = wp.float64(wp.inf), wp.float64(0.0)
+    low, high = wp.vec3d(far, far, far), wp.vec3d(-far, -far, -far)
+    for k in range(8):
+        x = place + turn * point3(e.corner, 24 * l + 3 * k)
+        low, high = wp.min(low, x), wp.max(high, x)
+        v = u + wp.cross(w, x - point3(s.pose, 0))
+        fast = wp.max(fast, wp.dot(v, v))
+    put(e.seen, 7 * l, low)
+    put(e.seen, 7 * l + 3, high)
+    e.seen[7 * l + 6] = fast
+
+
+@wp.func
+def set_box(
+    t: Tree,
+    s: Motion,
+    e: Inside,
+    block: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    me: int,
+    threads: int,
+):
+    """The box of cells round the body, into the block that the markers read."""
+    l = int(me)
+    while l < t.links:
+        look_round(t, s, e, l)
+        l += threads
+    wait_for_block()
+    a = int(me)
+    while a < 3:
+        low, high = wp.float64(wp.inf), -wp.float64(wp.inf)
+        for k in range(t.links):
+            low, high = wp.min(low, e.seen[7 * k + a]), wp.max(high, e.seen[7 * k + 3 + a])
+        middle = wp.float64(0.5) * (low + high)
+        first = wp.rint((middle - e.grid[a]) / e.dx - wp.float64(0.5) * e.size[a])
+        block[at.box + a] = first
+        if a == 0:
+            e.planes[0] = wp.min(e.planes[0], first)
+            e.planes[1] = wp.max(e.planes[1], first)
+        a += threads
+
+
+@wp.kernel
+def begin(
+    at: CouplingArrays,
+    block: wp.array(dtype=wp.float64),
+    sent_block: wp.array(dtype=wp.float64),
+    state: wp.array(dtype=wp.float64),
+    sent_state: wp.array(dtype=wp.float64),
+    wrench: wp.array2d(dtype=wp.float64),
+):
+    """What the host sent, out of its own memory; sums that it has taken start from zero."""
+    me, threads = wp.tid(), wp.block_dim()
+    k = int(me)
+    while k < state.shape[0]:
+        state[k] = sent_state[k]
+        k += threads
+    k = int(me)
+    while k < at.size:
+        block[k] = sent_block[k]
+        k += threads
+    wait_for_block()
+    k = int(me)
+    while k < 6 * at.links and block[at.fresh] > wp.float64(0.5):
+        wrench[k // 6, k % 6] = wp.float64(0.0)
+        k += threads
+
+
+@wp.kernel
+def follow(
+    t: Tree,
+    s: Motion,
+    e: Inside,
+    block: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    v: wp.array(dtype=wp.float64),
+    moves: int,
+    measured: int,
+):
+    """The state after the step (`moves`), pose and box of cells round it; `measured` = 0: the interior water moves along."""
+    me, threads = wp.tid(), wp.block_dim()
+    l = int(me)
+    while l < t.links and moves * measured == 1:
+        settle_inside(s, e, l)
+        l += threads
+    wait_for_block()
+    j = int(me)
+    while j < t.joints and moves == 1:
+        move_joint(t, s, j, v, e.dt)
+        j += threads
+    wait_for_block()
+    place_body(t, s, me, threads)
+    set_box(t, s, e, block, at, me, threads)
+    if me == 0 and moves == 1:
+        block[at.fresh] = wp.float64(0.0)
+        for k in range(t.links):
+            e.fastest[0] = wp.max(e.fastest[0], wp.sqrt(e.seen[7 * k + 6]))
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __threadfence_system();
+    __syncthreads();
+#endif
+""")
+def wait_for_host_memory(): ...
+
+
+@wp.func_native("*(volatile double*)(values.data + i) = value;")
+def write_at_once(values: wp.array(dtype=wp.float64), i: int, value: wp.float64): ...
+
+
+@wp.kernel
+def give_back(
+    state: wp.array(dtype=wp.float64),
+    on_host: wp.array(dtype=wp.float64),
+    wrench: wp.array2d(dtype=wp.float64),
+    wrench_on_host: wp.array2d(dtype=wp.float64),
+):
+    """All but the last number of the state, the wrenches, and when these are there the last number: the host waits for it."""
+    me, threads, last = wp.tid(), wp.block_dim(), state.shape[0] - 1
+    k = int(me)
+    while k < last:
+        on_host[k] = state[k]
+        k += threads
+    k = int(me)
+    while k < 6 * wrench.shape[0]:
+        wrench_on_host[k // 6, k % 6] = wrench[k // 6, k % 6]
+        k += threads
+    wait_for_host_memory()
+    if me == 0:
+        write_at_once(on_host, last, state[last])
