@@ -31,7 +31,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import CLAMP, Markers, offset_of
+from fishmj.lbm_oracle.immersed.markers import CLAMP, PLAIN, Markers, Sharpness
 
 REYNOLDS, ASPECT, STREAM = 100.0, 2.0, 0.06  # stream in lattice units
 BOX, AHEAD = (9.0, 8.0, 8.0), 4 / 9  # chords; share of the box before the plate
@@ -53,27 +53,37 @@ LIFT, DRAG = 0.08, 0.12  # tolerances of the limits from 10 to 60 deg, set befor
 FRICTION = 0.05  # edge-on, of the limit
 
 
-def plate_markers(cells: int, angle: float, *, span: float = ASPECT) -> Markers:
+def plate_markers(cells: int, angle: float, *, span: float = ASPECT, sharpness: Sharpness = PLAIN) -> Markers:
     """A plate of `cells` cells by `span` times that, leading edge up by `angle` rad, its middle at the origin of link 0."""
-    inset = offset_of(3)
+    _, inset = sharpness.insets()
     half = [size / 2 - min(inset, CLAMP * size / 2) for size in (cells, span * cells)]
     counts = [max(1, round(2 * h)) for h in half]
     sides = (h * (2 * (np.arange(n) + 0.5) / n - 1) for h, n in zip(half, counts, strict=True))
     s, z = (column.ravel() for column in np.meshgrid(*sides, indexing="ij"))
     area = 4 * half[0] * half[1] / s.size
     normal = np.broadcast_to([sin(angle), cos(angle), 0.0], (s.size, 3))
-    return Markers.rigid(np.stack([s * cos(angle), -s * sin(angle), z], -1), normal, area, sheet=True)
+    return Markers.rigid(np.stack([s * cos(angle), -s * sin(angle), z], -1), normal, area, sheet=True, sharpness=sharpness)
 
 
-def hold(cells: int, angle: float, device: str, *, box=BOX, end: float = END, settled: float = SETTLED) -> np.ndarray:
-    """Mean (C_L, C_D) of a plate of `cells` cells a chord at `angle` deg from `settled` to `end` c / U."""
+def hold(
+    cells: int,
+    angle: float,
+    device: str,
+    *,
+    box=BOX,
+    end: float = END,
+    settled: float = SETTLED,
+    sharpness: Sharpness = PLAIN,
+    **options,
+) -> np.ndarray:
+    """Mean (C_L, C_D) of a plate of `cells` cells a chord at `angle` deg, `settled` to `end` c / U; options: of the coupling."""
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=STREAM * cells / REYNOLDS)
     faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), z=Axis("slip", "slip"), sponge=max(8, cells // 2))
     shape = tuple(round(b * cells) for b in box)
     water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=Flow(speed=STREAM))
     body = ImmersedBody.on_slides("xyz", 1.0, [1.0] * 3, 0.0, [0.0] * 3, 1.0)  # a sheet holds no water; its mass does not matter
     body.place(np.array(shape) * [AHEAD, 0.5, 0.5] + [0.2, -0.3, -0.4])  # off the nodes, as a fish is
-    held = FluidStructure(water, body, plate_markers(cells, radians(angle)), slip=0.0)
+    held = FluidStructure(water, body, plate_markers(cells, radians(angle), sharpness=sharpness), slip=0.0, **options)
     still = np.ones(3), np.zeros(3)
     first, last = (round(times * cells / STREAM) for times in (settled, end))
     for n in range(last):
@@ -96,7 +106,7 @@ def limit(coarse: int, one, fine: int, other):
     return (fine * np.asarray(other) - coarse * np.asarray(one)) / (fine - coarse)
 
 
-def edge_on(cells: int, device: str, *, box=(8, 6), end: float = 8.0) -> float:
+def edge_on(cells: int, device: str, *, box=(8, 6), end: float = 8.0, sharpness: Sharpness = PLAIN) -> float:
     """C_D of a sheet of `cells` cells along the stream, in a strip one cell deep; mean over the last fifth of `end` c / U."""
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=STREAM * cells / REYNOLDS)
     faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), sponge=8)
@@ -104,10 +114,11 @@ def edge_on(cells: int, device: str, *, box=(8, 6), end: float = 8.0) -> float:
     water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=Flow(speed=STREAM))
     body = ImmersedBody.on_slides("xy", 1.0, [1.0] * 3, 0.0, [0.0] * 3, 1.0)
     body.place(np.array(shape[:2]) * [0.4, 0.5] + [0.2, -0.3])
-    half = cells / 2 - offset_of(3)
+    half = cells / 2 - sharpness.insets()[1]
     n = round(2 * half)
     x = half * (2 * (np.arange(n) + 0.5) / n - 1)
-    markers = Markers.rigid(np.outer(x, [1.0, 0, 0]), np.broadcast_to([0.0, 1.0, 0.0], (n, 3)), 2 * half / n, sheet=True)
+    normal = np.broadcast_to([0.0, 1.0, 0.0], (n, 3))
+    markers = Markers.rigid(np.outer(x, [1.0, 0, 0]), normal, 2 * half / n, sheet=True, sharpness=sharpness)
     held = FluidStructure(water, body, markers, slip=0.0)
     held.boundary = Strip(markers, body, water, slip=0.0)
     last = round(end * cells / STREAM)

@@ -18,7 +18,7 @@ import warp as wp
 from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import C, Lattice
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import fsi_solve, kernels
 from fishmj.lbm_oracle.immersed.kernels import check_width
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
@@ -37,6 +37,20 @@ def slip_here(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004
     if not 0 <= slip <= 1:
         raise ConfigError(f"slip = {slip}; expected 0 (no slip) to 1 (free slip)")
     return float(slip ** ((lattice.dt / lattice.dx) * (dx / dt))) if slip > 0 else 0.0
+
+
+def slips_of(markers: Markers, slip: float, nu: float, passes: int) -> np.ndarray:
+    """Slip ratio (N,) of each marker on this grid: the wall's own, or where the water sticks that of the markers' slip lengths.
+
+        F = A (1 - s) (U - u*) = n nu (U - u*) / b,   A = 2 (1 - 2^-passes)          n: sides with water, 2 for a sheet
+
+    b is the slip length in cells, nu the viscosity in lattice units; A is what the passes make of a wanted velocity change, since
+    a sheet of markers a cell apart feels half of its own force. b = 0 sticks.
+    """
+    if slip > 0 or markers.slip_length is None:
+        return np.full(len(markers), slip)
+    resistance = 2 * (1 - 0.5**passes) * markers.slip_length / (np.where(markers.sheet, 2, 1) * nu)
+    return resistance / (1 + resistance)
 
 
 class Boundary:
@@ -72,9 +86,8 @@ class Boundary:
         self.before, self.after = make(markers.before.astype(np.int32), wp.int32), make(markers.after.astype(np.int32), wp.int32)
         self.share = make(markers.share.astype(float), wp.float64)
         self.volume = make((markers.area / lattice.dx**2).astype(np.float32), wp.float32)
-        self.slips = make(np.full(n, self.slip, np.float32), wp.float32)
+        self.slips = make(slips_of(markers, self.slip, lattice.nu_lu, self.passes).astype(np.float32), wp.float32)
         self.moves, self.slides = make(body.reach, wp.float64), make(body.slides, wp.int32)
-        self.directions = make(np.array(C, np.int32), wp.vec3i)
         empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)
         self.host = empty(self.layout.size, wp.float64)
         self.staging = wp.zeros(self.layout.size, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
@@ -89,7 +102,7 @@ class Boundary:
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
         self._solvers = fsi_solve.BLOCK if device.is_cuda else 1  # threads
-        self._elimination = empty(self.dofs * self.rhs, wp.float64), empty(self.dofs, wp.int32), empty(self.dofs, wp.int32)
+        self.elimination = empty(self.dofs * self.rhs, wp.float64), empty(self.dofs, wp.int32), empty(self.dofs, wp.int32)
         self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
         sent, returned = (_reached(array, device) for array in (self.staging, self.inbox))
         first = self.layout.system  # the place of the body goes ahead of its equation
@@ -169,7 +182,7 @@ class Boundary:
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
         pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
         self._launch(kernels.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
-        read_in = [f, self.directions, self.body_acceleration, self.cell, self.store, w, shape]
+        read_in = [f, self.body_acceleration, self.cell, self.store, w, shape]
         self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
         target_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
         self._launch(kernels.set_target, (n, self.rhs), target_in, [self.wanted, self.force])
@@ -188,7 +201,7 @@ class Boundary:
         """Queue how fast the interior water moves along the links."""
         if self.interior is None:
             return
-        args = [self.host, self.layout, *self._points, f, self.directions, self.body_acceleration]
+        args = [self.host, self.layout, *self._points, f, self.body_acceleration]
         args += [wp.float64(self.lattice.dx), shape]
         self._launch(kernels.measure, self._along.shape, args, [self._along])
         args = [self._along, self._begin, self._shares, self.lattice.velocity]
@@ -197,7 +210,7 @@ class Boundary:
     def solve(self, implicit: bool = True) -> None:
         """Queue the solve, which writes into the host's memory, for the equation in `host`, and the markers' final forces."""
         args = [self.host, self.layout, self.water, int(implicit)]
-        self._launch(fsi_solve.solve, self._solvers, args, [*self._elimination, self._velocity, self.target])
+        self._launch(fsi_solve.solve, self._solvers, args, [*self.elimination, self._velocity, self.target])
         self._launch(kernels.combine, self.count, [self.force, self.target], [self.final])
 
     def sum_wrench(self) -> None:
@@ -238,6 +251,15 @@ class Boundary:
             self._wrench.zero_()
         self._taken = self._current = False
         return self._wrench
+
+    @property
+    def wrench_arrays(self) -> tuple[wp.array, wp.array]:
+        """That impulse where the steps add to it, on the device, and where they leave it on the host; for launches."""
+        return self._wrench, self._returned_wrench
+
+    def measure_interior(self, f: wp.array, speed: wp.array) -> None:
+        """Queue how fast the interior water moves along the links into `speed`, (L,) m/s, for the place in `host`."""
+        self._measure_interior(f, wp.vec3i(*self.shape), speed)
 
     @property
     def response(self) -> tuple[np.ndarray, np.ndarray]:

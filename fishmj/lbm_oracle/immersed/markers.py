@@ -7,12 +7,19 @@ The kernel spreads a marker's force over 1.5 (3-point) or 2 (4-point) cells each
 markers: they are drawn in along the normal by `hydro_offset` cells, at most `CLAMP` of the local half-thickness, and
 sheets are shortened by it on their free edges (docs/methods/oracle_coupling.md has the measurement).
 
+`Sharpness` draws hulls and rims in by other lengths and lets water slip on the markers so far that it sticks where the wall is.
+In a shear g |y| on both sides of a sheet the regularised force makes the velocity g (phi * |y|) - g k, which the interpolation
+sees as zero, with k = E |r - r'| for two independent draws from the kernel: the water sticks k cells in front of the sheet on
+either side. A slip length of k makes the sheet as thin as it is: u - U = k g,
+and the force on the water is 2 nu g = 2 nu (u - U) / k.
+
 Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it belongs with weight 1 - share to the link
 before and with weight share to the link behind (`mjcf.skin`), so the hull bends without gaps.
 """
 
 from dataclasses import dataclass
 from math import ceil, pi
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +33,38 @@ SLIDING = {3: 0.45, 4: 0.55}  # and where it slides freely
 STICKY = 0.95  # slip ratio up to which the drag of a sphere is that without slip
 CLAMP = 0.45  # of the local half-thickness
 SHEET = 0.5  # cells; a retracted half-width below it is one sheet
+KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angles to the grid; of 3 points 0.54 to 0.63
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sharpness:
+    """How markers stand for walls and sheets, lengths in cells; the default is what shipped data were made with.
+
+    hull: how far hulls are drawn in along their normal. rim: how far sheets are drawn in at their free edges, in their plane.
+    None: both as `offset_of` has it. hull_slip, sheet_slip: slip lengths where the water sticks (slip = 0); a wall with a slip
+    ratio has its friction from that.
+    """
+
+    hull: float | None = None
+    rim: float | None = None
+    hull_slip: float = 0.0
+    sheet_slip: float = 0.0
+
+    def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
+        """Cells that hulls and rims are drawn in by; a `hydro_offset` that is given holds for both."""
+        plain = offset_of(width, slip, hydro_offset)
+        if hydro_offset is not None:
+            return plain, plain
+        return plain if self.hull is None else self.hull, plain if self.rim is None else self.rim
+
+    def slip_length(self, sheet: np.ndarray, thick=0.0) -> np.ndarray:
+        """(N,) cells; `sheet` (N,) marks those of sheets, which stand for half a thickness of `thick` (N,) cells."""
+        return np.where(sheet, np.maximum(self.sheet_slip - thick, 0.0), self.hull_slip)
+
+
+PLAIN = Sharpness()
+# chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (docs/methods/oracle_coupling.md)
+SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,14 +82,16 @@ class Markers:
     after: np.ndarray  # (N,) int, link
     share: np.ndarray  # (N,) 0..1
     sheet: np.ndarray  # (N,) bool, single sheet
+    slip_length: np.ndarray | None = None  # (N,) cells, where the water sticks; None: 0
 
     def __len__(self) -> int:
         return len(self.area)
 
     @classmethod
-    def rigid(cls, rest, normal, area, *, link: int = 0, sheet=False) -> "Markers":
-        """Markers of one rigid link."""
+    def rigid(cls, rest, normal, area, *, link: int = 0, sheet=False, sharpness: Sharpness = PLAIN) -> "Markers":
+        """Markers of one rigid link, already drawn in; `sharpness` gives their slip lengths."""
         n, index = len(rest), np.full(len(rest), link, np.int32)
+        sheet = np.broadcast_to(np.asarray(sheet), n).copy()
         return cls(
             rest=np.asarray(rest, float),
             normal=np.asarray(normal, float),
@@ -59,7 +100,8 @@ class Markers:
             before=index,
             after=index,
             share=np.zeros(n),
-            sheet=np.broadcast_to(np.asarray(sheet), n).copy(),
+            sheet=sheet,
+            slip_length=sharpness.slip_length(sheet),
         )
 
 
@@ -73,9 +115,11 @@ def offset_of(width: int, slip: float = 0.0, hydro_offset: float | None = None) 
     return HELD[width] + free * (SLIDING[width] - HELD[width])
 
 
-def sphere_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None) -> Markers:
+def sphere_markers(
+    radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None, sharpness: Sharpness = PLAIN
+) -> Markers:
     """A sphere of `radius` m about the origin of link 0: points of a golden spiral, equal areas of about dx^2."""
-    r = radius - offset_of(width, slip, hydro_offset) * dx
+    r = radius - sharpness.insets(width, slip, hydro_offset)[0] * dx
     if r <= dx:
         raise ConfigError(
             f"sphere of radius {radius} m: markers drawn in to {r:.4g} m do not resolve it; choose dx < {radius / 3:.3g} m"
@@ -85,7 +129,7 @@ def sphere_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_
     turn = pi * (3 - 5**0.5) * np.arange(n)
     flat = np.sqrt(1 - z**2)
     unit = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
-    return Markers.rigid(r * unit, unit, 4 * pi * r**2 / n)
+    return Markers.rigid(r * unit, unit, 4 * pi * r**2 / n, sharpness=sharpness)
 
 
 def fish_markers(
@@ -96,28 +140,37 @@ def fish_markers(
     width: int = 3,
     hydro_offset: float | None = None,
     spacing: float = 1.0,
+    sharpness: Sharpness = PLAIN,
 ) -> Markers:
     """Markers of a fish for cells of size dx [m].
 
     Args:
         slip: ratio that the boundary will have; a sliding wall acts thinner. width: of the kernel, 3 or 4.
-        hydro_offset: cells; the measured one by default. spacing: cells between markers.
+        hydro_offset: cells; the measured one by default. spacing: cells between markers. sharpness: of hulls and sheets.
 
     Raises:
         ConfigError: nothing of the fish is left at this dx.
     """
-    return chain_markers(load_robot(robot), dx, slip=slip, width=width, hydro_offset=hydro_offset, spacing=spacing)
+    options: dict[str, Any] = {"slip": slip, "width": width, "hydro_offset": hydro_offset, "spacing": spacing}
+    return chain_markers(load_robot(robot), dx, sharpness=sharpness, **options)
 
 
 def chain_markers(
-    robot: Robot, dx: float, *, slip: float, width: int = 3, hydro_offset: float | None = None, spacing: float = 1.0
+    robot: Robot,
+    dx: float,
+    *,
+    slip: float,
+    width: int = 3,
+    hydro_offset: float | None = None,
+    spacing: float = 1.0,
+    sharpness: Sharpness = PLAIN,
 ) -> Markers:
     """`fish_markers` of a chain that is taken as it is: it may have more links than a description of a robot."""
     g = geometry_of(robot)
-    inset, step = offset_of(width, slip, hydro_offset) * dx, spacing * dx
-    parts = [_body(robot, g, inset, step, dx)]
-    parts += [_side_fin(robot, g, fin, side, inset, step) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
-    point, normal, area, anchor, sheet = (np.concatenate(column) for column in zip(*parts, strict=True))
+    (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
+    parts = [_body(robot, g, hull * dx, rim * dx, step, dx)]
+    parts += [_side_fin(robot, g, fin, side, rim * dx, step) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
+    point, normal, area, anchor, sheet, thick = (np.concatenate(column) for column in zip(*parts, strict=True))
     if len(point) == 0:
         raise ConfigError(
             f"{robot.name}: no marker fits at dx = {dx} m; the fish is {robot.length} m long, try dx = {robot.length / 27:.3g} m"
@@ -137,6 +190,7 @@ def chain_markers(
         after=np.where(rigid, before_of, after).astype(np.int32),
         share=np.where(rigid, 0.0, share),
         sheet=sheet,
+        slip_length=sharpness.slip_length(sheet, thick / dx),
     )
 
 
@@ -151,10 +205,10 @@ def _profile(robot: Robot, g: Geometry):
     return half, plate
 
 
-def _body(robot: Robot, g: Geometry, inset: float, step: float, dx: float):
+def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: float):
     """Hull rings, nose cap and tail sheet, in the straight pose, body frame."""
     half, plate = _profile(robot, g)
-    nose, tail = min(inset, CLAMP * robot.length), robot.length - inset
+    nose, tail = min(inset, CLAMP * robot.length), robot.length - rim
     n = max(1, round((tail - nose) / step))
     ds = (tail - nose) / n
     out = []
@@ -162,15 +216,15 @@ def _body(robot: Robot, g: Geometry, inset: float, step: float, dx: float):
         a, b = half(s)
         drawn = min(inset, CLAMP * b)
         if s >= plate or b - drawn < SHEET * dx:
-            out.append(_row(s, a - min(inset, CLAMP * a), ds, step))
+            out.append(_row(s, a - min(rim, CLAMP * a), b, ds, step))
             continue
         slope = [(v - u) / (2e-3) for u, v in zip(half(s - 1e-3), half(s + 1e-3), strict=True)]
         out.append(_ring(s, a - drawn, b - drawn, slope, ds, step))
         if i == 0:
             out.append(_cap(nose, a - drawn, b - drawn, step))
-    station, y, z, nx, ny, nz, area, sheet = (np.concatenate(column) for column in zip(*out, strict=True))
+    station, y, z, nx, ny, nz, area, sheet, thick = (np.concatenate(column) for column in zip(*out, strict=True))
     x = g.reference - station
-    return np.stack([x, y, z], -1), np.stack([nx, ny, nz], -1), area, x, sheet.astype(bool)
+    return np.stack([x, y, z], -1), np.stack([nx, ny, nz], -1), area, x, sheet.astype(bool), thick
 
 
 def _even(count: float) -> int:
@@ -196,7 +250,7 @@ def _ring(s, a, b, slope, ds, step):
     size = np.sqrt(1 + lengthwise**2)
     one = np.ones(n)
     area = perimeter / n * ds * size
-    return s * one, b * c, a * sn, lengthwise / size, across[:, 0] / size, across[:, 1] / size, area, 0 * one
+    return s * one, b * c, a * sn, lengthwise / size, across[:, 0] / size, across[:, 1] / size, area, 0 * one, 0 * one
 
 
 def _cap(s, a, b, step):
@@ -210,16 +264,16 @@ def _cap(s, a, b, step):
         if n == 1:
             share = 0.0
         y, z = share * b * np.cos(turn), share * a * np.sin(turn)
-        cols.append((s * one, y, z, one, 0 * one, 0 * one, area / n * one, 0 * one))
+        cols.append((s * one, y, z, one, 0 * one, 0 * one, area / n * one, 0 * one, 0 * one))
     return tuple(np.concatenate(column) for column in zip(*cols, strict=True))
 
 
-def _row(s, a, ds, step):
-    """One upright row of a sheet of half-height a, normal to the left."""
+def _row(s, a, b, ds, step):
+    """One upright row of a sheet of half-height a that stands for a half-width b, normal to the left."""
     n = max(1, round(2 * a / step))
     z = a * (2 * (np.arange(n) + 0.5) / n - 1)
     one = np.ones(n)
-    return s * one, 0 * one, z, 0 * one, one, 0 * one, 2 * a / n * ds * one, one
+    return s * one, 0 * one, z, 0 * one, one, 0 * one, 2 * a / n * ds * one, one, b * one
 
 
 def _side_fin(robot: Robot, g: Geometry, fin, side: float, inset: float, step: float):
@@ -237,4 +291,4 @@ def _side_fin(robot: Robot, g: Geometry, fin, side: float, inset: float, step: f
     one = np.ones(len(x))
     area = (chord - 2 * along) / nx * (fin.span - tip) / ny
     point, normal = np.stack([x, y, 0 * x], -1), np.stack([0 * x, 0 * x, one], -1)
-    return point, normal, area * one, np.full(len(x), front - np.mean(fin.station)), one.astype(bool)
+    return point, normal, area * one, np.full(len(x), front - np.mean(fin.station)), one.astype(bool), 0 * one

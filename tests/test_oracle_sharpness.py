@@ -1,0 +1,95 @@
+"""Sharper hulls and sheets: an option of the markers that leaves the default as it is."""
+
+import numpy as np
+import pytest
+
+from fishmj.errors import UnknownName
+from fishmj.lbm_oracle.cases import eel, sheet_shear
+from fishmj.lbm_oracle.immersed import kernels
+from fishmj.lbm_oracle.immersed.boundary import slips_of
+from fishmj.lbm_oracle.immersed.markers import KINK, PLAIN, Sharpness, fish_markers, offset_of, sphere_markers
+
+SHARP_SHEET = Sharpness(sheet_slip=KINK[3])
+
+
+def kernel(r: np.ndarray, width: int) -> np.ndarray:
+    """The one-dimensional weights at distances r cells, from the formulas of `kernels.py`."""
+    a = np.abs(r)
+    root = lambda x: np.sqrt(np.maximum(x, 0.0))
+    if width == 3:
+        near, far, edge = (1 + root(1 - 3 * a**2)) / 3, (5 - 3 * a - root(1 - 3 * (1 - a) ** 2)) / 6, (0.5, 1.5)
+    else:
+        near, far, edge = (3 - 2 * a + root(1 + 4 * a - 4 * a**2)) / 8, (5 - 2 * a - root(-7 + 12 * a - 4 * a**2)) / 8, (1, 2)
+    return np.where(a <= edge[0], near, np.where(a <= edge[1], far, 0.0))
+
+
+@pytest.mark.parametrize("width", kernels.WIDTHS)
+def test_the_slip_length_of_a_sheet_is_the_mean_distance_of_two_draws_from_the_kernel(width):
+    """Along a sheet at an angle the weights of its markers add up, so that only their distances across it count."""
+    nodes, found = np.arange(-9, 10), []
+    for angle in np.radians([0, 15, 30, 45]):
+        along, across = np.array([np.cos(angle), -np.sin(angle)]), np.array([np.sin(angle), np.cos(angle)])
+        for place in np.random.default_rng(0).random((12, 2)):
+            at = place + np.arange(-4, 5)[:, None] * along
+            weight = [kernel(x - nodes, width)[:, None] * kernel(y - nodes, width) for x, y in at]
+            y = nodes[:, None] * across[0] + nodes * across[1]
+            near = np.concatenate([np.abs(y[weight[4] > 0][:, None] - y[w > 0]).ravel() for w in weight])
+            share = np.concatenate([(weight[4][weight[4] > 0][:, None] * w[w > 0]).ravel() for w in weight])
+            found.append((near * share).sum() / len(weight))
+    assert np.mean(found) == pytest.approx(KINK[width], abs=0.03)
+
+
+def test_a_plain_sheet_is_as_thick_as_its_kernel_and_a_slip_length_makes_it_thin():
+    over, thick = sheet_shear.friction(10, 0.25, "cpu")
+    assert over > 1.1
+    assert thick == pytest.approx(KINK[3], abs=0.06)
+    assert sheet_shear.friction(10, 0.25, "cpu", sharpness=SHARP_SHEET)[0] == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.95, 0.98, 1.0])
+def test_by_default_every_marker_has_the_slip_of_the_wall(slip):
+    markers = fish_markers("fish", 0.02, slip=slip)
+    assert (slips_of(markers, slip, 1e-5, 2) == np.float64(slip)).all()
+    assert PLAIN.insets(3, slip) == (offset_of(3, slip),) * 2
+    assert (markers.slip_length == 0).all()
+
+
+def test_a_slip_length_works_where_the_water_sticks_only():
+    markers = fish_markers("fish", 0.02, slip=0.98, sharpness=SHARP_SHEET)
+    assert (slips_of(markers, 0.98, 1e-3, 2) == 0.98).all()
+    sticking = slips_of(markers, 0.0, 1e-3, 2)
+    assert (sticking[~markers.sheet] == 0).all()
+    resistance = 1.5 * KINK[3] / (2 * 1e-3)  # two passes, two sides
+    assert sticking.max() == pytest.approx(resistance / (1 + resistance))
+
+
+def test_a_sheet_that_stands_for_a_hull_is_as_thick_as_that():
+    """The tail of an eel, which narrows to nothing: b + slip length = k, until the kernel alone is thicker."""
+    body = eel.chain_markers(eel.eel(), 1 / 64, slip=0.0, sharpness=SHARP_SHEET)
+    slip = body.slip_length[body.sheet]
+    assert 0.3 < slip.max() < KINK[3]  # of its last row, half a cell before the drawn-in end
+    assert (slip == 0).any()  # where it begins
+    assert (body.slip_length[~body.sheet] == 0).all()
+    fin = fish_markers("fish", 0.02, sharpness=SHARP_SHEET).slip_length
+    assert fin.max() == KINK[3]
+
+
+def test_more_passes_and_a_thinner_fluid_slip_more():
+    one = sphere_markers(5.0, 1.0, sharpness=Sharpness(hull_slip=0.3))
+    slip = [slips_of(one, 0.0, nu, passes)[0] for nu, passes in ((0.1, 1), (0.1, 2), (0.01, 2))]
+    assert 0 < slip[0] < slip[1] < slip[2] < 1
+
+
+def test_a_rim_is_of_sheets_and_a_hull_offset_of_hulls():
+    plain, rim, hull = (fish_markers("fish", 0.01, sharpness=s) for s in (PLAIN, Sharpness(rim=1.5), Sharpness(hull=0.2)))
+    height = lambda m: np.abs(m.rest[m.sheet, 2]).max()
+    width = lambda m: np.abs(m.rest[~m.sheet, 1]).max()
+    assert height(rim) == pytest.approx(height(plain) - 0.0105, abs=0.005)  # of rows about a cell apart
+    assert width(rim) == pytest.approx(width(plain), rel=1e-4)  # stations move a little with the end of the tail
+    assert width(hull) == pytest.approx(width(plain) + 0.0025, abs=2e-4)
+
+
+def test_an_offset_that_is_given_holds_for_both():
+    assert Sharpness(hull=0.2, rim=1.5).insets(3, 1.0, hydro_offset=0.4) == (0.4, 0.4)
+    with pytest.raises(UnknownName):
+        PLAIN.insets(5)
