@@ -8,6 +8,7 @@ from fishmj.engines import lbm
 from fishmj.errors import ConfigError
 from fishmj.evaluate import run_trials, trials
 from fishmj.flow import Flow
+from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf import load_robot
 
 ROBOT = load_robot("fish")
@@ -34,17 +35,17 @@ def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
 
 def test_what_would_change_a_trial_changes_its_file_name():
     brain = controllers.make("dob", ROBOT)
-    base = run_trials.fingerprint(brain, ROBOT, plan(), "paper", 1.0)
+    base = run_trials.fingerprint(brain, ROBOT, plan(), PLAIN)
     others = [
-        run_trials.fingerprint(controllers.make("pd", ROBOT), ROBOT, plan(), "paper", 1.0),
-        run_trials.fingerprint(brain, ROBOT, plan(duration=2.0), "paper", 1.0),
-        run_trials.fingerprint(brain, ROBOT, plan(seed=1), "paper", 1.0),
-        run_trials.fingerprint(brain, ROBOT, plan(turbulence="gust"), "paper", 1.0),
-        run_trials.fingerprint(brain, ROBOT, plan(), "laptop", 1.0),
-        run_trials.fingerprint(brain, ROBOT, plan(), "paper", 0.95),
+        run_trials.fingerprint(controllers.make("pd", ROBOT), ROBOT, plan(), PLAIN),
+        run_trials.fingerprint(brain, ROBOT, plan(duration=2.0), PLAIN),
+        run_trials.fingerprint(brain, ROBOT, plan(seed=1), PLAIN),
+        run_trials.fingerprint(brain, ROBOT, plan(turbulence="gust"), PLAIN),
+        run_trials.fingerprint(brain, ROBOT, plan(), PLAIN._replace(domain="laptop")),
+        run_trials.fingerprint(brain, ROBOT, plan(), PLAIN._replace(slip=0.95)),
     ]
     assert len({base, *others}) == 7
-    assert base == run_trials.fingerprint(controllers.make("dob", ROBOT), ROBOT, plan(), "paper", 1.0)
+    assert base == run_trials.fingerprint(controllers.make("dob", ROBOT), ROBOT, plan(), PLAIN)
 
 
 def test_as_many_fish_as_flows():

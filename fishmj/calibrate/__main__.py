@@ -26,6 +26,8 @@ def fit(verb: str, argv: list[str]) -> int:
             if args.ratios and not args.recompute:
                 raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
             args.ratios = args.ratios or RATIOS
+            if args.reference:
+                args.grid = reference_grid(args.grid)
         answer = VERBS[verb](args)
     if args.out:
         console.say(f"written: {args.out}")
@@ -34,6 +36,15 @@ def fit(verb: str, argv: list[str]) -> int:
     if args.json:
         console.emit_json(answer)
     return console.OK
+
+
+def reference_grid(grid: str | None) -> str:
+    """The reference water's grid for a fish that swims away. Raises ConfigError where another is asked for, too."""
+    from fishmj.lbm_oracle.run.solver_water import REFERENCE
+
+    if grid is not None:
+        raise ConfigError(f"calibrate slip: --grid {grid} beside --reference, which is {REFERENCE.window}; leave one of them out")
+    return REFERENCE.window
 
 
 def options(verb: str) -> console.Parser:
@@ -63,6 +74,8 @@ def options(verb: str) -> console.Parser:
             type=console.text,
             help="grid of the solver's table: paper, window, laptop; default: the trials', else window",
         )
+        near = "the grid of the reference water, in place of --grid; by default not"
+        add("--reference", action="store_true", help=near)
         add("--recompute", action="store_true", help="run the solver and print a new entry of the table; keeps finished swims")
         ratios = console.Listed(console.number(0, 1), 20)
         add(

@@ -200,7 +200,7 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folde
     waiting = [job for name, job in every.items() if kept.find(name) is None]
     steps = sum(job.steps for job in waiting)
     domain = next(iter(every.values())).domain
-    water, cells = steps * domain.dt, np.prod(domain.shape) / 1e6
+    water, cells = steps * domain.dt, sum(np.prod(level.shape) for level in domain.levels) / 1e6
     there = f"; {len(every) - len(waiting)} more are kept in {folder}" if len(waiting) < len(every) else ""
     console.say(f"{len(waiting)} swims, {water:.0f} s of water, {steps} steps of {cells:.2f} million cells on {device}{there}")
     with interrupt.keeping(lambda: kept.words(list(every), "swims")):

@@ -8,7 +8,7 @@ In a stream every fish is held for `HELD` s before the trial begins, the water's
 into moving water and let go at once is carried along within 0.1 s, because all water around it is stopped by it alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -21,11 +21,12 @@ from fishmj.engines.tank_effects import check_effects
 from fishmj.engines.tank_run import EffectRun, TankEffects
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
+from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.refined_run import RefinedRun
+from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise
 
@@ -37,9 +38,9 @@ class Engine:
 
     Args:
         robot: its effects act as `tank_effects` says.
-        domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm.
+        domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm, `paper_refined` the same with 1 cm round the fish.
         slip: ratio at the paper's grid. device: auto, cpu or cuda.
-        finer: time steps in one of the domain's.
+        finer: time steps in one of the domain's. width, passes, sharpness: of the immersed boundary.
 
     Raises:
         ConfigError: an effect that has no place in a tank.
@@ -49,13 +50,14 @@ class Engine:
 
     def __init__(
         self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto",
-        finer: int = 1,
+        finer: int = 1, width: int = PLAIN.width, passes: int = PLAIN.passes, sharpness: Sharpness = PLAIN.sharpness,
     ):  # fmt: skip
         check_effects(robot)
         self.robot, self.flows = robot, list(flows)
         self.active = activate(robot.effects, robot.n_joints)[0] if robot.effects else None
         box = preset(domain)
         self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
+        self.width, self.passes, self.sharpness = width, passes, sharpness
         self.tanks: ConcurrentRuns | None = None
 
     @property
@@ -124,6 +126,7 @@ class Engine:
         stage = SwimSetup(
             domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.device,
             pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
+            width=self.width, passes=self.passes, sharpness=self.sharpness,
         )  # fmt: skip
         coupled = stage.coupled(None if added is None else added.body(self.domain.body_level.dt))
         if added is None:
@@ -136,8 +139,7 @@ class Engine:
                 f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
             )
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
-        plain: type[Run] = RefinedRun if isinstance(coupled, RefinedStructure) else Run
-        run = plain if added is None else partial(EffectRun, added)
+        run: Callable[..., Run] = run_of(coupled, Run) if added is None else partial(run_of(coupled, EffectRun), added)
         return run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
 
 

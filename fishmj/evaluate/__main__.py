@@ -27,14 +27,17 @@ from fishmj.evaluate.report import (
 )  # fmt: skip
 from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
 from fishmj.flow import PRESETS
-from fishmj.lbm_oracle.run.domain import NAMES, preset
+from fishmj.lbm_oracle.run.domain import EVERY as BOXES
+from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for
+from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.water import choice
 
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm and hybrid
+REFERENCE = "--reference"  # of lbm alone
 EVERY = "--every"  # of hybrid alone
 FALLBACKS = ("compiled", "planar")
-BOX = "paper"  # of --water lbm
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
 EXAMPLES = f"""examples:
   fishmj evaluate dob                                      the decided 72 trials
@@ -56,9 +59,11 @@ def options() -> console.Parser:
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     solved = "hybrid: fitted, and corrected by segments of the flow solver while it swims; lbm: the flow solver itself"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}, hours without a GPU")
-    box = f"box of water of --water lbm, default {BOX}, or hybrid, default that of the fitted water; laptop is a preview"
-    add("--domain", choices=NAMES, help=box)
-    add("--slip", type=console.number(0, 1), default=1.0, help="of the hull in the flow solver: 1 slides, 0 sticks")
+    add(REFERENCE, action="store_true", help=f"with --water lbm: {JUDGING.said}; default: --domain and --slip")
+    box = f"box of water of --water lbm, default {PLAIN.domain}, or hybrid, default that of the fitted water"
+    add("--domain", choices=BOXES, help=f"{box}; laptop is a preview, _refined has finer cells round the fish")
+    slip = "of the hull in the flow solver, at the paper's grid: 1 slides, 0 sticks; default 1"
+    add("--slip", type=console.number(0, 1), help=slip)
     add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda or cuda:N")
     add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
     tanks = "trials of --water lbm, or segments of hybrid, that run side by side; 12 or more keep one GPU busy"
@@ -98,8 +103,9 @@ def main(argv: list[str]) -> int:
     """The verb `evaluate`. Returns the exit code."""
     args = options().parse_args(argv)
     args.again = shlex.join(["fishmj", "evaluate", *argv, *([] if args.log else ["--log"])])
-    given = [o for o in (*SOLVER, EVERY) if any(word == o or word.startswith(f"{o}=") for word in argv)]
-    for some, waters in ((SOLVER, (choice.LBM, choice.HYBRID)), ((EVERY,), (choice.HYBRID,))):
+    given = [o for o in (*SOLVER, REFERENCE, EVERY) if any(word == o or word.startswith(f"{o}=") for word in argv)]
+    of = ((SOLVER, (choice.LBM, choice.HYBRID)), ((REFERENCE,), (choice.LBM,)), ((EVERY,), (choice.HYBRID,)))
+    for some, waters in of:
         if args.water not in waters and (unused := [o for o in given if o in some]):
             words = " or ".join(f"--water {name}" for name in waters)
             raise ConfigError(f"evaluate: {', '.join(unused)}: of {words} only; leave it out, or add it")
@@ -134,10 +140,10 @@ def main(argv: list[str]) -> int:
         from fishmj.lbm_oracle.run import solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
-        args.domain = args.domain or BOX
-        work = [(preset(args.domain), trials.duration * len(trials) * len(brains))]
+        args.solver = asked_for("evaluate", args.reference, args.domain, args.slip)
+        work = [(level, trials.duration * len(trials) * len(brains)) for level in args.solver.box.levels]
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
-        begin(water, brains)
+        begin(water, brains, f": {args.solver.said}")
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for brain in brains:
@@ -178,9 +184,9 @@ def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
     return protocol.measured(trials, {speed: water.intensity for speed, water in waters.items()}, kind)
 
 
-def begin(water: choice.Choice, brains) -> None:
+def begin(water: choice.Choice, brains, more: str = "") -> None:
     """Say what is judged in, and what the policies were not trained for."""
-    console.say(f"water: {water.said}")
+    console.say(f"water: {water.said}{more}")
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
 
@@ -212,11 +218,12 @@ def hybrid_options(args, robot, trials, brains: int):
     from fishmj.hybrid import HybridOptions
     from fishmj.lbm_oracle.run import solver_cost
 
-    asked: dict = {"domain": args.domain, "slip": args.slip, "device": args.device, "side_by_side": args.tanks, "wait": True}
+    slip = PLAIN.slip if args.slip is None else args.slip
+    asked: dict = {"domain": args.domain, "slip": slip, "device": args.device, "side_by_side": args.tanks, "wait": True}
     made = HybridOptions(**asked | ({} if args.every is None else {"every": args.every}))
     segments = max(0, 1 + (trials.duration - made.first - made.lead - made.span) // made.every) * len(trials) * brains
     less = "--domain laptop is a preview; --repeats 1 --speeds 0.2 --los 0 is one trial"
-    work = [(preset(made.box(robot)), segments * (made.lead + made.span))]
+    work = [(level, segments * (made.lead + made.span)) for level in preset(made.box(robot)).levels]
     solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
     return made
 
@@ -262,9 +269,9 @@ def judge_in_tanks(brain, robot, trials, args) -> Result:
 
     total = trials.duration * len(trials)
     with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
-        options = {"domain": args.domain, "slip": args.slip, "device": args.device, "tanks": args.tanks}
         seen = lambda k: bar.update(k * robot.timing.control_dt)
-        return judge_in_solver(brain, robot, trials, args.out, progress=seen, **options)
+        options = {"device": args.device, "tanks": args.tanks, "progress": seen}
+        return judge_in_solver(brain, robot, trials, args.out, water=args.solver, **options)
 
 
 def findings(results: list[Result]) -> dict:

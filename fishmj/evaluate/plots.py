@@ -115,11 +115,15 @@ def radar(results: list[Result], path: Path) -> Path:
     found = [(figures(r), r, c, d) for r, c, d in looks(results)]
     for column, (key, title) in enumerate(RADAR):
         for row, speed in enumerate(speeds):
-            axis = polar(axes[row, column])
+            axis, nothing = polar(axes[row, column]), 0
             for f, r, colour, dash in found:
                 los, mean = np.unique(r.trials.los), _means(f[key], r, speed)
                 axis.plot(np.append(los, los[0]), np.append(mean, mean[0]), color=colour, linestyle=dash, linewidth=2)
-                axis.scatter(los, mean, color=colour, s=16, zorder=3)
+                there = np.isfinite(mean)
+                axis.scatter(los[there], mean[there], color=colour, s=16, zorder=3)
+                nothing += not there.any()
+            if nothing == len(found):
+                axis.text(0.5, 0.5, "no trial\nhas it", ha="center", va="center", color="#777777", transform=axis.transAxes)
             if key in LOGARITHMIC:
                 axis.set_rscale("log")
                 axis.set_rticks([0.03, 0.1, 0.3, 1, 3], labels=["0.03", "0.1", "0.3", "1", "3"])
@@ -169,7 +173,9 @@ def headings(results: list[Result], path: Path) -> Path:
             axis = polar(axes[row, column])
             axis.set_title(f"{drawn(r.controller)}, {title}", pad=14)
             if not len(values):
-                axis.text(0, 0, "no trial\nstayed in\nthe tank", ha="center", va="center", color="#777777")
+                lasted = r.trials.duration > start
+                why = "no trial\nstayed in\nthe tank" if lasted else f"trials end\nbefore {start:g} s"
+                axis.text(0, 0, why, ha="center", va="center", color="#777777")
                 axis.set_yticks([])
                 continue
             share = np.histogram(values, edges)[0] / len(values)

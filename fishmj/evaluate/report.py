@@ -351,13 +351,21 @@ def against(first: Result, other: Result) -> str:
     return f"{abs(d.value):.3f} m {side} {other.controller} ({without}{mean:.3f} m)"
 
 
-def page(results: list[Result], found: dict, shown: list[tuple[Path, str]], replay: str = "", again: str = "") -> str:
-    """The report as one HTML text; its one reference is `replay`, the page of the worst trial beside it, where there is one."""
+ALONE = f"Name {BASELINE} (no control) or another controller behind it, and it is compared with that."
+
+
+def page(
+    results: list[Result], found: dict, shown: list[tuple[Path, str]], replay: str = "", again: str = "", alone: str = ALONE
+) -> str:
+    """The report as one HTML text; its one reference is `replay`, the page of the worst trial beside it, where there is one.
+
+    alone: how to get something to compare with, where there is nothing.
+    """
     first, summaries, told = results[0], found["results"], baseline(results)
     named = f"{', '.join(s['controller'] for s in summaries)}: station holding"
     notes = [found["condition"], *not_as_trained(summaries)]
     if told is None:
-        notes.append(f"Judged alone. Name {BASELINE} (no control) or another controller behind it, and it is compared with that.")
+        notes.append(f"Judged alone. {alone}")
     elif np.isfinite(figures(first)["rmse_after_arrival"]).all():
         notes += [f"Against {other.controller}: {against(first, other)}." for other in results[1:] if other is not told]
     worst_name = name_of(first, worst(first))

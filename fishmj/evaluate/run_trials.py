@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.water.choice import LBM, in_water
 from fishmj.water.identity import water_identity
+
+if TYPE_CHECKING:
+    from fishmj.lbm_oracle.run.solver_water import SolverWater
 
 KEPT = "lbm"  # folder of finished trials in the flow solver
 OF_A_TRIAL = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
@@ -232,8 +235,9 @@ def judge_in_solver(
     trials: Trials,
     folder: Path | None = None,
     *,
-    domain: str = "paper",
-    slip: float = 1.0,
+    water: "SolverWater | None" = None,
+    domain: str | None = None,
+    slip: float | None = None,
     device: str = "auto",
     tanks: int = 1,
     variation: Variation = UNCHANGED,
@@ -246,16 +250,21 @@ def judge_in_solver(
 
     Args:
         folder: where finished trials are kept and looked for; None keeps nothing. variation: the trials are run so.
+        water: what they are solved in, by default the plain one. domain, slip: in place of the water's.
         progress: called with the number of control steps done, summed over trials.
 
     Raises:
         OracleUnstable, ConfigError: the set-up would not run.
     """
     from fishmj.engines.lbm import Engine
+    from fishmj.lbm_oracle.run.solver_water import PLAIN
 
     steps = round(trials.duration / robot.timing.control_dt)
-    label = "_".join(filter(None, (fingerprint(brain, robot, trials, domain, slip), variation.name)))
-    box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "finer": variation.finer}
+    water = PLAIN if water is None else water
+    water = water._replace(domain=domain or water.domain, slip=water.slip if slip is None else slip)
+    label = "_".join(filter(None, (fingerprint(brain, robot, trials, water), variation.name)))
+    box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "device": device, "finer": variation.finer}
+    box |= water.immersed
     paths = [None if folder is None else folder / KEPT / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
     found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
     waiting = [i for i in range(len(trials)) if i not in found]
@@ -274,7 +283,7 @@ def judge_in_solver(
                 console.warn(f"{name_of(brain, trials.items[i])}: truncated: {why}")
             if (path := paths[i]) is not None:
                 store.write_npz(path, found[i])
-    return merged(brain, robot, trials, f"tanks, {domain}, slip {slip:g}", [found[i] for i in range(len(trials))])
+    return merged(brain, robot, trials, f"tanks, {water.label}", [found[i] for i in range(len(trials))])
 
 
 def ended(row: dict, why: str, ticks: int) -> dict:
@@ -311,16 +320,18 @@ def name_of(brain, item) -> str:
     return f"{brain.name}_u{item.speed:g}_los{round(np.degrees(item.los)):03d}_r{item.repeat}"
 
 
-def fingerprint(brain, robot: Robot, trials: Trials, domain: str, slip: float) -> str:
+def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> str:
     """Eight characters that change with anything that would change a trial's outcome."""
     from fishmj.engines.lbm import HELD
+    from fishmj.lbm_oracle.run.solver_water import PLAIN
 
     what = {
         "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],
         "robot": repr(robot),
         "trials": {k: v for k, v in asdict(replace(trials, items=())).items() if k != "items"},
         "seed": trials.items[0].seed[:2],
-        "water": [domain, slip, HELD],
+        "water": [water.domain, water.slip, HELD],
+        **({"immersed": {k: repr(v) for k, v in water.immersed.items()}} if water.immersed != PLAIN.immersed else {}),
         **({"effects": repr(robot.effects)} if robot.effects else {}),
     }
     return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]

@@ -30,6 +30,11 @@ main = console.CommandGroup(
             "speed of the free fish over beat frequency, slip ratio and depth",
             "fishmj lbm_oracle speeds --preset laptop --frequencies 1 --slips 1 --out runs/speeds",
         ),
+        "real_fish": Command(
+            "fishmj.studies.solver_grid.real_fish",
+            "slip ratio at which a real fish's swims come out, set by four of them and judged by four others",
+            "fishmj lbm_oracle real_fish --domain laptop --slips 0.98 --beats 5 --swims 2 --out runs/real",
+        ),
         "forcemap": Command(
             "fishmj.studies.force_maps.forcemap",
             "steady forces on a held fish over joint angle and angle of attack",

@@ -23,7 +23,7 @@ from fishmj.calib import read_toml, resolve
 from fishmj.errors import ConfigError, OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
 from fishmj.mjcf import Robot, load_robot
@@ -232,7 +232,7 @@ def _parser() -> console.Parser:
     p.add_argument("--fish", choices=(*SHAPES, REAL), **several, default=[*SHAPES, REAL], help="by default all")
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
     p.add_argument("--slips", type=console.number(0, 1), **several, default=[SLIP], metavar="S", help=slip)
-    p.add_argument("--preset", choices=NAMES, default="laptop", help="box of water; laptop is a preview")
+    p.add_argument("--preset", choices=EVERY, default="laptop", help="box of water; laptop is a preview")
     p.add_argument("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     p.add_argument("--out", type=console.out_folder, required=True, metavar="FOLDER", help="of the table")
     return p

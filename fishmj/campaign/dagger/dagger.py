@@ -40,7 +40,7 @@ from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES
+from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run import flow_at_links
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import read_json, write_json
@@ -205,7 +205,7 @@ def main(argv: list[str]) -> int:
     add("--rounds", type=console.whole(1, 100), default=4, help="at most; it ends when the returns agree")
     add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
     add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")
-    add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
+    add("--domain", choices=EVERY, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     args = parser.parse_args(argv)
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)

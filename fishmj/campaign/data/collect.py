@@ -29,7 +29,8 @@ from fishmj.hydro_fit.record import files, write_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.solver_water import REFERENCE, asked_for
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json
 from fishmj.water.hydro_model import HydroModel
@@ -214,6 +215,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preview", action="store_true", help="two minutes of water on the small coarse box, for a CPU")
     fresh = "new test episodes and nothing else; by default those of the campaign"
     add("--fresh-test", type=console.whole(1, 2**32 - 1), metavar="SEED", help=fresh)
+    same = f"the reference water's box and slip ratio for all segments ({REFERENCE.window}, {REFERENCE.slip:g}); default: no"
+    add("--reference", action="store_true", help=same)
     slip = "only segments of this slip ratio; may be repeated; by default all"
     add("--slip", type=console.number(0, 1), action="append", default=[], metavar="S", help=slip)
     add("--seed", type=console.SEED, default=0, help="of the draws")
@@ -221,8 +224,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--policy", type=console.text, action="append", default=[], metavar="NAME|FILE", help=steers)
     add(
         "--domain",
-        choices=NAMES,
-        help=f"box of water; by default that of the data set there, else {BOX}, with --preview {PREVIEW_BOX}",
+        choices=EVERY,
+        help=f"box of water, _refined: finer round the fish; default: the data set's, else {BOX}, with --preview {PREVIEW_BOX}",
     )
     add(
         "--dt",
@@ -244,6 +247,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Collect; exit code 0 when the data set is complete, 1 when segments are missing or nothing of one was sound."""
     robot = load_robot(args.fish)
+    if args.reference:
+        asked_for("collect", True, args.domain, args.slip[0] if args.slip else None)  # refuses another box or ratio
+        args.domain = REFERENCE.window
     plan = plan_of(args, robot)
     out = Path(args.out) if args.out else default_folder(plan)
     domain = domain_of(args, out)
@@ -251,7 +257,8 @@ def run(args: argparse.Namespace) -> int:
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
         asked: dict[str, Any] = {"instead": less, "flag": GO, "asked": args.budget is not None}
-        solver_cost.agree("hydro_fit collect", args.device, [(domain, water)], tanks=args.tanks or 1, **asked)
+        work = [(level, water) for level in domain.levels]
+        solver_cost.agree("hydro_fit collect", args.device, work, tanks=args.tanks or 1, **asked)
     device = args.device if args.ray else str(device_of(args.device))
     setup = Setup(robot=robot, domain=domain, device=device)
     what = f"{len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}"
@@ -295,6 +302,7 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
         plan = plans.fresh_test(robot, seed=args.fresh_test, policies=args.policy, scale=args.scale)
     else:
         plan = plans.full(robot, seed=args.seed, scale=args.scale, policies=args.policy)
+    plan = plan.moved_to(REFERENCE.slip) if args.reference else plan
     return plan.at(args.slip) if args.slip else plan
 
 

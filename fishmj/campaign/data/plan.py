@@ -272,6 +272,18 @@ class Plan:
         kept = tuple(segment for segment in self.segments if segment.slip in slips)
         return replace(self, label=f"{self.label}, slip {', '.join(f'{s:g}' for s in sorted(set(slips)))}", segments=kept)
 
+    def moved_to(self, slip: float) -> "Plan":
+        """The segments at the default slip ratio, at this one instead."""
+        made = [replace(s, slip=slip, id=_id(s.episode, slip) + s.id.removeprefix(_id(s.episode, s.slip))) for s in self.default]
+        ids = {old.id: new.id for old, new in zip(self.default, made, strict=True)}
+        made = [replace(s, replicate_of=ids.get(s.replicate_of, s.replicate_of)) for s in made]
+        return replace(self, label=f"{self.label}, all at slip {slip:g}", segments=tuple(made))
+
+    @property
+    def default(self) -> list[Segment]:
+        """Segments at the default slip ratio."""
+        return [segment for segment in self.segments if segment.slip == DEFAULT_SLIP]
+
     def first(self, count: int) -> "Plan":
         """The first `count` segments in the order of `spanning`."""
         return replace(self, label=f"{self.label}, first {count}", segments=tuple(spanning(self.segments)[:count]))
@@ -327,15 +339,17 @@ def planned(label: str, robot: "Robot | str", seed: int = 0) -> Plan:
     Raises:
         ConfigError: no such label.
     """
-    known = re.fullmatch(r"(full|preview|scale ([\d.e+-]+)|fresh test (\d+))(?:, slip ([\d., ]+?))?(?:, first (\d+))?", label)
+    kinds, parts = r"(full|preview|scale ([\d.e+-]+)|fresh test (\d+))", r"(?:, slip ([\d., ]+?))?(?:, all at slip ([\d.]+?))?"
+    known = re.fullmatch(kinds + parts + r"(?:, first (\d+))?", label)
     if known is None:
         raise ConfigError(f"campaign: no plan {label!r}; expected full, preview, scale X or fresh test N, and slip S, first N")
-    kind, scale, fresh, slips, count = known.groups()
+    kind, scale, fresh, slips, other, count = known.groups()
     if fresh:
         plan = fresh_test(robot, seed=int(fresh))
     else:
         plan = preview(robot, seed=seed) if kind == "preview" else full(robot, seed=seed, scale=float(scale or 1))
     plan = plan.at([float(slip) for slip in slips.split(", ")]) if slips else plan
+    plan = plan.moved_to(float(other)) if other else plan
     return plan.first(int(count)) if count else plan
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from fishmj.campaign.data.segment import Drive, Segment, drive, ticks_of
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run, flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.log import SCHEMA, Trial
@@ -56,7 +57,9 @@ class Setup:
     def about(self) -> dict:
         """What the fit must know, and what another machine must agree on; not the device."""
         domain, robot = self.domain, self.robot
-        grid = {"domain": domain.name, "dx": domain.dx, "dt": domain.dt, "shape": list(domain.shape)}
+        grid: dict[str, Any] = {"domain": domain.name, "dx": domain.dx, "dt": domain.dt, "shape": list(domain.shape)}
+        if domain.fine is not None:  # cells at the fish
+            grid |= {"fine": [{"dx": level.dx, "dt": level.dt, "shape": list(level.shape)} for level in domain.levels[1:]]}
         return {
             "robot": {"name": robot.name, "joints": robot.n_joints, "sha256": fingerprint(robot)},
             "solver": {"sha256": solver_sha256()},
@@ -125,7 +128,11 @@ class SegmentRunner:
         segment, run, about = self.segment, self.run, self.setup.about
         tick = self.setup.robot.timing.bus_dt
         named = {key: getattr(segment, key) for key in ("id", "episode", "block", "split", "replicate_of")}
-        grid = about["grid"] | {"slip": segment.slip, "dt": run.coupled.fluid.lattice.dt, "markers": run.coupled.boundary.count}
+        grid = about["grid"] | {
+            "slip": segment.slip,
+            "dt": self.setup.domain.dt / segment.finer,
+            "markers": run.coupled.boundary.count,
+        }
         return named | {
             "segment": segment.table(),
             "robot": about["robot"],
@@ -202,7 +209,8 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
     if segment.velocity:
         joints = segment.joints or (0.0,) * robot.n_joints
         coupled.body.place(reference_qpos(coupled.body.model, pose, joints), segment.velocity)
-    run = Run(coupled, robot, follow=DomainWatch(domain, yaw), tethered=moved.root is not None, prescribed=moved.joints)
+    edge = DomainWatch(domain, yaw)
+    run = run_of(coupled, Run)(coupled, robot, follow=edge, tethered=moved.root is not None, prescribed=moved.joints)
     if moved.root is not None:
         path, off = moved.root, np.array([pose[0] - x, pose[1] - y, 0.0])
         run.root = lambda t: path(t) + off

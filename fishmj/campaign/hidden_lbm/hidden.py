@@ -23,6 +23,7 @@ from fishmj.excitation import PERIOD, Excitation
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.refined_run import in_levels
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, JointDriver, LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.log import SCHEMA, Trial, numbered
@@ -69,7 +70,7 @@ class Job:
 
     @property
     def steps(self) -> int:
-        """Of the domain's own length."""
+        """Of the domain's own length, the coarsest water's."""
         return round((self.what.seconds + (CARRY if self.carried else 0.0)) / self.domain.dt)
 
     @property
@@ -102,7 +103,7 @@ class HiddenRun(Run):
         gust = weather(made, what.seconds, job.seed, job.index)
         self.electronics = Electronics(made, state, Queue(packets.times, packets.commands), gust)
         stage = _stage(job, device, carriage(start, what.push, CARRY), what.commands[0] + made.zero)
-        coupled = stage.assembled(HiddenBody(made, job.domain.dt, job.heavier))
+        coupled = stage.assembled(HiddenBody(made, job.domain.body_level.dt, job.heavier))
         super().__init__(coupled, made.robot, latency=0.0, follow=DomainWatch(job.domain, stage.pose[2]))
         if job.carried:
             try:
@@ -144,6 +145,11 @@ class HiddenRun(Run):
 
     def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
         return ElectronicsDriver(self.electronics, coupled, self.ticks)
+
+
+def hidden_run(job: Job, device: str) -> HiddenRun:
+    """The run of a job, in levels where its box of water has some; raises as `HiddenRun`."""
+    return (HiddenRun if job.domain.fine is None else in_levels(HiddenRun))(job, device)
 
 
 class ElectronicsDriver:
@@ -268,7 +274,7 @@ def swum(waiting: Iterable[Job], device: str = "cpu", tanks: int = 1) -> Iterato
     busy: list[HiddenRun] = []
     while queue or busy:
         while queue and len(busy) < tanks:
-            busy.append(HiddenRun(queue.popleft(), device))
+            busy.append(hidden_run(queue.popleft(), device))
         ConcurrentRuns(busy).tick([np.zeros(run.joints) for run in busy])
         for run in [run for run in busy if run.done]:
             busy.remove(run)

@@ -26,8 +26,11 @@ AROUND = {  # m, box of finer cells round a fish of 0.54 m at any heading
     "paper": (1.0, 1.0, 0.4),
     "forcemap": (1.0, 1.0, 0.4),
     "window": (1.0, 0.8, 0.4),
+    "window_coarse": (1.0, 1.0, 0.4),
     "laptop": (0.72, 0.72, 0.32),
 }
+TWICE = ("paper", "forcemap", "window", "window_coarse")  # of these also with a box of still finer cells in the first
+CLOSE = (0.72, 0.72, 0.28)  # m, the second box
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +38,7 @@ class Domain:
     """Cells (nx, ny, nz) of dx [m], time step dt [s]; `follows` makes it a window. `bottom`: `slip` or `wall`.
 
     `sides` are the kinds of the four side faces, `open` for a current, `wall` for a basin. `fine` [m] is the size of a box round
-    the fish in which cells and steps are half as large (`refined`); None: there is none.
+    the fish in which cells and steps are half as large (`refined`); None: there is none. `finer`: boxes in it, each in the last.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Domain:
     sides: str = "open"
     sponge: int = SPONGE
     fine: tuple[float, float, float] | None = None
+    finer: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self):
         if self.bottom not in BOTTOMS:
@@ -72,12 +76,29 @@ class Domain:
         return x, y, z
 
     @property
-    def body_level(self) -> "Domain":
-        """The water that the body is in: this one, or the finer box as a domain of its own."""
+    def levels(self) -> tuple["Domain", ...]:
+        """This water alone, then each finer box as a domain of its own, the finest last."""
+        alone = replace(self, fine=None, finer=())
         if self.fine is None:
-            return self
+            return (alone,)
         x, y, z = (RATIO * n for n in self.fine_cells)
-        return replace(self, shape=(x, y, z), dx=self.dx / RATIO, dt=self.dt / RATIO, fine=None)
+        fine, finer = (self.finer[0] if self.finer else None), self.finer[1:]
+        box = replace(self, shape=(x, y, z), dx=self.dx / RATIO, dt=self.dt / RATIO, fine=fine, finer=finer)
+        return alone, *box.levels
+
+    @property
+    def boxes(self) -> list[tuple[int, int, int]]:
+        """Of each finer box, its size in cells of the water round it; the finest last."""
+        found = []
+        for level in self.levels[1:]:
+            x, y, z = (n // RATIO for n in level.shape)
+            found.append((x, y, z))
+        return found
+
+    @property
+    def body_level(self) -> "Domain":
+        """The water that the body is in: this one, or the finest box as a domain of its own."""
+        return self.levels[-1]
 
     @property
     def boundaries(self) -> Boundaries:
@@ -112,18 +133,22 @@ def _presets() -> dict[str, Domain]:
 
 
 def _refined() -> dict[str, Domain]:
-    """Those of them that have a box of finer cells, by names that end in `_refined`."""
+    """Those of them that have a box of finer cells, by names that end in `_refined`; with two boxes in `_refined_twice`."""
     plain = _presets()
-    return {f"{name}_refined": replace(plain[name], name=f"{name}_refined", fine=size) for name, size in AROUND.items()}
+    once = {name: replace(plain[name], name=f"{name}_refined", fine=size) for name, size in AROUND.items()}
+    twice = {f"{name}_refined_twice": replace(once[name], name=f"{name}_refined_twice", finer=(CLOSE,)) for name in TWICE}
+    return {domain.name: domain for domain in once.values()} | twice
 
 
 PREVIEWS = ("laptop",)  # too coarse for a judgement
 NAMES = ("paper", "forcemap", "flow_tank", "window", "window_fine", "window_coarse", "laptop")
-REFINED = tuple(f"{name}_refined" for name in AROUND)  # of `swim` and `forcemap`
+REFINED = (*(f"{name}_refined" for name in AROUND), *(f"{name}_refined_twice" for name in TWICE))
+EVERY = NAMES + REFINED
 
 
 def preset(name: str) -> Domain:
-    """A box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop; paper_refined and so on.
+    """A box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop; paper_refined, paper_refined_twice
+    and so on.
 
     Raises:
         UnknownName: none of them.

@@ -1,23 +1,26 @@
-"""A run whose fish is in a box of finer cells: its checkpoints, and ticks done again with finer steps, are of both levels.
+"""A run whose fish is in a box of finer cells: its checkpoints, and ticks done again with finer steps, are of all levels.
 
-The fine level's part is `time_refinement`'s; here the coarse level follows it.
+The finest level's part is `time_refinement`'s; here the coarser levels follow it. `in_levels` makes such a run of any `Run`.
 """
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.refined.refined_fluid import RATIO, RefinedFluid
 from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run.run import CAUTION, Run
 from fishmj.lbm_oracle.run.time_refinement import Refinement, TickState
 
+R = TypeVar("R", bound=Run)
+
 
 class OuterState(NamedTuple):
-    """The coarse water at the start of a tick, on its device."""
+    """A coarser level at the start of a tick, on its device."""
 
     f: wp.array
     u: wp.array
@@ -25,33 +28,49 @@ class OuterState(NamedTuple):
     steps: int
 
 
+def outer_states(coupled: FluidStructure) -> tuple[OuterState, ...]:
+    """Copies of the coarser levels, the finer first; none of plain water."""
+    if not isinstance(coupled, RefinedStructure):
+        return ()
+    with coupled.scope():
+        return tuple(
+            OuterState(wp.clone(level.f), wp.clone(level.u), level.origin_lu.copy(), level.steps)
+            for level in coupled.fluid.levels[1:]
+        )
+
+
+def restore_outer(coupled: FluidStructure, kept: tuple[OuterState, ...]) -> None:
+    """The coarser levels as they were at `outer_states`."""
+    if not isinstance(coupled, RefinedStructure):
+        return
+    with coupled.scope():
+        for level, water in zip(coupled.fluid.levels[1:], kept, strict=True):
+            wp.copy(level.f, water.f)
+            wp.copy(level.u, water.u)
+            level._place(water.origin_lu.copy())
+            level.steps = water.steps
+            level.clock.fill_(water.steps)
+
+
 class RefinedRefinement(Refinement):
-    """`Refinement` for both levels: a tick is done again from `kept`, set at its start, with finer steps on each."""
+    """`Refinement` for all levels: a tick is done again from `kept`, set at its start, with finer steps on each."""
 
     structure = RefinedStructure
     coupled: RefinedStructure
-    kept: OuterState | None = None
+    kept: tuple[OuterState, ...] = ()
 
     def keep(self) -> None:
-        """Copy the coarse water."""
-        outer = self.coupled.fluid.outer
-        with self.coupled.scope():
-            self.kept = OuterState(wp.clone(outer.f), wp.clone(outer.u), outer.origin_lu.copy(), outer.steps)
+        """Copy the coarser water."""
+        self.kept = outer_states(self.coupled)
 
     def restore(self, kept: TickState) -> None:
         super().restore(kept)
-        outer, water = self.coupled.fluid.outer, self.kept
-        if water is None:
+        if not self.kept:
             raise OracleUnstable("refined: no checkpoint of the coarse water; take half the dt", limit="mach")
-        with self.coupled.scope():
-            wp.copy(outer.f, water.f)
-            wp.copy(outer.u, water.u)
-            outer._place(water.origin_lu.copy())
-            outer.steps = water.steps
-            outer.clock.fill_(water.steps)
+        restore_outer(self.coupled, self.kept)
 
     def hand_over(self, giver, taker) -> None:
-        """Fish and both levels of water."""
+        """Fish and all levels of water."""
         super().hand_over(giver, taker)
         with taker.scope():
             taker.fluid.take_outer(giver.fluid)
@@ -63,21 +82,44 @@ class RefinedRefinement(Refinement):
         return self.coupled.fluid.finer_levels(factor)
 
 
-class RefinedRun(Run):
-    """A `Run` in refined water; arguments as there.
+class OfLevels(Run):
+    """What a run in refined water does otherwise; a base class before the kind of run (`in_levels`).
 
     Raises:
-        ConfigError: a bus tick is no whole number of coarse steps.
+        ConfigError: a bus tick is no whole number of steps of the coarsest water.
     """
 
-    def __init__(self, coupled: RefinedStructure, *args, **options):
-        super().__init__(coupled, *args, **options)
-        if self.steps % RATIO:
-            dt, tick = coupled.fluid.outer.lattice.dt, self.robot.timing.bus_dt
+    _refinement: RefinedRefinement
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        coupled = cast(RefinedStructure, self.coupled)
+        if self.steps % RATIO ** (len(coupled.fluid.levels) - 1):
+            dt, tick = coupled.fluid.levels[-1].lattice.dt, self.robot.timing.bus_dt
             raise ConfigError(f"run: the bus tick of {tick} s is no multiple of the coarse dt = {dt:g} s; take {tick / 5:g} s")
-        self._refinement: RefinedRefinement = RefinedRefinement(coupled)
+        self._refinement = RefinedRefinement(coupled)
 
     def ticking(self, command=None) -> Iterator[None]:
         if self.fastest > CAUTION * self.limit or self.ticks < self.alert:
             self._refinement.keep()
         yield from super().ticking(command)
+
+
+class RefinedRun(OfLevels, Run):
+    """A `Run` in refined water; arguments as there."""
+
+
+_KINDS: dict[type, Any] = {Run: RefinedRun}
+
+
+def in_levels(kind: Callable[..., R]) -> Callable[..., R]:
+    """That kind of run, its ticks of all levels: `in_levels(Run)(coupled, robot)` for a fish in a box of finer cells."""
+    named = cast(type, kind)
+    if named not in _KINDS:
+        _KINDS[named] = type(f"Refined{named.__name__}", (OfLevels, named), {})
+    return _KINDS[named]
+
+
+def run_of(coupled: FluidStructure, kind: Callable[..., R]) -> Callable[..., R]:
+    """The class of a run of this fish: `kind`, or the same in levels where its water has some."""
+    return in_levels(kind) if isinstance(coupled, RefinedStructure) else kind

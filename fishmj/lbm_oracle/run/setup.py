@@ -13,12 +13,12 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
-from fishmj.lbm_oracle.immersed.markers import fish_markers
-from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, lowest
+from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness, fish_markers
+from fishmj.lbm_oracle.refined.refined_fluid import RATIO, RefinedFluid, lowest
 from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import Domain, Follower, margin, preset
-from fishmj.lbm_oracle.run.refined_run import RefinedRun
+from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
@@ -68,7 +68,7 @@ class SwimSetup:
     """What a run is made of.
 
     slip: ratio quoted at the paper's grid, 1 = the water slides along the hull. pose: (x, y, yaw) m, rad of the reference point.
-    joints: (J,) rad. width, passes, hydro_offset, spacing: of the immersed boundary. robot: description, path or name.
+    joints: (J,) rad. width, passes, hydro_offset, spacing, sharpness: of the immersed boundary. robot: description, path or name.
     """
 
     domain: Domain = field(default_factory=lambda: preset("window"))
@@ -83,6 +83,7 @@ class SwimSetup:
     passes: int = 2
     hydro_offset: float | None = None
     spacing: float = 1.0
+    sharpness: Sharpness = PLAIN
 
     def assembled(self, body: ImmersedBody) -> FluidStructure:
         """Fish and water at t = 0, the undisturbed flow, the fish at rest over ground; whether it would run is not looked at."""
@@ -93,7 +94,8 @@ class SwimSetup:
         if joints.shape != (robot.n_joints,):
             raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
         body.place(reference_qpos(body.model, self.pose, joints))
-        markers = fish_markers(robot, level.dx, slip=slip, width=width, hydro_offset=self.hydro_offset, spacing=self.spacing)
+        edge: dict[str, Any] = {"hydro_offset": self.hydro_offset, "spacing": self.spacing, "sharpness": self.sharpness}
+        markers = fish_markers(robot, level.dx, slip=slip, width=width, **edge)
         options: dict[str, Any] = {"slip": slip, "width": width, "passes": self.passes}
         if domain.fine is None:
             made = FluidStructure(fluid, body, markers, **options)
@@ -102,10 +104,12 @@ class SwimSetup:
             follower = Follower(domain, self.pose[2])
             while follower.follow(fluid, middle, self.pose[2]):
                 pass
-            box = RefinedFluid(fluid, lowest(fluid, middle, domain.fine_cells), domain.fine_cells)
+            box = RefinedFluid(fluid, lowest(fluid, middle, domain.boxes[0]), domain.boxes[0])
+            for size in domain.boxes[1:]:
+                box = RefinedFluid(box, lowest(box, middle, size), size)
             made = RefinedStructure(box, body, markers, **options)
-        edge = DomainWatch(domain, self.pose[2])
-        while edge.follow(made):  # a window starts round its fish
+        watch = DomainWatch(domain, self.pose[2])
+        while watch.follow(made):  # a window starts round its fish
             pass
         return made
 
@@ -124,24 +128,25 @@ class SwimSetup:
     def run(self, **options) -> Run:
         """The same as a run by bus ticks; options are those of `Run`."""
         made, edge = self.coupled(), DomainWatch(self.domain, self.pose[2])
-        if isinstance(made, RefinedStructure):
-            return RefinedRun(made, self.robot, follow=edge, **options)
-        return Run(made, self.robot, follow=edge, **options)
+        return run_of(made, Run)(made, self.robot, follow=edge, **options)
 
 
 class DomainWatch:
-    """What happens after every step: a window follows the fish, and a fish that comes too close to a face ends the run."""
+    """What happens after a step, or several in one: a window follows the fish, and a fish too close to a face ends the run."""
 
     def __init__(self, domain: Domain, heading: float = 0.0):
-        self.domain, self.follower = domain, Follower(replace(domain, dt=LOOK * domain.body_level.dt), heading)
+        self.every = max(LOOK, RATIO ** len(domain.boxes))  # steps: a box moves between two steps of the water round it
+        self.domain, self.follower = domain, Follower(replace(domain, dt=self.every * domain.body_level.dt), heading)
 
     def __call__(self, coupled: FluidStructure) -> None:
         """Raises LeftDomain when a marker is nearer than the margin."""
-        if coupled.steps % LOOK:
+        looks = coupled.steps // self.every - (coupled.steps - coupled.together) // self.every
+        if not looks:
             return
         if self.domain.follows or self.domain.fine:
             with coupled.scope():
-                self.follow(coupled)
+                for _ in range(looks):  # each turns the lead by so much at most
+                    self.follow(coupled)
         body, fluid = coupled.body, coupled.fluid
         room = margin(fluid, *body.bounds(coupled.boundary.corners))
         if room < stability.CLEARANCE:
@@ -152,11 +157,13 @@ class DomainWatch:
             )
 
     def follow(self, coupled: FluidStructure) -> bool:
-        """Move a window so that the middle of the fish sits where it should, and a box of finer cells; True if one moved."""
+        """Move a window so that the middle of the fish sits where it should, and boxes of finer cells; True if one moved."""
         body, fluid = coupled.body, coupled.fluid
         low, high = body.bounds(coupled.boundary.corners)
         middle, heading = 0.5 * (low + high), float(reference_pose(body.model, body.data)[2])
         if not isinstance(fluid, RefinedFluid):
             return self.follower.follow(fluid, middle, heading)
-        moved = self.follower.follow(fluid.outer, middle, heading)
-        return fluid.centre_on(middle) or moved
+        moved = self.follower.follow(fluid.levels[-1], middle, heading)
+        for box in reversed(fluid.boxes):  # the finest last: it stays inside the others
+            moved = box.centre_on(middle) or moved
+        return moved

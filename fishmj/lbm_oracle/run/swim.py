@@ -24,7 +24,8 @@ from fishmj.flow import PRESETS, Flow
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.slices import STRONG, add_fields
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, REFINED, preset
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
+from fishmj.lbm_oracle.run.refined_run import OuterState, outer_states, restore_outer
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
@@ -47,15 +48,14 @@ def main(argv: list[str]) -> int:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
     stage = _stage(args)
     less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
-    levels = {stage.domain: seconds, stage.domain.body_level: seconds}
-    solver_cost.agree("lbm_oracle swim", args.device, levels.items(), instead=less)
+    solver_cost.agree("lbm_oracle swim", args.device, [(level, seconds) for level in stage.domain.levels], instead=less)
     run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         snapshot.load(args.start, run.coupled)
         run.begin()
     if args.preset in PREVIEWS:
         console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
-    recorder, kept = _recorder(args, run), LastGood() if (args.out or args.save) and stage.domain.fine is None else None
+    recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
     with interrupt.finishing(lambda: _words(args, run)):
         wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
     found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
@@ -202,7 +202,7 @@ def _parser() -> console.Parser:
     p = console.parser("lbm_oracle swim", "A gait in the flow solver; writes a trial folder.")
     add, angle = p.add_argument, console.number(-360, 360)
     box = "box of water; laptop is a preview, _refined has finer cells round the fish"
-    add("--preset", choices=NAMES + REFINED, default="window", help=box)
+    add("--preset", choices=EVERY, default="window", help=box)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     add("--frequency", type=console.number(0.01, 20), default=1.0, metavar="HZ", help="of the beat")
@@ -254,24 +254,26 @@ class LastGood:
 
     A state is sound when the watch has found the water well *after* it. The newest one that was seen only before a look is a
     candidate; the look that comes next makes it the last good one. Both stay on the device until they are needed:
-    176 bytes a cell.
+    176 bytes a cell of every level.
     """
 
     def __init__(self) -> None:
-        self.good: TickState | None = None
-        self.candidate: TickState | None = None
+        self.good: tuple[TickState, tuple[OuterState, ...]] | None = None
+        self.candidate: tuple[TickState, tuple[OuterState, ...]] | None = None
         self.looks = 0
 
     def look(self, run: Run) -> None:
         """To be called after every tick."""
         if run.watch.looks > self.looks or self.candidate is None:
             self.looks, self.good = run.watch.looks, self.candidate
-            self.candidate = checkpoint(run.coupled)
+            self.candidate = checkpoint(run.coupled), outer_states(run.coupled)
 
     def save(self, path: str | Path, run: Run) -> str:
         """Put the run back to its last good state and write it; "" where there was none: the water failed at once."""
         if self.good is None:
             return ""
-        restore(run.coupled, self.good)
+        body, outer = self.good
+        restore(run.coupled, body)
+        restore_outer(run.coupled, outer)
         notes = {"robot": run.robot.name, "stopped": run.stopped, "last_good": True}
         return str(snapshot.save(path, run.coupled, **notes))

@@ -26,7 +26,7 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.output.slices import add_fields
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, REFINED, Domain, preset
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.mjcf import load_robot
 from fishmj.studies.force_maps.force_points import OK, Plan, Point, Table, measure
@@ -53,8 +53,7 @@ def main(argv: list[str]) -> int:
     out = Path(args.out)
     left = [p for p in points if not (p in table and (not _pictured(args, p) or slice_path(out, p).exists()))]
     tick = robot.timing.bus_dt
-    levels = {domain, domain.body_level}  # one, but where there is a finer box
-    held = [(level, sum(plan.ticks(point.speed, tick)) * tick) for point in left for level in levels]
+    held = [(level, sum(plan.ticks(point.speed, tick)) * tick) for point in left for level in domain.levels]
     less = "take fewer --speeds and --angles, --what joint, a coarser --dx; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
     if args.domain in PREVIEWS:
@@ -132,7 +131,7 @@ def _parser() -> console.Parser:
     settle = "before; by default 5 body lengths of water flow past"
     add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
     box = "box of water; laptop is a preview, _refined is finer at the fish"
-    add("--domain", choices=NAMES + REFINED, default="forcemap", help=box)
+    add("--domain", choices=EVERY, default="forcemap", help=box)
     cell = "another cell, same size, dt in proportion; by default the domain's"
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")

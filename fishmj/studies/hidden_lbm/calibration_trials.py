@@ -19,7 +19,7 @@ from pathlib import Path
 from fishmj import console, excitation
 from fishmj.errors import ConfigError
 from fishmj.excitation import PERIOD, Excitation
-from fishmj.lbm_oracle.run.domain import NAMES
+from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.log import Trial, write_dataset
 from fishmj.store import Manifest, sha256, write_json
 from fishmj.virtual_robot import random_streams
@@ -182,7 +182,7 @@ def main(argv: list[str]) -> int:
     add("--repeats-swims", type=console.whole(1, 100), default=REPEATS, metavar="N", help="of every swim")
     cut = "cut the swims to this length; by default they are run to their end"
     add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
-    add("--domain", choices=NAMES, default="paper", help="box of the flow solver")
+    add("--domain", choices=EVERY, default="paper", help="box of the flow solver")
     add("--device", type=console.device, default="cpu", help="of the flow solver: auto, cpu, cuda or cuda:N")
     add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side in the solver")
     add("--seed", type=console.SEED, help="of the robot; by default drawn by the system")

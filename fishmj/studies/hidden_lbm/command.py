@@ -17,7 +17,7 @@ from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, preset
+from fishmj.lbm_oracle.run.domain import EVERY, preset
 from fishmj.log.folder import write_trial
 from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, write_json
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     add("--noise", type=console.number(0, 100), default=1.0, help="factor on the sensors' noise")
     add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of what nobody measured")
     add("--slip", type=console.number(0, 1), default=1.0, help="ratio of the hull, quoted at the paper's grid")
-    add("--domain", choices=NAMES, default="window_coarse", help="box of water; laptop is a preview")
+    add("--domain", choices=EVERY, default="window_coarse", help="box of water; laptop is a preview")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     add("--tanks", type=console.whole(1, 256), help=f"experiments side by side; by default {ON_GPU} on a GPU, else 1")
     add("--out", type=console.out_folder, help="folder of data sets; goes on with what is there; needed unless --dry-run")

@@ -23,7 +23,7 @@ from fishmj.errors import ConfigError, MissingExtra
 from fishmj.evaluate import protocol, run_trials
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_json
 from fishmj.studies.rank_waters import compare_waters, rank
@@ -53,7 +53,7 @@ def options() -> console.Parser:
     model = "the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
     add("--model", type=console.text, help=model)
     add("--engine", choices=engines.NAMES, default="batch", help="of the surrogate")
-    add("--domain", choices=NAMES, help="box of the solver; by default that of the model's segments; laptop is a preview")
+    add("--domain", choices=EVERY, help="box of the solver; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="of the solver: auto, cpu, cuda or cuda:N")
     tanks = f"trials side by side in the solver; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)

@@ -6,6 +6,7 @@ python -m fishmj.lbm_oracle converge fish --grids 0.04 0.02 --parts 1 --slips 0.
     cruise      speed of the free fish at 1 Hz and 30 deg over the last two beats, m/s
     drag        of the straight fish held in 0.3 m/s, N
     broadside   lateral force on it across that stream, N
+    yaw         moment about the reference point of a fish held with all joints at 20 deg in that stream from ahead, N m
 
 The box keeps its size in metres on every grid. A time step is a part of the paper's Courant number, dt = dx / (5 m/s) / part.
 Each finished run is a row of `converge.csv`; the same command does the missing ones, another set-up in the same folder is
@@ -26,7 +27,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, REFINED, Domain, preset
+from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
@@ -34,9 +35,12 @@ from fishmj.store import read_json, write_json, write_text
 from fishmj.studies.force_maps.force_points import OK, Plan, Point, measure
 from fishmj.studies.force_maps.forcemap import stage
 
-WHAT = ("cruise", "drag", "broadside")
+WHAT = ("cruise", "drag", "broadside", "yaw")
 GRIDS, PARTS, SLIPS = (0.02, 0.01, 1 / 150), (1, 2), (0.0, 0.95, 0.98, 0.99, 1.0)
 SPEED = 0.3  # m/s
+BENT = 20.0  # deg, joints at which the moment is greatest (docs/results/flow_solver.md)
+HELD = {"drag": (Point("aoa", 0.0, 0.0, SPEED), "drag_N"), "broadside": (Point("aoa", 0.0, 90.0, SPEED), "lateral_N")}
+HELD |= {"yaw": (Point("joint", BENT, 0.0, SPEED), "yaw_Nm")}  # posture, and the column of a force map
 TICK: float = constant("timing", "bus_dt")  # s
 DIGITS = 7  # of a cell or time step in a key, m or s
 COLUMNS = ("what", "dx", "dt", "slip", "value", "sem", "seconds", "wall_s", "status")
@@ -98,8 +102,8 @@ def cruise(domain: Domain, slip: float, beats: float, device: str) -> Result:
 
 
 def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Result:
-    """The straight fish along the stream or across it."""
-    point = Point("aoa", 0.0, 0.0 if what == "drag" else 90.0, SPEED)
+    """A force or moment of the held fish: straight along the stream, straight across it, bent."""
+    point, column = HELD[what]
     robot = load_robot("fish")
     rows: list[dict] = []
 
@@ -108,8 +112,8 @@ def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Res
         return stage(domain, point, slip=slip, device=device).run(tethered=True, prescribed=lambda t: joints)
 
     measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
-    row, name = rows[0], "drag" if what == "drag" else "lateral"
-    return Result(row[f"{name}_N"], row[f"{name}_sem_N"], row["seconds"], row["status"])
+    row, (name, unit) = rows[0], column.split("_")
+    return Result(row[column], row[f"{name}_sem_{unit}"], row["seconds"], row["status"])
 
 
 class ResultTable:
@@ -182,7 +186,7 @@ def main(argv: list[str]) -> int:
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
     waters = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
-    runs = [(level, water) for domain, water in waters for level in {domain, domain.body_level}]
+    runs = [(level, water) for domain, water in waters for level in domain.levels]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     device = str(device_of(args.device))
@@ -207,7 +211,8 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> console.Parser:
-    p = console.parser("lbm_oracle converge fish", "Cruise speed, drag and broadside force over grid, time step and slip ratio.")
+    about = "Cruise speed, drag, broadside force and yaw moment over grid, time step and slip ratio."
+    p = console.parser("lbm_oracle converge fish", about)
     add = p.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--what", **several, choices=WHAT, default=list(WHAT), help="quantities")
@@ -218,7 +223,7 @@ def _parser() -> console.Parser:
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
     add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
-    add("--domain", choices=NAMES + REFINED, default="window", help="whose box in metres; _refined: half the cell round the fish")
+    add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
     settle = "before a force is averaged; by default 5 body lengths of water flow past"
     add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)

@@ -20,7 +20,7 @@ from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
+from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
 from fishmj.store import read_json, write_json
@@ -110,7 +110,7 @@ def _parser() -> console.Parser:
     p = console.parser("lbm_oracle speeds", "Speed of the free fish over beat frequency, slip ratio and depth.")
     add = p.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
-    add("--preset", choices=NAMES, default="window_coarse", help="box of water; laptop is a preview")
+    add("--preset", choices=EVERY, default="window_coarse", help="box of water; laptop is a preview")
     beat = console.number(0.05, 10)
     add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
