@@ -22,6 +22,7 @@ from fishmj.train.networks import check_config, forward, input_scale, mlp, privi
 from fishmj.train.training_cost import ADAM, FLOAT, STATE, weights
 
 ADAM_EPS = 1e-5
+FAR = 80.0  # of a log ratio: one fish far outside its tank would else make exp or log infinite, and end the run
 SHUFFLE = 1_000_000_000  # added to the iteration's number: the keys of its minibatches are none of its exploration
 
 
@@ -180,13 +181,14 @@ class PPO:
         c = self.config
         actor, log_sigma, critic = networks
         log_prob = gaussian(b.u, forward(actor, b.obs, c.activation), log_sigma)
-        ratio = jnp.exp(log_prob - b.log_prob)
+        log_ratio = jnp.clip(log_prob - b.log_prob, -FAR, FAR)
+        ratio = jnp.exp(log_ratio)
         # normalised in each minibatch: the step's size does not hang on the scale of the reward
         advantages = (b.advantages - b.advantages.mean()) / (b.advantages.std() + 1e-6)
         surrogate = jnp.minimum(ratio * advantages, jnp.clip(ratio, 1 - c.clip, 1 + c.clip) * advantages).mean()
         value_loss = jnp.square(self.value(critic, b.obs, b.privileged_obs) - b.returns).mean()
         entropy = jnp.sum(log_sigma + 0.5 * np.log(2 * np.pi * np.e))
-        kl = ((ratio - 1) - jnp.log(ratio)).mean()  # never negative and of small variance (Schulman 2020)
+        kl = ((ratio - 1) - log_ratio).mean()  # never negative and of small variance (Schulman 2020)
         return -surrogate + c.value_weight * value_loss - c.entropy * entropy, kl
 
     def update(self, state: PPOTrainState, batch: Batch):
