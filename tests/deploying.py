@@ -42,6 +42,7 @@ class FakeRobot:
     """
 
     name, watched, greets, lacks = "fake", True, True, ()
+    robot_clock = None
 
     def __init__(self, clock: FakeClock, joints: int = 3):
         self.clock, self.joint, self.goal = clock, np.zeros(joints), np.zeros(joints)

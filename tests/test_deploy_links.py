@@ -82,6 +82,30 @@ def test_a_robot_says_what_it_is():
     assert found.joints == info.joints and found.neutral == 0.3
 
 
+def test_the_robots_clock_is_that_of_the_quickest_answer_and_a_lost_question_tells_nothing():
+    wire = Wire()
+    info = RobotInfo("fw-1", "ab" * 32, (1, 2, 3), ("j1", "j2", "j3"), 1.0, 0.1, 0.3)
+    link = Fishmj1Link(wire)
+
+    def answered(heard, robot):
+        wire.waiting = [(heard, fishmj1.encode_info(1, robot, info))]
+        link.receive(heard)
+        return link.robot_clock
+
+    assert answered(1.0, 0.0) is None  # nobody asked
+    link.hello(5.0)
+    assert answered(5.010, 2.004) == pytest.approx((3.001, 0.010))
+    link.hello(5.2)
+    assert answered(5.230, 2.204) == pytest.approx((3.001, 0.010))  # a slower one
+    link.hello(5.4)
+    link.arm(5.5, 0.1, 0.3)  # one of the two was lost, nobody knows which
+    assert answered(5.502, 2.501) == pytest.approx((3.001, 0.010))
+    link.arm(5.6, 0.1, 0.3)
+    assert answered(5.606, 2.603) == pytest.approx((3.0, 0.006))
+    link.forget()
+    assert link.robot_clock is None
+
+
 def test_the_open_robots_layout_lacks_a_watchdog_and_says_so():
     wire = Wire()
     link = MishLink(wire, "fixed")

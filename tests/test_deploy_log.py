@@ -62,6 +62,19 @@ def test_readings_are_stamped_by_the_robots_even_clock_shifted_to_the_hosts(tmp_
     assert (joint["t_rx"] - joint["t"]).min() == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize(("ahead", "shift"), [(47.0, 47.0), (46.0, 47.006), (47.02, 47.006)])
+def test_the_robots_clock_is_shifted_by_what_an_answer_told_where_that_can_be(tmp_path, ahead, shift):
+    """The least delay has the whole way up in it, here 6 ms; another life of the robot's was asked where that does not fit."""
+    log = TrialLog(tmp_path / "swim", META | {"host": {"robot": {"clock": {"ahead": ahead, "round_trip": 0.012}}}}, 3)
+    log.command(50.0, np.zeros(3), np.zeros(3), 0, 3)
+    for k in range(100):
+        log.heard(50.006 + 0.02 * k + 0.001 * (k % 3), Telemetry((0.0, 0.0, 0.0), k, 3.0 + 0.02 * k))
+    log.close()
+    trial = read_trial(tmp_path / "swim")
+    np.testing.assert_allclose(trial.tables["joint"]["t"] + 50.0 - 0.02 * np.arange(100), 3.0 + shift, atol=1e-9)
+    assert trial.meta["clock"]["joint"].endswith("half of a round trip" if shift == ahead else "the least delay")
+
+
 def test_a_robot_that_restarts_gets_a_shift_of_its_own(tmp_path):
     log = TrialLog(tmp_path / "swim", META, 3)
     for k in range(100):

@@ -14,7 +14,7 @@ from fishmj.deploy import arming, monitor_process, swim_command
 from fishmj.deploy.links import Fishmj1Link
 from fishmj.deploy.localiser import InStep
 from fishmj.deploy.monitor import Alarm
-from fishmj.deploy.monitor_live import LiveMonitor, Watched, watched_of
+from fishmj.deploy.monitor_live import Beside, LiveMonitor, Watched, watched_of
 from fishmj.deploy.pilot import PolicyPilot
 from fishmj.deploy.swim import Plan, Rig, Swim
 from fishmj.deploy.trial_log import TrialLog
@@ -36,6 +36,8 @@ wanted = json.loads(sys.stdin.readline())
 print(json.dumps({"watching": ["j1", "j2"], "t": 0.5}), flush=True)
 rows = {}
 for line in sys.stdin:
+    if "over" in json.loads(line):
+        break
     for name, table in json.loads(line).items():
         rows[name] = rows.get(name, 0) + len(table["t"])
 print(json.dumps({"alarm": ALARM}), flush=True)
@@ -46,8 +48,9 @@ print(json.dumps({"end": {"watched_s": 2.0, "rows": rows, "model": wanted["model
 def beside(tmp_path, script, **options):
     """A swim of the fakes with this process in the place of the monitor's: (monitor, trial, lines that were said)."""
     bench, said, made = Bench(tmp_path / "swim", seconds=2.0), [], []
-    words = (sys.executable, "-c", script.replace("ALARM", repr(ALARM)))
-    bench.at(0.0, lambda: made.append(LiveMonitor(Watched(model="fish"), bench.log, say=said.append, process=words, **options)))
+    process = script if isinstance(script, Beside) else Beside((sys.executable, "-c", script.replace("ALARM", repr(ALARM))))
+    options["beside"] = process
+    bench.at(0.0, lambda: made.append(LiveMonitor(Watched(model="fish"), bench.log, say=said.append, **options)))
     bench.at(0.0, lambda: made[0].__enter__())
     with TrialLog(bench.folder, {"origin": "synthetic", "robot": "fish"}, 3, every=1e6) as log:
         bench.log = log
@@ -80,6 +83,30 @@ def test_after_a_stop_nobody_waits_for_a_monitor_that_is_behind(tmp_path):
     slow = "import json, time; time.sleep(3); print(json.dumps({'end': {'watched_s': 1.0}}))"
     assert "was not waited for" in beside(tmp_path / "a", slow, stopped=lambda: True)[0].failed
     assert beside(tmp_path / "b", slow)[1].meta["monitor"]["watched_s"] == 1.0
+
+
+def test_one_process_watches_swim_after_swim_until_it_is_closed(tmp_path):
+    """Lines of one swim never reach the next one, and a process that died is replaced."""
+    each = """
+import json, os, sys
+for line in sys.stdin:
+    if "over" in json.loads(line):
+        print(json.dumps({"end": {"watched_s": 1.0, "process": os.getpid()}}), flush=True)
+"""
+    with Beside((sys.executable, "-c", each)) as process:
+        first, second = (beside(tmp_path / name, process)[1].meta["monitor"]["process"] for name in ("a", "b"))
+        assert first == second
+        process.close()
+        assert beside(tmp_path / "c", process)[1].meta["monitor"]["process"] != first
+    assert process._process is None
+
+
+def test_what_was_learnt_from_healthy_swims_is_kept_for_the_next_swim(tmp_path, monkeypatch):
+    learnt = []
+    monkeypatch.setattr(monitor_process, "reference_of", lambda *given: learnt.append(given) or "reference")
+    for _ in range(3):
+        assert monitor_process._learnt("fish", (), True, False) == "reference"
+    assert len(learnt) == 1 and monitor_process._learnt("fish", (), True, True) and len(learnt) == 2
 
 
 def watching(tables, wanted, size=50):
@@ -151,12 +178,7 @@ class Struck(LockstepClock):
         body = self.robot.body
         if self.robot.time > self.at and not self.struck:
             self.struck = True
-            body._catch_up()
-            body.plant = body._acting = self.weak(body)
-
-    def weak(self, body):
-        made = plant({"torque_saturation": {"limit": 0.7}}, 7, nuisance=0.1, robot=body.robot, flow=FLOW)
-        return made.with_fields({"network.latency": body.plant.network.latency, "network.jitter": 0.0})
+            body.change(plant({"torque_saturation": {"limit": 0.7}}, 7, nuisance=0.1, robot=body.robot, flow=FLOW))
 
 
 def in_lockstep(folder: Path, seconds: float, clock_of, watched=None):

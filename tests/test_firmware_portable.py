@@ -18,40 +18,31 @@ HEADERS = sorted(FIRMWARE.glob("*.h"))
 BOARD = """
 #include <math.h>
 #include <string.h>
+#include "board.h"
 #include "ina226.h"
-#include "lx_bus.h"
-#include "policy.h"
-#include "robot.h"
-#include "servo_counts.h"
-void read_servos(float *joint);
-void move_servos(const float *target);
-void uart_write(const uint8_t *data, size_t size);
+uint64_t clock_us(void *at);
+size_t udp_receive(void *at, uint8_t *data, size_t room);
+void udp_send(void *at, const uint8_t *data, size_t size);
+void uart_write(void *at, const uint8_t *data, size_t size);
+size_t uart_read(void *at, uint8_t *data, size_t room, uint32_t wait_us);
+bool ina226_write(void *at, uint8_t reg, uint16_t word);
+bool ina226_read(void *at, uint8_t reg, uint16_t *word);
 void show_error(void);
 void setup(void);
-void unload_servos(void);
-fj_telemetry measured(const float *joint);
-size_t udp_receive(uint8_t *data, size_t room);
-void udp_send(const uint8_t *data, size_t size);
-void tick(uint64_t now_us);
+void every_20_ms(void);
 """
 MAIN = """
 #include <stdio.h>
 #include <stdlib.h>
-void read_servos(float *joint) { joint[0] = joint[1] = joint[2] = 0.1f; }
-void unload_servos(void) {}
-fj_telemetry measured(const float *joint) {
-    fj_telemetry it;
-    memset(&it, 0, sizeof it);
-    memcpy(it.joint, joint, 3 * sizeof *joint);
-    return it;
-}
+static uint64_t now = 1000000;
+uint64_t clock_us(void *at) { (void)at; return ++now; }
 static int arrived = 0;
-static uint8_t hello[64];
+static uint8_t datagram[64];
 static size_t bytes = 0;
-size_t udp_receive(uint8_t *data, size_t room) {
-    (void)room;
+size_t udp_receive(void *at, uint8_t *data, size_t room) {
+    (void)at, (void)room;
     if (arrived++) return 0;
-    memcpy(data, hello, bytes);
+    memcpy(data, datagram, bytes);
     return bytes;
 }
 static void show(char what, const uint8_t *data, size_t size) {
@@ -59,13 +50,33 @@ static void show(char what, const uint8_t *data, size_t size) {
     for (size_t i = 0; i < size; i++) printf("%02x", data[i]);
     printf("\\n");
 }
-void udp_send(const uint8_t *data, size_t size) { show('u', data, size); }
-void uart_write(const uint8_t *data, size_t size) { show('s', data, size); }
+void udp_send(void *at, const uint8_t *data, size_t size) { (void)at; show('u', data, size); }
+static lx_frame answer;
+void uart_write(void *at, const uint8_t *data, size_t size) { /* servos at 524 counts; what is no question is shown */
+    (void)at;
+    if (lx_decode(data, size, &answer) && answer.count == 0) {
+        answer.reply = true;
+        answer.count = 1;
+        answer.value[0] = answer.code == LX_POS_READ ? 524 : 30;
+    } else {
+        answer.count = 0;
+        show('s', data, size);
+    }
+}
+size_t uart_read(void *at, uint8_t *data, size_t room, uint32_t wait_us) {
+    (void)at, (void)room;
+    now += wait_us / 2;
+    size_t size = answer.count > 0 ? lx_encode(&answer, data) : 0;
+    answer.count = 0;
+    return size;
+}
+bool ina226_write(void *at, uint8_t reg, uint16_t word) { (void)at, (void)reg, (void)word; return true; }
+bool ina226_read(void *at, uint8_t reg, uint16_t *word) { (void)at, (void)reg; *word = 5920; return true; }
 void show_error(void) { exit(1); }
 int main(void) {
     setup();
-    bytes = fread(hello, 1, sizeof hello, stdin);
-    tick(20000);
+    bytes = fread(datagram, 1, sizeof datagram, stdin);
+    every_20_ms();
     return 0;
 }
 """
@@ -119,15 +130,19 @@ def run_of_the_readme(folder, datagram: bytes) -> list[tuple[str, bytes]]:
 
 def test_the_board_of_the_readme_says_what_the_host_asks_for_and_arms(tmp_path):
     """The host refuses other joints and another range (`deploy.arming`)."""
-    (_, said), *moves, (_, told) = run_of_the_readme(tmp_path, fishmj1.encode_arm(1, 0.0, 0.1, 0.3))
+    off, ((_, said), *moves, (_, told)) = (
+        (lines := run_of_the_readme(tmp_path, fishmj1.encode_arm(1, 0.0, 0.1, 0.3)))[:3],
+        lines[3:],
+    )
     info, robot = fishmj1.decode(said).value, load_robot("fish")
     assert isinstance(info, RobotInfo) and list(info.joints) == structure_of(robot)["joints"]
     assert info.servo_range == pytest.approx(robot.servo.range, rel=1e-6) and 0 < info.hold < info.neutral
     assert fishmj1.decode(told).value.state is RobotState.ARMED
-    frames = [lx_bus.decode(data) for _, data in moves]
-    assert [(frame.servo, frame.code, frame.values) for frame in frames] == [
-        (k, lx_bus.Code.MOVE_TIME_WRITE, (servo_counts.counts(0.1), 0)) for k in (1, 2, 3)
-    ]
+    frames = lambda lines: [(f.servo, f.code, f.values) for f in (lx_bus.decode(data) for _, data in lines)]
+    assert frames(off) == [(k, lx_bus.Code.LOAD_OR_UNLOAD_WRITE, (0,)) for k in (1, 2, 3)]
+    on = [((k, lx_bus.Code.LOAD_OR_UNLOAD_WRITE, (1,)), (k, lx_bus.Code.MOVE_TIME_WRITE, (524, 0))) for k in (1, 2, 3)]
+    assert frames(moves) == [frame for pair in on for frame in pair]
+    assert fishmj1.decode(told).value.joint == pytest.approx([servo_counts.angle(524)] * 3, abs=1e-6)
 
 
 def test_the_readme_lists_each_source():

@@ -112,6 +112,21 @@ def test_nothing_switched_on_is_the_body_itself_to_the_servos_counts(body):
     assert np.abs(told - seen).max() <= 0.51 * RAD_PER_COUNT
 
 
+def test_a_command_that_took_two_steps_does_not_make_every_later_one_arrive_in_halves():
+    """The rate limit counts from the newest step; a step between two commands would leave the next one 6 ms to move in."""
+    host, told = Host(delay=0.006).arm(0.2, 0.4), []
+    send = host.robot.body.send
+    host.robot.body.send = lambda angles: (told.append((host.robot.time, tuple(angles))), send(angles))
+    host.swim(0.1)
+    begin = host.robot.time
+    fast = lambda t: (0.15 + 3.0 * (t - begin), 0.0, 0.0)  # begins with more than 5.2 rad/s x 20 ms
+    host.swim(0.2, fast)
+    goals = [in_counts(fast(begin + TICK * k)[0]) for k in range(9)]
+    for k, goal in list(enumerate(goals))[4:]:
+        (arrived,) = [t for t, angles in told if angles[0] == goal]
+        assert arrived == pytest.approx(begin + TICK * k + 0.006, abs=1e-9)
+
+
 def test_the_watchdog_holds_then_goes_to_neutral_at_the_times_asked_for_and_only_disarm_leaves():
     host = Host().arm(0.2, 0.5).swim(0.6, lambda t: (0.3, 0.3, 0.3))
     silent = host.robot.time - TICK + 0.005  # the last command arrived

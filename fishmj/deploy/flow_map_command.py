@@ -125,7 +125,7 @@ def row(s: Setting, unit: str) -> dict[str, object]:
         "U [m/s]": shown(s.speed, 4),
         "TI [%]": shown(s.intensity, 2, 100),
         "L [m]": shown(s.length, 3),
-        "to [deg]": round(float(np.degrees(s.direction)), 1),
+        "to [deg]": round(float(np.degrees(s.direction)), 1) + 0.0,  # never -0
         "by": s.method,
         "seconds": round(s.seconds),
         "independent samples": round(s.independent),

@@ -31,6 +31,19 @@ class Received(NamedTuple):
     value: Telemetry | RobotInfo
 
 
+class RobotClock(NamedTuple):
+    """What a question and its answer tell of the robot's clock.
+
+        ahead = (t_asked + t_heard) / 2 - t_robot,    wrong by at most round_trip / 2
+
+    Attributes:
+        ahead: s, the host's clock minus the robot's. round_trip: s, from the question to the answer.
+    """
+
+    ahead: float
+    round_trip: float
+
+
 class Link(Protocol):
     """What the loop talks to.
 
@@ -38,6 +51,7 @@ class Link(Protocol):
         name: of the protocol. lacks: what it cannot say or do, a phrase each. watched: whether the robot has a watchdog.
         greets: whether the robot says what it is.
         counts: bad (no message at all), old (late or repeated, dropped), packets.
+        robot_clock: None where it is not told.
     """
 
     name: str
@@ -45,6 +59,7 @@ class Link(Protocol):
     watched: bool
     greets: bool
     counts: dict[str, int]
+    robot_clock: RobotClock | None
 
     def open(self) -> None: ...
     def hello(self, now: float) -> None: ...
@@ -65,7 +80,9 @@ class Fishmj1Link:
     def __init__(self, transport: Transport):
         self.transport, self.seq = transport, 0
         self.counts = {"packets": 0, "bad": 0, "old": 0}
+        self.robot_clock: RobotClock | None = None  # of the quickest answer since `forget`
         self._gate = SequenceGate()
+        self._asked: list[float] = []  # s, of the questions that wait for their answer
 
     def open(self) -> None:
         self.transport.open()
@@ -76,13 +93,16 @@ class Fishmj1Link:
     def forget(self) -> None:
         """The robot may have begun anew: whatever number comes next is believed."""
         self._gate.forget()
+        self.robot_clock = None
 
     def hello(self, now: float) -> None:
         """Ask the robot what it is."""
+        self._asked.append(now)
         self.transport.send(fishmj1.encode_hello(self._number(), now))
 
     def arm(self, now: float, hold: float, neutral: float) -> None:
         """Ask for torque, with the watchdog's times in s."""
+        self._asked.append(now)
         self.transport.send(fishmj1.encode_arm(self._number(), now, hold, neutral))
 
     def disarm(self, now: float) -> None:
@@ -107,6 +127,7 @@ class Fishmj1Link:
                 continue
             self.counts["packets"] += 1
             if isinstance(message.value, RobotInfo):
+                self._answered(t, message.time)
                 found.append(Received(t, message.value))
             elif isinstance(message.value, Telemetry):
                 if not self._gate.accept(message.seq, message.time):
@@ -114,6 +135,12 @@ class Fishmj1Link:
                     continue
                 found.append(Received(t, message.value))
         return found
+
+    def _answered(self, t: float, robot: float) -> None:
+        """The robot's clock from an answer of its time `robot` that arrived at t; where two questions wait, one was lost."""
+        asked, self._asked = self._asked, []
+        if len(asked) == 1 and (self.robot_clock is None or t - asked[0] < self.robot_clock.round_trip):
+            self.robot_clock = RobotClock((asked[0] + t) / 2 - robot, t - asked[0])
 
     def _number(self) -> int:
         self.seq = (self.seq + 1) % WHOLE
@@ -128,6 +155,7 @@ class MishLink:
     """
 
     watched, greets = False, False
+    robot_clock: RobotClock | None = None
 
     def __init__(self, transport: Transport, firmware: "mish.Firmware" = "fixed"):
         self.transport, self.firmware = transport, firmware

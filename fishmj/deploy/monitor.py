@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.deploy.monitor_prediction import Innovation, Observer, channels
-from fishmj.deploy.monitor_rows import Ticks
+from fishmj.deploy.monitor_rows import Ticks, as_heard
 from fishmj.deploy.monitor_statistics import LEAST_BLOCKS, SIZE, Cusums, Reference, learn
 from fishmj.errors import ConfigError
 from fishmj.log import Trial
@@ -165,7 +165,7 @@ def reference_of(robot: Robot, trials: Iterable[Trial], pose: bool = True, power
     for trial in trials:
         blocks = Blocks(robot, flow_of(trial), pose, power, trial.value("latency.pose"))
         probes = blocks.probes
-        made += [block for _, block in blocks.take(trial.tables)]
+        made += [block for _, block in blocks.take(as_heard(trial.tables))]
     return learn(made, probes)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.deploy.monitor import RATE, SETTLE, Monitor, flow_of, has, reference_of, said
 from fishmj.deploy.monitor_picture import drawn
+from fishmj.deploy.monitor_rows import as_heard
 from fishmj.deploy.monitor_statistics import LEAST_BLOCKS
 from fishmj.errors import LogError
 from fishmj.log import Trial, read_trial
@@ -54,7 +55,7 @@ def main(argv: list[str]) -> int:
     for name, trial in trials.items():
         late = trial.value("latency.pose")
         monitor = Monitor(robot, flow_of(trial), args.rate, args.settle, reference, camera=late, **tables)
-        monitor.update(trial.tables)
+        monitor.update(as_heard(trial.tables))
         watched += bool(monitor.history.t)
         seconds = monitor.history.t[-1] - monitor.history.t[0] if monitor.history.t else 0.0
         first = monitor.alarms[0] if monitor.alarms else None

@@ -1,7 +1,8 @@
 """The monitor beside a swim: rows of the trial go to a process of its own, alarms come back.
 
     this process   collects rows as the log takes them in; a thread sends them, twice a second (`LiveMonitor`)
-    the other one  `monitor_process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, behind the loop by as much
+    the other one  `monitor_process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, behind the loop by as much; it
+                   may stay for several swims, one after the other (`Beside`), and then learns from healthy ones once
 
 So no tick waits for the model. The swim goes on whatever an alarm says: protection is the supervisor's task.
 """
@@ -10,13 +11,12 @@ import json
 import subprocess
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from fishmj.protocols.messages import Telemetry
 
 EVERY = 0.5  # s between two deliveries
 DRAIN, LEAVE = 60.0, 1.0  # s that the other process may take for what is still on its way; the same after Ctrl-C
-PROCESS = "fishmj.deploy.monitor_process"
+PROCESS, OVER = "fishmj.deploy.monitor_process", "over"
 Tables = dict[str, dict[str, list[float]]]
 
 
@@ -91,12 +91,67 @@ def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, second
     return Watched(model=args.monitor, flow=flow, healthy=tuple(args.healthy), rate=args.alarm_rate)
 
 
+class Beside:
+    """The monitor's process: started when a swim needs it, ended by `close`; a context.
+
+    Args:
+        words: its command line.
+    """
+
+    def __init__(self, words: Sequence[str] = (sys.executable, "-m", PROCESS)):
+        self.words = list(words)
+        self._process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> "Beside":
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        self.close()
+
+    def watch(self, hear: Callable[[dict], object]) -> IO[str]:
+        """Begin a swim: where its lines are to be written; what comes back goes to `hear`, from a thread."""
+        self._hear = hear
+        if self._process is None or self._process.poll() is not None:
+            self.close()
+            self._process = subprocess.Popen(  # a session of its own: Ctrl-C is for the host
+                self.words,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,
+            )
+            threading.Thread(target=self._listen, args=(self._process,), name="monitor in", daemon=True).start()
+        return cast(IO[str], self._process.stdin)
+
+    def _listen(self, process: "subprocess.Popen[str]") -> None:
+        """The thread that hears."""
+        with suppress(OSError, ValueError):
+            for line in process.stdout or ():
+                self._hear(json.loads(line))
+        if process is self._process:
+            self._hear({"failed": "its process ended"})
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        for pipe in (process.stdout, process.stdin):
+            with suppress(OSError, ValueError):
+                if pipe is not None:
+                    pipe.close()
+
+
 class LiveMonitor:
     """Watches what a log takes in; a context.
 
     Args:
         log: whose rows are watched; alarms become events of it, and `monitor` in its meta data.
         say: shows a line. stopped: whether the operator wants an end, so that nothing is waited for.
+        beside: the process; None: one of its own, which ends with this.
 
     Attributes:
         alarms: so far. failed: why nothing is watched any more, "" while it is.
@@ -104,9 +159,10 @@ class LiveMonitor:
 
     def __init__(
         self, watched: Watched, log: TrialLog, *, say: Callable[[str], object] = console.warn,
-        stopped: Callable[[], bool] = lambda: False, process: Sequence[str] = (sys.executable, "-m", PROCESS),
+        stopped: Callable[[], bool] = lambda: False, beside: Beside | None = None,
     ):  # fmt: skip
-        self.watched, self.log, self.say, self.stopped, self.words = watched, log, say, stopped, list(process)
+        self.watched, self.log, self.say, self.stopped = watched, log, say, stopped
+        self.beside, self._stays = beside or Beside(), beside is not None
         self.alarms: list[Alarm] = []
         self.failed = ""
         self._rows: Tables = {}
@@ -115,28 +171,16 @@ class LiveMonitor:
         self._over = False
         self._heard: deque[dict] = deque()
         self._end: dict[str, Any] = {}
-        self._taking, self._done = threading.Lock(), threading.Event()
-        self._process: subprocess.Popen[str] | None = None
-        self._threads: list[threading.Thread] = []
+        self._taking, self._done, self._last = threading.Lock(), threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
 
     def __enter__(self) -> "LiveMonitor":
         w = self.watched
         wanted = {"model": w.model, "flow": list(w.flow or (0.0, 0.0)), "rate": w.rate, "settle": w.settle}
         wanted |= {"healthy": [str(path) for path in w.healthy]}
-        self._process = subprocess.Popen(  # a session of its own: Ctrl-C is for the host
-            self.words,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            start_new_session=True,
-        )
-        self._threads = [
-            threading.Thread(target=self._send, args=(self._process.stdin, wanted), name="monitor out", daemon=True),
-            threading.Thread(target=self._listen, args=(self._process.stdout,), name="monitor in", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        pipe = self.beside.watch(self._hear)
+        self._thread = threading.Thread(target=self._send, args=(pipe, wanted), name="monitor out", daemon=True)
+        self._thread.start()
         self.log.listeners.append(self)
         self._note()
         return self
@@ -146,21 +190,21 @@ class LiveMonitor:
         if self in self.log.listeners:
             self.log.listeners.remove(self)
         self._done.set()
-        end = time.monotonic() + (LEAVE if self.stopped() or error is not None else DRAIN)
-        for thread in self._threads:
-            thread.join(max(end - time.monotonic(), 0.0))
+        self._last.wait(LEAVE if self.stopped() or error is not None else DRAIN)
         self._take()
-        process, self._process = self._process, None
-        if process is not None:
-            if not self._end and not self.failed:
-                self.failed = "it was behind at the end, and was not waited for"
-            process.kill()
-            process.wait()
-            for pipe in (process.stdout, process.stdin):
-                with suppress(OSError, ValueError):
-                    if pipe is not None:
-                        pipe.close()
+        if not self._end and not self.failed:
+            self.failed = "it was behind at the end, and was not waited for"
+        if self.failed or not self._stays:  # one that is behind would be so in the next swim, too
+            self.beside.close()
+        if self._thread is not None:
+            self._thread.join(LEAVE)
         self._note()
+
+    def _hear(self, told: dict) -> None:
+        """What came back, in the thread that hears."""
+        self._heard.append(told)
+        if "end" in told or "failed" in told:
+            self._last.set()
 
     def command(self, t: float, joint: np.ndarray) -> None:
         """A command left at t."""
@@ -169,7 +213,7 @@ class LiveMonitor:
             self._take()
 
     def heard(self, t: float, packet: Telemetry) -> None:
-        """A packet arrived at t; where the robot has a clock, its rows stand on that one, shifted as the log does it."""
+        """A packet arrived at t; where the robot has a clock, its rows stand on that one (`monitor_rows.as_heard`)."""
         at = t
         if packet.time is not None:
             self._shift = min(self._shift, t - packet.time)
@@ -208,17 +252,10 @@ class LiveMonitor:
                 if rows:
                     pipe.write(json.dumps(rows) + "\n")
                 pipe.flush()
-            pipe.close()
+            pipe.write(json.dumps({OVER: True}) + "\n")
+            pipe.flush()
         except (OSError, ValueError):  # the other process is gone, and the listening thread says why
             pass
-
-    def _listen(self, pipe: IO[str]) -> None:
-        """The thread that hears."""
-        with suppress(OSError, ValueError):
-            for line in pipe:
-                self._heard.append(json.loads(line))
-        if not self._done.is_set():
-            self._heard.append({"failed": "its process ended"})
 
     def _take(self) -> None:
         """Say what came back; in the loop's own thread."""

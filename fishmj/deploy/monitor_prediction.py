@@ -93,12 +93,8 @@ class Observer:
 
     def step(self, seen: Seen) -> Innovation:
         """One bus tick."""
-        xp, power = self.xp, 0.0
-        for target in seen.target:
-            made = planar_chain.step(xp, self.chain, self.swimmer, self.q, self.v, self.attached, target, self.flow, (0.0, 0.0))
-            self.q, self.v, self.attached = list(made.q), list(made.v), made.attached
-            power = power + made.power
-        power = power / len(seen.target)
+        xp = self.xp
+        power, accel = self._moved(seen.target)
         drive = planar_chain.servo_drive(xp, self.chain, self.swimmer, self.q, self.v, seen.target[-1])
         error: dict[str, Any] = {}
         probes: dict[str, tuple] = {}
@@ -110,11 +106,22 @@ class Observer:
             error[f"j{k + 1}"] = e
             probes[f"j{k + 1}"] = self._filtered(f"j{k + 1}", (one, rate, drive[k], xp.tanh(rate / CREEP)), self.servo)
         if seen.pose is not None:
-            self._body(seen, made.accel, error, probes, one)
+            self._body(seen, accel, error, probes, one)
         if seen.power is not None:
             error["power"] = seen.power - power - self.idle
             probes["power"] = (one, power)
         return Innovation(error, probes)
+
+    def _moved(self, targets: Any) -> tuple[Any, Any]:
+        """Move on by the physics steps of a tick, a target each: mean power, W, and the acceleration of the last step."""
+        power: Any = 0.0
+        for target in targets:
+            made = planar_chain.step(
+                self.xp, self.chain, self.swimmer, self.q, self.v, self.attached, target, self.flow, (0.0, 0.0)
+            )
+            self.q, self.v, self.attached = list(made.q), list(made.v), made.attached
+            power = power + made.power
+        return power / len(targets), made.accel
 
     def _body(self, seen: Seen, accel, error: dict, probes: dict, one) -> None:
         """Compare with the pose that the model had when the frame was taken; correct the pose that it has now."""

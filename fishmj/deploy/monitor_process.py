@@ -1,14 +1,17 @@
-"""The process that `monitor_live.LiveMonitor` starts: `python -m fishmj.deploy.monitor_process`.
+"""The process that `monitor_live.Beside` starts: `python -m fishmj.deploy.monitor_process`.
 
-It reads lines of JSON: first what to watch, then rows of the tables as they come. It writes lines of JSON: what it watches, every
-alarm, and at the end of its input how long it has watched.
+It reads lines of JSON, for each swim: what to watch, then rows of the tables as they come, then {"over": true}. It writes lines
+of JSON: what it watches, every alarm, and at the end of a swim how long it has watched. What it learnt from healthy swims it
+keeps for the next one.
 """
 
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +19,11 @@ import numpy as np
 
 from fishmj import console
 from fishmj.deploy.monitor import Monitor, has, reference_of
+from fishmj.deploy.monitor_live import OVER
+from fishmj.deploy.monitor_statistics import Reference
 from fishmj.errors import FishmjError
 from fishmj.log import Trial, read_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.description import Robot, load_robot
 
 LOOK = 3.0  # s of rows after which it is clear what this robot measures
 BELOW = 10  # niceness: the loop comes first
@@ -36,7 +41,7 @@ def watch(wanted: Mapping[str, Any], lines: Iterable[Rows], tell: Callable[[dict
         FishmjError: the model or a healthy log cannot be read, or is too short.
     """
     robot = load_robot(wanted["model"])
-    healthy = [read_trial(Path(path)) for path in wanted["healthy"]]
+    healthy = _healthy(tuple(wanted["healthy"]))
     stamped = [float(trial.value("latency.pose") or robot.timing.camera_latency) for trial in healthy]
     late = float(np.mean(stamped)) if stamped else robot.timing.camera_latency
     monitor: Monitor | None = None
@@ -63,10 +68,22 @@ def watch(wanted: Mapping[str, Any], lines: Iterable[Rows], tell: Callable[[dict
     tell({"end": {"watched_s": round(seconds, 1), "highest": highest}})
 
 
-def _monitor(wanted: Mapping[str, Any], robot, healthy: list[Trial], waiting: list[Rows], late: float) -> Monitor:
+@cache
+def _healthy(folders: tuple[str, ...]) -> tuple[Trial, ...]:
+    """The healthy swims."""
+    return tuple(read_trial(Path(folder)) for folder in folders)
+
+
+@cache
+def _learnt(model: str, folders: tuple[str, ...], pose: bool, power: bool) -> Reference:
+    """What is usual, from the healthy swims: 1.2 ms for every tick of them, so once for all swims of this process."""
+    return reference_of(load_robot(model), _healthy(folders), pose, power)
+
+
+def _monitor(wanted: Mapping[str, Any], robot: Robot, healthy: Sequence[Trial], waiting: list[Rows], late: float) -> Monitor:
     """A monitor of what this robot measures and the healthy swims have."""
     there = {name: any(name in rows for rows in waiting) and has(healthy, name) for name in ("pose", "power")}
-    reference = reference_of(robot, healthy, **there) if healthy else None
+    reference = _learnt(wanted["model"], tuple(wanted["healthy"]), **there) if healthy else None
     flow = (float(wanted["flow"][0]), float(wanted["flow"][1]))
     return Monitor(robot, flow, wanted["rate"], wanted["settle"], reference, camera=late, **there)
 
@@ -93,9 +110,10 @@ def main(argv: list[str]) -> int:
     console.parser("deploy.monitor_process", "The monitor beside a swim: rows and alarms as lines of JSON.").parse_args(argv)
     with suppress(OSError):
         os.nice(BELOW)
-    wanted = json.loads(sys.stdin.readline() or "{}")
+    lines = map(json.loads, sys.stdin)
     try:
-        watch(wanted, map(json.loads, sys.stdin), tell)
+        for wanted in lines:
+            watch(wanted, takewhile(lambda rows: OVER not in rows, lines), tell)
     except FishmjError as error:
         tell({"failed": str(error)})
         return console.BAD_INPUT

@@ -2,6 +2,10 @@
 
 A command acts `command_latency` after it was sent and holds until the next. A measurement between two rows is on the straight
 line between them. A tick is taken only when every table has passed it, so that late rows are never guessed.
+
+The robot's own stamps are shifted by the least delay of a packet: late by the radio's way up, but by the same in every swim. A
+log's own shift, of half a round trip (`links.RobotClock`), has no such lag and differs by a millisecond or two from swim to swim.
+At 5 rad/s that is 10 mrad, which is no fault of a joint.
 """
 
 from collections.abc import Mapping
@@ -15,6 +19,20 @@ from fishmj.mjcf.description import Robot
 
 PAUSE = 0.25  # s without rows of a table: the model starts afresh behind it
 KEPT = 2.0  # s of rows that are kept
+
+
+def as_heard(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """Tables of a log, joint and power stamped by the robot's clock plus the least delay; without that clock as they are."""
+    made = dict(tables)
+    for name in ("joint", "power"):
+        table = made.get(name, {})
+        if "t_robot" not in table or "t_rx" not in table:
+            continue
+        own, heard = np.asarray(table["t_robot"], float), np.asarray(table["t_rx"], float)
+        life = np.concatenate([[0], np.cumsum(np.diff(own) < 0)])  # the robot began anew
+        least = np.array([np.min((heard - own)[life == k]) for k in range(life[-1] + 1)])
+        made[name] = {**table, "t": own + least[life]}
+    return made
 
 
 class Ticks:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.deploy.clock import Clock
-from fishmj.deploy.links import Received, Sent
+from fishmj.deploy.links import Received, RobotClock, Sent
 from fishmj.errors import ConfigError
 from fishmj.protocols import lx_bus, servo_counts
 from fishmj.protocols.lx_bus import Code
@@ -39,6 +39,7 @@ class ServoBusLink:
 
     name, watched, greets = "lx-bus", False, False
     lacks: tuple[str, ...] = ("watchdog", "echo", "state", "robot time", "battery current", "info")
+    robot_clock: RobotClock | None = None
 
     def __init__(
         self, opened: Callable[[], Any], clock: Clock, ids: Sequence[int], zeros: Sequence[float] | None = None,

@@ -195,6 +195,8 @@ class Swim:
             if isinstance(value, RobotInfo):
                 self.info, self.refusal = value, self.rig.examine(value)
                 told = {name: getattr(value, name) for name in ("firmware", "firmware_sha256", "policy_sha256")}
+                if (clock := self.rig.link.robot_clock) is not None:
+                    told["clock"] = clock._asdict()
                 self.log.meta["host"] = {**self.log.meta.get("host", {}), "robot": told}
                 continue
             acted = [command for sent, command in self.sent if sent <= t - self.latency]

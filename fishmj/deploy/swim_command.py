@@ -45,31 +45,34 @@ def options() -> console.Parser:
     made = console.parser(
         "deploy swim", "A policy swims the robot: camera, 50 Hz bus, supervisor, trial folder.", examples=EXAMPLES
     )
+    swim_options(made)
     add = made.add_argument
-    add("--policy", type=console.text, required=True, metavar="NAME", help="shipped policy, policy file, or folder of a training")
-    add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
     add("--target", type=place, default=(0.0, 0.0), metavar="X,Y", help="where to hold station, m in the tank (default 0,0)")
-    about = f"m; a fish with |x| or |y| beyond it is stopped (default {BOUND:g}, as far as it was trained)"
-    add("--bound", type=console.number(0.1, 100), default=BOUND, metavar="M", help=about)
     add("--seconds", type=console.number(1, 36000), default=30.0, help="how long the policy steers")
-    add("--wait", type=console.number(0.5, 3600), default=10.0, help="s to wait for robot and camera")
     add("--out", type=console.out_folder, metavar="FOLDER", help="trial folder, must not exist (default runs/swim-DATE-TIME)")
-    add(
-        "--i-am-at-the-tank",
-        action="store_true",
-        help="arm a robot without a watchdog: a person stands there, a hand on its switch",
-    )
-    add("--anyway", action="store_true", help="let the policy steer on another command path than it was trained on")
-    add("--notes", type=console.text, metavar="TEXT", help="a sentence for meta.toml (default none)")
     stream = "the stream, m/s and rad, or MAP@SETTING of a flow map and its pump (default: not known)"
     add("--flow", type=flow, metavar="SPEED,DIRECTION", help=stream)
     add("--mcap", action="store_true", help="also write the trial as MCAP beside its folder, for Foxglove")
     add("--ros", type=wiring.address(9090), metavar="HOST[:PORT]", help="publish to a rosbridge while it swims (default: not)")
-    monitor_options(made)
-    wiring.link_options(made)
-    wiring.camera_options(made)
-    wiring.loopback_options(made)
     return made
+
+
+def swim_options(parser: console.Parser) -> None:
+    """What every swim under a policy is asked: one swim (`deploy swim`) and many (`deploy trials`)."""
+    add = parser.add_argument
+    add("--policy", type=console.text, required=True, metavar="NAME", help="shipped policy, policy file, or folder of a training")
+    add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
+    about = f"m; a fish with |x| or |y| beyond it is stopped, a trial then failed (default {BOUND:g}, as far as it was trained)"
+    add("--bound", type=console.number(0.1, 100), default=BOUND, metavar="M", help=about)
+    add("--wait", type=console.number(0.5, 3600), default=10.0, metavar="S", help="to wait for robot and camera")
+    at_the_tank = "arm a robot without a watchdog: a person stands there, a hand on its switch (default: ask)"
+    add("--i-am-at-the-tank", action="store_true", help=at_the_tank)
+    add("--anyway", action="store_true", help="let the policy steer on another command path than it was trained on")
+    add("--notes", type=console.text, metavar="TEXT", help="a sentence for meta.toml (default none)")
+    monitor_options(parser)
+    wiring.link_options(parser)
+    wiring.camera_options(parser)
+    wiring.loopback_options(parser)
 
 
 def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> int:

@@ -6,9 +6,12 @@
     power    t; V, I
     obs, action, target
 
-`t` is the host's clock, s from the first row. Where the robot has a clock, t of `joint` and `power` is that clock's, shifted by
-the least t_rx - t_robot: even, as it was read. A fix is stamped as the schema wants it, when it arrives: its own time plus the
-median latency, which `latency.pose` in meta.toml holds.
+`t` is the host's clock, s from the first row. Where the robot has a clock, t of `joint` and `power` is that clock's, shifted to
+the host's: even, as it was read. The shift is that of the quickest answer to a question (`links.RobotClock`, half of its round
+trip each way), else the least t_rx - t_robot, which is late by the radio's way up.
+
+A fix is stamped as the schema wants it, when it arrives: its own time plus the median latency, which `latency.pose` in
+meta.toml holds.
 
 Every few seconds a thread appends what came to a journal on disk (`journal`), which becomes the folder at the end. So a long swim
 takes no more memory and time a second than a short one, and a killed process loses what came since the last time.
@@ -276,7 +279,7 @@ def trial_of(raw: Mapping[str, Table], zero: float, meta: Mapping[str, Any], nam
             tables[table] = {**raw[table], "t": raw[table]["t"] - zero}
     for table in ("joint", "power"):
         if table in raw:
-            tables[table], clock[table] = _on_even_clock(raw[table], zero)
+            tables[table], clock[table] = _on_even_clock(raw[table], zero, meta.get("host", {}).get("robot", {}).get("clock", {}))
     if "pose" in raw:
         pose = raw["pose"]
         late = float(np.median(pose["t_rx"] - pose["t_taken"]))
@@ -299,18 +302,25 @@ def write_whole(folder: Path, trial: Trial) -> None:
         save(replace(trial, meta={**trial.meta, "host": host, PLAUSIBLE: dict.fromkeys(ALL_BOUNDS, 1e30) | LEAST}))
 
 
-def _on_even_clock(table: Table, zero: float) -> tuple[Table, str]:
-    """The table with its `t`, and the clock that stamped it; columns that lack a number are left out."""
+def _on_even_clock(table: Table, zero: float, told: Mapping[str, float]) -> tuple[Table, str]:
+    """The table with its `t`, and the clock that stamped it; columns that lack a number are left out.
+
+    told: fields of `links.RobotClock`, {} where nobody asked.
+    """
     full = {name: values for name, values in table.items() if np.isfinite(values).all()}
     heard = full["t_rx"] - zero
     if "t_robot" not in full:
         return {"t": heard, **{name: v for name, v in full.items() if name != "t_rx"}}, "host, reading"
     runs = np.concatenate([[0], np.flatnonzero(np.diff(full["t_robot"]) < 0) + 1, [len(heard)]])  # the robot began anew
-    t = heard.copy()
+    t, clocks = heard.copy(), []
     for begin, end in zip(runs[:-1], runs[1:], strict=True):
         own = full["t_robot"][begin:end]
-        t[begin:end] = own + np.min(heard[begin:end] - own)
-    return {"t": t, **full, "t_rx": heard}, "robot, shifted to the host's"
+        latest = np.min(heard[begin:end] - own)  # the shift may not be more: nothing is heard before it is read
+        shift = told.get("ahead", np.inf) - zero
+        known = 0.0 <= latest - shift <= told.get("round_trip", 0.0)  # else another life of the robot's was asked
+        t[begin:end] = own + (shift if known else latest)
+        clocks.append("half of a round trip" if known else "the least delay")
+    return {"t": t, **full, "t_rx": heard}, f"robot, shifted to the host's by {' and '.join(dict.fromkeys(clocks))}"
 
 
 def _rising(table: Table) -> Table:

@@ -1,5 +1,6 @@
 """`fishmj deploy trials`: a person and a robot through the 72 trials of the protocol, and the tables that `evaluate` writes."""
 
+import shlex
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
@@ -17,13 +18,13 @@ from fishmj.controllers.learned import LearnedController
 from fishmj.deploy import arming, trials_tables, wiring
 from fishmj.deploy.clock import MonotonicClock, first_in_line
 from fishmj.deploy.flow_map import FlowMap, Water
-from fishmj.deploy.monitor_live import LiveMonitor, monitor_options, watched_of
+from fishmj.deploy.monitor_live import Beside, LiveMonitor, watched_of
 from fishmj.deploy.pilot import PolicyPilot
 from fishmj.deploy.rig_experiment import free_name
 from fishmj.deploy.rig_prompt import Person
 from fishmj.deploy.status import StatusLine
 from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
-from fishmj.deploy.swim_command import BOUND, meta_of, target_warnings, undisturbed, warn_of_training
+from fishmj.deploy.swim_command import meta_of, swim_options, target_warnings, undisturbed, warn_of_training
 from fishmj.deploy.trial_log import TrialLog
 from fishmj.deploy.trials import HOST, KEPT, Place, Session, condition_of, counts, order, stream_direction, waters_of
 from fishmj.deploy.way_out import way_out
@@ -50,9 +51,8 @@ def options() -> console.Parser:
     made = console.parser(
         "deploy trials", "The 72 trials of the protocol on the robot, into the tables of evaluate.", examples=EXAMPLES
     )
+    swim_options(made)
     add = made.add_argument
-    add("--policy", type=console.text, required=True, metavar="NAME", help="shipped policy, policy file, or folder of a training")
-    add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
     about = "of the session: its logs, trials and tables; the same command goes on with it"
     add("--out", type=console.out_folder, required=True, metavar="FOLDER", help=about)
     mapped = "of fishmj deploy flow-map: the pump's setting for each speed, TI and length scale (default: not known)"
@@ -65,26 +65,12 @@ def options() -> console.Parser:
     add("--repeats", type=console.whole(1, 1000), metavar="N", help="trials of every speed and direction; default 3")
     add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
     add("--seed", type=console.SEED, default=0, help="of the trials, as of evaluate")
-    bound = f"m; a fish with |x| or |y| beyond it is stopped, which counts as a failed trial (default {BOUND:g})"
-    add("--bound", type=console.number(0.1, 100), default=BOUND, metavar="M", help=bound)
-    add("--wait", type=console.number(0.5, 3600), default=10.0, help="s to wait for robot and camera")
     add("--yes", action="store_true", help="ask nobody, and swim in lockstep, faster than real time: only with --link loopback")
     add("--retry", action="store_true", help="ask again for trials that were skipped")
     add("--tables", action="store_true", help="swim nothing: write the tables of what is there")
     other = f"folders of fishmj evaluate --out with the same trials in other waters (default those in OUT/{BESIDE})"
     add("--beside", nargs="+", type=console.path, metavar="FOLDER", help=other)
     add("--plots", action="store_true", help="pictures of the robot's trials in the report, with Matplotlib")
-    add(
-        "--i-am-at-the-tank",
-        action="store_true",
-        help="arm a robot without a watchdog: a person stands there, a hand on its switch",
-    )
-    add("--anyway", action="store_true", help="let the policy steer on another command path than it was trained on")
-    add("--notes", type=console.text, metavar="TEXT", help="a sentence for every meta.toml (default none)")
-    monitor_options(made)
-    wiring.link_options(made)
-    wiring.camera_options(made)
-    wiring.loopback_options(made)
     return made
 
 
@@ -127,7 +113,7 @@ class Walk:
     """The way through the trials that are left.
 
     Attributes:
-        stop: set by a signal while a robot swims.
+        stop: set by a signal while a robot swims. beside: the monitor's process, which learns from the healthy swims once.
     """
 
     def __init__(
@@ -139,6 +125,7 @@ class Walk:
         self.wire: Wire = in_step if args.yes and in_step is not None else wiring.wire
         self.watched = watched_of(args, robot, (0.0, 0.0), args.duration or constant("protocol", "duration"))
         self.stop, self.at_the_tank = Event(), cache(console.confirmed)  # a person is asked once a session
+        self.beside = Beside()
         self._speed: float | None = None
 
     def through(self) -> None:
@@ -146,7 +133,7 @@ class Walk:
         left = self.session.left(self.places)
         if len(left) < len(self.places):
             console.say(f"{len(self.places) - len(left)} of {len(self.places)} are there already: going on")
-        with console.Progress(max(len(left), 1), "trials", "trials") as bar:
+        with self.beside, console.Progress(max(len(left), 1), "trials", "trials") as bar:
             for number, place in enumerate(left):
                 if self.stop.is_set():
                     return
@@ -244,12 +231,23 @@ class Walk:
             log = stack.enter_context(TrialLog(folder, meta, self.robot.n_joints))
             status = StatusLine(seconds, quiet=args.yes)
             if watched is not None:
-                stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set))
+                stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, beside=self.beside))
             plan = Plan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
             swim = Swim(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
             ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)
             with undisturbed(), way_out(self.stop, lambda: link.disarm(clock.now()), self._kept), ahead:
                 return swim.run()
+
+
+def same_trials(args: Namespace) -> str:
+    """The options of `fishmj evaluate` that make the same trials."""
+    several = {"speeds": args.speeds, "los": args.los}
+    given = {name: ",".join(f"{value:g}" for value in values) for name, values in several.items() if values}
+    given |= {name: f"{value:g}" for name, value in (("repeats", args.repeats), ("duration", args.duration)) if value}
+    given |= {"seed": str(args.seed)} if args.seed else {}
+    given |= {"robot": args.robot} if args.robot != "fish" else {}
+    given |= {"flow-map": str(args.flow_map)} if args.flow_map else {}
+    return "".join(f" --{name} {shlex.quote(value)}" for name, value in given.items())
 
 
 def tables(
@@ -280,7 +278,7 @@ def tables(
         if place_name in session.skipped:
             console.warn(f"{place_name} was skipped: {session.skipped[place_name]}")
     if len(results) == 1:
-        again = f" --flow-map {args.flow_map}" if args.flow_map else ""
+        again = same_trials(args)
         where = session.folder / BESIDE
         console.say(
             "the same trials in simulated water, for the next tables:",

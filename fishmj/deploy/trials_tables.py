@@ -30,6 +30,7 @@ from fishmj.store import read_json, write_text
 
 TANK, LOOPBACK = "tank", "loopback"
 HOLE = 1.0  # s without a row of the meter, a beat, in which nobody knows what was drawn
+ALONE = "Put the same trials in simulated water beside it (fishmj deploy trials says how), and it is compared with those."
 OF_THE_ROBOT = ("power", "energy_per_metre", "cost_of_transport")  # what is missing without a meter
 
 
@@ -234,7 +235,7 @@ def written(
             shown = pictures([r for r in results if len(r.t) == len(results[0].t)], out)
         except MissingExtra as error:
             lacks.append(f"no pictures: {error}")
-    write_text(out / "report.html", report.page(results, found, shown, again=replay))
+    write_text(out / "report.html", report.page(results, found, shown, again=replay, alone=ALONE))
     return found, lacks
 
 

@@ -98,6 +98,7 @@ class FishmjFirmware:
         self._echo: tuple[int, float] | None = None
         self._asked: tuple[float, ...] | None = None  # rad, of the newest command, until the target is there
         self._taken = -inf  # s of its clock
+        self._fresh = False  # the newest command has not been stepped to
         ids = tuple(range(1, len(names) + 1))
         self._told = RobotInfo(NAME, own_sha256(), ids, names, robot.servo.range, HOLD, NEUTRAL, policy_sha256)
         self.guard = Guard(len(names))
@@ -118,7 +119,7 @@ class FishmjFirmware:
         if message.kind is fishmj1.Kind.COMMAND:
             taken = self.watchdog.command(clock, message.value.joint, message.value.speed)
             if taken:
-                self._echo, self._taken = (message.seq, message.time), clock
+                self._echo, self._taken, self._fresh = (message.seq, message.time), clock, True
                 self._asked = tuple(max(-self._range, min(self._range, angle)) for angle in message.value.joint)
             return taken, []
         if message.kind is fishmj1.Kind.DISARM:
@@ -131,8 +132,11 @@ class FishmjFirmware:
 
     def act(self, now: float, measured: Sequence[float]) -> tuple[float, ...] | None:
         clock = now - self._born
-        waits = self.watchdog.state is RobotState.ARMED and self._asked is None and clock - self._taken < self.watchdog.hold
-        if not waits:  # a step at the goal would spend the time in which the next command may move
+        # A step between two commands would spend the time in which the next one may move: it would arrive in halves from then on
+        since, there = clock - self._taken, self._asked is None
+        waits = not self._fresh and (since < PERIOD or there and since < self.watchdog.hold)
+        if not (waits and self.watchdog.state is RobotState.ARMED):
+            self._fresh = False
             self.target = self.watchdog.step(clock, measured)
             if self.target and self._asked and max(map(abs, map(sub, self.target, self._asked))) < 1e-9:
                 self._asked = None

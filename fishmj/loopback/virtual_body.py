@@ -17,7 +17,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.virtual_robot import network, random_streams
 from fishmj.virtual_robot import sensors as cameras
 from fishmj.virtual_robot.network import Radio
-from fishmj.virtual_robot.robot_constants import FIRMWARE_WAIT
+from fishmj.virtual_robot.robot_constants import FIRMWARE_WAIT, RobotConstants
 from fishmj.virtual_robot.simulate import STILL, Recording, at_rest, columns, run
 from fishmj.virtual_robot.trials import plant, weather
 
@@ -34,15 +34,10 @@ class VirtualBody:
         self, robot: Robot, effects: dict, seed: int, noise: float, nuisance: float, start: tuple[float, float, float],
         flow: Flow, radio: float,
     ):  # fmt: skip
-        self.robot, self.noise = robot, noise
-        made = plant(_with_gusts(effects, flow), seed, nuisance=nuisance, robot=robot, flow=(flow.speed, flow.direction))
-        left = max(bus_delay(robot, radio) - FIRMWARE_WAIT * made.motor.period, 0.0)
-        self.plant = made = made.with_fields({"network.latency": left, "network.jitter": 0.0})
-        self._camera = made.camera._replace(latency=0.0)
-        sizes = [getattr(made.camera, name) for name in PLANTED]
-        self._honest = not any(sizes) and made.camera.drift == 1.0 and made.odd.parallax == 0.0
-        late = made.network.joint_delay + made.camera.delay + made.meter.average
-        self._memory = round(late / MILLISECOND) + 2  # ms of motion that are looked back on
+        self.robot, self.noise, self.radio = robot, noise, radio
+        made = self._take(
+            plant(_with_gusts(effects, flow), seed, nuisance=nuisance, robot=robot, flow=(flow.speed, flow.direction))
+        )
         self._state = at_rest(start, made.zero, made.motor.voltage)
         for told in (self._state.goal, self._state.aim, self._state.seen, self._state.ramp):
             told[:] = 0.0
@@ -60,6 +55,24 @@ class VirtualBody:
         self._volts: float | None = None
         self._jams: dict[int, float] = {}
         self._acting = made
+
+    def change(self, made: RobotConstants) -> None:
+        """From now on it is a robot of these numbers (`virtual_robot.plant`), in mid-swim; its weather stays as it was drawn."""
+        self._catch_up()
+        made = self._take(made)
+        self._radio.network, self._radio.odd = made.network, made.odd
+        self._rewire()
+
+    def _take(self, made: RobotConstants) -> RobotConstants:
+        """The robot's numbers, with what is left of the command latency; the camera's own latency is the loopback's."""
+        left = max(bus_delay(self.robot, self.radio) - FIRMWARE_WAIT * made.motor.period, 0.0)
+        self.plant = made = made.with_fields({"network.latency": left, "network.jitter": 0.0})
+        self._camera = made.camera._replace(latency=0.0)
+        sizes = [getattr(made.camera, name) for name in PLANTED]
+        self._honest = not any(sizes) and made.camera.drift == 1.0 and made.odd.parallax == 0.0
+        late = made.network.joint_delay + made.camera.delay + made.meter.average
+        self._memory = round(late / MILLISECOND) + 2  # ms of motion that are looked back on
+        return made
 
     @property
     def time(self) -> float:

@@ -17,6 +17,7 @@ HOLD = 60.0  # s, at each target
 ARENA = 1.0  # m, half width in which targets lie
 READINGS = 5  # encoder readings in the slope that gives joint rates
 Effects = Mapping[str, Mapping[str, float]]
+Tables = dict[str, dict[str, np.ndarray]]
 HEALTHY: Effects = {}
 
 
@@ -44,7 +45,7 @@ class ChangingRobot(ClosedLoopRobot):
 def swim(
     robot_seed: int, seed: int, seconds: float, effects: Effects = HEALTHY, at: float = 0.0, speed: float = 0.2,
     direction: float = np.pi, policy: str = "station", told: Callable[[float], None] = lambda t: None,
-) -> dict[str, dict[str, np.ndarray]]:  # fmt: skip
+) -> Tables:  # fmt: skip
     """Tables cmd, joint, pose, power and truth (t, x, y, yaw, tx, ty) of one swim; `effects` from `at` s on.
 
     robot_seed: of the robot's unmeasured constants. seed: of noise, first pose and targets. speed, direction: of the stream.
