@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from fishmj.deploy.localiser import InStep
+from fishmj.errors import ConfigError
 from fishmj.evaluate import protocol
 from fishmj.loopback.lockstep import FixNoise, LockstepClock, PoseTracker
 from fishmj.loopback.settings import Settings, make_robot
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.tracker.error_statistics import LAGS, autocovariance
+from fishmj.studies.whole_chain import __main__ as study
 from fishmj.studies.whole_chain.chain import Compared, Remembering, figures
 from fishmj.studies.whole_chain.direct import AsSensed, in_second_robot, observation_noise
+from fishmj.studies.whole_loop import steps
 from fishmj.tasks import station_hold
 from fishmj.tasks.sensing import estimate
 
@@ -77,3 +80,33 @@ def test_a_trial_that_does_not_arrive_counts_from_ten_seconds_on():
     assert figures(path, 3.0, np.zeros(2)) == {"rmse": pytest.approx(0.4), "arrival": None}
     path[-51:, 1] = 0.05
     assert figures(path, 3.0, np.zeros(2)) == {"rmse": pytest.approx(0.05), "arrival": pytest.approx(29.0)}
+
+
+def test_a_policy_of_its_own_water_is_measured_calibrated_trained_and_then_swims(monkeypatch, tmp_path):
+    done, swum = [], []
+    monkeypatch.setattr(steps.rig_experiment, "main", lambda argv, wire: done.append(["experiment", *argv]) or 0)
+    monkeypatch.setattr(steps, "called", lambda loop, seed, *words, **_: done.append([str(word) for word in words]) or 0)
+    row = {"rmse": 0.05, "arrival": 3.0, "complete": True, "ended": "", "share_of_fixes": 1.0, "covariance": white(1e-3, 1e-2)}
+    monkeypatch.setattr(study, "_each", lambda work, count, *_: swum.append(work.args[2]) or [row] * count)
+    monkeypatch.setattr(study, "_direct", lambda policy, body, trials, count, jobs: (np.full(count, 0.045), count))
+    words = [
+        "--body",
+        "virtual",
+        "--train",
+        "--trials",
+        "6",
+        "--steps",
+        "5e5",
+        "--engine",
+        "planar",
+        "--out",
+        str(tmp_path / "own"),
+    ]
+    assert study.main(words) == 0
+    assert [words[0] for words in done] == ["experiment", "calibrate", "train"]
+    train = dict(zip(done[2], done[2][1:], strict=False))
+    assert train["--begin"] == "station" and train["--robot"] == str(tmp_path / "own/seed_00/fish.toml")
+    assert train["--engine"] == "planar" and train["--preset"] == "paper" and train["--steps"] == "500000"
+    assert swum == [train["--out"]]
+    with pytest.raises(ConfigError, match="take --body virtual"):
+        study.main(["--train", "--out", str(tmp_path / "other")])

@@ -18,6 +18,7 @@ from fishmj.engines import command_latency, nominal_params
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.gap.commands import admission
 from fishmj.gap.commands.apply import settle
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import record_of
 from fishmj.log import read_trial
 from fishmj.log.dataset import take
@@ -101,6 +102,26 @@ def test_the_figure_begins_at_the_first_entry_and_keeps_what_an_early_end_left()
     assert never["arrival"] is None and never["rmse"] == pytest.approx(0.4)  # from 10 s on
     left = swims.figures(path(np.where(t < 108.0, 0.05, np.where(t < 109.0, 2.0, 0.0))), 102.0, 108.5, np.zeros(2), 30.0)
     assert not left["complete"] and left["rmse"] == pytest.approx(np.sqrt((6.0 * 0.05**2 + 24.0 * 2.0**2) / 30.0), rel=0.01)
+
+
+@pytest.mark.slow
+def test_the_joints_tell_the_hidden_latency_and_the_few_ms_that_a_healthy_robot_has_beyond_its_description(tmp_path):
+    """The delay alone, fitted to the joints of a gait: nothing of the radio's way up is in it, and it grows by what is hidden."""
+    model, found = SwimmingFish("fish"), {}
+    place = model.index("command_latency", "delay")
+    for hidden in (0.0, 0.03, 0.15):
+        words = ["gait", "--repeats", "1", "--yes", "--flow", "0,0", "--out", str(tmp_path / f"rig{hidden}")]
+        words += ["--loopback", f"--seed 0 --effect command_latency={hidden}"]
+        assert rig_experiment.main(words, wire=Tank().wire) == console.OK
+        record = record_of(read_trial(tmp_path / f"rig{hidden}/trials/gait_1"), model.dt)
+        delays = hidden + np.linspace(-0.004, 0.008, 7)
+        rows = np.tile(model.null, (len(delays), 1))
+        rows[:, place] = delays
+        miss = np.mean((model.predict([record], rows)[0]["joint"] - record.joint.values) ** 2, (1, 2))
+        curve = np.polyfit(delays - hidden, miss, 2)
+        found[hidden] = -curve[1] / (2 * curve[0])
+    assert 0.0 < found[0.0] < 0.004
+    assert [found[hidden] - found[0.0] for hidden in (0.03, 0.15)] == pytest.approx([0.0, 0.0], abs=1e-3)
 
 
 def test_an_effect_counts_as_named_only_where_the_answer_is_named():

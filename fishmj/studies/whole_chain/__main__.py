@@ -2,6 +2,7 @@
 
     python -m fishmj.studies.whole_chain --out runs/whole_chain                     24 trials, drawn frames, 2 % radio loss
     python -m fishmj.studies.whole_chain --body virtual --out runs/second           in the second robot and its water
+    python -m fishmj.studies.whole_chain --body virtual --train --out runs/own      the same with a policy of its own water
     python -m fishmj.studies.whole_chain --trials 2 --marks poses --out runs/look   no frames: poses with a tracker's errors
 
 Chain: the host of `fishmj deploy` in lockstep with the loopback robot; camera frames that a tracker reads, servo counts, radio
@@ -11,6 +12,8 @@ the noise of the chain's own tracker: the errors of the chain's fixes through th
     distance      between the true reference point and the target
     RMSE          of it from the first entry into 0.1 m until 30 s; of a trial that does not arrive 10 to 30 s
     within        the mean of chain - direct, paired by trial, and its 95 % bootstrap interval
+
+--train measures the second robot, calibrates its water, and trains there; the training begins with --policy (`trained`).
 
 0 s is where the policy takes over. The chain's fish drifts a little before, while robot and host greet.
 """
@@ -23,6 +26,7 @@ import numpy as np
 
 from fishmj import console, cores
 from fishmj.controllers.learned import LearnedController
+from fishmj.errors import ConfigError
 from fishmj.evaluate import metrics, protocol, run_trials
 from fishmj.evaluate.protocol import Trials
 from fishmj.loopback.bodies import FITTED, VIRTUAL
@@ -30,6 +34,8 @@ from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json, write_json
 from fishmj.studies.whole_chain.chain import MARKS, SECONDS, swum
 from fishmj.studies.whole_chain.direct import AsSensed, in_second_robot, observation_noise
+from fishmj.studies.whole_chain.trained import trained
+from fishmj.studies.whole_loop.steps import Loop
 from fishmj.water.choice import in_water
 
 SPEEDS, REPEATS = (0.1, 0.2, 0.3), 1
@@ -39,7 +45,8 @@ TURBULENCE = {FITTED: "default", VIRTUAL: "gust"}  # the second robot's water is
 
 def one(out: Path, trials: Trials, policy: str, marks: str, loss: float, body: str, item: int) -> dict:
     """The figures of a trial, kept in `out`."""
-    file = out / f"{policy.replace('/', '_')}_{body}_{marks}_{loss:g}_{trials.items[item].seed[0]}_{item:02d}.json"
+    name = str(Path(policy).relative_to(out) if out in Path(policy).parents else policy)
+    file = out / f"{name.replace('/', '_')}_{body}_{marks}_{loss:g}_{trials.items[item].seed[0]}_{item:02d}.json"
     if not file.is_file():
         write_json(file, swum(item, trials, policy, marks, loss, body))
     return read_json(file)
@@ -49,12 +56,16 @@ def options() -> console.Parser:
     """The arguments."""
     parser = console.parser("studies.whole_chain", __doc__ or "")
     add = parser.add_argument
-    add("--policy", type=console.text, default="station", help="shipped name or file")
+    add("--policy", type=console.text, default="station", help="shipped name, file or folder of a training (default station)")
     add("--body", choices=(FITTED, VIRTUAL), default=FITTED, help="one fish in the fitted water, or the second robot in its own")
     add("--trials", type=console.whole(2, 72), default=24, help="of 24 a repeat: 3 speeds, 8 directions")
     add("--marks", choices=MARKS, default="tag", help="what is drawn and tracked; poses: no frames")
     add("--loss", type=console.number(0, 0.5), default=0.02, help="share of datagrams that get lost, each way")
     add("--seed", type=console.whole(0, 2**31), default=40, help="of the trials")
+    add("--train", action="store_true", help="first train one that begins with --policy in the water of the body virtual")
+    add("--preset", type=console.text, default="paper", help="of that training (default paper)")
+    add("--engine", type=console.text, default="auto", help="of that training: planar is quick on a GPU (default auto)")
+    add("--steps", type=console.number(1, 1e11), default=7e6, metavar="N", help="control steps of it (default 7e6)")
     add("--jobs", type=console.whole(1, 256), default=cores.usable_cores(), help="trials at a time (default: one a core)")
     add("--out", type=console.out_folder, required=True, help="folder; the same command goes on with what is there")
     return parser
@@ -63,6 +74,8 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """Exit code 0: the chain is within 0.02 m of the direct simulation; 1: it is not."""
     args = options().parse_args(argv)
+    if args.train:
+        args.policy = _own(args)
     repeats = -(-args.trials // 24)
     trials = protocol.trials(
         speeds=SPEEDS, repeats=repeats, seed=args.seed, randomisation=0.0, duration=SECONDS, turbulence=TURBULENCE[args.body]
@@ -97,6 +110,13 @@ def main(argv: list[str]) -> int:
         console.emit_json(told)
     within = abs(told["measured"]["difference_m"][0]) <= LIMIT
     return console.OK if within and told["complete"] == count else console.FAILED_CHECK
+
+
+def _own(args) -> str:
+    """The folder of a policy that is trained for the body. Raises ConfigError: the body's water is a description already."""
+    if args.body != VIRTUAL:
+        raise ConfigError(f"--train --body {args.body}: fishmj train --water knows that water; take --body {VIRTUAL}")
+    return trained(Loop(out=args.out, policy=args.policy, preset=args.preset, engine=args.engine, steps=int(args.steps)))
 
 
 def _each(work, count: int, jobs: int, what: str) -> list[dict]:

@@ -66,6 +66,7 @@ def main(argv: list[str]) -> int:
     add("--experiments", type=console.text, nargs="+", default=list(steps.EXPERIMENTS), metavar="NAME", help=experiments)
     add("--null-runs", type=console.whole(8, 1000), default=96, metavar="N", help="of gap find (default 96)")
     add("--preset", type=console.text, default="quick", help="of the trainings (default quick)")
+    add("--engine", type=console.text, default="auto", help="of the trainings: planar is quick on a GPU (default auto)")
     add("--steps", type=console.number(1, 1e10), default=2e6, metavar="N", help="control steps of each training (default 2e6)")
     add("--swims", type=console.whole(1, 72), default=8, help="of each arm (default 8)")
     add("--seconds", type=console.number(1, 60), default=steps.SECONDS, help=f"of a swim (default {steps.SECONDS:g})")
@@ -74,7 +75,7 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     loop = Loop(
         out=args.out, policy=args.policy, experiments=tuple(args.experiments), null_runs=args.null_runs, preset=args.preset,
-        steps=int(args.steps), swims=args.swims, seconds=args.seconds,
+        engine=args.engine, steps=int(args.steps), swims=args.swims, seconds=args.seconds,
     )  # fmt: skip
     seeds = args.only or list(range(args.seeds))
     args.out.mkdir(parents=True, exist_ok=True)

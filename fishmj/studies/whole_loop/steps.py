@@ -56,7 +56,7 @@ class Loop:
     Attributes:
         out: folder. policy: that swims before. healthy, experiments: names of `deploy experiment` before and after the fault set
             in, each once. null_runs: of `gap find`.
-        steps: of each training, of `preset`. swims: of each arm, seconds long.
+        steps: of each training, of `preset`, on `engine`. swims: of each arm, seconds long.
     """
 
     out: Path
@@ -65,6 +65,7 @@ class Loop:
     experiments: tuple[str, ...] = EXPERIMENTS
     null_runs: int = 96
     preset: str = "quick"
+    engine: str = "auto"
     steps: int = 2_000_000
     swims: int = 8
     seconds: float = SECONDS
@@ -131,10 +132,10 @@ def train(loop: Loop, seed: int, arm: str) -> None:
     done = folder / f"trained_{arm}.json"  # not a policy file: an interrupted training leaves these, too
     if done.is_file() or arm == AFTER and not patched(loop, seed):
         return
-    words = ["--preset", loop.preset, "--steps", loop.steps, "--robot", model, "--out", out]
+    words = ["--preset", loop.preset, "--engine", loop.engine, "--steps", loop.steps, "--robot", model, "--out", out]
     going = any((out / "checkpoints").glob("*"))
     called(loop, seed, "train", *words, *(["--resume"] if going else ["--begin", loop.policy]))
-    write_json(done, {"steps": loop.steps, "preset": loop.preset, "begin": loop.policy})
+    write_json(done, {"steps": loop.steps, "preset": loop.preset, "engine": loop.engine, "begin": loop.policy})
 
 
 def patched(loop: Loop, seed: int) -> bool:
