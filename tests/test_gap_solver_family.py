@@ -12,6 +12,8 @@ from fishmj import console, excitation
 from fishmj.calib import calib_folder
 from fishmj.errors import ConfigError, StoreError
 from fishmj.excitation import Excitation
+from fishmj.gap.records.records import record_of
+from fishmj.hydro_fit.record import KICK
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
 from fishmj.mjcf.description import load_robot
@@ -19,7 +21,7 @@ from fishmj.studies.gap_benchmark import calibrated, command, families, family_c
 from fishmj.studies.gap_benchmark.cases import KINDS
 from fishmj.studies.gap_benchmark.rows import kept
 from fishmj.studies.solver_family import __main__ as verb
-from fishmj.studies.solver_family import detectability, plan, swims
+from fishmj.studies.solver_family import detectability, launches, plan, swims
 from fishmj.studies.solver_family.plan import Asked
 
 
@@ -151,6 +153,55 @@ def test_robots_that_are_complete_are_data_sets(small, sets):
     assert sum(len(one.cases) for one in solver_sets.robots(sets, KINDS, 3)) == 3
 
 
+# ------------------------------------------------------------ launches
+LATE = 0.065  # s, of the camera
+
+
+def coasting(push=(0.35, 0.1, 0.0), noise=0.0, seed=1) -> Trial:
+    """A fish that slows down for 3 s, as a camera sees it that is `LATE`; joints still."""
+    t = np.arange(0.0, 3.0, 0.02)
+    gone = np.maximum(t - LATE, 0.0)
+    far = (gone - 0.1 * gone**2) * np.array(push)[:, None]
+    seen = far + noise * np.random.default_rng(seed).standard_normal(far.shape)
+    tables = {
+        "cmd": {"t": t, "c1": 0 * t},
+        "joint": {"t": t, "j1": 0 * t},
+        "pose": {"t": t, "x": seen[0], "y": seen[1], "yaw": seen[2]},
+    }
+    sigma = {"x": noise, "y": noise, "yaw": noise}
+    return Trial({"push": list(push), "start": [0.0, 0.0, 0.0], "sigma": sigma}, tables, name="tow")
+
+
+def test_a_launch_begins_after_its_first_moments_with_the_velocity_of_then():
+    whole = coasting(push=(0.35, 0.0, 0.0))
+    part = launches.steadied(whole, LATE)
+    assert part.table("cmd")["t"][0] == part.table("joint")["t"][0] == pytest.approx(KICK)
+    assert part.meta["push"] == pytest.approx([0.35 * (1 - 0.2 * KICK), 0.0, 0.0], abs=1e-9)
+    record = record_of(part, 0.004)
+    where = 0.35 * (KICK - 0.1 * KICK**2)
+    assert record.start[0] == pytest.approx(where, abs=3e-3) and record.seconds == pytest.approx(2.98 - KICK)
+    assert launches.steadied(part, LATE) is part  # once
+
+
+def test_the_velocity_is_in_the_axes_of_the_fish():
+    turned = coasting(push=(0.0, 0.3, 0.0))
+    turned.tables["pose"]["yaw"] = np.full_like(turned.tables["pose"]["t"], np.pi / 2)
+    assert launches.steadied(turned, LATE).meta["push"] == pytest.approx([0.3 * (1 - 0.2 * KICK), 0.0, 0.0], abs=1e-9)
+
+
+def test_a_velocity_that_is_read_off_the_camera_says_how_wrong_it_may_be():
+    bare = launches.steadied(coasting(noise=0.002), LATE, coasting()).meta
+    tries = [launches.steadied(coasting(noise=0.002, seed=seed), LATE).meta for seed in range(60)]
+    sigma = tries[0]["push_sigma"]
+    assert "push_sigma" not in bare and np.std([one["push"] for one in tries], axis=0) == pytest.approx(sigma, rel=0.3)
+    assert record_of(launches.steadied(coasting(noise=0.002), LATE), 0.004).push_sigma == tuple(sigma)
+
+
+def test_a_fish_at_rest_keeps_its_beginning():
+    still = coasting(push=(0.0, 0.0, 0.0))
+    assert launches.steadied(still, LATE) is still
+
+
 # ------------------------------------------------------------ how much shows
 def seen(x, end=2.0, power=3.0) -> Trial:
     """A swim of one joint: x is how far ahead the fish is [m]."""
@@ -198,13 +249,14 @@ def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_see
         fitted.append((path, family, [str(trial.value("excitation")) for trial in trials()]))
         return calibrated.Calibrated(robot, {"value": 0.02, "low": 0.0, "high": 0.1})
 
-    def search(model, trials, *, null, seed, **given):
-        asked.append((null.without, len(trials), seed))
+    def search(model, trials, *, null, seed, own, **given):
+        asked.append((null.without, len(trials), seed, own))
         raise ConfigError("a search that is not made here")
 
     from fishmj.studies.gap_benchmark import family_rows
 
     monkeypatch.setattr(solver_sets.calibrated, "kept", found)
+    monkeypatch.setattr(solver_sets.healthy_swims, "left_of", lambda model, swims, null: (len(swims), null.without))
     monkeypatch.setattr(family_rows, "investigate", search)
     monkeypatch.setattr(family_command, "warmed", lambda names: None)
     argv = ["--generator", "solver", "--sets", str(sets), "--kinds", "none,off", "--out", str(tmp_path / "rows")]
@@ -213,6 +265,7 @@ def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_see
     assert [row["kind"] for row in rows] == ["none", "none", "off", "none", "none", "off"]
     assert {row["answer"] for row in rows} == {"REFUSED"} and {row["family"] for row in rows} == {"solver"}
     assert {one[0] for one in asked} == {"solver"} and {one[1] for one in asked} == {6}
+    assert {one[3] for one in asked} == {(len(calibrated.SWIMS), "solver")}  # what it leaves of the swims of its calibration
     assert len({path for path, _, _ in fitted}) == 4 and all(len(names) == len(calibrated.SWIMS) for _, _, names in fitted)
     assert rows[0]["calibrated"]["value"] == 0.02 and rows[0]["described"] == "fish" and rows[0]["domain"] == "laptop"
     command.main([*argv, "--shard", "0/2"])

@@ -53,6 +53,7 @@ def investigate(
     null: SimulatedNull | None = None,
     page: dict | None = None,
     mass_known: bool = True,
+    own: float = 0.0,
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
@@ -65,6 +66,8 @@ def investigate(
     Args:
         null: how null runs are drawn. page: of weighings, log/measurements.py.
         mass_known: the description's mass counts as weighed where the page has no scales.
+        own: |z|^2 / m that the model leaves of the swims that its water was calibrated to (search/healthy_swims.py), by which it
+            is known how much of a gap is usual; 0: nobody knows.
         further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
         bars: progress of a stage (watch.py). admit: sees the likelihood before the search, may raise. notes: kept for the report.
     Raises:
@@ -85,7 +88,9 @@ def investigate(
         say(mass_properties.described(float(mass_properties.predicted(model, model.null)[0, 0])))
     e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars)
     admit(e)
-    gates = e.allowed(gates)
+    gates = e.allowed(gates, own)
+    if own:
+        say(f"the swims that the water was calibrated to leave {level(own)}: a gap up to {level(gates.adequacy)} is usual here")
     with bars(gates.max_effects + 1, "search", "rounds") as bar:
         found = forward_select(e, gates, split(seen, seed), say, bar)
     verdict = decide(e, found, gates)

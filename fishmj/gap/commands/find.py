@@ -5,25 +5,30 @@
 Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap so large that no effect is meant by it.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj import console, interrupt
 from fishmj.engines import own_effects
+from fishmj.errors import ConfigError
 from fishmj.gap import watch
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.commands.check import measured
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records import datasets
+from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
-from fishmj.gap.workflow import Inquiry, investigate
+from fishmj.gap.wording import level
+from fishmj.gap.workflow import Inquiry, compiled, investigate
+from fishmj.log import Trial
 from fishmj.log.dataset import Taken
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import left_out, shipped, write_json
-from fishmj.water.choice import as_described
+from fishmj.water.choice import STRUCTURED, as_described
 
 
 def main(argv: list[str]) -> int:
@@ -41,6 +46,8 @@ def main(argv: list[str]) -> int:
     add("--water", type=console.text, default="structured", help=water)
     nulls = "folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew"
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
+    swum = "healthy swims, those that the water was calibrated to: what they leave tells how much of a gap is usual"
+    add("--healthy", type=console.path, metavar="DATA", help=f"{swum} (default none)")
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
     add("--out", type=console.out_folder, help=out)
     gap_options.of_mass(add)
@@ -51,13 +58,14 @@ def main(argv: list[str]) -> int:
     own_effects.option(parser)
     args = parser.parse_args(argv)
     args.null = args.null and shipped(args.null)
-    gap_options.there(args.null, args.data if left_out(args.data) else None)
+    gap_options.there(args.null, args.healthy, args.data if left_out(args.data) else None)
     own_effects.join(args.effects)
     robot = as_described(load_robot(args.model), args.water)
     admission.searchable(robot, args.model)
     null = null_of(drawn_of(args))
     admission.null_fits(null, robot, args.model)
     given, notes = admission.admitted(args.data, robot, args.model, args.same_robot)
+    healthy = swims(args, robot)
     lacking = admission.insufficient_data(given, robot)
     if lacking is not None:
         console.say(lacking.text())
@@ -66,7 +74,7 @@ def main(argv: list[str]) -> int:
         return console.CANNOT_TELL
     try:
         with interrupt.keeping(words):
-            inquiry = search(args, robot, given, notes)
+            inquiry = search(args, robot, given, notes, healthy)
     except admission.TooDifferent as different:
         return different.told(args.json, skipped=given.broken)
     with interrupt.keeping(words):
@@ -83,19 +91,36 @@ def words() -> str:
     return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
 
 
-def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = ()) -> Inquiry:
-    """Search the trials that were admitted.
+def swims(args, robot: Robot) -> list[Trial]:
+    """Of --healthy. Raises ConfigError where the model has no calibrated water, LogError where none can be compared."""
+    if args.healthy is None:
+        return []
+    if robot.water.get("model") != STRUCTURED:
+        why = f"the water of {args.model} was not calibrated; fishmj calibrate water {args.healthy} calibrates it to these swims"
+        raise ConfigError(f"gap find: --healthy {args.healthy}: {why}")
+    return list(admission.admitted(args.healthy, robot, args.model, args.same_robot)[0].trials.values())
+
+
+def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = ()) -> Inquiry:
+    """Search the trials that were admitted. healthy: swims that its water was calibrated to.
 
     Raises:
         TooDifferent: model and logs are further apart than any missing effect brings them.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
+    model, null = SwimmingFish(robot), null_of(drawn_of(args))
+    own = 0.0
+    if healthy:
+        compiled(model, console.say)
+        own = healthy_swims.left_of(model, healthy, null, watch.shown)
+        notes = (*notes, f"the model leaves {level(own)} of the healthy swims in {args.healthy}")
     return investigate(
-        SwimmingFish(robot),
+        model,
         list(given.trials.values()),
         gates=frozen() if args.most is None else replace(frozen(), max_effects=args.most),
-        null=null_of(drawn_of(args)),
+        null=null,
+        own=own,
         page=datasets.page_in(args.data),
         mass_known=not args.mass_unknown,
         seed=args.seed,

@@ -25,7 +25,6 @@ from fishmj.gap import watch
 from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.null.null_runs import LOUDEST
 from fishmj.gap.records import datasets
-from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import Trial, numbered
 from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
@@ -41,6 +40,8 @@ SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command"
 
 
 def main(argv: list[str]) -> int:
+    from fishmj.lbm_oracle.run.domain import NAMES  # needs Warp, without which lost rows can still be asked for
+
     parser = console.parser("gap plant", __doc__ or "")
     add = parser.add_argument
     add("effect", nargs="+", metavar="EFFECT[=value]", help="SI; NAME:p=1,q=2 sets several parameters; random draws one; none")

@@ -42,8 +42,9 @@ STRONG = 1.0  # of D^1/2, singular value from which a direction of a record is a
 class Widths(NamedTuple):
     """numbers, swings: w and s by name of a number of the strips. effects: v, SI, by effect and parameter. channels: rho.
 
-    adequacy: |z|^2 / m that 19 of 20 healthy robots of a family which took no part do not reach. gains: |z|^2 a record that, in
-    all of these, no effect of a stage takes off.
+    adequacy: |z|^2 / m that 19 of 20 healthy robots of a family which took no part do not reach. beyond_own: what 19 of 20 robots
+    of a family that nobody has seen leave of new experiments at most, over what they leave of the swims that their water was
+    calibrated to. gains: |z|^2 a record that, in all of the first, no effect of a stage takes off.
     """
 
     numbers: dict[str, float]
@@ -51,6 +52,7 @@ class Widths(NamedTuple):
     effects: dict[str, dict[str, float]]
     channels: dict[str, float]
     adequacy: float = 0.0
+    beyond_own: float = 0.0
     gains: dict[str, float] = {}  # noqa: RUF012 (of a tuple, never changed)
 
 
@@ -99,9 +101,13 @@ def of(model, records, layout, null: np.ndarray, leftover: np.ndarray, given: Wi
     return StructuralError(moved.shared, tuple(by_record), variance)
 
 
-def allowed(gates: Gates, given: Widths) -> Gates:
-    """The gates with what healthy robots of an unknown water leave, before a search and after it, and what they gain."""
-    adequacy, residual = (max(given.adequacy, gate) for gate in (gates.adequacy, gates.residual))
+def allowed(gates: Gates, given: Widths, own: float = 0.0) -> Gates:
+    """The gates with what healthy robots of an unknown water leave, before a search and after it, and what they gain.
+
+    own: |z|^2 / m that the model leaves of healthy swims of this robot (search/healthy_swims.py); 0: there are none.
+    """
+    usual = max(given.adequacy, given.beyond_own * own)
+    adequacy, residual = (max(usual, gate) for gate in (gates.adequacy, gates.residual))
     return replace(gates, adequacy=adequacy, residual=residual, gain=gates.calibrated_gain)
 
 

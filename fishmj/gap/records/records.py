@@ -57,6 +57,7 @@ class Record(NamedTuple):
     session: float  # s since the session began
     placed: Sensor | None = None  # x, y m, yaw rad that the camera shows of a fish that was put to rest at `place`
     stated: Mapping[str, float] = MappingProxyType({})  # noise of each column as the log states it, in the column's unit
+    push_sigma: tuple[float, ...] = (0.0, 0.0, 0.0)  # how well `push` is known, one standard deviation
     weighed: Sensor | None = None  # kg, m, kg m2: mass, balance point, yaw inertia of the straight fish (mass_properties.py)
 
     @property
@@ -114,6 +115,7 @@ def record_of(trial: Trial, dt: float) -> Record:
         place=begins if place is None else place,
         start=begins,
         push=push,
+        push_sigma=tuple(map(abs, _three(trial, "push_sigma", (0.0, 0.0, 0.0)).tolist())),
         joints=_first(joint, c.shape[1], min(REST, still)),
         session=session,
         stated=_stated(trial),

@@ -5,8 +5,8 @@
 S comes from the null runs (null/whitening.py) and depends on where it is linearised, since a fish that is late, stiff or slow
 answers to its constants in another way:
 
-    S(theta) = F^T F + D,   F: null runs, seen through the sensors of theta; the structural error (null/structural_error.py); and
-                            the change of the constants' tangents with theta
+    S(theta) = F^T F + D,   F: null runs, seen through the sensors of theta; the structural error (null/structural_error.py); how
+                            well a launch is known (null/launch_error.py); the change of the constants' tangents with theta
                             D: what null runs leave unexplained, what the structural error does, the response to the constants
                             that is not linear, and (form c)^2 where c is what theta changes: no formula is the robot's
                             (model_error.py)
@@ -23,7 +23,7 @@ from copy import copy
 
 import numpy as np
 
-from fishmj.gap.null import structural_error
+from fishmj.gap.null import launch_error, structural_error
 from fishmj.gap.null.structural_error import Widths
 from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, smooth, whitening
 from fishmj.gap.records import mass_properties
@@ -62,7 +62,8 @@ class Likelihood:
         self._null_scatter = scatter if self.calibrated else 0.0
         self.widths = structural_error.widths() if widths is None else widths
         self._structural = structural_error.of(model, records, self.layout, null, left, self.widths)
-        self.factors = np.concatenate([self._null_factors, self._structural.shared])
+        self._launches = launch_error.factors(model, records, self.layout)
+        self.factors = np.concatenate([self._null_factors, self._structural.shared, self._launches])
         self.by_record = self._structural.by_record
         self.d = np.sqrt(left**2 + self._structural.variance)
         self.scale = np.sqrt(scatter + left**2 + self._structural.total)
@@ -70,9 +71,12 @@ class Likelihood:
             self.factors, self.by_record, self.layout.record, self.d**2, *np.zeros((2, self.layout.size))
         )
 
-    def allowed(self, gates: Gates) -> Gates:
-        """The gates with what the structural error leaves of healthy robots; of a model without one, as they are."""
-        return structural_error.allowed(gates, self.widths) if structural_error.applies(self.model) else gates
+    def allowed(self, gates: Gates, own: float = 0.0) -> Gates:
+        """The gates with what the structural error leaves of healthy robots; of a model without one, as they are.
+
+        own: |z|^2 / m of healthy swims of this robot (healthy_swims.py), 0 where there are none.
+        """
+        return structural_error.allowed(gates, self.widths, own) if structural_error.applies(self.model) else gates
 
     def healthy_gain(self, stage: str) -> float:
         """What an effect of a stage takes off |z|^2 of a healthy robot of another water, at most; 0 where that is not known."""
@@ -107,7 +111,8 @@ class Likelihood:
         tangents, nonlinear = self._constants(row)
         # Only the change of the tangents is added: the null fish already differ by their constants, so the tangents
         # themselves would count that scatter twice.
-        factors = [self._null_through_sensors(row), self._structural.shared, tangents - start._null_tangents]
+        known_factors = [self._null_through_sensors(row), self._structural.shared, self._launches]
+        factors = [*known_factors, tangents - start._null_tangents]
         # When a joint slips or a gear's play is taken up hangs on all constants, and no two fish do it at the same moment.
         # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
         known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear - start._null_scatter, 0.0)

@@ -60,7 +60,12 @@ def calibrated(family: str, seed: int, robot: Robot) -> Calibrated:
     Raises:
         LogError: the swims say nothing. SimDiverged: the robot left the finite numbers.
     """
-    return kept(kept_at(family, seed, robot), family, robot, lambda: families.trials(family, {}, SWIMS, seed, robot, first=FIRST))
+    return kept(kept_at(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
+
+
+def swims(family: str, seed: int, robot: Robot) -> list[Trial]:
+    """The free swims of the healthy robot of a seed. Raises SimDiverged."""
+    return families.trials(family, {}, SWIMS, seed, robot, first=FIRST)
 
 
 def kept(path: Path, family: str, robot: Robot, swims: Callable[[], list[Trial]]) -> Calibrated:

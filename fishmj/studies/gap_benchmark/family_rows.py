@@ -16,6 +16,7 @@ from typing import NamedTuple
 from fishmj import console
 from fishmj.errors import ConfigError, LogError, SimDiverged
 from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.search import healthy_swims
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.watch import Quiet
 from fishmj.gap.workflow import investigate
@@ -80,7 +81,7 @@ def _rows(one: Asked) -> Iterator[dict]:
         yield from (begun(case, one) | about | refused(error) for case in robot.cases)
         return
     for case in robot.cases:
-        yield begun(case, one) | about | more | row(one, case, known, model)
+        yield begun(case, one) | about | more | row(one, case, known, model, more["own"])
 
 
 def questioned(one: Asked) -> tuple[Robot, object, dict]:
@@ -95,10 +96,14 @@ def questioned(one: Asked) -> tuple[Robot, object, dict]:
         believed, facts["calibrated"] = calibrated.calibrated(one.robot.family, one.robot.seed, known)
     model = SwimmingFish(believed)
     _ = model.kernel
+    facts["own"] = 0.0
+    if one.calibrate:
+        swims = calibrated.swims(one.robot.family, one.robot.seed, known)
+        facts["own"] = healthy_swims.left_of(model, swims, SimulatedNull(without=one.robot.family))
     return known, model, facts | {"robot_cpu_seconds": time.process_time() - begin}
 
 
-def row(one: Asked, case: Case, known: Robot, model) -> dict:
+def row(one: Asked, case: Case, known: Robot, model, own: float = 0.0) -> dict:
     """What a row says of one case of a robot."""
     robot, begin = one.robot, time.process_time()
     try:
@@ -108,12 +113,15 @@ def row(one: Asked, case: Case, known: Robot, model) -> dict:
     except (ConfigError, SimDiverged) as error:  # what is hidden leaves no robot, or one that does not swim
         return {"answer": "DIVERGED", "reason": str(error)}
     page = families.page(robot.family, case.effects, robot.seed, known) if one.weighed else None
-    return answered(case, robot, model, trials, seen, page, time.process_time() - begin)
+    return answered(case, robot, model, trials, seen, page, time.process_time() - begin, own)
 
 
-def answered(case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float) -> dict:
+def answered(
+    case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float,
+    own: float = 0.0,
+) -> dict:  # fmt: skip
     """What a row says of a search, where there is one. seen: how much of what is hidden shows, by the generator; data: CPU
-    seconds that the trials took."""
+    seconds that the trials took; own: what the model leaves of the swims that it was calibrated to."""
     about = {"detectable": seen["all"], "each_detectable": seen["each"]}
     about |= {"noise_only": seen["noise_only"], "each_noise_only": seen["each_noise_only"]}
     if not searched(case, seen["each"]):
@@ -122,7 +130,7 @@ def answered(case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Ma
     null = SimulatedNull(noise=case.noise, without=robot.family)
     try:
         asked = partial(investigate, model, trials, gates=frozen(), null=null, seed=robot.seed, bars=laps)
-        verdict = asked(page=page, mass_known=False).verdict
+        verdict = asked(page=page, mass_known=False, own=own).verdict
     except UNABLE as error:
         return about | refused(error)
     cpu = {"data": data, **laps.seconds, "whole search": time.process_time() - made}

@@ -13,12 +13,17 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
+from fishmj import console
 from fishmj.errors import ConfigError
-from fishmj.gap.null.null_runs import digest
+from fishmj.gap.null.null_runs import SimulatedNull, digest
+from fishmj.gap.search import healthy_swims
+from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
-from fishmj.store import read_json, sha256
+from fishmj.store import read_json
 from fishmj.studies.gap_benchmark import calibrated
 from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot
 from fishmj.studies.gap_benchmark.family_rows import UNABLE, Asked, answered, begun, of_body, refused, written
@@ -61,33 +66,45 @@ def _rows(one: Asked, folder: Path) -> Iterator[dict]:
     about: dict = {"model": "drawn" if one.robot.drawn else SHIPPED, "described": told.model, "domain": plan.asked.domain}
     about |= of_body(known) | {"redraws": 0, "calibrated": None}
     try:
-        model, error = questioned(one, known, folder)
+        model, error, own = questioned(one, known, read_bundle(folder / SETS / f"{one.robot.id}-{FREE}.npz"))
     except UNABLE as refusal:
         yield from (begun(case, one) | about | refused(refusal) for case in one.robot.cases)
         return
-    about["calibrated"] = error
+    about |= {"calibrated": error, "own": own}
     for case in one.robot.cases:
         begin = time.process_time()
         trials = read_bundle(folder / SETS / f"{case.id}.npz")
         seen, data = truth[case.id]["detectable"], time.process_time() - begin
         more = {"swum": len(trials), "healthy": seen["healthy"]}
-        yield begun(case, one) | about | more | answered(case, one.robot, model, trials, seen, None, data)
+        yield begun(case, one) | about | more | answered(case, one.robot, model, trials, seen, None, data, own)
 
 
-def questioned(one: Asked, known: Robot, folder: Path) -> tuple[object, dict | None]:
-    """(the model that is questioned, how wrong its speed is on swims left out of its calibration).
+def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dict | None, float]:
+    """(the model that is questioned, how wrong its speed is on swims left out of its calibration, what it leaves of these swims).
 
     Raises:
         LogError: the free swims say nothing.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    believed, error = known, None
+    believed, error, own = known, None, 0.0
     if one.calibrate:
-        bundle = folder / SETS / f"{one.robot.id}-{FREE}.npz"
-        told = json.dumps([plans.SOLVER, sha256(bundle), digest(*calibrated.CODE)]) + repr(known)
+        told = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
         path = cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
-        believed, error = calibrated.kept(path, plans.SOLVER, known, lambda: read_bundle(bundle))
+        believed, error = calibrated.kept(path, plans.SOLVER, known, lambda: free)
     model = SwimmingFish(believed)
     _ = model.kernel
-    return model, error
+    if one.calibrate:
+        own = healthy_swims.left_of(model, free, SimulatedNull(without=plans.SOLVER))
+    return model, error, own
+
+
+def fingerprint(trials: list[Trial]) -> str:
+    """Hash of all that was logged."""
+    found = hashlib.sha256()
+    for trial in trials:
+        found.update(json.dumps(console.plain(trial.meta), sort_keys=True).encode())
+        for _, table in sorted(trial.tables.items()):
+            for _, values in sorted(table.items()):
+                found.update(np.ascontiguousarray(values, float).tobytes())
+    return found.hexdigest()

@@ -4,6 +4,7 @@ python -m fishmj.studies.solver_family --plan --models fish five_link.toml --rob
 python -m fishmj.studies.solver_family --out runs/solver_sets --device cuda --tanks 12      swims it, goes on where it stopped
 python -m fishmj.studies.solver_family --out runs/solver_sets --device cuda --shard 0/3     a third of the swims, beside others
 python -m fishmj.studies.solver_family --out runs/solver_sets --finish                      data sets of what is complete
+python -m fishmj.studies.solver_family --cut runs/old_sets --out runs/solver_sets           older data sets, launches left out
 fishmj gap bench --generator solver --sets runs/solver_sets --jobs 0 --out runs/solver      searches them
 
 All of it is *synthetic*. The models of a plan, their number of robots and its seed are those of --plan.
@@ -18,6 +19,7 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
 from fishmj.studies.gap_benchmark.command import shard_of
+from fishmj.studies.solver_family import launches
 from fishmj.studies.solver_family import plan as plans
 from fishmj.studies.solver_family.layout import SETS
 from fishmj.studies.solver_family.plan import Asked, Plan
@@ -44,10 +46,15 @@ def main(argv: list[str]) -> int:
     add("--tanks", type=console.whole(1, 256), help=f"swims side by side (default {ON_GPU} on a GPU, else 1)")
     add("--shard", type=shard_of, default=(0, 1), metavar="I/N", help="every N-th swim from the I-th (default 0/1)")
     add("--finish", action="store_true", help="swim nothing: make data sets of the robots that are complete")
+    old = "data sets that were made with launches in them: copy them into OUT, launches left out, and stop"
+    add("--cut", type=console.path, metavar="FOLDER", help=f"{old} (default none)")
     add("--out", type=console.out_folder, required=True, help="folder; the same command goes on where it stopped")
     args = parser.parse_args(argv)
     if args.plan:
         return drawn(args)
+    if args.cut:
+        console.say(f"{launches.without_launches(args.cut, args.out)} data sets in {args.out / SETS}")
+        return console.OK
     plan = plans.read(args.out)
     if not args.finish:
         swim(plan, args)

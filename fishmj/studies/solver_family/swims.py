@@ -29,6 +29,7 @@ from fishmj.studies.gap_benchmark.cases import Case
 from fishmj.studies.gap_benchmark.drawn_robots import number_of
 from fishmj.studies.gap_benchmark.family_rows import APART
 from fishmj.studies.solver_family import detectability
+from fishmj.studies.solver_family.launches import steadied
 from fishmj.studies.solver_family.layout import BARE, FREE, SETS, SWIMS, TRUTH
 from fishmj.studies.solver_family.plan import Plan, Planned, session, swims
 
@@ -157,12 +158,14 @@ def _healthy(one: Planned, sets: dict[str, Swum]) -> Iterator[Case]:
 
 
 def _read(swims_: list[Swim], folder: Path, lost: dict[str, str]) -> Swum:
+    """What was swum, launches without their first moments."""
     seen, bare = [], {}
     for swim in swims_:
         if not (path := swim.file(folder)).is_file():
             lost[f"{swim.set}/{swim.job.name}"] = "nothing sound was left of it"
             continue
         as_seen, without = read_bundle(path)
-        seen.append(as_seen)
-        bare[str(as_seen.value("excitation"))] = without
+        late = swim.job.made.robot.timing.camera_latency
+        seen.append(steadied(as_seen, late, without))
+        bare[str(as_seen.value("excitation"))] = steadied(without, late)
     return Swum(seen, bare)

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import combinations, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,10 +37,12 @@ from fishmj.studies.structural_error.sample import (
     WHITE,
     SolverFish,
     measured,
+    own_left,
     sample,
     solver_fish,
     stage_gains,
 )
+from fishmj.studies.structural_error.unseen_family import level
 from fishmj.studies.structural_error.variances import Asked, Found, Sample, asked, most_likely
 
 Left = tuple[str, ...]  # families that a fit has not seen
@@ -81,13 +83,17 @@ def main(argv: list[str]) -> int:
             done = lambda rounds, before=turn * args.rounds: bar.update(before + rounds)
             search = partial(most_likely, asker(list(seen.values()), pool), *begin(found.get(())), args.rounds, done)
             found[out] = kept(args.out, [*seen, str(args.rounds), *NUMBERS, *EFFECTS], search)
-    gains = gained([one for one in todo if one.id in robots], found, args.out, jobs)
+    left_over = [one for one in todo if one.id in robots]
+    gains = by_widths(left_over, found, args.out, jobs, "gains", stage_gains)
+    free = [one for one in left_over if one.family != SOLVER]
+    owns = by_widths(free, found, args.out, jobs, "own", own_left)
     healthy: dict[Left, Healthy] = {}
     for out in LEFT_OUT[: 1 + len(NAMES)]:
         # by fits that have seen neither their family nor the one left out
         unseen = [(name, both(out, family)) for name, family in robots.items() if family not in out]
         left = [asked(samples[name], found[told].u, found[told].p).adequacy for name, told in unseen]
-        healthy[out] = Healthy(left, [gains[name][key(told)] for name, told in unseen])
+        own = [owns[name][key(told)] if name in owns else np.nan for name, told in unseen]
+        healthy[out] = Healthy([robots[name] for name, _ in unseen], left, own, [gains[name][key(told)] for name, told in unseen])
     write_text(args.out / structural_error.FILE, toml({out: found[out] for out in healthy}, healthy))
     lines = [line(out, found[out], one) for out, one in healthy.items()]
     console.say(console.table(lines))
@@ -107,10 +113,23 @@ def kept(folder: Path, of: list[str], search: Callable[[], Found]) -> Found:
 
 
 class Healthy(NamedTuple):
-    """Of robots of families that a fit has not seen: |z|^2 / m, and |z|^2 a record that an effect of each stage takes off."""
+    """Of robots of families that a fit has not seen: their families; |z|^2 / m of new experiments, and of the free swims that
+    their water was calibrated to (NaN of a fish of the solver, which has none: it is calibrated to designed experiments); and
+    |z|^2 a record that an effect of each stage takes off."""
 
+    families: list[str]
     adequacy: list[float]
+    own: list[float]
     gains: list[dict[str, float]]
+
+    @property
+    def beyond_own(self) -> float:
+        """What `HEALTHY` of the robots of a family that nobody has seen leave of new experiments over their own free swims."""
+        ratios: dict[str, list[float]] = {name: [] for name in self.families if name != SOLVER}  # it has no free swims
+        for name, new, own in zip(self.families, self.adequacy, self.own, strict=True):
+            if name != SOLVER:
+                ratios[name].append(new / own)
+        return level(list(ratios.values()), HEALTHY)
 
     @property
     def most(self) -> dict[str, float]:
@@ -128,19 +147,21 @@ def key(out: Left) -> str:
     return "-".join(out) or structural_error.ALL
 
 
-def gained(todo: list, found: dict[Left, Found], folder: Path, jobs: int) -> dict[str, dict[str, dict[str, float]]]:
-    """What the best effect of each stage gains of each healthy robot, by all widths without its family. Kept in `folder` under
-    the widths' hash."""
+def by_widths(
+    todo: list, found: dict[Left, Found], folder: Path, jobs: int, what: str, of: Callable[..., dict]
+) -> dict[str, dict[str, Any]]:
+    """What `of` says of each healthy robot, by all widths without its family: robot -> name of widths -> that. Kept in `folder`
+    under the widths' hash. what: `gains` or `own`, its key."""
     text = toml(found, {})
     tables = {name: Widths(**table) for name, table in tomllib.loads(text).items() if isinstance(table, dict)}
-    ask = partial(stage_gains, folder=folder, mark=hashlib.sha256(text.encode()).hexdigest()[:12])
+    ask = partial(of, folder=folder, mark=hashlib.sha256(text.encode()).hexdigest()[:12])
     unseen = {name: {key(out): tables[key(out)] for out in LEFT_OUT if name in out} for name in NAMES}
-    gains: dict[str, dict[str, dict[str, float]]] = {}
-    with watch.shown(len(todo), "gains", "robots") as bar:
+    told: dict[str, dict[str, Any]] = {}
+    with watch.shown(len(todo), what, "robots") as bar:
         for row in answered([(one, unseen[one.family]) for one in todo], ask, jobs):
-            gains[row["robot"]] = row["gains"]
-            bar.update(len(gains))
-    return gains
+            told[row["robot"]] = row[what]
+            bar.update(len(told))
+    return told
 
 
 def chosen(seed: int, many: int) -> list[BenchRobot | SolverFish]:
@@ -171,6 +192,8 @@ def line(out: Left, found: Found, healthy: Healthy) -> dict:
         "robots": len(found.adequacy),
         "|z|^2 / m": shown(found.adequacy),
         "of a family left out": shown(healthy.adequacy),
+        "of their own swims": shown([own for own in healthy.own if np.isfinite(own)]),
+        "new over own, of an unseen family": f"{healthy.beyond_own:.2f}",
         **{f"gain, {stage}": round(most) for stage, most in healthy.most.items()},
         "-2 log L a robot": round(found.loss / len(found.adequacy)),
     }
@@ -188,6 +211,8 @@ def toml(tables: dict[Left, Found], healthy: dict[Left, Healthy]) -> str:
         if left in healthy:
             about = f"{HEALTHY:.0%} of healthy robots of a family left out are below"
             out += [f"adequacy = {float(np.quantile(healthy[left].adequacy, HEALTHY)):.3g}  # |z|^2 / m: {about}"]
+            ratio = f"{healthy[left].beyond_own:.3g}  # |z|^2 / m of new experiments over that of the swims of the calibration"
+            out += [f"beyond_own = {ratio}: {HEALTHY:.0%} of robots of an unseen family are below"]
             out += ["", f"[{name}.gains]  # |z|^2 a record that effects of a stage take off: of all of these at most"]
             out += [f"{stage} = {most:.3g}" for stage, most in healthy[left].most.items()]
         halves = width[: 2 * len(NUMBERS)].reshape(2, -1)

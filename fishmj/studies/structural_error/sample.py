@@ -17,6 +17,7 @@ from fishmj.gap.null.structural_error import Widths
 from fishmj.gap.null.whitening import leftover, smooth
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of
+from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.fit import drop_effect, on_records
 from fishmj.gap.search.likelihood import Likelihood, relinearise
 from fishmj.gap.search.stepwise import is_absent, shortlist
@@ -106,6 +107,26 @@ def questioned(one: "BenchRobot | SolverFish") -> tuple[Robot, list[Trial]]:
     known, _, _ = described(one)
     believed, _ = calibrated.calibrated(one.family, one.seed, known)
     return believed, families.trials(one.family, {}, excitation.DESIGNED, one.seed, known)
+
+
+def calibrated_to(one: BenchRobot) -> tuple[Robot, list[Trial]]:
+    """The same description, and the free swims that it was calibrated to."""
+    known, _, _ = described(one)
+    believed, _ = calibrated.calibrated(one.family, one.seed, known)
+    return believed, calibrated.swims(one.family, one.seed, known)
+
+
+def own_left(asked: tuple[BenchRobot, dict[str, Widths]], folder: Path, mark: str) -> dict:
+    """|z|^2 / m that the model of a healthy robot leaves of the swims that it was calibrated to, with each of these widths. Kept
+    in `folder` under `mark`."""
+    one, tables = asked
+    path = folder / f"{one.id}.own-{mark}.json"
+    if path.is_file():
+        return read_json(path)
+    believed, trials = calibrated_to(one)
+    left = healthy_swims.left_by(SwimmingFish(believed), trials, SimulatedNull(), tables)
+    write_json(path, row := {"robot": one.id, "family": one.family, "own": left})
+    return row
 
 
 def stage_gains(asked: "tuple[BenchRobot | SolverFish, dict[str, Widths]]", folder: Path, mark: str) -> dict:
