@@ -22,6 +22,7 @@ from fishmj.evaluate import run_trials
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
+from fishmj.lbm_oracle.run import solver_water
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log import read_trial, stacked
@@ -58,10 +59,11 @@ class Dry:
     """A tank without water: what `Run` asks of a coupled fish, and the equation of its step without the water's K and b0."""
 
     def __init__(self, stage: SwimSetup, body: ImmersedBody):
-        self.body, self.steps, self.slip = body, 1, 1.0  # step 1 for good: nobody looks after the water
+        self.body, self.steps, self.together, self.slip = body, 1, 1, 1.0  # step 1 for good: nobody looks after the water
         body.place(reference_qpos(body.model, stage.pose, np.array(stage.joints)))
         lattice, idle = SimpleNamespace(sound=np.inf, dt=body.dt), dict.fromkeys(("restore", "settle"), lambda *_: None)
-        self.fluid = SimpleNamespace(flow=stage.flow, lattice=lattice, steps=1, snapshot=dict, **idle)
+        device = SimpleNamespace(is_cuda=False)
+        self.fluid = SimpleNamespace(flow=stage.flow, lattice=lattice, steps=1, snapshot=dict, device=device, **idle)
         self.boundary = SimpleNamespace(corners=Corners(np.zeros((body.links, 8, 3)), body.water.centre))
         self.place_markers = self.assemble_response = self.push_water = self.join_stream = lambda: None
 
@@ -328,7 +330,7 @@ def test_the_command_refuses_what_is_the_waters_and_judges_without_it(dry, tmp_p
 def test_a_kept_trial_belongs_to_the_effects_that_it_was_swum_with():
     brain, plan = controllers.make("drift", PLAIN), evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=1.0)
     robots = (PLAIN, robot_with("coulomb_friction"), robot_with("coulomb_friction", torque=0.01), robot_with("servo_gain"))
-    assert len({run_trials.fingerprint(brain, robot, plan, "paper", 1.0) for robot in robots}) == len(robots)
+    assert len({run_trials.fingerprint(brain, robot, plan, solver_water.PLAIN) for robot in robots}) == len(robots)
 
 
 def test_a_dm_control_fish_in_the_solver_has_its_effects_and_those_drawn_for_the_episode(dry):

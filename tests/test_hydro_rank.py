@@ -136,7 +136,7 @@ class MadeUp:
     asked, patience, words = 0, 1000, ""
     stopped: list[str] = []
 
-    def __init__(self, robot, flows, *, domain, slip, device, finer=1):
+    def __init__(self, robot, flows, *, domain, slip, device, finer=1, **immersed):
         type(self).asked += len(flows)
         if self.asked > self.patience:
             type(self).words = interrupt._kept[-1][0]()
