@@ -145,7 +145,8 @@ def kept(trial: Trial, run: Run) -> Trial:
         inside = (table["t"] >= zero - 1e-9) & (table["t"] <= end)
         inside &= played if name == "cmd" else True
         if inside.any():
-            tables[name] = {column: values[inside] for column, values in table.items()} | {"t": np.maximum(table["t"][inside] - zero, 0.0)}
+            since = np.maximum(table["t"][inside] - zero, 0.0)
+            tables[name] = {column: values[inside] for column, values in table.items()} | {"t": since}
     tables["cmd"] = _as_sent(tables["cmd"])
     tables = {name: {c: v for c, v in table.items() if c.rstrip("0123456789") in KEPT} for name, table in tables.items()}
     known = {name: value for name, value in trial.meta.items() if name != "clock"}
