@@ -135,12 +135,27 @@ def name(text: str) -> str:
     return text
 
 
+_DEVICE = r"(auto|cpu|cuda(:\d{1,3})?)"
+_DEVICES = r"cuda:all|cpu(,cpu)+|cuda(:\d{1,3})?(,cuda(:\d{1,3})?)+"
+
+
 def device(text: str) -> str:
     """The `type=` of an option that names where to compute: auto, cpu, cuda or cuda:N."""
-    if not re.fullmatch(r"auto|cpu|cuda(:\d{1,3})?", text):
+    if re.fullmatch(_DEVICES, text):
+        raise argparse.ArgumentTypeError(f"got {shown(text)}, several devices; expected one: auto, cpu, cuda or cuda:N")
+    return _device(text, "auto, cpu, cuda, cuda:N")
+
+
+def devices(text: str) -> str:
+    """The same where work is spread over several: also cuda:all, or a list of one kind, cuda:0,cuda:1 or cpu,cpu."""
+    return text if re.fullmatch(_DEVICES, text) else _device(text, "auto, cpu, cuda, cuda:N, cuda:all, cuda:0,cuda:1, cpu,cpu")
+
+
+def _device(text: str, known: str) -> str:
+    if not re.fullmatch(_DEVICE, text):
         near = get_close_matches(text, ("auto", "cpu", "cuda"), 1, 0.5)
         hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: auto, cpu, cuda, cuda:N")
+        raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {known}")
     return text
 
 

@@ -27,7 +27,8 @@ def fit(verb: str, argv: list[str]) -> int:
                 raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
             args.ratios = args.ratios or RATIOS
             if args.reference:
-                args.grid = reference_grid(args.grid)
+                args.grid, args.boundary = reference_grid(args.grid, args.boundary)
+            args.boundary = args.boundary or "plain"
         answer = VERBS[verb](args)
     if args.out:
         console.say(f"written: {args.out}")
@@ -38,13 +39,13 @@ def fit(verb: str, argv: list[str]) -> int:
     return console.OK
 
 
-def reference_grid(grid: str | None) -> str:
-    """The reference water's grid for a fish that swims away. Raises ConfigError where another is asked for, too."""
-    from fishmj.lbm_oracle.run.solver_water import REFERENCE
+def reference_grid(grid: str | None, boundary: str | None = None) -> tuple[str, str]:
+    """Grid, for a fish that swims away, and boundary of the reference water. Raises ConfigError where others are asked for."""
+    from fishmj.lbm_oracle.run.solver_water import REFERENCE, boundary_name
 
-    if grid is not None:
-        raise ConfigError(f"calibrate slip: --grid {grid} beside --reference, which is {REFERENCE.window}; leave one of them out")
-    return REFERENCE.window
+    if given := f"--grid {grid}" if grid is not None else f"--boundary {boundary}" if boundary else "":
+        raise ConfigError(f"calibrate slip: {given} beside --reference, which is {REFERENCE.window}; leave one of them out")
+    return REFERENCE.window, boundary_name(REFERENCE.sharpness)
 
 
 def options(verb: str) -> console.Parser:
@@ -69,12 +70,15 @@ def options(verb: str) -> console.Parser:
         help="folder for report.html and pictures; those that are there are replaced",
     )
     if verb == "slip":
+        from fishmj.lbm_oracle.run.solver_water import boundary_option
+
         add(
             "--grid",
             type=console.text,
             help="grid of the solver's table: paper, window, laptop; default: the trials', else window",
         )
-        near = "the grid of the reference water, in place of --grid; by default not"
+        boundary_option(add, default=None)
+        near = "grid and boundary of the reference water, in place of --grid; by default not"
         add("--reference", action="store_true", help=near)
         add("--recompute", action="store_true", help="run the solver and print a new entry of the table; keeps finished swims")
         ratios = console.Listed(console.number(0, 1), 20)
@@ -84,8 +88,10 @@ def options(verb: str) -> console.Parser:
             metavar="S,..",
             help="with --recompute: slip ratios to run; default 0,0.9,0.95,0.98,0.99,0.998,1",
         )
-        add("--device", type=console.device, default="cpu", help="with --recompute: auto, cpu, cuda")
-        add("--tanks", type=console.whole(1, 64), default=1, help="with --recompute: swims side by side")
+        place = "with --recompute: auto, cpu, cuda, cuda:N, cuda:all or a list of them; default cpu"
+        add("--device", type=console.devices, default="cpu", help=place)
+        tanks = "with --recompute: swims side by side on each device; default 1"
+        add("--tanks", type=console.whole(1, 64), default=1, help=tanks)
     return made
 
 

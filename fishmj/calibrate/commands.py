@@ -137,7 +137,7 @@ def run_slip(args) -> Answer:
     if args.recompute:
         return recomputed(args)
     logs = opened(args, load_robot(args.model))
-    grid = args.grid or slip.grid_of(logs.trials.values())
+    grid = slip.table_name({"grid": args.grid or slip.grid_of(logs.trials.values()), "boundary": args.boundary})
     swum = slip.measured(logs.trials.values())
     found = slip.profile(swum, grid)
     alone = {
@@ -176,9 +176,10 @@ def run_slip(args) -> Answer:
 def recomputed(args) -> Answer:
     """One more entry for the table of solver swims."""
     grid, ratios = args.grid or "window_coarse", args.ratios
-    entry = slip.recompute(grid, ratios, args.device, args.tanks, args.report / "swims")
-    console.say(f"put this into data/calib/calibrate.toml, in place of grid {grid}:", "", "[[solver]]", f'grid = "{grid}"')
-    console.say(*(f"{key} = [{', '.join(f'{v:.4g}' for v in values)}]" for key, values in entry.items() if key != "grid"))
+    entry = slip.recompute(grid, ratios, args.device, args.tanks, args.report / "swims", args.boundary)
+    named = [f'{key} = "{value}"' for key, value in entry.items() if isinstance(value, str)]
+    console.say(f"put this into data/calib/calibrate.toml, in place of grid {slip.table_name(entry)}:", "", "[[solver]]", *named)
+    console.say(*(f"{key} = [{', '.join(f'{v:.4g}' for v in row)}]" for key, row in entry.items() if not isinstance(row, str)))
     return {"solver": entry}
 
 

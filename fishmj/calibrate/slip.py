@@ -11,7 +11,7 @@ p_k(s) is a table of solver swims. Between its entries 1 / speed^2 is taken as s
 stress is rho c times the speed at which water slides along it, c = -ln(s) dx / dt, and drag over thrust is a + b c.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,11 +113,17 @@ def metric(name: str, pose: Table) -> float:
     return far if name == COAST else far / (last - first)
 
 
+def table_name(entry: Mapping) -> str:
+    """What a table of solver swims is asked for by: its grid, and a boundary that is not plain, as `window_coarse, rims`."""
+    boundary = entry.get("boundary", "plain")
+    return entry["grid"] if boundary == "plain" else f"{entry['grid']}, {boundary}"
+
+
 def least_slip(grid: str, metrics: Iterable[str]) -> float:
     """Roughest hull for which the table of a grid has all of the metrics that it has; beyond it nothing is known."""
     least = 0.0
     for entry in calibration_table()["solver"]:
-        for name in metrics if entry["grid"] == grid else ():
+        for name in metrics if table_name(entry) == grid else ():
             known = [s for s, value in zip(entry["slip"], entry.get(name, ()), strict=False) if np.isfinite(value)]
             least = max([least, *([min(known)] if known else [])])
     return least
@@ -129,7 +135,7 @@ def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
     Raises:
         UnknownName: no table of that grid.
     """
-    tables = {entry["grid"]: entry for entry in calibration_table()["solver"]}
+    tables = {table_name(entry): entry for entry in calibration_table()["solver"]}
     if grid not in tables:
         raise UnknownName("grid of the slip table (made by: calibrate slip --recompute --grid NAME)", grid, tables)
     entry, out = tables[grid], {}
@@ -179,24 +185,33 @@ def grid_of(trials: Iterable[Trial]) -> str:
     return next((str(name) for trial in trials if (name := trial.value("grid.domain", ""))), "window")
 
 
-def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folder: Path) -> dict:
+def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folder: Path, boundary: str = "plain") -> dict:
     """One entry of the table: the nominal fish in the solver, without noise, at every ratio.
 
     Args:
-        folder: finished swims are kept there, and not run again.
+        device: one, or several (`devices_of`). tanks: swims side by side on each. folder: finished swims are kept there, and not
+            run again. boundary: of `BOUNDARIES`.
     """
     from dataclasses import replace
+    from functools import partial
 
     from fishmj import excitation
-    from fishmj.campaign.hidden_lbm.hidden import jobs, swum, trial_of
+    from fishmj.campaign.hidden_lbm.hidden import jobs
     from fishmj.excitation import PERIOD
+    from fishmj.lbm_oracle.fluid.device import devices_of
+    from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry
+    from fishmj.lbm_oracle.run.spread import spread
+
+    devices = devices_of(device)
 
     whats = [excitation.get(name) for name in WINDOW]
     rows = [round((WINDOW[what.id][1] + SPARE) / PERIOD) for what in whats]
     whats = [replace(what, commands=what.commands[:n]) for what, n in zip(whats, rows, strict=True)]
-    ratios = sorted(float(s) for s in ratios)
-    every = {_swim(job): job for job in (replace(j, slip=s) for s in ratios for j in jobs({}, whats, 0, 0.0, 0.0, grid))}
-    kept = PartialResults(folder, {"grid": grid})
+    ratios, edge = sorted(float(s) for s in ratios), BOUNDARIES[boundary]
+    at = (replace(job, slip=s, sharpness=edge) for s in ratios for job in jobs({}, whats, 0, 0.0, 0.0, grid))
+    every = {_swim(job): job for job in at}
+    named = {"grid": grid} | boundary_entry(edge)
+    kept = PartialResults(folder, named)
     waiting = [job for name, job in every.items() if kept.find(name) is None]
     steps = sum(job.steps for job in waiting)
     domain = next(iter(every.values())).domain
@@ -204,15 +219,22 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folde
     there = f"; {len(every) - len(waiting)} more are kept in {folder}" if len(waiting) < len(every) else ""
     console.say(f"{len(waiting)} swims, {water:.0f} s of water, {steps} steps of {cells:.2f} million cells on {device}{there}")
     with interrupt.keeping(lambda: kept.words(list(every), "swims")):
-        for run in swum(waiting, device, tanks):
-            found = metric(run.job.what.id, trial_of(run).table("pose"))
-            kept.keep(_swim(run.job), [found])
-            console.say(f"slip {run.job.slip:g}, {run.job.what.id}: {found:.4g}")
-    entry: dict = {"grid": grid, "slip": ratios, **{name: [float("nan")] * len(ratios) for name in WINDOW}}
+        for job, found in spread(partial(_metrics, tanks=tanks), waiting, devices):
+            kept.keep(_swim(job), [found])
+            console.say(f"slip {job.slip:g}, {job.what.id}: {found:.4g}")
+    entry: dict = {**named, "slip": ratios, **{name: [float("nan")] * len(ratios) for name in WINDOW}}
     for name, job in every.items():
         (value,) = kept.find(name)
         entry[job.what.id][ratios.index(job.slip)] = float("nan") if value is None else value
     return entry
+
+
+def _metrics(waiting, device: str, go_on, *, tanks: int):
+    """Jobs and their metrics as they are finished, `tanks` side by side on one device (`spread`)."""
+    from fishmj.campaign.hidden_lbm.hidden import swum, trial_of
+
+    for run in swum(waiting, device, tanks):
+        yield run.job, metric(run.job.what.id, trial_of(run).table("pose"))
 
 
 def _swim(job) -> str:

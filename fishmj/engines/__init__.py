@@ -6,8 +6,9 @@ batch     MuJoCo C, many fish at once; the judge
 mjx       MuJoCo in JAX; GPU, jit-able
 """
 
+from collections.abc import Generator
 from math import ceil
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from fishmj.water.prior import flat as flat_water
 from fishmj.water.prior import unflat
 
 NAMES = ("planar", "compiled", "batch", "mjx")
+T = TypeVar("T")
+Steps = Generator[None, None, T]  # pauses while a device works; its value is what it was asked for
 BUFFER = 9  # bus commands remembered at least, newest last: latencies up to 7 ticks
 
 
@@ -56,6 +59,15 @@ class Trace(NamedTuple):
     rate: Any  # (B, T, J) rad/s
     velocity: Any  # (B, T, 3) true x', y', yaw', world frame
     power: Any  # (B, T) servos, W, mean over the tick
+
+
+def drained(steps: Steps[T]) -> T:
+    """The value of what nobody takes turns with."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
 
 
 def make(name: str, robot: "Robot | str" = "fish", **options):

@@ -16,7 +16,7 @@ import numpy as np
 
 from fishmj.dynamics import planar_chain
 from fishmj.effects.calibration import activate
-from fishmj.engines import FishParams, FishState, Trace, check_commands, ticks_per
+from fishmj.engines import FishParams, FishState, Steps, Trace, check_commands, drained, ticks_per
 from fishmj.engines.tank_effects import check_effects
 from fishmj.engines.tank_run import EffectRun, TankEffects
 from fishmj.errors import ConfigError
@@ -40,7 +40,7 @@ class Engine:
         robot: its effects act as `tank_effects` says.
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm, `paper_refined` the same with 1 cm round the fish.
         slip: ratio at the paper's grid. device: auto, cpu or cuda.
-        finer: time steps in one of the domain's. width, passes, sharpness: of the immersed boundary.
+        finer: time steps in one of the domain's. width, passes, sharpness: of the immersed boundary. storage: of the water.
 
     Raises:
         ConfigError: an effect that has no place in a tank.
@@ -51,13 +51,14 @@ class Engine:
     def __init__(
         self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto",
         finer: int = 1, width: int = PLAIN.width, passes: int = PLAIN.passes, sharpness: Sharpness = PLAIN.sharpness,
+        storage: str = PLAIN.storage,
     ):  # fmt: skip
         check_effects(robot)
         self.robot, self.flows = robot, list(flows)
         self.active = activate(robot.effects, robot.n_joints)[0] if robot.effects else None
         box = preset(domain)
         self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
-        self.width, self.passes, self.sharpness = width, passes, sharpness
+        self.width, self.passes, self.sharpness, self.storage = width, passes, sharpness, storage
         self.tanks: ConcurrentRuns | None = None
 
     @property
@@ -72,14 +73,18 @@ class Engine:
 
     def advance(self, state: FishState, commands, params: FishParams, current, tick) -> tuple[FishState, Trace]:
         """Send the bus commands (B, T, J) [rad] to the B tanks; `current` is not used, the tanks have their flows."""
+        return drained(self.advancing(state, commands, params, current, tick))
+
+    def advancing(self, state: FishState, commands, params: FishParams, current, tick) -> Steps[tuple[FishState, Trace]]:
+        """The same, pausing whenever the device has work and the host could look after other tanks."""
         check_commands(commands, self.robot.n_joints)
         if self.tanks is None:
-            self.tanks = self._fill(state, params)
+            self.tanks = yield from self._fill(state, params)
         runs, batch = self.tanks.runs, len(self.flows)
         rows: list[tuple] = []
         for k in range(commands.shape[1]):
             before = [run.ticks for run in runs]
-            self.tanks.tick(commands[:, k])
+            yield from self.tanks.ticking(commands[:, k])
             moved = [run.ticks > n for run, n in zip(runs, before, strict=True)]
             poses = np.array([run.pose for run in runs])
             joints = np.array([run.angles() for run in runs]) - params.zero
@@ -95,18 +100,19 @@ class Engine:
                 row[: len(run.added.memory)] = run.added.memory
         return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), memory), trace
 
-    def _fill(self, state: FishState, params: FishParams) -> ConcurrentRuns:
+    def _fill(self, state: FishState, params: FishParams) -> Steps[ConcurrentRuns]:
         q = np.asarray(state.q)
         if len(q) != len(self.flows):
             raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
-        tanks = ConcurrentRuns([self.tank(i, q[i], params, np.asarray(state.memory)[i]) for i in range(len(q))])
+        runs = [self.tank(i, q[i], params, np.asarray(state.memory)[i]) for i in range(len(q))]
+        tanks = ConcurrentRuns(runs, ahead=True)  # nobody looks at the water of a trial
         asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
         streams = [flow.speed > 0 or flow.rms > 0 for flow in (run.coupled.fluid.flow for run in tanks.runs)]
         if any(streams):
             for run in tanks.runs:
                 set_clock(run, -HELD)
             for _ in range(round(HELD / self.robot.timing.bus_dt)):
-                tanks.tick(asked)
+                yield from tanks.ticking(asked)
         for run, angles in zip(tanks.runs, asked, strict=True):
             run.tethered = False
             if not run.stopped:
@@ -126,7 +132,7 @@ class Engine:
         stage = SwimSetup(
             domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.device,
             pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
-            width=self.width, passes=self.passes, sharpness=self.sharpness,
+            width=self.width, passes=self.passes, sharpness=self.sharpness, storage=self.storage,
         )  # fmt: skip
         coupled = stage.coupled(None if added is None else added.body(self.domain.body_level.dt))
         if added is None:

@@ -29,13 +29,13 @@ from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, ru
 from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for
+from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option
 from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
 from fishmj.mjcf.description import COMMAND_PATHS, load_robot
 from fishmj.water import choice
 
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm and hybrid
-REFERENCE = "--reference"  # of lbm alone
+REFERENCE = ("--reference", "--boundary", "--storage")  # of lbm alone
 EVERY = "--every"  # of hybrid alone
 FALLBACKS = ("compiled", "planar")
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
@@ -59,14 +59,18 @@ def options() -> console.Parser:
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     solved = "hybrid: fitted, and corrected by segments of the flow solver while it swims; lbm: the flow solver itself"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}, hours without a GPU")
-    add(REFERENCE, action="store_true", help=f"with --water lbm: {JUDGING.said}; default: --domain and --slip")
+    add("--reference", action="store_true", help=f"with --water lbm: {JUDGING.said}; default: --domain and --slip")
     box = f"box of water of --water lbm, default {PLAIN.domain}, or hybrid, default that of the fitted water"
     add("--domain", choices=BOXES, help=f"{box}; laptop is a preview, _refined has finer cells round the fish")
     slip = "of the hull in the flow solver, at the paper's grid: 1 slides, 0 sticks; default 1"
     add("--slip", type=console.number(0, 1), help=slip)
-    add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda or cuda:N")
+    boundary_option(add, default=None)
+    bits = "of the populations of --water lbm: float16 is half the memory traffic; default float32"
+    add("--storage", choices=("float32", "float16"), help=bits)
+    place = "of the flow solver: auto, cpu, cuda, cuda:N; of --water lbm also cuda:all or a list of devices; default auto"
+    add("--device", type=console.devices, default="auto", help=place)
     add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
-    tanks = "trials of --water lbm, or segments of hybrid, that run side by side; 12 or more keep one GPU busy"
+    tanks = "trials of --water lbm on each device, or segments of hybrid, side by side; 12 or more keep one GPU busy; default 1"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
     kinds = "kind of turbulence of the current; default: default"
     add("--turbulence", choices=tuple(PRESETS), help=kinds)
@@ -103,8 +107,8 @@ def main(argv: list[str]) -> int:
     """The verb `evaluate`. Returns the exit code."""
     args = options().parse_args(argv)
     args.again = shlex.join(["fishmj", "evaluate", *argv, *([] if args.log else ["--log"])])
-    given = [o for o in (*SOLVER, REFERENCE, EVERY) if any(word == o or word.startswith(f"{o}=") for word in argv)]
-    of = ((SOLVER, (choice.LBM, choice.HYBRID)), ((REFERENCE,), (choice.LBM,)), ((EVERY,), (choice.HYBRID,)))
+    given = [o for o in (*SOLVER, *REFERENCE, EVERY) if any(word == o or word.startswith(f"{o}=") for word in argv)]
+    of = ((SOLVER, (choice.LBM, choice.HYBRID)), (REFERENCE, (choice.LBM,)), ((EVERY,), (choice.HYBRID,)))
     for some, waters in of:
         if args.water not in waters and (unused := [o for o in given if o in some]):
             words = " or ".join(f"--water {name}" for name in waters)
@@ -140,7 +144,8 @@ def main(argv: list[str]) -> int:
         from fishmj.lbm_oracle.run import solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
-        args.solver = asked_for("evaluate", args.reference, args.domain, args.slip)
+        edge = {"boundary": args.boundary, "storage": args.storage}
+        args.solver = asked_for("evaluate", args.reference, args.domain, args.slip, **edge)
         work = [(level, trials.duration * len(trials) * len(brains)) for level in args.solver.box.levels]
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
         begin(water, brains, f": {args.solver.said}")
@@ -214,10 +219,17 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
 
 
 def hybrid_options(args, robot, trials, brains: int):
-    """When and by what the water is corrected. Raises TooMuch: the solver would take a CPU too long."""
+    """When and by what the water is corrected.
+
+    Raises:
+        TooMuch: the solver would take a CPU too long. ConfigError: several devices.
+    """
     from fishmj.hybrid import HybridOptions
+    from fishmj.lbm_oracle.fluid.device import several
     from fishmj.lbm_oracle.run import solver_cost
 
+    if several(args.device):
+        raise ConfigError(f"evaluate --water hybrid: --device {args.device}: its tanks share one; take auto, cpu or cuda:N")
     slip = PLAIN.slip if args.slip is None else args.slip
     asked: dict = {"domain": args.domain, "slip": slip, "device": args.device, "side_by_side": args.tanks, "wait": True}
     made = HybridOptions(**asked | ({} if args.every is None else {"every": args.every}))

@@ -1,13 +1,16 @@
 """Run a controller over all trials at once: observe -> controller -> engine -> record.
 
 `run` is the whole judge's loop. The engine is batched MuJoCo unless another is asked for; all engines give the same swim.
-`judge_in_solver` runs the same trials in the flow solver, in groups. What is finished is kept for an interrupted judgement.
+`judge_in_solver` runs the same trials in the flow solver, a tank each. What is finished is kept for an interrupted judgement.
 """
 
+import gc
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import asdict, replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,6 +34,7 @@ from fishmj.water.identity import water_identity
 
 if TYPE_CHECKING:
     from fishmj.lbm_oracle.run.solver_water import SolverWater
+    from fishmj.lbm_oracle.run.spread import GoOn, Waiting
 
 KEPT = "lbm"  # folder of finished trials in the flow solver
 OF_A_TRIAL = ("pose", "velocity", "joint", "rate", "power", "command", "obs", "action", "distance", "left")
@@ -63,6 +67,11 @@ def run(
     robot = in_water(load_robot(robot)) if isinstance(engine, str) else load_robot(robot)
     trials = protocol.trials(seed=seed) if trials is None else trials
     controller = controllers.make(controller, robot) if isinstance(controller, str) else controller
+    return engines.drained(running(controller, robot, trials, engine, shift, progress))
+
+
+def running(controller, robot: Robot, trials: Trials, engine, shift, progress: Callable[[int], None]) -> engines.Steps[Result]:
+    """The same, pausing whenever the engine waits for a device and other trials could go on."""
     loop = ControlLoop(robot, engine)
     n, steps = len(trials), task.control_steps(trials.duration, robot)
     params, camera = trials.fish(robot)
@@ -75,7 +84,7 @@ def run(
         obs = loop.observe(target, noise[:, k])
         command = _checked(controller, controller(obs), (n, loop.ticks, robot.n_joints))
         try:
-            trace = loop.act(command)
+            trace = yield from loop.acting(command)
         except SimDiverged as error:
             raise _named(error, trials, k * robot.timing.control_dt) from error
         rows.append((*trace, command, obs[:, None], _action(controller)))
@@ -243,10 +252,10 @@ def judge_in_solver(
     variation: Variation = UNCHANGED,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Result:
-    """Judge one controller in the flow solver: the same trials and figures, `tanks` trials at a time on one device.
+    """Judge one controller in the flow solver: the same trials and figures, `tanks` trials at a time on each device.
 
-    Every finished trial is kept in <folder>/lbm as one npz, so a judgement that is interrupted goes on with the next trial; a
-    file made with another controller, robot or box of water is not used.
+    Every trial is kept in <folder>/lbm as one npz as soon as it ends, and its tank begins the next one: a judgement that is
+    interrupted goes on with those that had not ended. A file made with another controller, robot or box of water is not used.
 
     Args:
         folder: where finished trials are kept and looked for; None keeps nothing. variation: the trials are run so.
@@ -256,34 +265,90 @@ def judge_in_solver(
     Raises:
         OracleUnstable, ConfigError: the set-up would not run.
     """
-    from fishmj.engines.lbm import Engine
+    from fishmj.lbm_oracle.fluid.device import devices_of
     from fishmj.lbm_oracle.run.solver_water import PLAIN
+    from fishmj.lbm_oracle.run.spread import spread
 
     steps = round(trials.duration / robot.timing.control_dt)
     water = PLAIN if water is None else water
     water = water._replace(domain=domain or water.domain, slip=water.slip if slip is None else slip)
     label = "_".join(filter(None, (fingerprint(brain, robot, trials, water), variation.name)))
-    box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "device": device, "finer": variation.finer}
-    box |= water.immersed
+    box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "finer": variation.finer} | water.immersed
     paths = [None if folder is None else folder / KEPT / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
     found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
     waiting = [i for i in range(len(trials)) if i not in found]
-    for group in (waiting[k : k + tanks] for k in range(0, len(waiting), tanks)):
-        some = replace(trials, items=tuple(trials.items[i] for i in group))
-        engine = Engine(robot, some.flows(), **box)
-        done, many = len(found) * steps, len(group)
-        x, y = (cells * engine.domain.dx for cells in variation.nudge)
-        told = lambda k: progress(done + many * k)  # noqa: B023, E731  called at once
-        result = run(brain, robot, some, engine, shift=(x, y), progress=told)
-        for row, i in enumerate(group):
-            found[i] = {key: getattr(result, key)[row] for key in OF_A_TRIAL if getattr(result, key) is not None}
-            found[i] |= {"t": result.t, "target": result.target[row]}
-            if why := engine.stopped[row]:
-                found[i] = ended(found[i], why, engine.ticks[row])
-                console.warn(f"{name_of(brain, trials.items[i])}: truncated: {why}")
-            if (path := paths[i]) is not None:
-                store.write_npz(path, found[i])
+
+    def told(done: float) -> bool:
+        progress(len(found) * steps + round(done))
+        return True
+
+    work = partial(in_tanks, brain=brain, robot=robot, trials=trials, box=box, tanks=tanks, nudge=variation.nudge)
+    for i, row in spread(work, waiting, (device,) if device == "auto" else devices_of(device), told):
+        if "stopped" in row:
+            console.warn(f"{name_of(brain, trials.items[i])}: truncated: {row['stopped']}")
+        if (path := paths[i]) is not None:
+            store.write_npz(path, row)
+        found[i] = row
     return merged(brain, robot, trials, f"tanks, {water.label}", [found[i] for i in range(len(trials))])
+
+
+def in_tanks(
+    waiting: "Waiting", device: str, go_on: "GoOn", *, brain, robot: Robot, trials: Trials, box: dict[str, Any], tanks: int, nudge
+) -> Iterator[tuple[int, dict]]:
+    """Trials by their numbers, `tanks` at a time on one device; the number and arrays of each as it ends (`spread`).
+
+    Every trial has a tank and a controller of its own: a copy, and where one cannot be copied a trial at a time.
+
+    Args:
+        box: options of `engines.lbm.Engine`. nudge: cells by which every fish is shifted.
+    """
+    from fishmj.engines.lbm import Engine
+
+    try:
+        deepcopy(brain)
+    except Exception as error:  # noqa: BLE001  somebody else's: whatever it holds
+        tanks = _alone(brain, tanks, error)
+    busy: dict[int, tuple[Any, engines.Steps[Result]]] = {}
+    done: dict[int, int] = {}
+    seen, emptied = -1, 0
+    while busy or waiting:
+        while len(busy) < tanks and waiting:
+            i = waiting.popleft()
+            one = replace(trials, items=(trials.items[i],))
+            engine = Engine(robot, one.flows(), device=device, **box)
+            x, y = (cells * engine.domain.dx for cells in nudge)
+            own = deepcopy(brain) if tanks > 1 else brain
+            busy[i] = engine, running(own, robot, one, engine, (x, y), partial(done.__setitem__, i))
+        for i, (engine, steps) in list(busy.items()):
+            try:
+                next(steps)
+            except StopIteration as end:
+                del busy[i]
+                done.pop(i, None)
+                yield i, _arrays(end.value, engine)
+                emptied += 1
+                del engine, steps
+        if emptied >= tanks:  # captured launches and their tank hold each other: without this a GPU fills up with old water
+            gc.collect()
+            emptied = 0
+        if (now := sum(done.values())) != seen:
+            seen = now
+            if not go_on(now):
+                return
+
+
+def _alone(brain, tanks: int, error: Exception) -> int:
+    """One tank; says why."""
+    if tanks > 1:
+        console.warn(f"{brain.name}: cannot be copied ({error!r}), so that its trials run one after another")
+    return 1
+
+
+def _arrays(result: Result, engine) -> dict:
+    """What is kept of one trial."""
+    row = {key: getattr(result, key)[0] for key in OF_A_TRIAL if getattr(result, key) is not None}
+    row |= {"t": result.t, "target": result.target[0]}
+    return ended(row, engine.stopped[0], engine.ticks[0]) if engine.stopped[0] else row
 
 
 def ended(row: dict, why: str, ticks: int) -> dict:

@@ -116,7 +116,8 @@ def options(verb: str) -> console.Parser:
         add("--rows", type=console.Listed(console.text), default=[], metavar="NAME,..", help="rows of the table; default all")
         add("--seeds", type=console.Listed(console.SEED), default="0", metavar="N,..", help="of learnt rows: 0,1,2")
     if verb == "all":
-        add("--device", type=console.device, default="auto", help="of the flow solver: auto, cpu, cuda")
+        place = "of the flow solver: auto, cpu, cuda, cuda:N, cuda:all or a list of them; default auto"
+        add("--device", type=console.devices, default="auto", help=place)
         budget = "wall clock for collecting; default as long as it takes, on a CPU 30 minutes; a larger one, a larger preview"
         add("--budget", type=console.number(0, 1e7), metavar="S", help=budget)
         add("--ray", type=console.text, help="address of a Ray cluster that collects; by default this machine does")

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj import engines, flow
-from fishmj.engines import FishParams, FishState, Trace
+from fishmj.engines import FishParams, FishState, Steps, Trace
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, check_timing, load_robot
@@ -104,6 +104,19 @@ class ControlLoop:
     def act(self, commands) -> Trace:
         """Swim one control step of bus commands (B, T, J) rad. Raises SimDiverged."""
         self.fish, trace = self.advance(self.fish, commands)
+        return self._seen(trace)
+
+    def acting(self, commands) -> Steps[Trace]:
+        """The same, pausing whenever the engine waits for a device and another loop could go on."""
+        advancing = getattr(self.engine, "advancing", None)
+        if advancing is None:
+            return self.act(commands)
+        now = self.scenario
+        self.fish, trace = yield from advancing(self.fish, commands, now.params, now.current, self.count * self.ticks)
+        return self._seen(Trace(*(np.asarray(a, float) for a in trace)))
+
+    def _seen(self, trace: Trace) -> Trace:
+        """The sensors remember a control step."""
         self.window = self.window.after(trace.pose, trace.joint, trace.rate)
         self.count = self.count + 1
         return trace

@@ -38,7 +38,7 @@ from fishmj.campaign.data.segment import Segment, drive, ticks_of
 from fishmj.dynamics import planar_chain
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run import flow_at_links
@@ -206,7 +206,7 @@ def main(argv: list[str]) -> int:
     add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
     add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")
     add("--domain", choices=EVERY, help="box of water; by default that of the model's segments; laptop is a preview")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--device", type=console.devices, default="auto", help="auto, cpu, cuda, cuda:N, cuda:all or a list; default auto")
     args = parser.parse_args(argv)
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     controllers.make(args.policy, robot)  # a wrong name fails before anything else is looked at
@@ -217,9 +217,10 @@ def main(argv: list[str]) -> int:
     water = args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
     solver_cost.agree("hydro_fit correct", args.device, [(box, water)], instead=less)
-    setup = Setup(robot=robot, domain=box, device=str(device_of(args.device)))
+    devices = devices_of(args.device)
+    setup = Setup(robot=robot, domain=box, device=devices[0])
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
-    pool = Local(ON_GPU if setup.device.startswith("cuda") else 1)
+    pool = Local(ON_GPU if setup.device.startswith("cuda") else 1, devices)
     refit = lambda model, solver: refitted(robot, model, first, solver, out)
     with interrupt.keeping(lambda: kept_words(out)):
         found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, **sized)

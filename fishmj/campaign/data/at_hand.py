@@ -18,14 +18,14 @@ from pathlib import Path
 
 from fishmj import console, interrupt
 from fishmj.campaign.data import plan as plans
-from fishmj.campaign.data.collect import BOX, ON_GPU, Local, Pool, collect, domain_there, missing, report
+from fishmj.campaign.data.collect import BOX, ON_GPU, Local, Pool, collect, domain_there, missing, ray_device, report
 from fishmj.campaign.data.plan import Plan
 from fishmj.campaign.data.run_segments import Finished, Setup, fingerprint
 from fishmj.campaign.data.segment import Segment
 from fishmj.cores import usable_cores
 from fishmj.errors import ConfigError, DatasetError
 from fishmj.hydro_fit.segment_dataset import PREVIEW, SPLIT
-from fishmj.lbm_oracle.fluid.device import accelerator, device_of
+from fishmj.lbm_oracle.fluid.device import accelerator, devices_of, several
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import LEAD, Domain, preset
 from fishmj.lbm_oracle.run.stability import CLEARANCE
@@ -65,14 +65,20 @@ class Request:
         return bool(self.ray) or self.device.startswith("cuda") or (self.device == "auto" and accelerator())
 
     def setup(self, domain: Domain) -> Setup:
-        device = self.device if self.ray else str(device_of(self.device)) if self.solves_fast else "cpu"
-        return Setup(robot=self.robot, domain=domain, device=device)
+        return Setup(robot=self.robot, domain=domain, device=self.devices[0])
+
+    @property
+    def devices(self) -> tuple[str, ...]:
+        """Where tanks run. Raises ConfigError: several of them for the workers of a Ray cluster."""
+        if self.ray:
+            return (ray_device(self.device),)
+        return devices_of(self.device) if self.solves_fast or several(self.device) else ("cpu",)
 
     @property
     def pool(self) -> Pool:
         tanks = ON_GPU if self.solves_fast else 1
         if not self.ray:
-            return Local(tanks)
+            return Local(tanks, self.devices)
         from fishmj.campaign.data.ray_pool import RayPool
 
         return RayPool(self.ray, tanks=ON_GPU if self.device.startswith("cuda") else 1)

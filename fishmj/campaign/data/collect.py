@@ -6,6 +6,7 @@ Written in this order: the split, the segments one by one as they finish, the ma
 same call; a segment that is there, whole and made in the same way is not run again.
 
     python -m fishmj.hydro_fit collect --device cuda
+    python -m fishmj.hydro_fit collect --device cuda:all
     python -m fishmj.hydro_fit collect --preview --out runs/preview
     python -m fishmj.hydro_fit collect --fish my_fish.toml --scale 0.2 --out runs/my_fish
     python -m fishmj.hydro_fit collect --ray auto --tanks 12
@@ -16,21 +17,23 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from fishmj import console, interrupt
 from fishmj.campaign.data import plan as plans
 from fishmj.campaign.data.plan import Plan
-from fishmj.campaign.data.run_segments import Finished, Setup, side_by_side
+from fishmj.campaign.data.run_segments import Finished, Setup, on_device
 from fishmj.campaign.data.segment import Segment
 from fishmj.errors import ConfigError, DatasetError, StoreError
 from fishmj.hydro_fit.record import files, write_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.device import devices_of, several
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.solver_water import REFERENCE, asked_for
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_option
+from fishmj.lbm_oracle.run.spread import spread
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.store import Manifest, read_json, sha256, write_json
 from fishmj.water.hydro_model import HydroModel
@@ -50,12 +53,16 @@ class Pool(Protocol):
 
 @dataclass(frozen=True)
 class Local:
-    """Tanks side by side on one device, in this process."""
+    """Tanks side by side on this machine: on the set-up's device in this process, or on several in one process each.
+
+    tanks: on each device. devices: names of them; none: the set-up's.
+    """
 
     tanks: int = 1
+    devices: tuple[str, ...] = ()
 
     def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
-        return side_by_side(waiting, setup, tanks=self.tanks, go_on=go_on)
+        return spread(partial(on_device, setup=setup, tanks=self.tanks), waiting, self.devices or (setup.device,), go_on)
 
 
 @dataclass(frozen=True)
@@ -215,8 +222,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preview", action="store_true", help="two minutes of water on the small coarse box, for a CPU")
     fresh = "new test episodes and nothing else; by default those of the campaign"
     add("--fresh-test", type=console.whole(1, 2**32 - 1), metavar="SEED", help=fresh)
-    same = f"the reference water's box and slip ratio for all segments ({REFERENCE.window}, {REFERENCE.slip:g}); default: no"
+    same = f"all segments in the reference water: {REFERENCE.window}, slip {REFERENCE.slip:g}, its boundary; default: no"
     add("--reference", action="store_true", help=same)
+    boundary_option(add, default=None)
     slip = "only segments of this slip ratio; may be repeated; by default all"
     add("--slip", type=console.number(0, 1), action="append", default=[], metavar="S", help=slip)
     add("--seed", type=console.SEED, default=0, help="of the draws")
@@ -233,8 +241,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="another time step; by default the data set's, else the domain's",
     )
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
-    tanks = f"segments side by side on a device; by default {ON_GPU} on a GPU, else 1"
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
+    tanks = f"segments side by side on each device; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
     ray = "run on a Ray cluster: an address, auto, or local:N for N workers here; by default without one"
     add("--ray", type=console.text, metavar="ADDRESS", help=ray)
@@ -248,8 +257,10 @@ def run(args: argparse.Namespace) -> int:
     """Collect; exit code 0 when the data set is complete, 1 when segments are missing or nothing of one was sound."""
     robot = load_robot(args.fish)
     if args.reference:
-        asked_for("collect", True, args.domain, args.slip[0] if args.slip else None)  # refuses another box or ratio
+        slip = args.slip[0] if args.slip else None
+        asked_for("collect", True, args.domain, slip, boundary=args.boundary)  # refuses another box, ratio or boundary
         args.domain = REFERENCE.window
+    edge = REFERENCE.sharpness if args.reference else BOUNDARIES[args.boundary or "plain"]
     plan = plan_of(args, robot)
     out = Path(args.out) if args.out else default_folder(plan)
     domain = domain_of(args, out)
@@ -259,8 +270,8 @@ def run(args: argparse.Namespace) -> int:
         asked: dict[str, Any] = {"instead": less, "flag": GO, "asked": args.budget is not None}
         work = [(level, water) for level in domain.levels]
         solver_cost.agree("hydro_fit collect", args.device, work, tanks=args.tanks or 1, **asked)
-    device = args.device if args.ray else str(device_of(args.device))
-    setup = Setup(robot=robot, domain=domain, device=device)
+    devices = (ray_device(args.device),) if args.ray else devices_of(args.device)
+    setup = Setup(robot=robot, domain=domain, device=devices[0], sharpness=edge)
     what = f"{len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}"
     console.say(f"{plan.label}: {what}", console.table(plan.rows()))
     if domain.name in PREVIEWS:
@@ -274,7 +285,7 @@ def run(args: argparse.Namespace) -> int:
         return console.OK
     more = f"{out} holds every segment that was finished; {interrupt.again()}"
     with interrupt.keeping(lambda: more):
-        found = collect(plan, out, setup, pool=pool_of(args, device), budget=args.budget, retry=args.retry, quiet=args.json)
+        found = collect(plan, out, setup, pool=pool_of(args, devices), budget=args.budget, retry=args.retry, quiet=args.json)
     report(found)
     if args.json:
         console.emit_json({**asdict(found), "complete": found.complete})
@@ -340,14 +351,25 @@ def default_folder(plan: Plan) -> Path:
     return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"
 
 
-def pool_of(args: argparse.Namespace, device: str) -> Pool:
+def pool_of(args: argparse.Namespace, devices: tuple[str, ...]) -> Pool:
     """Tanks here, or workers of a Ray cluster."""
-    tanks = args.tanks
+    tanks = args.tanks or (ON_GPU if devices[0].startswith("cuda") else 1)
     if args.ray:
         from fishmj.campaign.data.ray_pool import RayPool
 
-        return RayPool(args.ray, tanks=tanks or (ON_GPU if device.startswith("cuda") else 1))
-    return Local(tanks or (ON_GPU if device.startswith("cuda") else 1))
+        return RayPool(args.ray, tanks=tanks)
+    return Local(tanks, devices)
+
+
+def ray_device(asked: str) -> str:
+    """The device of every worker of a Ray cluster.
+
+    Raises:
+        ConfigError: several; a worker has one, and there is one for every GPU.
+    """
+    if several(asked):
+        raise ConfigError(f"--device {asked} with --ray: a worker has one device, and each GPU gets a worker; use --device cuda")
+    return asked
 
 
 def report(found: Collected) -> None:

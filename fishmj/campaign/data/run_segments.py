@@ -9,8 +9,7 @@ import gc
 import hashlib
 import json
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from math import ceil
@@ -22,10 +21,13 @@ from fishmj import __version__
 from fishmj.campaign.data.segment import Drive, Segment, drive, ticks_of
 from fishmj.campaign.data.solver_hash import solver_sha256
 from fishmj.hydro_fit.record import SegmentRecord
+from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run, flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import boundary_entry
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
 from fishmj.log import SCHEMA, Trial
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.model import reference_qpos
@@ -52,6 +54,7 @@ class Setup:
     device: str = "auto"
     width: int = 3
     passes: int = 2
+    sharpness: Sharpness = PLAIN
 
     @property
     def about(self) -> dict:
@@ -60,6 +63,7 @@ class Setup:
         grid: dict[str, Any] = {"domain": domain.name, "dx": domain.dx, "dt": domain.dt, "shape": list(domain.shape)}
         if domain.fine is not None:  # cells at the fish
             grid |= {"fine": [{"dx": level.dx, "dt": level.dt, "shape": list(level.shape)} for level in domain.levels[1:]]}
+        grid |= boundary_entry(self.sharpness)
         return {
             "robot": {"name": robot.name, "joints": robot.n_joints, "sha256": fingerprint(robot)},
             "solver": {"sha256": solver_sha256()},
@@ -155,22 +159,21 @@ class SegmentRunner:
         }
 
 
-def side_by_side(
-    waiting: deque[Segment], setup: Setup, *, tanks: int = 1, go_on: Callable[[float], bool] = lambda water: True
-) -> Iterator[Finished]:
+def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = always) -> Iterator[Finished]:
     """Run what is waiting, `tanks` at a time; a tank that is done takes the next segment.
 
     Args:
-        waiting: emptied from the left. go_on: called after every tick with the seconds of water that the unfinished segments
-            have done; False gives these up and ends.
+        waiting: emptied from the left, asked only where there is room for one more.
+        go_on: called after every tick with the seconds of water that the unfinished segments have done; False gives these up and
+            ends.
 
     Raises:
         ConfigError, OracleUnstable: a segment could not be set up.
     """
     busy: list[SegmentRunner] = []
     emptied = 0
-    while waiting or busy:
-        while waiting and len(busy) < tanks:
+    while busy or waiting:
+        while len(busy) < tanks and waiting:
             busy.append(SegmentRunner(waiting.popleft(), setup))
         ConcurrentRuns([tank.run for tank in busy]).tick(np.array([tank.command() for tank in busy]))
         for tank in list(busy):
@@ -185,6 +188,11 @@ def side_by_side(
             emptied = 0
         if not go_on(sum(tank.water for tank in busy)):
             return
+
+
+def on_device(waiting: Waiting, device: str, go_on: GoOn, *, setup: Setup, tanks: int) -> Iterator[Finished]:
+    """`side_by_side` on one of several devices (`spread`)."""
+    return side_by_side(waiting, replace(setup, device=device), tanks=tanks, go_on=go_on)
 
 
 def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
@@ -204,6 +212,7 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
         device=setup.device,
         width=setup.width,
         passes=setup.passes,
+        sharpness=setup.sharpness,
     )
     coupled = stage.coupled()
     if segment.velocity:

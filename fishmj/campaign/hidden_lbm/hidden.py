@@ -22,10 +22,12 @@ from fishmj.errors import ConfigError, OracleUnstable, SimDiverged
 from fishmj.excitation import PERIOD, Excitation
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.refined_run import in_levels
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, JointDriver, LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
+from fishmj.lbm_oracle.run.spread import Waiting
 from fishmj.log import SCHEMA, Trial, numbered
 from fishmj.mjcf.description import Robot
 from fishmj.source import made_by
@@ -46,7 +48,7 @@ CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, fra
 class Job:
     """One trial: a robot, an experiment, what its noise is drawn from.
 
-    heavier: factor on all masses. slip: ratio of the hull at the paper's grid. flow: ordered stream, m/s and rad. hand: seed of
+    heavier: factor on all masses. slip, sharpness: of the boundary. flow: ordered stream, m/s and rad. hand: seed of
     how the fish is placed and how late packets are, in the place of the robot's own.
     """
 
@@ -62,6 +64,7 @@ class Job:
     flow: tuple[float, float] = (0.0, 0.0)
     domain: Domain = field(default_factory=lambda: preset("laptop"))
     hand: int | None = None
+    sharpness: Sharpness = PLAIN
 
     @property
     def placing(self) -> int:
@@ -197,6 +200,7 @@ def _stage(job: Job, device: str, pose: np.ndarray, joints: np.ndarray) -> SwimS
     flow = Flow(speed=float(np.hypot(*job.stream)), direction=float(np.arctan2(job.stream[1], job.stream[0])))
     x, y, yaw = pose.tolist()
     grid: dict[str, Any] = {"domain": job.domain, "device": device, "width": WIDTH, "passes": PASSES}
+    grid["sharpness"] = job.sharpness
     return SwimSetup(robot=job.made.robot, flow=flow, slip=job.slip, pose=(x, y, yaw), joints=tuple(joints.tolist()), **grid)
 
 
@@ -268,17 +272,36 @@ def jobs(
     return out
 
 
-def swum(waiting: Iterable[Job], device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
-    """Run jobs, `tanks` side by side; they come back as they finish, or stop."""
-    queue: deque[Job] = deque(waiting)
+def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
+    """Run jobs, `tanks` side by side; they come back as they finish, or stop; a device of several (`spread`) has its part."""
+    queue: Waiting = deque(waiting) if isinstance(waiting, Iterable) else waiting
     busy: list[HiddenRun] = []
-    while queue or busy:
-        while queue and len(busy) < tanks:
+    while busy or queue:
+        while len(busy) < tanks and queue:
             busy.append(hidden_run(queue.popleft(), device))
         ConcurrentRuns(busy).tick([np.zeros(run.joints) for run in busy])
         for run in [run for run in busy if run.done]:
             busy.remove(run)
             yield run
+
+
+class Owned:
+    """Jobs of a `waiting` that holds pairs of an owner and its job: `swum` takes the jobs, `owner` says whose a run was."""
+
+    def __init__(self, waiting: Waiting):
+        self.waiting = waiting
+        self.of: dict[int, Any] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self.waiting)
+
+    def popleft(self) -> Job:
+        owner, job = self.waiting.popleft()
+        self.of[id(job)] = owner
+        return job
+
+    def owner(self, run: HiddenRun) -> Any:
+        return self.of.pop(id(run.job))
 
 
 def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = None) -> Trial:

@@ -1,4 +1,7 @@
-"""Where the fluid runs: `auto` takes an accelerator if there is one with room; explicit `cuda` must exist and fit."""
+"""Where the fluid runs: `auto` takes an accelerator if there is one with room; explicit `cuda` must exist and fit.
+
+One water has one device (`device_of`). Independent waters may have several (`devices_of`): `cuda:all`, or a list.
+"""
 
 from functools import cache
 
@@ -32,8 +35,10 @@ def device_of(name: str = "auto", need: int = 0):
         ConfigError: `cuda` without a usable accelerator, or with too little free memory (both figures in MB).
     """
     wp = _warp()
-    kind = str(name).partition(":")[0]
-    if kind not in KINDS:
+    kind, colon, place = str(name).partition(":")
+    if several(name):
+        raise ConfigError(f"device: {name} names several, one water runs on one; expected {', '.join(KINDS)} or cuda:N")
+    if kind not in KINDS or (colon and not place.isdecimal()):
         raise UnknownName("device", str(name), KINDS)
     found = wp.get_cuda_devices()
     if kind == "auto" and not accelerator(need):
@@ -48,7 +53,7 @@ def device_of(name: str = "auto", need: int = 0):
         return wp.get_device("cpu")
     if not found:
         raise ConfigError("device: cuda was asked for and no usable accelerator was found; use --device cpu, or auto")
-    number = int(str(name).partition(":")[2] or 0)
+    number = int(place or 0)
     if number >= len(found):
         raise ConfigError(f"device: {name} was asked for; this machine has cuda:0 to cuda:{len(found) - 1}")
     device = found[number]
@@ -58,3 +63,27 @@ def device_of(name: str = "auto", need: int = 0):
             "take a coarser dx, a smaller box, or --device cpu"
         )
     return device
+
+
+def several(name: str) -> bool:
+    """Whether this names several devices, as for `devices_of`."""
+    return "," in str(name) or name == "cuda:all"
+
+
+def devices_of(name: str = "auto", need: int = 0) -> tuple[str, ...]:
+    """Names of the Warp devices that independent waters are spread over, each with room for `need` bytes.
+
+    Args:
+        name: one as for `device_of`, `cuda:all` (every accelerator that this process sees), or several of one kind with commas,
+            `cuda:0,cuda:1`; one may stand there twice, `cpu,cpu`: it gets two processes.
+
+    Raises:
+        UnknownName, ConfigError: as `device_of`; `auto` or two kinds in a list, whose figures differ in the last bits.
+    """
+    names = str(name).split(",")
+    if len(names) > 1 and (len(kinds := {one.partition(":")[0] for one in names}) > 1 or "auto" in kinds):
+        raise ConfigError(f"device: {name} mixes kinds; expected one kind, as cuda:0,cuda:1 or cpu,cpu, or cuda:all")
+    if name == "cuda:all":
+        found = _warp().get_cuda_devices()
+        names = [f"cuda:{number}" for number in range(len(found))] or ["cuda"]  # the last says that there is none
+    return tuple(str(device_of(one, need)) for one in names)

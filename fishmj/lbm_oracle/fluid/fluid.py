@@ -97,7 +97,7 @@ class Fluid:
 
     Attributes:
         f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
-            scaled (`storage`), which no body may touch yet.
+            scaled (`storage`).
         u: (nx, ny, nz) vec3, velocity of the last step; without `keep_velocity` it is derived when asked for.
         force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.

@@ -152,11 +152,14 @@ def peek3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int) -> w
 def poke3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int, value: wp.float32): ...
 
 
-@wp.func
-def point3(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d:
-    return wp.vec3d(a[at], a[at + 1], a[at + 2])
+# plain, too: code that runs once is paced by how much of it there is
 
 
-@wp.func
-def matrix3(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
-    return wp.mat33d(a[at], a[at + 1], a[at + 2], a[at + 3], a[at + 4], a[at + 5], a[at + 6], a[at + 7], a[at + 8])
+@wp.func_native("return wp::vec_t<3, wp::float64>(a.data[at], a.data[at + 1], a.data[at + 2]);")
+def point3(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d: ...
+
+
+@wp.func_native("""wp::mat_t<3, 3, wp::float64> m;
+for (int i = 0; i < 9; ++i) m.data[i / 3][i % 3] = a.data[at + i];
+return m;""")
+def matrix3(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d: ...

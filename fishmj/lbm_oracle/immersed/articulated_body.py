@@ -89,11 +89,8 @@ class Motion:
     passive: wp.array(dtype=wp.float64)  # n
 
 
-@wp.func
-def put3(a: wp.array(dtype=wp.float64), at: int, m: wp.mat33d):
-    for i in range(3):
-        for j in range(3):
-            a[at + 3 * i + j] = m[i, j]
+@wp.func_native("for (int i = 0; i < 9; ++i) a.data[at + i] = m.data[i / 3][i % 3];")
+def put3(a: wp.array(dtype=wp.float64), at: int, m: wp.mat33d): ...
 
 
 @wp.func

@@ -244,6 +244,11 @@ class Boundary:
         wp.synchronize_device(self.device)
         return self._wrench.numpy().copy()
 
+    def hand_wrench(self, impulse: np.ndarray) -> None:
+        """The impulse since the last `take_wrench`, (L, 6), as steps without the host have summed it."""
+        self._impulse[:] = impulse
+        self._taken, self._current = False, True
+
     @property
     def wrench(self) -> wp.array:
         """That impulse on the device, (L, 6), to be kept or set between two steps."""
@@ -253,9 +258,9 @@ class Boundary:
         return self._wrench
 
     @property
-    def wrench_arrays(self) -> tuple[wp.array, wp.array]:
-        """That impulse where the steps add to it, on the device, and where they leave it on the host; for launches."""
-        return self._wrench, self._returned_wrench
+    def wrench_sum(self) -> wp.array:
+        """That impulse where the steps add to it, on the device; for launches."""
+        return self._wrench
 
     def measure_interior(self, f: wp.array, speed: wp.array) -> None:
         """Queue how fast the interior water moves along the links into `speed`, (L,) m/s, for the place in `host`."""

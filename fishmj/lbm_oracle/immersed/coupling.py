@@ -57,6 +57,7 @@ class FluidStructure:
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
         self.steps = 0
+        self.ahead = False  # steps are queued whose outcome the body has not taken, behind others (`DeviceSteps.queue_next`)
         self.together = 1  # steps between the last two times that the host saw the body
         self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`
         self.graphs = Graphs(fluid) if fluid.device.is_cuda else None
@@ -122,8 +123,23 @@ class FluidStructure:
         return velocity
 
     def scope(self):
-        """The stream of this tank: whatever else looks at its arrays or moves them does so inside."""
+        """The stream of this tank: whatever else looks at its arrays or moves them does so inside.
+
+        Raises:
+            ConfigError: the water is on its way to the end of the tick behind the fish's (`Run.ahead`).
+        """
+        if self.ahead:
+            raise ConfigError(f"coupled: the water is ahead of the fish's t = {self.time:.4g} s; take a run with ahead = False")
+        return self.behind_what_is_queued()
+
+    def behind_what_is_queued(self):
+        """`scope` for what shall see the water after all that was queued, wherever the fish is."""
         return nullcontext() if self.graphs is None else wp.ScopedStream(self.graphs.stream)
+
+    def wait_for_water(self) -> None:
+        """Until the device has done all that was queued for this tank."""
+        if self.graphs is not None:
+            wp.synchronize_stream(self.graphs.stream)
 
     def join_stream(self) -> None:
         """From here on, who looks at the arrays outside `scope` sees them after the step; the host does not wait."""

@@ -1,6 +1,6 @@
 """The body's own part of the steps that it does without the host: its equation, its motion, the water inside it.
 
-    begin     what the host sent -> state                                                                     once
+    begin     what the host sent -> state; only what it sends anew where the state is the device's own        once
     follow    v+ -> state -> pose, box, fastest corner                                                        a step
     equation  M + dt D and right-hand side                                                                    a step
     give_back state, torques, rates, wrenches -> the host's memory, and last the number of the run             once
@@ -9,10 +9,22 @@ Each is one block of threads, a thread for each link and each degree of freedom;
 `articulated_body.py` (M, bias, servos) and of `link_dynamics.py` (the water inside the links).
 """
 
+from typing import Any
+
+import numpy as np
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.storage import matrix3, point3
-from fishmj.lbm_oracle.immersed.articulated_body import Motion, Tree, inertia_about, move_joint, paired, place_body, weigh_body
+from fishmj.lbm_oracle.immersed.articulated_body import (
+    FREE,
+    Motion,
+    Tree,
+    inertia_about,
+    move_joint,
+    paired,
+    place_body,
+    weigh_body,
+)
 from fishmj.lbm_oracle.immersed.fsi_solve import wait_for_block
 from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
 from fishmj.lbm_oracle.immersed.link_dynamics import put
@@ -39,10 +51,44 @@ class Inside:
     corner: wp.array(dtype=wp.float64)  # 24 L, of the boxes
     seen: wp.array(dtype=wp.float64)  # 7 L, low, high, and square of the greatest speed, of each link
     fastest: wp.array(dtype=wp.float64)  # 1, of all steps
-    planes: wp.array(dtype=wp.float64)  # 2, least and greatest first cell of the scratch box along x, of all steps
     dx: wp.float64
     grid: wp.vec3d  # corner of the grid
     size: wp.vec3d  # cells of the scratch box
+
+
+_TOUCH = """
+int seen = 0;
+#if defined(__CUDA_ARCH__)
+for (int i = {step} * me; i < values.shape[0]; i += {step} * threads) seen ^= ((const int*)(values.data + i))[0];
+#endif
+return seen;
+"""
+
+
+@wp.func_native(_TOUCH.format(step=4))  # a cache sector of 32 bytes
+def touch(values: wp.array(dtype=wp.float64), me: int, threads: int) -> int: ...
+
+
+@wp.func_native(_TOUCH.format(step=8))
+def touch(values: wp.array(dtype=wp.int32), me: int, threads: int) -> int: ...  # noqa: F811  an overload
+
+
+@wp.func_native("if (seen == 0x5bd1e995 && values.shape[0] < 0) values.data[0] = 0.0;")  # never; a load without a use is left out
+def use(seen: int, values: wp.array(dtype=wp.float64)): ...
+
+
+@wp.func
+def touch_all(
+    whole: wp.array(dtype=int),
+    real: wp.array(dtype=wp.float64),
+    state: wp.array(dtype=wp.float64),
+    block: wp.array(dtype=wp.float64),
+    me: int,
+    threads: int,
+):
+    """Load all that follows needs at once: beside water that steps, one load behind another takes long."""
+    a, b = touch(whole, me, threads), touch(real, me, threads)
+    use(a ^ b ^ touch(state, me, threads) ^ touch(block, me, threads), state)
 
 
 @wp.func
@@ -79,12 +125,18 @@ def push_link(t: Tree, s: Motion, e: Inside, l: int):
     put(e.push, 6 * l + 3, gained)
 
 
-@wp.kernel
-def equation(
-    t: Tree, s: Motion, e: Inside, block: wp.array(dtype=wp.float64), at: CouplingArrays, rate: wp.array(dtype=wp.float64)
+@wp.func
+def balance(
+    t: Tree,
+    s: Motion,
+    e: Inside,
+    block: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    rate: wp.array(dtype=wp.float64),
+    me: int,
+    threads: int,
 ):
     """M + dt D, the right-hand side and the velocity into the block that the solve reads."""
-    me, threads = wp.tid(), wp.block_dim()
     n = t.dofs
     weigh_body(t, s, me, threads)
     l = int(me)
@@ -105,6 +157,24 @@ def equation(
             right += entry * s.qvel[j]
         block[at.momentum + i] = right
         i += threads
+
+
+@wp.kernel
+def equation(
+    t: Tree,
+    s: Motion,
+    e: Inside,
+    block: wp.array(dtype=wp.float64),
+    at: CouplingArrays,
+    rate: wp.array(dtype=wp.float64),
+    whole: wp.array(dtype=int),
+    real: wp.array(dtype=wp.float64),
+    state: wp.array(dtype=wp.float64),
+):
+    """The equation of a step."""
+    me, threads = wp.tid(), wp.block_dim()
+    touch_all(whole, real, state, block, me, threads)
+    balance(t, s, e, block, at, rate, me, threads)
 
 
 @wp.func
@@ -156,38 +226,51 @@ def set_box(
         for k in range(t.links):
             low, high = wp.min(low, e.seen[7 * k + a]), wp.max(high, e.seen[7 * k + 3 + a])
         middle = wp.float64(0.5) * (low + high)
-        first = wp.rint((middle - e.grid[a]) / e.dx - wp.float64(0.5) * e.size[a])
-        block[at.box + a] = first
-        if a == 0:
-            e.planes[0] = wp.min(e.planes[0], first)
-            e.planes[1] = wp.max(e.planes[1], first)
+        block[at.box + a] = wp.rint((middle - e.grid[a]) / e.dx - wp.float64(0.5) * e.size[a])
         a += threads
 
 
 @wp.kernel
 def begin(
+    t: Tree,
     at: CouplingArrays,
     block: wp.array(dtype=wp.float64),
     sent_block: wp.array(dtype=wp.float64),
     state: wp.array(dtype=wp.float64),
     sent_state: wp.array(dtype=wp.float64),
     wrench: wp.array2d(dtype=wp.float64),
+    kept: int,
+    told: int,
 ):
-    """What the host sent, out of its own memory; sums that it has taken start from zero."""
+    """What the host sent, out of its own memory: the state up to number `told`, and its last; sums it has taken start from zero.
+
+    The first `kept` numbers of the state go on from the steps before, and so does the block: then all sums are new.
+    """
     me, threads = wp.tid(), wp.block_dim()
-    k = int(me)
-    while k < state.shape[0]:
+    k = int(me) + kept
+    while k < told:  # the steps find the others, one of them beside this
         state[k] = sent_state[k]
         k += threads
+    if me == 0:
+        state[state.shape[0] - 1] = sent_state[state.shape[0] - 1]
     k = int(me)
-    while k < at.size:
+    while k < at.size and kept == 0:
         block[k] = sent_block[k]
         k += threads
     wait_for_block()
     k = int(me)
-    while k < 6 * at.links and block[at.fresh] > wp.float64(0.5):
+    while k < 6 * at.links and (kept > 0 or block[at.fresh] > wp.float64(0.5)):
         wrench[k // 6, k % 6] = wp.float64(0.0)
         k += threads
+    j = int(me)
+    while j < t.joints and kept > 0:  # as MuJoCo's own state is, which the host would have sent; `state` begins with qpos
+        if t.kind[j] == wp.static(FREE):
+            q, total = t.coordinate[j] + 3, wp.float64(0.0)
+            for i in range(4):
+                total += state[q + i] * state[q + i]
+            for i in range(4):
+                state[q + i] = state[q + i] / wp.sqrt(total)
+        j += threads
 
 
 @wp.kernel
@@ -200,9 +283,19 @@ def follow(
     v: wp.array(dtype=wp.float64),
     moves: int,
     measured: int,
+    next: Motion,
+    rate: wp.array(dtype=wp.float64),
+    weighs: int,
+    whole: wp.array(dtype=int),
+    real: wp.array(dtype=wp.float64),
+    state: wp.array(dtype=wp.float64),
 ):
-    """The state after the step (`moves`), pose and box of cells round it; `measured` = 0: the interior water moves along."""
+    """The state after the step (`moves`), pose and box of cells round it; `measured` = 0: the interior water moves along.
+
+    `weighs`: the equation of the `next` step, too.
+    """
     me, threads = wp.tid(), wp.block_dim()
+    touch_all(whole, real, state, block, me, threads)
     l = int(me)
     while l < t.links and moves * measured == 1:
         settle_inside(s, e, l)
@@ -219,6 +312,9 @@ def follow(
         block[at.fresh] = wp.float64(0.0)
         for k in range(t.links):
             e.fastest[0] = wp.max(e.fastest[0], wp.sqrt(e.seen[7 * k + 6]))
+    if weighs == 1:
+        wait_for_block()
+        balance(t, next, e, block, at, rate, me, threads)
 
 
 @wp.func_native("""
@@ -239,9 +335,8 @@ def give_back(
     state: wp.array(dtype=wp.float64),
     on_host: wp.array(dtype=wp.float64),
     wrench: wp.array2d(dtype=wp.float64),
-    wrench_on_host: wp.array2d(dtype=wp.float64),
 ):
-    """All but the last number of the state, the wrenches, and when these are there the last number: the host waits for it."""
+    """The wrenches behind all but the last number of the state, and when these are there that one: the host waits for it."""
     me, threads, last = wp.tid(), wp.block_dim(), state.shape[0] - 1
     k = int(me)
     while k < last:
@@ -249,8 +344,25 @@ def give_back(
         k += threads
     k = int(me)
     while k < 6 * wrench.shape[0]:
-        wrench_on_host[k // 6, k % 6] = wrench[k // 6, k % 6]
+        on_host[last + 1 + k] = wrench[k // 6, k % 6]
         k += threads
     wait_for_host_memory()
     if me == 0:
         write_at_once(on_host, last, state[last])
+
+
+def side_by_side(structs: list, kind: type, device: Any) -> wp.array:
+    """All arrays of numbers of one kind that the structs own, in one array, of which they become parts; returns it."""
+    owned = [(one, name) for one in structs for name in one._cls.vars if _owns(getattr(one, name), kind)]
+    places = np.cumsum([0] + [-(-getattr(one, name).size // 8) * 8 for one, name in owned])  # each at the begin of a cache line
+    made = wp.zeros(max(int(places[-1]), 1), dtype=kind, device=device)
+    for (one, name), start in zip(owned, places, strict=False):
+        old = getattr(one, name)
+        part = made[int(start) : int(start) + old.size]
+        wp.copy(part, old)
+        setattr(one, name, part)
+    return made
+
+
+def _owns(value: Any, kind: type) -> bool:
+    return isinstance(value, wp.array) and value.dtype is kind and value.size > 0 and value._ref is None

@@ -1,16 +1,17 @@
 """Several coupled steps in a row that never wait for the host: the body moves on the device, too.
 
     before   the host's block with the place of the body, state, servo commands of all steps    one launch of a graph
-    a step   water far from the body            beside all of the following
-             the water's response K, b0, solve  beside the interior water's speed
-             F -> G, water round the body       beside `follow`: v+ -> state -> pose, box, the next step's equation
+    a step   the water's response K, b0, solve  beside the interior water's speed
+             F -> G, the water's step           beside v+ -> state -> pose, box -> the next step's equation, and its markers
     after    state, servo torques and joint rates of every step, wrenches, to the host          one wait, not for the water
 
+Where the commands are known a run ahead, `queue_next` sets the device to work on the next steps before the host has looked at
+these: it goes on from its own state.
+
 The arithmetic is that of `body.py` and `link_dynamics.py`, with a thread for each link and each degree of freedom
-(`device_body.py`), and that of `kernels.py`, with a warp for each marker (`marker_warps.py`). Water far from the body is planes
-of x that its force cannot reach within these steps: it needs the last step's water only. The host's MuJoCo takes the state at
-the end and goes on from there, with this or step by step; every so often it does the same steps itself (`audit`). Servos and a
-push from outside drive the body; velocities that are prescribed, and the explicit scheme, are left to the host's steps.
+(`device_body.py`), and that of `kernels.py`, with a warp for each marker (`marker_warps.py`). The host's MuJoCo takes the
+state at the end and goes on from there, with this or step by step; every so often it does the same steps itself (`audit`).
+Servos and a push from outside drive the body; velocities that are prescribed, and the explicit scheme, are left to the host.
 """
 
 from collections.abc import Iterator
@@ -22,17 +23,14 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError, SimDiverged
-from fishmj.lbm_oracle.fluid.fluid import Fluid, pieces
 from fishmj.lbm_oracle.immersed import device_body, fsi_solve
-from fishmj.lbm_oracle.immersed.articulated_body import motion_of, tree_of
+from fishmj.lbm_oracle.immersed.articulated_body import Motion, motion_of, tree_of
 from fishmj.lbm_oracle.immersed.body import RUNAWAY, ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_body import Inside
 from fishmj.lbm_oracle.immersed.marker_warps import PASSES, MarkerWarps
 
 AGREES = 1e-9  # greatest difference from MuJoCo's own steps in an audit, over 1 + the greatest velocity: as `body.EXACT`
-AROUND, DRIFT = 4, 2  # planes of x on both sides of the scratch box that count as near; of which it may move in one run
-GRAIN = 8  # planes: a body that moves by less keeps the graph
 OFTEN = 2000  # looks at the host's memory between two at the device
 
 
@@ -44,20 +42,28 @@ class Seen(NamedTuple):
     fastest: float  # m/s, of a corner of the links' boxes after any of the steps
 
 
+class Queued(NamedTuple):
+    """Steps that the device has to do."""
+
+    number: int
+    command: np.ndarray  # (S, A) rad
+    kept: int  # numbers of the state that the device has from the steps before; 0: the host sends it
+
+
 class DeviceSteps:
     """`count` steps of a coupled fish at a time.
 
     Args:
         coupled: fish and water; servo gains, masses and damping of its model are taken as they are now.
         count: steps that `run` does.
-        split: step the water far from the body beside the rest, in a box that is long enough.
+        warps: the markers' kernels of `marker_warps.py`, which two passes ask for; by default on an accelerator.
 
     Raises:
         ConfigError: the explicit scheme, a body with an equation of its own, or a model with more in it than the device
             computes (`tree_of`).
     """
 
-    def __init__(self, coupled: FluidStructure, count: int, *, split: bool = False, warps: bool | None = None):
+    def __init__(self, coupled: FluidStructure, count: int, *, warps: bool | None = None):
         if coupled.scheme != "implicit":
             raise ConfigError(f"steps on the device: the coupling scheme is {coupled.scheme!r}; expected 'implicit'")
         if type(coupled.body) is not ImmersedBody:
@@ -66,43 +72,36 @@ class DeviceSteps:
         self.coupled, self.count, device = coupled, int(count), coupled.fluid.device
         self._tree, links, n, servos = tree_of(body.model, device), body.links, body.dofs, body.model.nu
         self._dof = body.model.jnt_dofadr[body.model.actuator_trnid[:, 0]]
-        sizes = {"qpos": body.model.nq, "qvel": n, "last": 6 * links, "speed": links, "applied": n, "total": 6 * links}
-        sizes |= {"fastest": 1, "planes": 2, "command": self.count * max(servos, 1), "actuator": self.count * n}
-        sizes |= {"rate": self.count * n, "slid": self.count * links, "done": 1}
-        whole = sum(sizes.values())
-        self._pinned = wp.zeros(2 * whole, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
-        seen = wp.array(ptr=self._pinned.ptr, dtype=wp.float64, shape=2 * whole, device=device)  # as the device sees it
-        self._sent, self._returned = seen[:whole], seen[whole:]
+        self._kept = {"qpos": body.model.nq, "qvel": n, "last": 6 * links, "speed": links}  # what goes on from steps to steps
+        sizes = self._kept | {"applied": n, "total": 6 * links, "fastest": 1, "command": self.count * max(servos, 1)}
+        self._told = sum(sizes.values())  # the host says so much, and the number of the run; the steps find the rest
+        sizes |= {"actuator": self.count * n, "rate": self.count * n, "slid": self.count * links, "done": 1}
         self._block = wp.array(ptr=self.boundary.staging.ptr, dtype=wp.float64, shape=len(self.boundary.staging), device=device)
-        self._state = wp.zeros(whole, dtype=wp.float64, device=device)
-        self.held, self.found, here, place = {}, {}, {}, 0  # by name: what the host sends, what comes back, on the device
+        self._state = wp.zeros(sum(sizes.values()), dtype=wp.float64, device=device)
+        here, place = {}, 0  # by name
         for name, size in sizes.items():
-            self.held[name], here[name] = self._pinned.numpy()[place : place + size], self._state[place : place + size]
-            self.found[name] = self._pinned.numpy()[whole + place : whole + place + size]
-            place += size
-        self._insides = [self._inside_of(body, here, k) for k in range(self.count)]
-        self._motions = self._motions_of(body, here)
+            here[name], place = self._state[place : place + size], place + size
+        self._mail = [_Mail(sizes, 6 * links, device) for _ in range(2)]  # in turns: one is read while the other is written
+        inside, pose = self._inside_of(body, here, 0), self.boundary.host[: body.pose.size]
+        first = motion_of(body.model, device, qpos=here["qpos"], qvel=here["qvel"], pose=pose)
+        structs = [self._tree, first, inside]
+        self._all = tuple(device_body.side_by_side(structs, kind, device) for kind in (wp.int32, wp.float64))
+        self._insides = [inside, *(self._inside_of(body, here, k) for k in range(1, self.count))]
+        self._motions = self._motions_of(body, here, first)
         self._rates = [here["rate"][k * n : (k + 1) * n] for k in range(self.count)]
         self._threads = fsi_solve.BLOCK if device.is_cuda else 1
-        plain = type(self.fluid) is Fluid
-        fits = self.boundary.passes == PASSES and self.fluid.f.dtype is wp.float32
-        self._warps = MarkerWarps(self.boundary) if fits and (device.is_cuda if warps is None else warps) else None
-        room = self.boundary.box_shape[0] + 2 * AROUND + 2 * GRAIN
-        self._splits = plain and 2 * room <= self.fluid.shape[0] and split
-        # ahead of the far water: a few small blocks at a time, for which everything else waits
-        self._side, self._masses = (wp.Stream(device, priority=-1) if device.is_cuda else None for _ in range(2))
-        self._far = wp.Stream(device) if device.is_cuda else None
-        self._ends = [wp.Event(device) for _ in range(2)] if device.is_cuda else [None, None]  # of far water, step by step
-        self._started: tuple | None = None
+        fits = self.boundary.passes == PASSES and (device.is_cuda if warps is None else warps)
+        self._warps = MarkerWarps(self.boundary, self.fluid.f.dtype) if fits else None
+        # ahead of other tanks' water: a few small blocks at a time, for which everything else waits
+        self._side = wp.Stream(device, priority=-1) if device.is_cuda else None
+        self._queued: list[Queued] = []
         self._runs = 0
 
-    def _motions_of(self, body: ImmersedBody, here: dict[str, wp.array]) -> list:
+    def _motions_of(self, body: ImmersedBody, here: dict[str, wp.array], first: Motion) -> list:
         """The state in each step: its own commands and torques, all else is used again."""
         device, n, size = self.fluid.device, body.dofs, max(body.model.nu, 1)  # an array without entries cannot be cut
-        pose = self.boundary.host[: body.pose.size]
-        first = motion_of(body.model, device, qpos=here["qpos"], qvel=here["qvel"], pose=pose)
         again = ("screw", "drift", "momentum", "arm", "turned", "force", "mass_matrix", "bias", "passive")
-        shared = {name: getattr(first, name) for name in again} | {"qpos": here["qpos"], "qvel": here["qvel"], "pose": pose}
+        shared = {name: getattr(first, name) for name in again} | {"qpos": here["qpos"], "qvel": here["qvel"], "pose": first.pose}
         made = []
         for k in range(self.count):
             own = {"command": here["command"][k * size : (k + 1) * size], "actuator": here["actuator"][k * n : (k + 1) * n]}
@@ -118,7 +117,7 @@ class DeviceSteps:
         weight[:, :3] = body.dt * water.mass[:, None] * body.model.opt.gravity
         e.dt, e.counts = body.dt, int(self.coupled.interior)
         e.speed, e.last, e.total, e.applied, e.fastest = (here[name] for name in ("speed", "last", "total", "applied", "fastest"))
-        e.planes, e.slid = here["planes"], here["slid"][k * body.links : (k + 1) * body.links]
+        e.slid = here["slid"][k * body.links : (k + 1) * body.links]
         (e.dx, e.grid, e.size) = corners.grid
         if k:
             for name in ("mass", "centre", "inertia", "weight", "push", "seen", "corner"):
@@ -144,45 +143,67 @@ class DeviceSteps:
             ConfigError: not a command for every step and servo; or a marker is so near to a face that its kernel would read
                 beyond it, at the start.
         """
-        body, held, shape = self.coupled.body, self.held, (self.count, len(self._dof))
-        command = np.asarray(command, float)
-        if command.shape != shape:
-            raise ConfigError(f"steps on the device: commands of shape {command.shape}; expected {shape}, rad, one row a step")
+        body, command = self.coupled.body, self._checked(command)
+        self._queued = []  # whoever begins anew has given up what was under way
         self.coupled.place_markers()
         self.boundary.set_equation(body.system, 0.0, body.data.qvel)  # nothing prescribed; the rest is found anew
-        held["qpos"][:], held["qvel"][:], held["applied"][:] = body.data.qpos, body.data.qvel, body.applied
-        held["last"][:], held["speed"][:], held["total"][:] = body.momentum.ravel(), body.interior_speed, 0.0
-        held["fastest"][:], held["planes"][:], held["command"][: command.size] = 0.0, (np.inf, -np.inf), command.ravel()
-        if len(self._dof):
-            body.data.ctrl[:] = command[-1]
+        held = self._mail[(self._runs + 1) % 2].held
+        held["qpos"][:], held["qvel"][:] = body.data.qpos, body.data.qvel
+        held["last"][:], held["speed"][:] = body.momentum.ravel(), body.interior_speed
+        self._send(command, 0)
+
+    def queue_next(self, command: np.ndarray) -> None:
+        """The steps behind those that were queued and not finished, from the state that the device will be in then.
+
+        Raises:
+            ConfigError: not a command for every step and servo; or there are no such steps, or two sets of them.
+        """
+        if not self.goes_on or len(self._queued) != 1:
+            raise ConfigError(f"steps on the device: {len(self._queued)} sets under way; `queue_next` goes behind one")
+        self._send(self._checked(command), sum(self._kept.values()))
+
+    @property
+    def goes_on(self) -> bool:
+        """Can the next steps be queued behind those under way?"""
+        return self._warps is not None
+
+    @property
+    def under_way(self) -> int:
+        """Sets of steps that were queued and not finished."""
+        return len(self._queued)
+
+    def _checked(self, command: np.ndarray) -> np.ndarray:
+        command, shape = np.asarray(command, float), (self.count, len(self._dof))
+        if command.shape != shape:
+            raise ConfigError(f"steps on the device: commands of shape {command.shape}; expected {shape}, rad, one row a step")
+        return command
+
+    def _send(self, command: np.ndarray, kept: int) -> None:
+        """What the host says anew of every set of steps, and their launch."""
         self._runs += 1
-        held["done"][:], self._started = self._runs, (command, self._near())
+        held = self._mail[self._runs % 2].held
+        held["applied"][:], held["total"][:], held["fastest"][:] = self.coupled.body.applied, 0.0, 0.0
+        held["command"][: command.size], held["done"][:] = command.ravel(), self._runs
+        self._queued.append(Queued(self._runs, command, kept))
         if self.coupled.graphs is None:
             self.launch()
         else:
-            self.coupled.graphs.launch("steps", self.launch, (self.count, self._started[1]))
-
-    def _near(self) -> tuple[int, int] | None:
-        """First world plane of x that counts as near, and how many; None where the water is stepped as a whole."""
-        if not self._splits:
-            return None
-        first = int(self.boundary.view["box"][0])
-        low = (first - AROUND) // GRAIN * GRAIN
-        return low, -(-(first + self.boundary.box_shape[0] + AROUND) // GRAIN) * GRAIN - low
+            self.coupled.graphs.launch("steps", self.launch, (self.count, kept, self._runs % 2))
 
     def ready(self) -> bool:
-        """Is the state on the host? The water may still be under way."""
-        return self.coupled.graphs is None or self.found["done"][0] == self._runs
+        """Is the state on the host that the oldest of the steps under way end in? The water may still be under way."""
+        number = self._queued[0].number
+        return self.coupled.graphs is None or self._mail[number % 2].found["done"][0] == number
 
     def finish(self, audit: bool = False) -> Seen:
         """Wait for the state, and hand it to MuJoCo; the water may still be under way (`FluidStructure.join_stream`).
 
         Args:
-            audit: MuJoCo does the same steps first, and the two are compared.
+            audit: MuJoCo does the same steps first, and the two are compared; nothing may be queued behind them.
 
         Raises:
-            SimDiverged: a velocity is not finite or runs away, the body moved too far for one run, or (`audit`) MuJoCo found
-                something else. The body is then as it was before; the water is not.
+            SimDiverged: a velocity is not finite or runs away, or (`audit`) MuJoCo found something else. The body is then as it
+                was before; the water is not.
         """
         graphs = self.coupled.graphs
         while not self.ready():
@@ -192,10 +213,13 @@ class DeviceSteps:
             else:
                 if graphs is not None and graphs.idle() and not self.ready():
                     raise SimDiverged("steps on the device: it ended without a state", time=self.coupled.time, term="coupling")
+        queued, behind = self._queued[0], self._queued[1:]
+        self._queued, self.found = [], self._mail[queued.number % 2].found  # nothing goes on behind what is not believed
         self._judge()
         if audit:
-            self._audit()
+            self._audit(queued.command)
         self._take()
+        self._queued = behind
         found, shape = self.found, (self.count, self.coupled.body.dofs)
         torque, rate = found["actuator"].reshape(shape)[:, self._dof], found["rate"].reshape(shape)
         return Seen(torque.copy(), rate.copy(), float(found["fastest"][0]))
@@ -209,10 +233,6 @@ class DeviceSteps:
             joint = body.model.joint(body.model.dof_jntid[at]).name
             message = f"oracle: velocity of joint {joint!r} is {found['qvel'][at]:.3g} {within} (limit {RUNAWAY:g})"
             raise SimDiverged(message, time=time, term="coupling", link=joint)
-        low, high = found["planes"]
-        if self._splits and high - low > DRIFT:
-            message = f"oracle: the body moved by {high - low:.0f} cells {within} (limit {DRIFT})"
-            raise SimDiverged(message, time=time, term="coupling")
 
     def _take(self) -> None:
         """The state at the end, into MuJoCo's."""
@@ -220,13 +240,16 @@ class DeviceSteps:
         d.qpos[:], d.qvel[:] = found["qpos"], found["qvel"]
         mujoco.mj_normalizeQuat(body.model, d.qpos)
         d.time += self.count * body.dt
+        if len(self._dof):
+            d.ctrl[:] = found["command"].reshape(self.count, -1)[-1]
         body.momentum[:], body.interior_speed[:] = found["last"].reshape(-1, 6), found["speed"]
         body.forward()
+        self.boundary.hand_wrench(found["wrench"].reshape(-1, 6))
         if self.coupled.interior:
             self.coupled.gain += found["total"].reshape(-1, 6)
         self.coupled.steps, self.coupled.together = self.coupled.steps + self.count, self.count
 
-    def _audit(self) -> None:
+    def _audit(self, command: np.ndarray) -> None:
         """MuJoCo's own steps, `mj_step` to the velocity of each, beside what the device did; the body is put back.
 
         Compared: servo torques of every step, the state at the end, and in the last step the velocity that MuJoCo's masses and
@@ -238,7 +261,6 @@ class DeviceSteps:
         coupled, body, found = self.coupled, self.coupled.body, self.found
         d, n, time = body.data, body.dofs, self.coupled.time
         kept = d.qpos.copy(), d.qvel.copy(), body.momentum.copy(), body.interior_speed.copy(), d.ctrl.copy()
-        command, _ = self._started or (np.zeros((self.count, 0)), None)
         actuator, rates = found["actuator"].reshape(self.count, n), found["rate"].reshape(self.count, n)
         slid, torque, right = found["slid"].reshape(self.count, -1), np.zeros(n), np.zeros(n)
         try:
@@ -247,7 +269,7 @@ class DeviceSteps:
                 system, right = body.equation(interior=coupled.interior)
                 torque = np.maximum(torque, np.abs(d.qfrc_actuator - actuator[k]))
                 if k == self.count - 1:
-                    wp.synchronize_device(self.fluid.device)
+                    self.coupled.wait_for_water()
                     k_water, b_water = self.boundary.response
                     expected = np.linalg.solve(system + k_water, right - b_water)
                 if self.boundary.interior is not None:
@@ -278,69 +300,66 @@ class DeviceSteps:
 
     def launch(self) -> None:
         """Queue all of it."""
-        boundary, fluid, tree, measured = self.boundary, self.fluid, self._tree, int(self.boundary.interior is not None)
-        block, at, (wrench, wrench_on_host) = boundary.host, boundary.layout, boundary.wrench_arrays
-        near = self._started[1] if self._started else None
+        boundary, fluid, tree = self.boundary, self.fluid, self._tree
+        block, at, wrench = boundary.host, boundary.layout, boundary.wrench_sum
+        number, _, kept = self._queued[-1]
+        mail = self._mail[number % 2]
         with self._beside(self._side):
-            self._launch(device_body.begin, [at, block, self._block, self._state, self._sent, wrench])
-            self._launch(device_body.follow, [tree, self._motions[0], self._insides[0], block, at, boundary.target, 0, measured])
-        if self._warps is not None:
+            sent = [tree, at, block, self._block, self._state, mail.sent, wrench, kept, self._told]
+            self._launch(device_body.begin, sent)
+            if kept:  # the pose stands
+                self._weigh(0)
+            else:
+                self._follow(0, 0)
+            self._place()
+        if self._warps is not None and not kept:
             self._warps.begin()
-        behind: wp.Event | None = None  # the far water's step before is done
         for k in range(self.count):
-            ended = self._step_far(near, self._ends[k % 2])
             self._join(self._side)
-            with self._beside(self._masses):
-                args = [tree, self._motions[k], self._insides[k], block, at, self._rates[k]]
-                self._launch(device_body.equation, args)
             if self._warps is None:
                 boundary.assemble_response(fluid.f.flatten(), fluid.origin, fluid.box, self._insides[k].slid)
-                self._join(self._masses)
                 boundary.solve()
                 boundary.spread_force(fluid.force)
             else:
                 with self._beside(self._side):
                     boundary.measure_interior(fluid.f.flatten(), self._insides[k].slid)
                 self._warps.look(fluid.f.flatten(), fluid.origin, fluid.box, fluid.force)
-                self._join(self._masses)
                 self._warps.answer()
                 self._warps.push(fluid.force)
             with self._beside(self._side):
                 if self._warps is None:
                     boundary.sum_wrench()  # ahead of the body's move: about where the links were
-                after = [tree, self._motions[k], self._insides[k], block, at, boundary.target, 1, measured]
-                self._launch(device_body.follow, after)
-                if k + 1 == self.count:
-                    self._launch(device_body.give_back, [self._state, self._returned, wrench, wrench_on_host])
-            self._step_near(near, behind)
-            behind = ended
+                self._follow(k, 1)
+                if k + 1 < self.count:
+                    self._place()
+                else:
+                    self._launch(device_body.give_back, [self._state, mail.returned, wrench])
+            fluid.stream_collide()
             if self._warps is None:
                 boundary.clear_force(fluid.force)
         if self._warps is not None:
             boundary.clear_force(fluid.force)
         self._join(self._side)
-        if near is not None:
-            self._join(self._far)
 
-    def _step_far(self, near: tuple[int, int] | None, end: "wp.Event | None") -> "wp.Event | None":
-        """Queue the planes that no force reaches, beside what comes behind; `end` is set behind them."""
-        if near is None:
-            return None
-        low, count = near
-        with self._beside(self._far):
-            for first, planes in pieces(low + count, self.fluid.shape[0] - count, self.fluid.shape[0]):
-                self.fluid.planes(first, planes).launch()
-        return None if self._far is None or end is None else self._far.record_event(end)
+    def _follow(self, k: int, moves: int) -> None:
+        """Queue the state after step k, or the pose of the state as it is, and the equation of the step that comes then."""
+        coming = k + moves
+        weighs, coming = int(coming < self.count), min(coming, self.count - 1)
+        block, at, measured = self.boundary.host, self.boundary.layout, int(self.boundary.interior is not None)
+        args = [self._tree, self._motions[k], self._insides[k], block, at, self.boundary.target, moves, measured]
+        args += [self._motions[coming], self._rates[coming], weighs]
+        self._launch(device_body.follow, [*args, *self._all, self._state])
 
-    def _step_near(self, near: tuple[int, int] | None, behind: "wp.Event | None") -> None:
-        """Queue the planes round the body, or all; then this step of the water is counted."""
-        if near is None:
-            return self.fluid.stream_collide()
-        if behind is not None:
-            wp.get_stream(self.fluid.device).wait_event(behind)
-        for first, planes in pieces(*near, self.fluid.shape[0]):
-            self.fluid.planes(first, planes).launch()
-        return self.fluid.skip(1)
+    def _place(self) -> None:
+        """Queue where the markers are, after `follow`."""
+        if self._warps is not None:
+            self._warps.place()
+
+    def _weigh(self, k: int) -> None:
+        """Queue the body's equation of step k."""
+        block, at, rate = self.boundary.host, self.boundary.layout, self._rates[k]
+        args = [self._tree, self._motions[k], self._insides[k], block, at, rate, *self._all, self._state]
+        self._launch(device_body.equation, args)
 
     @contextmanager
     def _beside(self, stream: "wp.Stream | None") -> Iterator[None]:
@@ -358,3 +377,19 @@ class DeviceSteps:
 
     def _launch(self, kernel: wp.Kernel, inputs: list) -> None:
         wp.launch(kernel, dim=self._threads, inputs=inputs, device=self.fluid.device)
+
+
+class _Mail:
+    """What the host sends of the state and what comes back: by name in the host's own memory, and as the device sees them."""
+
+    def __init__(self, sizes: dict[str, int], wrenches: int, device: Any):
+        whole = sum(sizes.values())
+        self._pinned = wp.zeros(2 * whole + wrenches, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
+        seen = wp.array(ptr=self._pinned.ptr, dtype=wp.float64, shape=2 * whole + wrenches, device=device)
+        self.sent, self.returned = seen[:whole], seen[whole:]
+        self.held, self.found, place = {}, {}, 0
+        for name, size in sizes.items():
+            self.held[name] = self._pinned.numpy()[place : place + size]
+            self.found[name] = self._pinned.numpy()[whole + place : whole + place + size]
+            place += size
+        self.found["wrench"] = self._pinned.numpy()[2 * whole :]

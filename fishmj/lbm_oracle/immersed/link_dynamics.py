@@ -83,10 +83,8 @@ class LinkDynamics:
     check: wp.array(dtype=wp.float64)  # greatest |target|, and what |v - target| is off, over 1 + greatest |target|
 
 
-@wp.func
-def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
-    for i in range(3):
-        a[at + i] = v[i]
+@wp.func_native("a.data[at] = v[0]; a.data[at + 1] = v[1]; a.data[at + 2] = v[2];")
+def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d): ...
 
 
 @wp.kernel

@@ -31,6 +31,9 @@ AROUND = {  # m, box of finer cells round a fish of 0.54 m at any heading
 }
 TWICE = ("paper", "forcemap", "window", "window_coarse")  # of these also with a box of still finer cells in the first
 CLOSE = (0.72, 0.72, 0.28)  # m, the second box
+THRICE = ("window_coarse",)  # of these also with a third, to look at what half the cell of the second changes
+CLOSEST = (0.64, 0.64, 0.2)  # m
+BOXES = ((AROUND, (), ""), (TWICE, (CLOSE,), "_twice"), (THRICE, (CLOSE, CLOSEST), "_thrice"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,16 +136,19 @@ def _presets() -> dict[str, Domain]:
 
 
 def _refined() -> dict[str, Domain]:
-    """Those of them that have a box of finer cells, by names that end in `_refined`; with two boxes in `_refined_twice`."""
-    plain = _presets()
-    once = {name: replace(plain[name], name=f"{name}_refined", fine=size) for name, size in AROUND.items()}
-    twice = {f"{name}_refined_twice": replace(once[name], name=f"{name}_refined_twice", finer=(CLOSE,)) for name in TWICE}
-    return {domain.name: domain for domain in once.values()} | twice
+    """Those of them with a box of finer cells, by names that end in `_refined`, with two in `_refined_twice`, with three in
+    `_refined_thrice`."""
+    plain, made = _presets(), {}
+    for names, more, ending in BOXES:
+        for name in names:
+            domain = replace(plain[name], name=f"{name}_refined{ending}", fine=AROUND[name], finer=more)
+            made[domain.name] = domain
+    return made
 
 
 PREVIEWS = ("laptop",)  # too coarse for a judgement
 NAMES = ("paper", "forcemap", "flow_tank", "window", "window_fine", "window_coarse", "laptop")
-REFINED = (*(f"{name}_refined" for name in AROUND), *(f"{name}_refined_twice" for name in TWICE))
+REFINED = tuple(f"{name}_refined{ending}" for names, _, ending in BOXES for name in names)
 EVERY = NAMES + REFINED
 
 

@@ -12,6 +12,7 @@ letter, `tethered` holds the root or leads it along `root`; the torques that thi
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
+from itertools import count
 from typing import Protocol, cast
 
 import numpy as np
@@ -22,20 +23,20 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
+from fishmj.lbm_oracle.run.run_meta import about
 from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
-from fishmj.log import SCHEMA, Trial, numbered
+from fishmj.log import Trial, numbered
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import link_centres
-from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
 from fishmj.mjcf.servos import arrived, on_the_bus
-from fishmj.source import made_by
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
 PATIENCE = 2000  # turns that other tanks are given while one's device works
 AUDIT = 50  # ticks between two that MuJoCo does again, where the device moves the fish by itself
+_RUNS = count()  # of this process
 CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
 
 
@@ -102,16 +103,23 @@ class Run:
         follow: called with the coupled fish after every step: a window moves, a tank looks after its walls. It touches the
             water in `FluidStructure.scope` only.
         on_device: a tick's steps are done in one, the fish's own motion on the device (`DeviceSteps`), wherever servos alone
-            drive a plain body; by default on an accelerator. `follow` is then called once a tick.
+            drive a plain body; by default on an accelerator, in water of one cell size: with finer cells round the fish the
+            host's steps are faster there. `follow` is then called once a tick.
 
     Attributes:
         root: of a tethered fish, its path: t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
+        ahead: the device begins the next tick before the host has looked at this one, wherever the servos' targets are known by
+            then: commands arrive a tick late at least, and the box of water stays. The same ticks, without a pause between
+            them; the water is then a tick ahead of the fish, and `FluidStructure.scope` refuses to show it. A fish whose speed
+            doubles within one tick is taken to finer steps one tick later.
 
     Raises:
         ConfigError: the fluid's step does not divide the bus tick.
     """
 
     root: Callable[[float], np.ndarray] | None = None
+    ahead = False
+    boundary_name = "plain"  # for the log
 
     def __init__(
         self,
@@ -124,7 +132,8 @@ class Run:
         follow: Callable[[FluidStructure], None] | None = None,
         on_device: bool | None = None,
     ):
-        self.on_device = coupled.fluid.device.is_cuda if on_device is None else on_device
+        several = isinstance(coupled.fluid, RefinedFluid)
+        self.on_device = coupled.fluid.device.is_cuda and not several if on_device is None else on_device
         self._at_once: DeviceSteps | None = None
         self.coupled, self.robot = coupled, load_robot(robot)
         self.tethered, self.prescribed, self.follow = tethered, prescribed, follow
@@ -136,10 +145,17 @@ class Run:
         self.delay = round((timing.command_latency if latency is None else latency) / dt)
         self.joints = self.robot.n_joints
         self._refinement = Refinement(coupled)
+        self._audited = next(_RUNS) % AUDIT  # tanks side by side do not all wait for MuJoCo in the same tick
         self.begin()
 
     def begin(self) -> None:
-        """From the state as it is: no ticks, no rows, the present joint angles on the bus."""
+        """From the state as it is: no ticks, no rows, the present joint angles on the bus.
+
+        Raises:
+            ConfigError: the water is ahead of the fish.
+        """
+        if self.coupled.ahead:
+            raise ConfigError("run: the water is ahead of the fish; begin before its first tick ahead")
         self.ticks = 0
         self.commands = [self.angles()]  # on the bus; number 0 was there before t = 0
         self.start = self.coupled.time
@@ -185,10 +201,11 @@ class Run:
         """The same, pausing whenever the device has work and the host could look after another tank (`ConcurrentRuns`)."""
         sent = self._send(command)
         began, done = self.time, None
-        careful = self.fastest > CAUTION * self.limit or self.ticks < self.alert
+        begun = self.coupled.ahead  # with the device's own steps, whatever the tick before has shown
+        careful = not begun and (self.fastest > CAUTION * self.limit or self.ticks < self.alert)
         kept = checkpoint(self.coupled) if careful else None  # 176 bytes a cell: too much to copy before every tick
         try:
-            if self.fastest <= self.limit:  # else the tick before was too fast, and so will this one be
+            if begun or self.fastest <= self.limit:  # else the tick before was too fast, and so will this one be
                 done = yield from self._steps(self.coupled, 1, give_up=kept is not None)
         except (SimDiverged, OracleUnstable):
             if kept is None:
@@ -205,6 +222,8 @@ class Run:
         at_once = self._device_steps() if factor == 1 else None
         if at_once is not None:
             return (yield from self._steps_at_once(at_once, give_up))
+        if coupled.ahead:
+            raise ConfigError("run: the water is ahead of the fish, and the host cannot go on there; drive it as before")
         count, corners = self.steps * factor, coupled.boundary.corners
         driver, finished = self._driver(coupled, factor), False
         self.fastest = 0.0
@@ -245,32 +264,59 @@ class Run:
 
     def _steps_at_once(self, at_once: DeviceSteps, give_up: bool) -> Generator[None, None, Tick | None]:
         """The steps of one tick without the host; as `_steps`."""
-        coupled, first, finished = self.coupled, self.ticks * self.steps, False
-        self.fastest = 0.0
+        coupled, finished, later = self.coupled, False, None
+        audit = self.ticks == 0 or self.ticks % AUDIT == self._audited
         try:
-            at_once.queue(np.array([self.servo_target(first + i) for i in range(self.steps)]))
+            if not coupled.ahead:
+                at_once.queue(self._targets(self.ticks))
+            if not (audit or give_up) and self._goes_on(at_once):
+                later = self._begin_next(at_once)
+            coupled.ahead, self.fastest = bool(at_once.under_way > 1), 0.0
             for _ in range(PATIENCE):
                 yield
                 if at_once.ready():
                     break
-            seen = at_once.finish(audit=self.ticks % AUDIT == 0)
+            seen = at_once.finish(audit)
             self.watch.end()  # the look begun after the tick before: it lies ahead of what was just waited for
-            self.fastest = seen.fastest
+            self.watch.pending, self.fastest = later, seen.fastest
             if give_up and self.fastest > self.limit:
                 return None
             self._look(coupled)
             finished = True
         finally:
-            coupled.join_stream()
             if not finished:
-                self.watch.pending = None
+                self.watch.pending, coupled.ahead = None, False
+            if not coupled.ahead:
+                coupled.join_stream()
         self.factor = 1
         drawn = servo_power(seen.torque, seen.rate[:, -self.joints :], self.robot.servo.kb)
         return drawn, *coupled.take_wrench(self.steps * coupled.body.dt)
 
+    def _targets(self, tick: int) -> np.ndarray:
+        """(S, J) rad of the servos in the steps of a tick."""
+        return np.array([self.servo_target(tick * self.steps + i) for i in range(self.steps)])
+
+    def _goes_on(self, at_once: DeviceSteps) -> bool:
+        """May the next tick begin before this one has been looked at?"""
+        stays = self.follow is None or not getattr(self.follow, "moves_water", True)
+        known = self.delay >= self.steps
+        calm = self.fastest <= CAUTION * self.limit and self.ticks + 1 >= self.alert
+        seen = self.watch.pending is None or not self.watch.due(self.coupled.fluid, self.steps)  # one look at a time
+        return self.ahead and at_once.goes_on and stays and known and calm and seen
+
+    def _begin_next(self, at_once: DeviceSteps) -> tuple | None:
+        """Queue the tick behind the one under way; the look between both, to be judged after it."""
+        fluid, looked = self.coupled.fluid, None
+        if self.watch.due(fluid, self.steps):
+            with self.coupled.behind_what_is_queued():
+                self.watch.begin(fluid)
+            looked, self.watch.pending = self.watch.pending, None
+        at_once.queue_next(self._targets(self.ticks + 1))
+        return looked
+
     def _look(self, coupled: FluidStructure) -> None:
         """After a step, or several in one: the watch looks at the water, a window follows its fish."""
-        if self.watch.due(coupled.fluid, coupled.together):
+        if not coupled.ahead and self.watch.due(coupled.fluid, coupled.together):
             with coupled.scope():
                 self.watch.begin(coupled.fluid)
         if self.follow is not None:
@@ -360,7 +406,7 @@ class Run:
         # with prescribed joints what the servos would have drawn is not known
         drawn = None if self.prescribed else (servo.voltage, (power + servo.idle_power) / servo.voltage)
         tables = log_tables(began, t, cmd, q, v, flow, whole[:, :, planar], raw[:, :, planar], drawn)
-        return Trial(_meta(self, tables), tables)
+        return Trial(about(self, tables), tables)
 
 
 def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = None) -> dict[str, dict[str, np.ndarray]]:
@@ -396,53 +442,20 @@ def flow_at_links(flow: Flow, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.
     return np.stack([flow.at(where, float(when))[:, :2] for where, when in zip(deep, t, strict=True)])
 
 
-def _meta(run, tables) -> dict:
-    """What a reader must know about the run."""
-    fluid, edge = run.coupled.fluid, run.coupled.boundary
-    flow, lattice = fluid.flow, fluid.lattice
-    (x, y, turn), c, s = run.pushed, np.cos(run.first[2]), np.sin(run.first[2])
-    water = {"dx": lattice.dx, "dt": lattice.dt, "shape": list(fluid.shape), "slip": run.coupled.slip}
-    water |= {"subgrid": fluid.subgrid, "kernel": edge.width, "passes": edge.passes, "markers": edge.count}
-    if isinstance(fluid, RefinedFluid):
-        coarse = fluid.outer
-        water["coarse"] = {"dx": coarse.lattice.dx, "dt": coarse.lattice.dt, "shape": list(coarse.shape)}
-    return {
-        "schema": SCHEMA,
-        "origin": "synthetic",
-        **identity(run.robot),
-        "medium": "water",
-        "flow": {"speed": flow.speed, "direction": flow.direction, "turbulence": flow.turbulence}
-        | {"intensity": flow.intensity, "seed": flow.seed, "known": True},
-        "excitation": "prescribed joints" if run.prescribed else "servos",
-        "replicate_of": "",
-        "controller": "open loop",
-        "start": run.first[:3].tolist(),
-        "push": [float(c * x + s * y), float(c * y - s * x), float(turn)],  # surge, sway m/s and yaw rate rad/s
-        "latency": {"pose": 0.0, "command": run.delay * run.coupled.body.dt},
-        "water": "lbm",
-        "oracle": {**water, "device": str(fluid.device), "tethered": run.tethered}
-        | {"refined_ticks": run.refined, "stopped": run.stopped},
-        "seed": flow.seed,
-        "clock": {name: "simulation" for name in tables},
-        **made_by("mujoco", "numpy", "warp-lang"),
-        "source": "fishmj.lbm_oracle",
-        "licence": "Apache-2.0",
-        "notes": "simulated; joint and pose are exact, without sensor noise or camera latency. wrench: means over a tick; r"
-        " and n are the raw exchange",
-    }
-
-
 class ConcurrentRuns:
     """Runs that tick together in one process; one that stops (see `Run.stopped`) is left as it is, the others go on.
 
     The host looks after one tank while the device works on another's water: every tank has its own stream, `tick` goes round and
     finishes one step of each and begins its next. Tanks share nothing, so that results do not depend on their number or order.
+    `ahead`: nobody looks at the water between two ticks (`Run.ahead`).
     """
 
-    def __init__(self, runs: Sequence[Run]):
+    def __init__(self, runs: Sequence[Run], *, ahead: bool = False):
         if not runs:
             raise ConfigError("tanks: no runs")
         self.runs = list(runs)
+        for run in self.runs if ahead else ():
+            run.ahead = True
 
     @property
     def swimming(self) -> list[int]:
@@ -455,6 +468,12 @@ class ConcurrentRuns:
         Raises:
             ConfigError: not one command for every tank.
         """
+        for _ in self.ticking(commands):
+            pass
+        return self.swimming
+
+    def ticking(self, commands=None) -> Iterator[None]:
+        """The same, pausing after every round: others' tanks may have their turn."""
         if commands is not None and len(commands) != len(self.runs):
             raise ConfigError(f"tanks: {len(commands)} commands for {len(self.runs)} tanks; stopped ones count")
         going = {i: self.runs[i].ticking(None if commands is None else commands[i]) for i in self.swimming}
@@ -467,4 +486,4 @@ class ConcurrentRuns:
                 except (LeftDomain, SimDiverged, OracleUnstable) as error:
                     self.runs[i].stopped = str(error)
                     del going[i]
-        return self.swimming
+            yield

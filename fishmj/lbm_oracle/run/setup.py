@@ -20,6 +20,7 @@ from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import Domain, Follower, margin, preset
 from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
+from fishmj.lbm_oracle.run.solver_water import boundary_name
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
 
@@ -69,6 +70,7 @@ class SwimSetup:
 
     slip: ratio quoted at the paper's grid, 1 = the water slides along the hull. pose: (x, y, yaw) m, rad of the reference point.
     joints: (J,) rad. width, passes, hydro_offset, spacing, sharpness: of the immersed boundary. robot: description, path or name.
+    storage: of the populations, float32 or float16.
     """
 
     domain: Domain = field(default_factory=lambda: preset("window"))
@@ -84,12 +86,16 @@ class SwimSetup:
     hydro_offset: float | None = None
     spacing: float = 1.0
     sharpness: Sharpness = PLAIN
+    storage: str = "float32"
 
     def assembled(self, body: ImmersedBody) -> FluidStructure:
         """Fish and water at t = 0, the undisturbed flow, the fish at rest over ground; whether it would run is not looked at."""
         robot, domain, slip, width = load_robot(self.robot), self.domain, self.slip, self.width
         level = domain.body_level
-        fluid = Fluid(domain.lattice, domain.shape, self.device, boundaries=domain.boundaries, flow=self.flow)
+        if domain.fine and self.storage != "float32":
+            raise ConfigError(f"oracle: storage {self.storage!r} in {domain.name}, which has finer cells; expected 'float32'")
+        water: dict[str, Any] = {"boundaries": domain.boundaries, "flow": self.flow, "dtype": self.storage}
+        fluid = Fluid(domain.lattice, domain.shape, self.device, **water)
         joints = np.asarray(self.joints or np.zeros(robot.n_joints), float)
         if joints.shape != (robot.n_joints,):
             raise ConfigError(f"oracle: joints = {self.joints}; {robot.name} has {robot.n_joints}")
@@ -128,7 +134,9 @@ class SwimSetup:
     def run(self, **options) -> Run:
         """The same as a run by bus ticks; options are those of `Run`."""
         made, edge = self.coupled(), DomainWatch(self.domain, self.pose[2])
-        return run_of(made, Run)(made, self.robot, follow=edge, **options)
+        run = run_of(made, Run)(made, self.robot, follow=edge, **options)
+        run.boundary_name = boundary_name(self.sharpness)
+        return run
 
 
 class DomainWatch:
@@ -138,12 +146,17 @@ class DomainWatch:
         self.every = max(LOOK, RATIO ** len(domain.boxes))  # steps: a box moves between two steps of the water round it
         self.domain, self.follower = domain, Follower(replace(domain, dt=self.every * domain.body_level.dt), heading)
 
+    @property
+    def moves_water(self) -> bool:
+        """Does a window, or a box of finer cells, follow the fish?"""
+        return self.domain.follows or bool(self.domain.fine)
+
     def __call__(self, coupled: FluidStructure) -> None:
         """Raises LeftDomain when a marker is nearer than the margin."""
         looks = coupled.steps // self.every - (coupled.steps - coupled.together) // self.every
         if not looks:
             return
-        if self.domain.follows or self.domain.fine:
+        if self.moves_water:
             with coupled.scope():
                 for _ in range(looks):  # each turns the lead by so much at most
                     self.follow(coupled)

@@ -2,12 +2,14 @@
 
 `PLAIN` is what `--water lbm` means by itself, the paper's tank and grid, where the shipped fitted water and the published tables
 come from. `REFERENCE` is the water for judging, asked for by name (`--water lbm --reference`); it stays so, another one gets
-another `name`. Grid and slip ratio were chosen by what half the cell changes and by the swims of a real fish
+another `name`. Grid, slip ratio and boundary were chosen by what half the cell changes; a real fish's swims judged them
 (docs/results/flow_solver.md, "The reference water").
 
-Another treatment of the boundary enters here: as a field with its default, that `immersed` hands on.
+`BOUNDARIES` are the treatments of the immersed boundary that have a name (`--boundary`); Python takes any `Sharpness`. Another
+kind of treatment enters as a field with its default, that `immersed` hands on.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from fishmj.errors import ConfigError
@@ -15,11 +17,33 @@ from fishmj.lbm_oracle.immersed import markers
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import Domain, preset
 
+BOUNDARIES = {
+    "plain": markers.PLAIN,  # markers as shipped data were made with
+    "rims": Sharpness(rim=1.0),  # fins and tail end about where they do; for hulls with a slip ratio
+    "sharp": markers.SHARP,  # hulls too, with slip lengths: for water that sticks, --slip 0
+}
+
+
+def boundary_name(sharpness: Sharpness) -> str:
+    """Its name in `BOUNDARIES`, else its lengths."""
+    return next((name for name, known in BOUNDARIES.items() if known == sharpness), repr(sharpness))
+
+
+def boundary_entry(sharpness: Sharpness) -> dict[str, str]:
+    """What the set-up of a table or data set says of it: its name, and nothing where it is plain, as of those made before."""
+    return {} if sharpness == markers.PLAIN else {"boundary": boundary_name(sharpness)}
+
+
+def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
+    """The option `--boundary` of a command; add: of its parser."""
+    words = "of the fish: plain; rims, fins drawn in; sharp, hulls too, and slip lengths for --slip 0; default plain"
+    add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
+
 
 class SolverWater(NamedTuple):
     """Box of water by name for a tank, and for a fish that swims away; slip ratio of the hull at the paper's grid.
 
-    width, passes, sharpness: of the immersed boundary (`SwimSetup`).
+    width, passes, sharpness: of the immersed boundary (`SwimSetup`). storage: of the populations, float32 or float16.
     """
 
     name: str
@@ -29,6 +53,7 @@ class SolverWater(NamedTuple):
     width: int = 3
     passes: int = 2
     sharpness: Sharpness = markers.PLAIN
+    storage: str = "float32"
 
     @property
     def box(self) -> Domain:
@@ -36,14 +61,17 @@ class SolverWater(NamedTuple):
 
     @property
     def immersed(self) -> dict[str, Any]:
-        """Options of the immersed boundary, of `SwimSetup`."""
-        return {"width": self.width, "passes": self.passes, "sharpness": self.sharpness}
+        """Options of the immersed boundary, of `SwimSetup`, and the storage where it is not single precision."""
+        edge = {"width": self.width, "passes": self.passes, "sharpness": self.sharpness}
+        return edge | ({} if self.storage == "float32" else {"storage": self.storage})
 
     @property
     def label(self) -> str:
-        """For tables and file names: `paper, slip 1`; the reference by its name, too."""
+        """For tables and file names: `paper, slip 1`; the reference by its name, too, and a boundary that is not plain."""
         named = "" if self.name == PLAIN.name else f"{self.name}, "
-        return f"{named}{self.domain}, slip {self.slip:g}"
+        edge = "" if self.sharpness == markers.PLAIN else f", boundary {boundary_name(self.sharpness)}"
+        stored = "" if self.storage == "float32" else f", {self.storage}"
+        return f"{named}{self.domain}, slip {self.slip:g}{edge}{stored}"
 
     @property
     def said(self) -> str:
@@ -53,21 +81,27 @@ class SolverWater(NamedTuple):
 
 
 PLAIN = SolverWater("lbm", "paper", "window_coarse")
-REFERENCE = SolverWater("reference-1", "paper_refined", "window_coarse_refined", slip=0.9)
+REFERENCE = SolverWater("reference-2", "paper_refined", "window_coarse_refined", slip=0.99, sharpness=BOUNDARIES["rims"])
 
 
-def asked_for(who: str, reference: bool, domain: str | None, slip: float | None, plain: str | None = None) -> SolverWater:
+def asked_for(
+    who: str, reference: bool, domain: str | None, slip: float | None, plain: str | None = None, *, boundary: str | None = None,
+    storage: str | None = None,
+) -> SolverWater:  # fmt: skip
     """The water that options ask for.
 
     Args:
-        who: the verb, for the message. domain, slip: as given, None where they were not. plain: its box without either.
+        who: the verb, for the message. domain, slip, boundary, storage: as given, None where they were not. plain: its box
+            without one.
 
     Raises:
-        ConfigError: the reference, and another box or slip ratio.
+        ConfigError: the reference, and another box, slip ratio or boundary.
     """
     if not reference:
-        return PLAIN._replace(domain=domain or plain or PLAIN.domain, slip=PLAIN.slip if slip is None else slip)
-    if domain is not None or slip is not None:
-        given = f"--domain {domain}" if domain is not None else f"--slip {slip:g}"
+        box, edge = domain or plain or PLAIN.domain, BOUNDARIES[boundary or "plain"]
+        water = PLAIN._replace(domain=box, slip=PLAIN.slip if slip is None else slip, sharpness=edge)
+        return water._replace(storage=storage or PLAIN.storage)
+    options = {"--domain": domain, "--slip": slip, "--boundary": boundary, "--storage": storage}
+    if given := " ".join(f"{name} {value}" for name, value in options.items() if value is not None):
         raise ConfigError(f"{who}: {given} beside --reference, which is {REFERENCE.said}; leave one of them out")
     return REFERENCE

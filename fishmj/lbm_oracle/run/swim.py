@@ -28,6 +28,7 @@ from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.lbm_oracle.run.refined_run import OuterState, outer_states, restore_outer
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_option
 from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
 from fishmj.log import write_trial
 from fishmj.mjcf import load_robot
@@ -194,6 +195,7 @@ def _stage(args) -> SwimSetup:
     )
     x, y, yaw = args.pose
     fish: dict[str, Any] = {"robot": args.robot, "root": args.root, "pose": (x, y, radians(yaw)), "slip": args.slip}
+    fish |= {"sharpness": BOUNDARIES[args.boundary]}
     fish |= {"width": args.kernel, "passes": args.passes, "hydro_offset": args.hydro_offset}
     return SwimSetup(domain=domain, flow=flow, device=args.device, **fish)
 
@@ -218,6 +220,7 @@ def _parser() -> console.Parser:
     add("--tethered", action="store_true", help="the root does not move")
     add("--root", choices=("planar", "free"), default="planar", help="how the root moves")
     add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    boundary_option(add)
     add("--speed", type=console.number(0, 4), default=0.0, help="of the current, m/s")
     add("--direction", type=angle, default=180.0, metavar="DEG", help="where the water moves to")
     add("--turbulence", choices=PRESETS, default="none", help="of the current")

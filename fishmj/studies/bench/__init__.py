@@ -48,6 +48,7 @@ SUITES = (
     "fishmj.studies.bench.engines",
     "fishmj.studies.bench.hydro",
     "fishmj.studies.bench.oracle",
+    "fishmj.studies.bench.devices",
     "fishmj.studies.bench.surrogate",
 )  # modules that register benchmarks when imported
 

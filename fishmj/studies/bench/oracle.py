@@ -128,7 +128,7 @@ def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
     from fishmj.lbm_oracle.run.setup import SwimSetup
 
     stage = SwimSetup(domain=domain, device=str(device))
-    side = ConcurrentRuns([stage.run() for _ in range(tanks)])
+    side = ConcurrentRuns([stage.run() for _ in range(tanks)], ahead=True)  # as trials are judged
     first = side.runs[0]
     commands = np.zeros((tanks, first.joints))
 

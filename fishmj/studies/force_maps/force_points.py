@@ -3,8 +3,9 @@
 import csv
 import json
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from io import StringIO
 from math import ceil
 from pathlib import Path
@@ -16,6 +17,7 @@ from fishmj import console
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.cases.maps import average
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
 from fishmj.store import write_json, write_text
 
 OK = "ok"
@@ -168,23 +170,47 @@ def measure(
     finished: Callable[[Point, dict, Run], None],
     quiet: bool = False,
 ) -> None:
-    """Run every point, `tanks` side by side; a tank that is done takes the next. A point that stops early is finished, too."""
+    """Run every point in this process, with a line of progress; `finished` gets each with its row and run."""
+    begun = partial(measured, deque(points), make, plan, tick=tick, tanks=tanks)
+    for point, row, run in watched(lambda go_on: begun(go_on=go_on), points, plan, tick=tick, quiet=quiet):
+        finished(point, row, run)
+
+
+def measured(
+    waiting: Waiting, make: Callable[[Point], Run], plan: Plan, *, tick: float, tanks: int = 1, go_on: GoOn = always
+) -> Iterator[tuple[Point, dict, Run]]:
+    """Points with their rows and runs as they are done, `tanks` side by side; a tank that is done takes the next.
+
+    A point that stops early is done, too. go_on: called after every tick with the seconds of water that the others have done.
+    """
     if tanks < 1:
         raise ConfigError(f"forcemap: {tanks} tanks; expected at least 1")
-    waiting = deque(points)
     side: list[tuple[Point, Run, int, int]] = []  # point, run, ticks before the average, ticks in all
-    before, total = 0, sum(sum(plan.ticks(point.speed, tick)) for point in points)
-    with console.Progress(total * tick, "forcemap", unit="s", every=1e9 if quiet else None) as bar:
-        while waiting or side:
-            while waiting and len(side) < tanks:
-                point = waiting.popleft()
-                settle, window = plan.ticks(point.speed, tick)
-                side.append((point, make(point), settle, settle + window))
-            ConcurrentRuns([run for _, run, _, _ in side]).tick()
-            for entry in list(side):
-                point, run, settle, end = entry
-                if run.ticks >= end or run.stopped:
-                    finished(point, row_of(point, run, settle), run)
-                    side.remove(entry)
-                    before += end
-            bar.update((before + sum(run.ticks for _, run, _, _ in side)) * tick, waiting=len(waiting))
+    while side or waiting:
+        while len(side) < tanks and waiting:
+            point = waiting.popleft()
+            settle, window = plan.ticks(point.speed, tick)
+            side.append((point, make(point), settle, settle + window))
+        ConcurrentRuns([run for _, run, _, _ in side]).tick()
+        for entry in list(side):
+            point, run, settle, end = entry
+            if run.ticks >= end or run.stopped:
+                side.remove(entry)
+                yield point, row_of(point, run, settle), run
+        if not go_on(sum(run.ticks for _, run, _, _ in side) * tick):
+            return
+
+
+def watched(begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: Plan, *, tick: float, quiet: bool):
+    """What `begin(go_on)` yields of these points, with a line of progress in seconds of water."""
+    seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
+    done = 0.0
+    with console.Progress(sum(map(seconds, points)), "forcemap", unit="s", every=1e9 if quiet else None) as bar:
+
+        def told(under_way: float) -> bool:
+            bar.update(done + under_way)
+            return True
+
+        for found in begin(told):
+            done += seconds(found[0])
+            yield found

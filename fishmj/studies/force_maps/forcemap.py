@@ -13,8 +13,9 @@ Each finished point is a row of `forcemap.csv`; a run into the same folder does 
 the end of the points at 0.2 m/s: slices, a picture each of speed and vorticity, and one of all of them side by side.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from math import pi, radians
 from pathlib import Path
 
@@ -23,13 +24,17 @@ import numpy as np
 from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
+from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.output.slices import add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.mjcf import load_robot
-from fishmj.studies.force_maps.force_points import OK, Plan, Point, Table, measure
+from fishmj.studies.force_maps.force_points import OK, Plan, Point, Table, measured, watched
 from fishmj.studies.force_maps.point_fields import keep, panels, slice_path
 from fishmj.units import WATER_DENSITY, WATER_VISCOSITY
 
@@ -60,17 +65,12 @@ def main(argv: list[str]) -> int:
         console.say(f"{args.domain} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     console.say(f"{len(points)} points, {len(points) - len(left)} of them done before, in {args.out}")
 
-    def run(point: Point):
-        return stage(domain, point, robot=args.robot, slip=args.slip, device=args.device).run(
-            tethered=True, prescribed=lambda t: point.joints(robot.n_joints)
-        )
-
-    def finished(point: Point, row: dict, held) -> None:
-        if _pictured(args, point):
-            keep(held, out, point, z=args.slice, whole=args.volume)
+    options = {"robot": args.robot, "slip": args.slip, "sharpness": BOUNDARIES[args.boundary]}
+    pictured = {"out": out, "points": [p for p in left if _pictured(args, p)], "z": args.slice, "whole": args.volume}
+    work = partial(on_device, domain=domain, plan=plan, tanks=args.tanks, options=options, pictured=pictured)
+    devices = devices_of(args.device) if left else ()
+    for point, row in watched(lambda go_on: spread(work, left, devices, go_on), left, plan, tick=tick, quiet=args.json):
         table.add(point, row)
-
-    measure(left, run, plan, tick=tick, tanks=args.tanks, finished=finished, quiet=args.json)
     rows = [table[p] for p in points]
     pictures = draw_forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
     console.say(console.table(rows, ("what", "joint_deg", "aoa_deg", "speed", "drag_N", "lateral_N", "yaw_Nm", "status")))
@@ -80,6 +80,27 @@ def main(argv: list[str]) -> int:
     if args.json:
         console.emit_json({"rows": rows, "stopped": len(lost), "csv": table.path, "pictures": pictures})
     return console.FAILED_CHECK if lost else console.OK
+
+
+def on_device(
+    waiting: Waiting, device: str, go_on: GoOn, *, domain: Domain, plan: Plan, tanks: int, options: dict, pictured: dict
+) -> Iterator[tuple[Point, dict]]:
+    """Points and their rows, `tanks` side by side on one device (`spread`); keeps the water of those that are pictured.
+
+    Args:
+        options: of `stage`. pictured: folder `out`, `points`, `z` of the slice m, whether the `whole` water is kept.
+    """
+    robot = load_robot(options["robot"])
+
+    def make(point: Point) -> Run:
+        return stage(domain, point, device=device, **options).run(
+            tethered=True, prescribed=lambda t: point.joints(robot.n_joints)
+        )
+
+    for point, row, run in measured(waiting, make, plan, tick=robot.timing.bus_dt, tanks=tanks, go_on=go_on):
+        if point in pictured["points"]:
+            keep(run, pictured["out"], point, z=pictured["z"], whole=pictured["whole"])
+        yield point, row
 
 
 def stage(domain: Domain, point: Point, **options) -> SwimSetup:
@@ -109,6 +130,7 @@ def _setup(args, domain: Domain) -> dict:
     """What all rows of one table must share."""
     box = {"domain": domain.name, "shape": list(domain.shape), "dx": domain.dx, "dt": domain.dt}
     asked = {"robot": load_robot(args.robot).name, "slip": args.slip, "settle": args.settle, "seconds": args.seconds}
+    asked |= boundary_entry(BOUNDARIES[args.boundary])
     return box | asked | {"rho": WATER_DENSITY, "nu": WATER_VISCOSITY}
 
 
@@ -136,8 +158,11 @@ def _parser() -> console.Parser:
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
-    add("--tanks", type=console.whole(1, 256), default=1, metavar="N", help="points side by side; 4 to 8 fill a GPU")
+    boundary_option(add)
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
+    tanks = "points side by side on each device; 4 to 8 fill a GPU; default 1"
+    add("--tanks", type=console.whole(1, 256), default=1, metavar="N", help=tanks)
     add("--fields", action="store_true", help=f"slices and pictures of the water at {PICTURED} m/s")
     add_fields(p, folder=False)
     out = "CSV and pictures; continues what is there"

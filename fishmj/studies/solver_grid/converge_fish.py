@@ -15,7 +15,8 @@ refused. To do one again, delete its line.
 
 import csv
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,10 +26,13 @@ import numpy as np
 from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
 from fishmj.store import read_json, write_json, write_text
@@ -90,10 +94,10 @@ def box(name: str, key: Key) -> Domain:
     return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
 
 
-def cruise(domain: Domain, slip: float, beats: float, device: str) -> Result:
+def cruise(domain: Domain, slip: float, beats: float, device: str, sharpness: Sharpness = PLAIN) -> Result:
     """Servo-driven swim from rest."""
     gait = Gait.of_the_paper()
-    run = SwimSetup(domain=domain, slip=slip, device=device, pose=(0.0, 0.0, 0.0)).run()
+    run = SwimSetup(domain=domain, slip=slip, device=device, sharpness=sharpness, pose=(0.0, 0.0, 0.0)).run()
     drive(run, gait, beats / gait.frequency, quiet=True)
     if not run.rows:
         return Result(np.nan, np.nan, 0.0, " ".join(run.stopped.split()))
@@ -101,7 +105,7 @@ def cruise(domain: Domain, slip: float, beats: float, device: str) -> Result:
     return Result(last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK)
 
 
-def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Result:
+def held(what: str, domain: Domain, slip: float, plan: Plan, device: str, sharpness: Sharpness = PLAIN) -> Result:
     """A force or moment of the held fish: straight along the stream, straight across it, bent."""
     point, column = HELD[what]
     robot = load_robot("fish")
@@ -109,11 +113,26 @@ def held(what: str, domain: Domain, slip: float, plan: Plan, device: str) -> Res
 
     def make(point: Point):
         joints = point.joints(robot.n_joints)
-        return stage(domain, point, slip=slip, device=device).run(tethered=True, prescribed=lambda t: joints)
+        made = stage(domain, point, slip=slip, device=device, sharpness=sharpness)
+        return made.run(tethered=True, prescribed=lambda t: joints)
 
     measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
     row, (name, unit) = rows[0], column.split("_")
     return Result(row[column], row[f"{name}_sem_{unit}"], row["seconds"], row["status"])
+
+
+def on_device(
+    waiting: Waiting, device: str, go_on: GoOn, *, domain: str, beats: float, plan: Plan, edge: Sharpness
+) -> Iterator[tuple[Key, Result, float]]:
+    """Runs one after another on one device (`spread`): key, result and wall time in s of each."""
+    while waiting:
+        key, start = waiting.popleft(), time.perf_counter()
+        grid = box(domain, key)
+        if key.what == "cruise":
+            found = cruise(grid, key.slip, beats, device, edge)
+        else:
+            found = held(key.what, grid, key.slip, plan, device, edge)
+        yield key, found, time.perf_counter() - start
 
 
 class ResultTable:
@@ -180,25 +199,21 @@ def main(argv: list[str]) -> int:
     keys = study(args.what, args.grids, args.parts, args.slips)
     plan = Plan(settle=args.settle, seconds=args.seconds, length=load_robot("fish").length)
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
-    book = ResultTable(
-        Path(args.out), {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
-    )
+    setup = {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
+    edge = BOUNDARIES[args.boundary]
+    book = ResultTable(Path(args.out), setup | boundary_entry(edge))
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
     waters = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
     runs = [(level, water) for domain, water in waters for level in domain.levels]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
-    device = str(device_of(args.device))
+    devices = devices_of(args.device)
     console.say(f"{len(keys)} runs, {len(keys) - len(left)} of them done before, in {args.out}")
+    work = partial(on_device, domain=args.domain, beats=args.beats, plan=plan, edge=edge)
     with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:
-        for number, key in enumerate(left):
-            start, domain = time.perf_counter(), box(args.domain, key)
-            if key.what == "cruise":
-                found = cruise(domain, key.slip, args.beats, device)
-            else:
-                found = held(key.what, domain, key.slip, plan, device)
-            book.add(key, found, time.perf_counter() - start)
+        for number, (key, found, wall) in enumerate(spread(work, left, devices)):
+            book.add(key, found, wall)
             bar.update(number + 1)
     rows = [book.rows[key] for key in keys]
     table, lost = biases(rows), [row for row in rows if row["status"] != OK]
@@ -223,13 +238,15 @@ def _parser() -> console.Parser:
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
     add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    boundary_option(add)
     add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
     settle = "before a force is averaged; by default 5 body lengths of water flow past"
     add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
     seconds = "averaged over; by default 6 m of water flow past"
     add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
     out = "CSV; continues what is there"
     add("--out", type=console.out_folder, default="runs/converge", metavar="FOLDER", help=out)
     return p

@@ -1,6 +1,7 @@
 """`fishmj lbm_oracle real_fish`: the slip ratio at which the solver's fish swims as a real one did, and how well it predicts it.
 
 python -m fishmj.lbm_oracle real_fish --domain window_coarse_refined --device cuda --tanks 12 --out runs/real
+python -m fishmj.lbm_oracle real_fish --device cuda:all --tanks 12 --out runs/real           on all GPUs of this machine
 python -m fishmj.lbm_oracle real_fish --domain laptop --slips 0.98 --beats 5 --swims 2 --out runs/preview
 
 A tendon-driven fish was filmed from above at eight constant motor frequencies (data/calib/calibrate.toml, [real_fish]). The
@@ -14,8 +15,9 @@ set s, the other four are judged with it and have no part in it:
 """
 
 import csv
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from io import StringIO
 from math import radians
 from pathlib import Path
@@ -26,11 +28,13 @@ import numpy as np
 from fishmj import console
 from fishmj.calibrate.least_squares import calibration_table
 from fishmj.errors import ConfigError, LogError, StoreError
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.mjcf import load_robot
 from fishmj.store import read_json, write_json, write_text
 
@@ -150,13 +154,20 @@ class ResultTable:
         write_text(self.path, text.getvalue())
 
 
-def swim_all(left: Iterable[tuple[RealSwim, float]], domain: Domain, beats: float, device: str, tanks: int, book, bar) -> None:
-    """Swims side by side, `tanks` at a time; one that is done, or stops, is kept at once."""
-    waiting, busy, done = deque(left), [], 0.0
-    while waiting or busy:
-        while waiting and len(busy) < tanks:
+def swum(
+    waiting: Waiting, device: str, go_on: GoOn, *, stage: SwimSetup, beats: float, tanks: int
+) -> Iterator[tuple[tuple[float, float], dict]]:
+    """Swims side by side, `tanks` at a time on a device; one that is done, or stops, comes back at once: its key and row.
+
+    Args:
+        waiting: swims and slip ratios (`spread`). go_on: called after every tick with the seconds of water that the unfinished
+            swims have done. stage: their water.
+    """
+    busy: list[tuple[RealSwim, float, Run, int]] = []
+    while busy or waiting:
+        while len(busy) < tanks and waiting:
             swim, slip = waiting.popleft()
-            run = SwimSetup(domain=domain, robot=_robot(), slip=slip, device=device).run(prescribed=swim.gait)
+            run = replace(stage, slip=slip, device=device).run(prescribed=swim.gait)
             busy.append((swim, slip, run, round(beats / swim.beat / run.robot.timing.bus_dt)))
         ConcurrentRuns([run for _, _, run, _ in busy]).tick()
         for entry in list(busy):
@@ -166,9 +177,9 @@ def swim_all(left: Iterable[tuple[RealSwim, float]], domain: Domain, beats: floa
                 enough = run.ticks * run.robot.timing.bus_dt * swim.beat > 2 * LAST
                 speed, gain = speed_of(run, swim.beat) if enough else (float("nan"), float("nan"))
                 status = " ".join(run.stopped.split()) or OK
-                book.add((swim.beat, slip), {"speed_m_s": speed, "gain_a_beat": gain, "status": status})
-                done += beats / swim.beat
-        bar.update(done + sum(run.time for _, _, run, _ in busy), waiting=len(waiting))
+                yield (swim.beat, slip), {"speed_m_s": speed, "gain_a_beat": gain, "status": status}
+        if not go_on(sum(run.time for _, _, run, _ in busy)):
+            return
 
 
 def _robot() -> str:
@@ -183,6 +194,7 @@ def main(argv: list[str]) -> int:
     if args.beats <= 2 * LAST:
         raise ConfigError(f"real_fish: --beats {args.beats:g}; expected more than {2 * LAST}: the last {LAST} count")
     setup = {"domain": domain.name, "dx": domain.dx, "beats": args.beats, "robot": load_robot(_robot()).name}
+    setup |= boundary_entry(BOUNDARIES[args.boundary])
     book = ResultTable(Path(args.out), setup)
     left = [(swim, slip) for swim in real for slip in args.slips if (swim.beat, slip) not in book.rows]
     water = sum(args.beats / swim.beat for swim, _ in left)
@@ -193,13 +205,24 @@ def main(argv: list[str]) -> int:
         console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     console.say(f"{len(left)} swims to do, {water:.0f} s of water, in {args.out}")
     with console.Progress(max(water, 1e-9), "real_fish", unit="s", every=1e9 if args.json else None) as bar:
-        swim_all(left, domain, args.beats, str(device_of(args.device)), args.tanks, book, bar)
+        stage = SwimSetup(domain=domain, robot=_robot(), sharpness=BOUNDARIES[args.boundary])
+        done = 0.0
+
+        def told(under_way: float) -> bool:
+            bar.update(done + under_way)
+            return True
+
+        swimming = partial(swum, stage=stage, beats=args.beats, tanks=args.tanks)
+        for key, found in spread(swimming, left, devices_of(args.device), told):
+            book.add(key, found)
+            done += args.beats / key[0]
     rows = [book.rows[swim.beat, slip] for swim in real for slip in args.slips]
     lost = [row for row in rows if row["status"] != OK]
     console.say(console.table(rows, COLUMNS))
     for row in lost:
         console.warn(f"{row['beat_hz']:g} Hz, slip {row['slip']:g}: {row['status']}")
     answer: dict[str, Any] = {"rows": rows, "csv": book.path, "domain": domain.name, "dx": domain.body_level.dx}
+    answer["boundary"] = args.boundary
     if len(args.slips) >= 3 and any(swim.sets for swim in real):
         fit = fitted(real, {(row["beat_hz"], row["slip"]): row["speed_m_s"] for row in rows if row["status"] == OK})
         table = [
@@ -226,11 +249,14 @@ def _parser() -> console.Parser:
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
     add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    boundary_option(add)
     add("--beats", type=console.number(0, 1000, above=True), default=BEATS, help="of each swim; the last two count")
     add("--which", choices=("all", "setting", "judging"), default="all", help="those that set the slip ratio, or the others")
     add("--swims", type=console.whole(1, 8), default=8, metavar="N", help="only the N fastest of them")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
-    add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side; 12 keep a GPU busy")
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
+    tanks = "swims side by side on each device; 12 keep a GPU busy; default 1"
+    add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
     out = "real_fish.csv; continues what is there"
     add("--out", type=console.out_folder, default="runs/real_fish", metavar="FOLDER", help=out)
     return p

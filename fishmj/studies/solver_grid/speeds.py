@@ -9,19 +9,21 @@ Still water, from rest, the paper's gait (30 deg, lag 60 deg, servo-driven) at e
 does the missing ones, another set-up in the same folder is refused.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from fishmj import console
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
 from fishmj.store import read_json, write_json
 
@@ -41,6 +43,13 @@ def swum(domain: Domain, frequency: float, slip: float, beats: float, device: st
     found = figures(run, frequency)
     kept = {name: found[name] for name in ("speed_m_s", "yaw_amplitude_deg", "power_W", "refined_ticks")}
     return kept | {"aside_deg": found["course_deg"], "status": status}
+
+
+def on_device(waiting: Waiting, device: str, go_on: GoOn, *, box: Domain, beats: float) -> Iterator[tuple[tuple, dict]]:
+    """Swims one after another on one device (`spread`): the key and row of each."""
+    while waiting:
+        frequency, slip, depth = key = waiting.popleft()
+        yield key, swum(box.changed(depth=depth), frequency, slip, beats, device)
 
 
 class ResultTable:
@@ -88,14 +97,13 @@ def main(argv: list[str]) -> int:
     swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, _, depth in left]
     less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"
     solver_cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
-    device = str(device_of(args.device))
+    devices = devices_of(args.device)
     console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
     with console.Progress(len(left), "speeds", every=1e9 if args.json else None) as bar:
-        for number, (frequency, slip, depth) in enumerate(left, 1):
-            found = swum(box.changed(depth=depth), frequency, slip, args.beats, device)
+        for number, (key, found) in enumerate(spread(partial(on_device, box=box, beats=args.beats), left, devices), 1):
             if found["status"] == INTERRUPTED:
                 return console.INTERRUPTED
-            book.add((frequency, slip, depth), found)
+            book.add(key, found)
             bar.update(number, speed=found["speed_m_s"] or 0.0)
     rows = [book.rows[key] for key in keys]
     picture = draw_speeds(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
@@ -118,7 +126,8 @@ def _parser() -> console.Parser:
     depth = "of the water; the domain's own by default"
     add("--depths", type=console.number(0.05, 10), **several, metavar="M", help=depth)
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of each swim; the last two count")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
     out = "speeds.json and speeds.png; continues what is there"
     add("--out", type=console.out_folder, default="runs/speeds", metavar="FOLDER", help=out)
     return p

@@ -1,0 +1,223 @@
+"""Independent waters over several devices, a process each: tanks, segments, swims, points of a map.
+
+    def swum(waiting, device, go_on):            a generator: takes keys from the left, yields what it has finished
+        while waiting: yield swim(waiting.popleft(), device)
+
+    for found in spread(swum, keys, devices_of("cuda:all")): book.add(found)
+
+On one device the work runs here. On several, each process asks for a key whenever it has room, so that a slow one takes fewer;
+none takes more than its part of what is left. No result depends on the process that made it: seeds belong to keys. The caller
+alone writes, as each result comes, so that an interrupted command loses what is under way and nothing else.
+
+Processes, because a step is a queue of small launches: the host's part of it (Python) is what a second device would wait for.
+"""
+
+import sys
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from math import ceil
+from multiprocessing.connection import Connection, wait
+from typing import Any, NamedTuple, Protocol
+
+from fishmj import errors, plugins, processes
+from fishmj.errors import ConfigError, FishmjError
+from fishmj.lbm_oracle.fluid.device import device_of
+
+EVERY = 0.2  # s from one report of progress of a process to its next
+LOOK = 0.5  # s between two questions whether to go on
+PATIENCE = 5.0  # s that a process has to end before it is killed
+
+
+class Waiting(Protocol):
+    """What is to be done: a deque, or the part of it that other processes leave to this one; false when there is none now."""
+
+    def popleft(self) -> Any: ...
+
+
+GoOn = Callable[[float], bool]
+Work = Callable[[Waiting, str, GoOn], Iterator[Any]]  # asks `waiting` only where it has room for one more
+
+
+def always(done: float) -> bool:
+    """A `go_on` that never ends the work."""
+    return True
+
+
+def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn = always) -> Iterator[Any]:
+    """What `work` yields, as it comes.
+
+    Args:
+        work: called once a device. On several, it and all keys and results can be pickled, as a function of a module (or a
+            `partial` of one) can. Results are not in the order of the keys.
+        go_on: called often with what `work` reports of unfinished keys, summed over devices; False gives these up and ends.
+
+    Raises:
+        ConfigError: what cannot be sent to a process; a process that died. Whatever `work` raises.
+    """
+    todo = keys if isinstance(keys, deque) else deque(keys)
+    if len(devices) == 1 or len(todo) == 1:
+        yield from work(todo, devices[0], go_on)
+        return
+    side: list[_Process] = []
+    try:
+        with processes.deaf():
+            some = devices[: len(todo)]
+            side += (_begun(device, (number, len(some))) for number, device in enumerate(some))
+        for one in side:  # after all have begun: they import at the same time
+            one.send(work)
+        yield from _served(side, todo, go_on)
+    finally:
+        for one in side:
+            one.end()
+
+
+class _Process:
+    """One at work: how many keys it has in hand, and what it has reported of them."""
+
+    def __init__(self, pipe: Connection, process, device: str):
+        self.pipe, self.process, self.device = pipe, process, device
+        self.held, self.done, self.ended = 0, 0.0, False
+
+    def send(self, work: Work) -> None:
+        """What it does. Raises ConfigError: it cannot be sent."""
+        try:
+            self.pipe.send(work)
+        except OSError as error:
+            raise self.died() from error
+        except Exception as error:
+            raise ConfigError(f"device {self.device}: the work cannot be sent to a process: {error}; use one device") from error
+
+    def died(self) -> ConfigError:
+        """The error that says so."""
+        self.process.join(PATIENCE)
+        how = f"its process ended with exit code {self.process.exitcode}"
+        return ConfigError(f"device {self.device}: {how}; the same command goes on, with fewer --tanks if memory ran out")
+
+    def end(self) -> None:
+        """Wait for it where it is through, else end it: it keeps nothing that is not sent."""
+        if self.ended:
+            self.process.join(PATIENCE)
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+
+class _Said(NamedTuple):
+    """A message of a process: want, made, done, failed, broken or end, and what goes with it."""
+
+    what: str
+    value: Any = None
+
+
+def _begun(device: str, share: tuple[int, int]) -> _Process:
+    own = {kind: list(plugins.loaded(kind)) for kind in plugins.KINDS}
+    return _Process(*processes.beside(_serve, device, share, own, name=device), device)
+
+
+def _served(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:
+    """Answer the processes until all have ended."""
+    while busy := [one for one in side if not one.ended]:
+        ready = wait([one.pipe for one in busy], timeout=LOOK)
+        for one in (one for one in busy if one.pipe in ready):
+            try:
+                said = one.pipe.recv()
+                if said.what == "want":
+                    _give(one, side, todo)
+            except (EOFError, OSError) as error:
+                raise one.died() from error
+            if said.what == "made":
+                one.held, one.done = one.held - 1, 0.0
+                yield said.value
+            elif said.what == "done":
+                one.done = said.value
+            elif said.what == "end":
+                one.ended = True
+            elif said.what != "want":
+                raise _error(one.device, said)
+        if not go_on(sum(one.done for one in side)):
+            return
+
+
+def _give(one: _Process, side: list[_Process], todo: deque) -> None:
+    """A key, unless this process has its part of what is left: (True, key), or (False, whether to ask again)."""
+    part = ceil((len(todo) + sum(other.held for other in side)) / len(side))
+    if todo and one.held < part:
+        one.held += 1
+        one.pipe.send((True, todo.popleft()))
+    else:
+        one.pipe.send((False, bool(todo)))
+
+
+def _error(device: str, said: _Said) -> Exception:
+    """What went wrong in a process, as the error that it was where it is one of ours."""
+    if said.what == "broken":
+        return RuntimeError(f"on device {device}:\n{said.value}")
+    kind, message = said.value
+    made = getattr(errors, kind, FishmjError)
+    try:
+        return made(message)
+    except TypeError:  # made of more than a message
+        return FishmjError(message)
+
+
+# in the process -------------------------------------------------------------------------------------------------------
+
+
+class _Asked:
+    """`Waiting` in a process: asks for the next key, again only after one was finished or where nothing is in hand."""
+
+    def __init__(self, pipe: Connection):
+        self.pipe, self.found, self.more, self.full = pipe, deque[Any](), True, False
+
+    def __bool__(self) -> bool:
+        if not self.found and self.more and not self.full:
+            self.pipe.send(_Said("want"))
+            given, value = self.pipe.recv()
+            if given:
+                self.found.append(value)
+            else:
+                self.more, self.full = value, True
+        return bool(self.found)
+
+    def popleft(self) -> Any:
+        if not self:
+            raise IndexError("nothing is waiting")
+        return self.found.popleft()
+
+
+def _serve(pipe: Connection, device: str, share: tuple[int, int], own: dict[str, list[str]]) -> None:
+    """The process of one device. own: code of the user's that the other one has loaded, by kind, which the work may need."""
+    processes.ends_with_its_parent()
+    if device.startswith("cpu"):
+        processes.bind(*share)
+    try:
+        for kind, texts in own.items():
+            for text in texts:
+                plugins.load(kind, text)
+        work = pipe.recv()
+        if "warp" in sys.modules:  # all that computes has imported it by now
+            device_of(device)  # before anything else begins Warp, which would greet the user
+        asked = _Asked(pipe)
+        for found in work(asked, device, _Told(pipe)):
+            asked.full = False
+            pipe.send(_Said("made", found))
+        pipe.send(_Said("end"))
+    except FishmjError as error:
+        pipe.send(_Said("failed", (type(error).__name__, str(error))))
+    except Exception:  # noqa: BLE001  whatever it is, the one that waits must hear of it
+        pipe.send(_Said("broken", traceback.format_exc()))
+
+
+class _Told:
+    """`go_on` in a process: reports now and then; it is ended from outside."""
+
+    def __init__(self, pipe: Connection, clock: Callable[[], float] = time.monotonic):
+        self.pipe, self.clock, self.last = pipe, clock, clock()
+
+    def __call__(self, done: float) -> bool:
+        if self.clock() - self.last > EVERY:
+            self.last = self.clock()
+            self.pipe.send(_Said("done", done))
+        return True
