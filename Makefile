@@ -13,6 +13,8 @@ PY := $(VENV)/bin/python
 JOBS ?= 2
 STEP := .ci/step
 WORKERS := -n $(JOBS) --dist worksteal
+# files in which the mark stands: importing all others takes each process half a minute
+marked = $$(grep -lw 'mark\.$(1)' tests/test_*.py)
 INSTALLED := $(VENV)/.fishmj-installed
 EXTRAS := $(VENV)/.fishmj-extras
 SITE := $(VENV)/.fishmj-docs
@@ -53,13 +55,13 @@ test: lint
 	@$(STEP) "tests" $(PY) -m pytest -q $(WORKERS) --durations 10
 
 verify: $(EXTRAS) $(SITE)
-	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) --durations 20 -m "slow and not gpu and not sb3 and not ray"
+	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) --durations 20 -m "slow and not gpu and not sb3 and not ray" $(call marked,slow)
 	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 10 --seed 1 --jobs $(JOBS)
 	@$(MAKE) --no-print-directory -j $(JOBS) --output-sync=target wheel sb3 ray solver docs
 
 # each of these keeps one core busy: `make verify` runs them side by side
 sb3 ray: $(EXTRAS)
-	@$(STEP) "$@" $(PY) -m pytest -q --durations 5 -m "$@ and not gpu"
+	@$(STEP) "$@" $(PY) -m pytest -q --durations 5 -m "$@ and not gpu" $(call marked,$@)
 
 solver: $(INSTALLED)
 	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick

@@ -27,6 +27,7 @@ from fishmj.options import Listed as Listed
 from fishmj.options import Number as Number
 from fishmj.options import OneOf as OneOf
 from fishmj.options import device as device
+from fishmj.options import devices as devices
 from fishmj.options import name as name
 from fishmj.options import number as number
 from fishmj.options import out_file as out_file

@@ -25,6 +25,7 @@ settings.load_profile("fishmj")
 
 SLOWNESS = float(os.environ.get("FISHMJ_SLOWNESS", "1"))
 OF_A_TEST, OF_SHARED, OF_A_PART = 10.0 * SLOWNESS, 120.0 * SLOWNESS, 120.0 * SLOWNESS  # s of CPU
+LONGEST = "test_whole_loop.py"
 UNBOUNDED = ("slow", "gpu", "sb3", "ray")  # marks of what the default run leaves out
 
 _HOME = machine_code.cache_folder()
@@ -55,6 +56,11 @@ def bounded(item: pytest.Item, bound: float, what: str):
     if took > bound and kept() == before:
         pytest.fail(f"{what} took {took:.1f} s of CPU, at most {bound:g} s: make it cheaper, or mark it slow", pytrace=False)
     return result
+
+
+def pytest_collection_modifyitems(items):
+    """The longest file first: begun last, it keeps one worker busy for minutes while the others have nothing left to do."""
+    items.sort(key=lambda item: item.path.name != LONGEST)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

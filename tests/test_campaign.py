@@ -186,7 +186,7 @@ def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
 
 def test_hours_on_a_cpu_are_not_begun_unasked(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("fishmj.lbm_oracle.run.solver_cost.accelerator", lambda need: False)
-    monkeypatch.setattr("fishmj.campaign.data.collect.device_of", lambda name: "cpu")
+    monkeypatch.setattr("fishmj.campaign.data.collect.devices_of", lambda name: ("cpu",))
     assert console.run(main, ["--out", str(tmp_path / "no")]) == console.BAD_INPUT
     assert "s of water in boxes of up to 1.97 M cells" in capsys.readouterr().err and not (tmp_path / "no").exists()
     asked = []

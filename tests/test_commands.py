@@ -230,7 +230,7 @@ def test_what_is_no_number_of_the_range_is_one_line(row):
         assert action.option_strings[-1] in said and ("expected" in said), said
 
 
-TEXTS = {console.text, console.path, console.name, console.out_file, console.out_folder, console.device}
+TEXTS = {console.text, console.path, console.name, console.out_file, console.out_folder, console.device, console.devices}
 
 
 @pytest.mark.parametrize("row", [r for r in OPTIONS if r[0] in OURS and r[1].type in TEXTS and r[1].option_strings], ids=label)

@@ -351,8 +351,12 @@ def test_tables_need_no_robot_and_know_which_it_was(tmp_path, monkeypatch, capsy
 
 
 def test_each_trial_has_a_loopback_robot_of_its_own_unless_a_seed_is_named(tmp_path, monkeypatch):
-    asked = ["--policy", "station", "--speeds", "0.1", "--los", "0,90", "--repeats", "1", "--yes"]
-    for k, words in enumerate((["--seed", "5"], ["--loopback", "--seed 3 --turbulence gust"])):
+    """The same one whatever other trials are asked for: parts of a session may be swum side by side."""
+    seeds = [f"--seed={trials_command.robot_seed(5, name)}" for name in ("u0.1_los000_r0", "u0.1_los090_r0")]
+    assert len(set(seeds)) == 2
+    named = "--seed 3 --turbulence gust"
+    for k, words in enumerate((["--seed", "5"], ["--loopback", named], ["--seed", "5"])):
+        asked = ["--policy", "station", "--speeds", "0.1,0.2" if k == 2 else "0.1", "--los", "0,90", "--repeats", "1", "--yes"]
         given = []
 
         def opened(args, robot, stack, given=given):
@@ -364,8 +368,8 @@ def test_each_trial_has_a_loopback_robot_of_its_own_unless_a_seed_is_named(tmp_p
                 trials_command.main([*asked, *words, "--out", str(tmp_path / f"{k}")], opened)
             session = Session(tmp_path / f"{k}", {})
             session.skip("u0.1_los000_r0", "the next one")
-        assert [w for w in given[0] if w.startswith("--seed")] == (["--seed=5"] if k == 0 else ["--seed"])
-        assert [w for w in given[1] if w.startswith("--seed")] == (["--seed=6"] if k == 0 else ["--seed"])
+        for trial, seed in zip(given, seeds, strict=True):
+            assert [w for w in trial if w.startswith("--seed")] == (["--seed"] if k == 1 else [seed])
         assert given[0][-1] == "--flow=0.1,0" and given[0][-2].startswith("--start=0.7,")
 
 

@@ -65,6 +65,7 @@ class Dry:
         device = SimpleNamespace(is_cuda=False)
         self.fluid = SimpleNamespace(flow=stage.flow, lattice=lattice, steps=1, snapshot=dict, device=device, **idle)
         self.boundary = SimpleNamespace(corners=Corners(np.zeros((body.links, 8, 3)), body.water.centre))
+        self.ahead = False
         self.place_markers = self.assemble_response = self.push_water = self.join_stream = lambda: None
 
     @property

@@ -115,13 +115,18 @@ class Done:
         return trial_of(job.made, job.what, job.seed, draw, noise, job.name, "", (0.0, 0.0))
 
 
+def emptied(waiting):
+    while waiting:
+        yield waiting.popleft()
+
+
 @pytest.fixture(scope="module")
 def sets(small, tmp_path_factory):
     """Folder of its data sets, as the second robot swam them; one swim of the last robot is missing."""
     folder = tmp_path_factory.mktemp("solver")
     plan.write(small, folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(swims, "swum", lambda waiting, device, tanks: (Done(job) for job in waiting))
+        patch.setattr(swims, "swum", lambda waiting, device, tanks: map(Done, emptied(waiting)))
         seen = lambda run, noise=1.0, draw=0: run.trial(noise, draw)
         patch.setattr(swims, "trial_of", seen)
         assert swims.swum_all(small, folder, "cpu") == sum(one.job.steps for one in swims.all_swims(small))
@@ -132,7 +137,7 @@ def sets(small, tmp_path_factory):
 
 def test_what_was_swum_is_not_swum_again(small, sets, monkeypatch):
     asked = []
-    monkeypatch.setattr(swims, "swum", lambda waiting, device, tanks: asked.extend(waiting) or ())
+    monkeypatch.setattr(swims, "swum", lambda waiting, device, tanks: asked.extend(emptied(waiting)) or ())
     swims.swum_all(small, sets, "cpu")
     assert len(asked) == 1
 

@@ -181,8 +181,10 @@ def test_a_collection_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch, 
             self.job = job
 
     def pretend(waiting, device, tanks):
-        asked.append([job.name for job in waiting])
-        yield from (Done(job) for job in waiting)
+        asked.append([])
+        while waiting:
+            asked[-1].append((job := waiting.popleft()).name)
+            yield Done(job)
 
     monkeypatch.setattr(hidden_command, "swum", pretend)
     monkeypatch.setattr(hidden_command, "trial_of", lambda run: swum[0])

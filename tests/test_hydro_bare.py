@@ -56,7 +56,7 @@ def home(tmp_path, monkeypatch):
     monkeypatch.setattr(at_hand, "usable_cores", lambda: 2)
     monkeypatch.setattr(solver_cost, "usable_cores", lambda: 2)
     monkeypatch.setattr(Toys, "seen", [])
-    monkeypatch.setattr(at_hand, "Local", lambda tanks: Toys())
+    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Toys())
     monkeypatch.setattr(verb, "DATA", Path("data/hydro"))
     monkeypatch.setattr(verb, "FOLDERS", (Path("data/water"), *FOLDERS))
     return tmp_path
@@ -106,12 +106,12 @@ def test_a_preview_that_is_interrupted_goes_on_where_it_was(home, tenth, monkeyp
                     raise KeyboardInterrupt
                 yield finished
 
-    monkeypatch.setattr(at_hand, "Local", lambda tanks: Broken())
+    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Broken())
     with pytest.raises(KeyboardInterrupt):
         asked()
     kept = {path.stem for path in (home / "data/hydro/swift-preview" / SEGMENTS).glob("*.json")}
     assert len(kept) == 5
-    monkeypatch.setattr(at_hand, "Local", lambda tanks: Toys())
+    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Toys())
     data = open_dataset(asked())
     assert kept | set(Toys.seen[-1][1]) == set(data.about) and not kept & set(Toys.seen[-1][1]) and not data.meta["missing"]
 
@@ -146,7 +146,7 @@ def test_a_budget_that_the_whole_plan_fits_into_has_it_solved(home, tenth):
 
 def test_with_an_accelerator_the_whole_plan_is_solved_in_the_box_of_the_model(home, tenth, monkeypatch):
     monkeypatch.setattr(at_hand, "accelerator", lambda: True)
-    monkeypatch.setattr(at_hand, "device_of", lambda name: "cuda:0")
+    monkeypatch.setattr(at_hand, "devices_of", lambda name: ("cuda:0",))
     assert asked(grid="window_coarse").name == "swift"
     setup, ids = Toys.seen[0]
     assert setup.domain.name == "window_coarse" and setup.device == "cuda:0" and len(ids) == tenth
@@ -235,7 +235,7 @@ class Recorded:
 @pytest.mark.part("the bare hydro_fit")
 def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys):
     """Preview solved, fitted, marked, checked and reported; the shipped water, fitted to a whole plan, stays."""
-    monkeypatch.setattr(at_hand, "Local", lambda tanks: Recorded(swims))
+    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Recorded(swims))
     assert console.run(verb.main, ["--budget", "400", "--base", "--swims", "0", "--json"]) == console.OK
     out = capsys.readouterr().out
     found = json.loads(out.splitlines()[-1])

@@ -1,12 +1,22 @@
 """Which water of the solver is meant: the plain one, the reference, or what options say; and the plans solved in it."""
 
+from dataclasses import replace
+
 import pytest
 
+from fishmj import controllers
+from fishmj.calibrate import slip
 from fishmj.campaign.data import plan as plans
-from fishmj.errors import ConfigError
+from fishmj.campaign.data.run_segments import Setup
+from fishmj.errors import ConfigError, UnknownName
 from fishmj.evaluate import __main__ as evaluate
-from fishmj.lbm_oracle.run.domain import EVERY
-from fishmj.lbm_oracle.run.solver_water import PLAIN, REFERENCE, asked_for
+from fishmj.evaluate import run_trials, trials
+from fishmj.lbm_oracle.immersed.body import ImmersedBody
+from fishmj.lbm_oracle.immersed.markers import SHARP, Sharpness
+from fishmj.lbm_oracle.run.domain import EVERY, preset
+from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, PLAIN, REFERENCE, asked_for, boundary_name
+from fishmj.mjcf import load_robot
 
 
 def test_plain_is_the_papers_tank_and_options_change_it():
@@ -19,15 +29,63 @@ def test_plain_is_the_papers_tank_and_options_change_it():
 def test_the_reference_is_named_in_its_label_and_refuses_another_box_or_slip():
     assert asked_for("evaluate", True, None, None) is REFERENCE
     assert REFERENCE.name in REFERENCE.label and REFERENCE.domain in EVERY and REFERENCE.window in EVERY
-    for domain, slip in (("paper", None), (None, 1.0), (None, 0.0)):
+    for domain, ratio in (("paper", None), (None, 1.0), (None, 0.0)):
         with pytest.raises(ConfigError, match="beside --reference"):
-            asked_for("evaluate", True, domain, slip)
+            asked_for("evaluate", True, domain, ratio)
 
 
 def test_the_reference_swims_freely_on_the_cells_of_its_tank():
     tank, window = (REFERENCE._replace(domain=name).box for name in (REFERENCE.domain, REFERENCE.window))
     assert [(a.dx, a.dt) for a in tank.levels] == [(b.dx, b.dt) for b in window.levels]
     assert tank.boxes == window.boxes and window.follows and not tank.follows
+
+
+def test_a_boundary_that_was_chosen_is_in_the_water_its_label_and_the_names_of_kept_trials():
+    rims = asked_for("evaluate", False, None, 0.98, boundary="rims")
+    assert rims.sharpness == Sharpness(rim=1.0) and rims.immersed["sharpness"] == rims.sharpness
+    assert (
+        rims.label == "paper, slip 0.98, boundary rims" and asked_for("evaluate", False, None, 0.98).label == "paper, slip 0.98"
+    )
+    with pytest.raises(ConfigError, match="--boundary sharp beside --reference"):
+        asked_for("evaluate", True, None, None, boundary="sharp")
+    brain, robot = controllers.make("dob", load_robot("fish")), load_robot("fish")
+    marks = {run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(sharpness=edge)) for edge in BOUNDARIES.values()}
+    assert len(marks) == 3 and run_trials.fingerprint(brain, robot, trials(), PLAIN) in marks
+
+
+def test_water_in_half_precision_has_its_own_label_and_kept_trials_and_no_reference():
+    half = asked_for("evaluate", False, None, 0.98, storage="float16")
+    assert half.label == "paper, slip 0.98, float16" and half.immersed["storage"] == "float16"
+    assert "storage" not in asked_for("evaluate", False, None, 0.98, storage="float32").immersed
+    brain, robot = controllers.make("dob", load_robot("fish")), load_robot("fish")
+    marks = [run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(storage=kind)) for kind in ("float32", "float16")]
+    assert marks[0] != marks[1]
+    with pytest.raises(ConfigError, match="--storage float16 beside --reference"):
+        asked_for("evaluate", True, None, None, storage="float16")
+    with pytest.raises(ConfigError, match="storage 'float16' in paper_refined, which has finer cells; expected 'float32'"):
+        body = ImmersedBody.of("fish", "planar", REFERENCE.box.body_level.dt)
+        SwimSetup(domain=REFERENCE.box, storage="float16").assembled(body)
+
+
+def test_a_boundary_has_its_name_or_says_its_lengths():
+    assert [boundary_name(BOUNDARIES[name]) for name in BOUNDARIES] == ["plain", "rims", "sharp"]
+    assert BOUNDARIES["sharp"] == SHARP and boundary_name(Sharpness()) == "plain"
+    assert "rim=0.9" in boundary_name(Sharpness(rim=0.9))
+
+
+def test_a_swims_log_and_a_segments_grid_say_their_boundary():
+    tiny = replace(preset("laptop"), shape=(52, 32, 20), sponge=4)
+    run = SwimSetup(domain=tiny, device="cpu", sharpness=BOUNDARIES["rims"]).run()
+    run.tick([0.0, 0.0, 0.0])
+    assert run.trial().value("oracle.boundary") == "rims"
+    about = lambda edge: Setup(domain=tiny, device="cpu", sharpness=edge).about["grid"]
+    assert about(BOUNDARIES["sharp"])["boundary"] == "sharp" and "boundary" not in about(BOUNDARIES["plain"])
+
+
+def test_a_table_of_solver_swims_is_found_by_its_grid_and_boundary():
+    assert slip.table_name({"grid": "window"}) == slip.table_name({"grid": "window", "boundary": "plain"}) == "window"
+    with pytest.raises(UnknownName, match="window, rims"):
+        slip.predictions(slip.table_name({"grid": "window", "boundary": "rims"}), [1.0])
 
 
 def test_reference_is_of_the_solver_alone():

@@ -18,14 +18,13 @@ from fishmj.engines import command_latency, nominal_params
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.gap.commands import admission
 from fishmj.gap.commands.apply import settle
-from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import record_of
 from fishmj.log import read_trial
 from fishmj.log.dataset import take
 from fishmj.mjcf.description import load_robot
 from fishmj.store import read_json, write_json
 from fishmj.studies.whole_loop import __main__ as study
-from fishmj.studies.whole_loop import robots, steps, swims
+from fishmj.studies.whole_loop import gains, latency, robots, steps, swims
 from fishmj.studies.whole_loop.steps import Fault, Loop
 from fishmj.studies.whole_loop.tank import Tank
 from fishmj.virtual_robot import generate
@@ -104,24 +103,59 @@ def test_the_figure_begins_at_the_first_entry_and_keeps_what_an_early_end_left()
     assert not left["complete"] and left["rmse"] == pytest.approx(np.sqrt((6.0 * 0.05**2 + 24.0 * 2.0**2) / 30.0), rel=0.01)
 
 
+def test_the_fitted_delay_is_that_of_the_joints_that_come_nearest():
+    t = np.arange(0.0, 10.0, 0.004)
+    beat = lambda delay: np.sin(2 * np.pi * (t - delay))[:, None] * [0.5, 0.4, 0.3]
+    model = SimpleNamespace(null=np.zeros(3), index=lambda effect, name: 1)
+    model.predict = lambda records, rows: [{"joint": np.stack([beat(row[1]) for row in rows])}]
+    record = SimpleNamespace(name="gait_1", joint=SimpleNamespace(values=beat(0.1523)))
+    assert latency.fitted(model, record, 0.15) == pytest.approx(0.1523, abs=2e-5)
+    with pytest.raises(FishmjError, match="gait_1: no joint angles were logged"):
+        latency.fitted(model, SimpleNamespace(name="gait_1", joint=None), 0.15)
+
+
 @pytest.mark.slow
-def test_the_joints_tell_the_hidden_latency_and_the_few_ms_that_a_healthy_robot_has_beyond_its_description(tmp_path):
+def test_the_joints_tell_the_hidden_latency_and_the_few_ms_that_a_healthy_robot_has_beyond_its_description(tmp_path, capsys):
     """The delay alone, fitted to the joints of a gait: nothing of the radio's way up is in it, and it grows by what is hidden."""
-    model, found = SwimmingFish("fish"), {}
-    place = model.index("command_latency", "delay")
-    for hidden in (0.0, 0.03, 0.15):
-        words = ["gait", "--repeats", "1", "--yes", "--flow", "0,0", "--out", str(tmp_path / f"rig{hidden}")]
-        words += ["--loopback", f"--seed 0 --effect command_latency={hidden}"]
-        assert rig_experiment.main(words, wire=Tank().wire) == console.OK
-        record = record_of(read_trial(tmp_path / f"rig{hidden}/trials/gait_1"), model.dt)
-        delays = hidden + np.linspace(-0.004, 0.008, 7)
-        rows = np.tile(model.null, (len(delays), 1))
-        rows[:, place] = delays
-        miss = np.mean((model.predict([record], rows)[0]["joint"] - record.joint.values) ** 2, (1, 2))
-        curve = np.polyfit(delays - hidden, miss, 2)
-        found[hidden] = -curve[1] / (2 * curve[0])
-    assert 0.0 < found[0.0] < 0.004
-    assert [found[hidden] - found[0.0] for hidden in (0.03, 0.15)] == pytest.approx([0.0, 0.0], abs=1e-3)
+    words = ["--seeds", "1", "--hidden", "0", "30", "150", "--out", str(tmp_path), "--json"]
+    assert latency.main(words) == console.OK
+    (found,) = json.loads(capsys.readouterr().out.splitlines()[-1])["fitted_ms"]
+    assert 0.0 < found["0"] < 4.0
+    assert [found[hidden] - found["0"] for hidden in ("30", "150")] == pytest.approx([30.0, 150.0], abs=1.0)
+
+
+def test_a_share_on_the_channels_where_an_effect_shows_is_not_that_of_all():
+    told = {
+        "command_latency": {"gain": 1000.0, "by_channel": {"joint": 900.0, "position": 60.0, "heading": 40.0}},
+        "joint_zero_offset": {"gain": 10.0, "by_channel": {"joint": -2.0, "position": 4.0, "heading": 8.0}},
+    }
+    found = gains.shares(told, {"command_latency": ("joint",), "joint_zero_offset": ("position", "heading")})
+    assert found["joint_zero_offset"] == pytest.approx((10 / 1010, 12 / 112))
+    assert found["command_latency"] == pytest.approx((1000 / 1010, 900 / 898))
+
+
+def test_gains_are_what_an_effect_explains_beyond_the_tolerated_errors_of_the_others(monkeypatch):
+    """Of z with two samples on a joint and one on the heading; errors of the others are let pass by whitening less."""
+    layout = SimpleNamespace(channel=np.array(["joint", "joint", "heading"]), size=3)
+    z = {"none": [9.0, 2.0, 5.0], "best": [0.5, 0.5, 1.0], "without_a": [7.0, 1.0, 1.5]}
+    state = lambda name, share=1.0: SimpleNamespace(
+        row=name, names=("a",), z=share * np.array(z[name]), cost=float(np.sum((share * np.array(z[name])) ** 2))
+    )
+    tolerant = SimpleNamespace(layout=layout)
+    tolerant.subset = lambda: SimpleNamespace(layout=layout, share=0.5)
+    near = SimpleNamespace(subset=lambda: SimpleNamespace(layout=layout, share=1.0))
+    near.tolerating = lambda row, gates: (tolerant, 7.0) if row == "without_a" else pytest.fail("not at the others")
+    monkeypatch.setattr(gains, "drop_effect", lambda whole, c, name: state("without_a", whole.share))
+    monkeypatch.setattr(gains, "on_records", lambda whole, c: state("best", whole.share))
+    gates = SimpleNamespace(gain=250.0, min_gain_per_sample=0.04)
+    told = gains.gains(SimpleNamespace(best=state("best"), near=near), gates)["a"]
+    assert told["by_channel"] == pytest.approx({"joint": (49.0 + 1.0 - 0.5) / 4, "heading": (2.25 - 1.0) / 4})
+    assert told["gain"] == pytest.approx(sum(told["by_channel"].values())) and told["asked"] == pytest.approx(250.12 + 7.0)
+
+
+def test_gains_of_a_robot_that_did_not_go_through_the_loop_say_what_to_do(tmp_path):
+    with pytest.raises(ConfigError, match=r"seed_03/fish.toml: no such file; python -m fishmj.studies.whole_loop --only 3 --out"):
+        gains.searched(Loop(out=tmp_path), 3)
 
 
 def test_an_effect_counts_as_named_only_where_the_answer_is_named():

@@ -1,6 +1,5 @@
 """From the simulator to the tank: a policy on a robot, on a robot in loopback, and what a lab measures on its rig."""
 
-import shlex
 import sys
 from contextlib import ExitStack
 from importlib import import_module
@@ -13,27 +12,8 @@ from fishmj.mjcf.description import Robot
 
 
 def in_step(args: Any, robot: Robot, stack: ExitStack) -> Any:
-    """The loopback robot in this process and in lockstep, in the place of `wiring.wire`; no frames are drawn.
-
-    Poses have a tracker's errors (`loopback.lockstep.FixNoise`). `args.loopback` are the options of `deploy loopback`.
-    """
-    from fishmj.deploy.links import Fishmj1Link, Link, MishLink
-    from fishmj.deploy.localiser import InStep
-    from fishmj.deploy.wiring import Wired
-    from fishmj.loopback import command, lockstep
-    from fishmj.loopback.settings import make_robot
-
-    words = ["--protocol", args.protocol, "--model", args.robot, *shlex.split(args.loopback or "")]
-    settings = command.served(command.options().parse_args(words)).settings
-    clock = lockstep.LockstepClock(make_robot(settings))
-    transport = lockstep.LockstepTransport(clock)
-    mish = settings.protocol != "fishmj-1"
-    link: Link = (
-        MishLink(transport, "fixed" if settings.protocol == "mish-fixed" else "mish-0.1.0") if mish else Fishmj1Link(transport)
-    )
-    localiser = InStep(lockstep.LockstepCamera(clock), lockstep.PoseTracker(seed=settings.seed))
-    localiser.open()
-    return Wired(link, localiser, clock, True)
+    """`loopback.in_step.wired`, imported where a robot in lockstep is asked for."""
+    return import_module("fishmj.loopback.in_step").wired(args, robot, stack)
 
 
 def trials(argv: list[str]) -> int | None:

@@ -9,6 +9,7 @@ from functools import cache, partial
 from pathlib import Path
 from threading import Event
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
@@ -209,7 +210,7 @@ class Walk:
         if args.link == "loopback":
             words = args.loopback or ""
             if "--seed" not in words:  # each trial its own robot, noise and gusts, where the person names no seed
-                words += f" --seed={args.seed + place.number}"
+                words += f" --seed={robot_seed(args.seed, place.name)}"
             given.loopback = f"{words} --start={start} --flow={stream[0]:.6g},{stream[1]:.6g}"
         watched = None if self.watched is None else replace(self.watched, flow=stream)
         with ExitStack() as stack:
@@ -237,6 +238,11 @@ class Walk:
             ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)
             with undisturbed(), way_out(self.stop, lambda: link.disarm(clock.now()), self._kept), ahead:
                 return swim.run()
+
+
+def robot_seed(seed: int, name: str) -> int:
+    """Of the loopback robot of a trial: the same one whatever other trials are asked for."""
+    return crc32(f"{seed} {name}".encode())
 
 
 def same_trials(args: Namespace) -> str:

@@ -45,11 +45,18 @@ class Filmed(Engine):
         self.domain, self.folder = BOX, folder
         self.recorder: FieldRecorder | None = None
 
-    def advance(self, state, commands, params, current, tick):
+    def _fill(self, state, params):
+        """As of the engine; somebody looks at this water between two ticks."""
+        tanks = yield from super()._fill(state, params)
+        for run in tanks.runs:
+            run.ahead = False
+        return tanks
+
+    def advancing(self, state, commands, params, current, tick):
         """As of the engine, one bus tick at a time, with a look at the water after each."""
         traces = []
         for k in range(commands.shape[1]):
-            state, trace = super().advance(state, commands[:, k : k + 1], params, current, tick)
+            state, trace = yield from super().advancing(state, commands[:, k : k + 1], params, current, tick)
             traces.append(trace)
             (run,) = self.tanks.runs
             if self.recorder is None:

@@ -112,7 +112,9 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
     wrong, outliers = error_without_outliers(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
-    kept = tuple(n for n in effects if n.name not in dropped)
+    # Doubts ask how well the records agree about a size. How far its formula is off in another water, all of them share.
+    valued = named(found, found.best, stand, by_stage=True) if e.calibrated else effects
+    kept = tuple(n for n in valued if n.name not in dropped)
     checks["pinned"] = needs_exact_value(e, found.best.names)
     rivals = tuple(asdict(r) | {"instead_of": n.name} for n in kept for r in stand[n.name].rivals)
     warnings = tuple(w for n in kept for w in doubts[n.name])
@@ -192,14 +194,17 @@ def transfer(e: Likelihood, found: Selection) -> float:
     return float(np.mean(rise < np.maximum(allowed, -limits.transfer_fraction * np.sum(rise))))
 
 
-def named(found: Selection, c: Candidate, stand: dict[str, Support]) -> tuple[Named, ...]:
-    """The effects of a candidate with values, intervals and what all of them close together."""
+def named(found: Selection, c: Candidate, stand: dict[str, Support], by_stage: bool = False) -> tuple[Named, ...]:
+    """The effects of a candidate with values, intervals and what all of them close together.
+
+    by_stage: as `intervals.estimate`.
+    """
     e = found.near
     half = thresholds().intervals.quantile
     # Values are fitted once more with the constants as uncertain as the formulas; with that uncertainty in the selection, too, an
     # effect that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)
-    value, spread = estimate(uncertain, refine(uncertain.subset(), c))
+    value, spread = estimate(uncertain, refine(uncertain.subset(), c), by_stage)
     near = e.subset()
     base = found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size

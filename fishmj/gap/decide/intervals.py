@@ -6,7 +6,8 @@
 
 theta_i is taken with run i left out of S (null/whitening.py), all of them from one Gram matrix. curvature: (J^T S^-1 J)^-1 on
 the data, which knows the autocorrelation. jackknife: one Gauss-Newton step with each record left out (Efron & Stein 1981).
-formula_error: no formula is the robot's, but a scale's reading is none: where weighings tell a value to within s by themselves,
+formula_error: no formula is the robot's; of a calibrated model it was measured by stage on other waters
+(studies/structural_error/formula_error.py). A scale's reading is none: where weighings tell a value to within s by themselves,
 its square f^2 becomes 1 / (1/f^2 + 1/s^2), and no record that is left out takes them along.
 """
 
@@ -19,8 +20,11 @@ from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.thresholds import thresholds
 
 
-def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
-    """(values (K,), standard deviations (K,)) of a candidate's parameters."""
+def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """(values (K,), standard deviations (K,)) of a candidate's parameters.
+
+    by_stage: with the formula error of each effect's stage (`Likelihood.formula_error`) in place of that of any.
+    """
     limits = thresholds().intervals
     search = e.subset()
     low, high, _ = bounds(e.model)
@@ -38,7 +42,9 @@ def estimate(e: Likelihood, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
     if len(e.records) < limits.jackknife_records:
         by_jackknife = np.minimum(by_jackknife, limits.jackknife_cap * by_curvature)
     sampling = np.maximum(by_curvature, by_jackknife)
-    form = limits.formula_error * np.abs(c.row[places] - e.model.null[places])
+    stage = {e.model.index(x.name, p.name): x.stage for x in e.model.active.effects for p in x.parameters}
+    errors = np.array([e.formula_error(stage[place]) if by_stage else limits.formula_error for place in places])
+    form = errors * np.abs(c.row[places] - e.model.null[places])
     form = form / np.sqrt(1.0 + form**2 * np.sum((jacobian[:, weighed] / e.d[weighed]) ** 2, 1))
     # The mean of what null runs would give is taken off: a model that is late by itself does not make the robot late.
     values = np.clip(c.row[places] - spurious.mean(0), low[places], high[places])

@@ -31,6 +31,7 @@ from fishmj.gap.thresholds import Gates
 from fishmj.water.choice import STRUCTURED
 
 FILE = "structural_error.toml"
+FORMULA = "formula_error.toml"
 SCHEMA = "fishmj.structural_error/1"
 ALL = "all"
 NEVER = ("", "second_robot")  # no robot of theirs took part: the null runs are the second robot's
@@ -44,7 +45,8 @@ class Widths(NamedTuple):
 
     adequacy: |z|^2 / m that 19 of 20 healthy robots of a family which took no part do not reach. beyond_own: what 19 of 20 robots
     of a family that nobody has seen leave of new experiments at most, over what they leave of the swims that their water was
-    calibrated to. gains: |z|^2 a record that, in all of the first, no effect of a stage takes off.
+    calibrated to. gains: |z|^2 a record that, in all of the first, no effect of a stage takes off. formula: by stage, relative
+    error of the size that a formula asks for in the water of a family that took no part.
     """
 
     numbers: dict[str, float]
@@ -54,6 +56,7 @@ class Widths(NamedTuple):
     adequacy: float = 0.0
     beyond_own: float = 0.0
     gains: dict[str, float] = {}  # noqa: RUF012 (of a tuple, never changed)
+    formula: dict[str, float] = {}  # noqa: RUF012
 
 
 class StructuralError(NamedTuple):
@@ -76,7 +79,8 @@ def widths(without: str = "") -> Widths:
     table = read_toml(calib_folder() / FILE)
     if (key := ALL if without in NEVER else without) not in table:
         raise UnknownName("family of the structural error", without, sorted(set(table) - {ALL, "schema"}))
-    return Widths(**table[key])
+    formula = read_toml(calib_folder() / FORMULA)
+    return Widths(**table[key], formula=formula.get(without, formula[ALL]))
 
 
 def applies(model) -> bool:

@@ -82,6 +82,12 @@ class Likelihood:
         """What an effect of a stage takes off |z|^2 of a healthy robot of another water, at most; 0 where that is not known."""
         return self.widths.gains.get(stage, 0.0) * len(self.records) if structural_error.applies(self.model) else 0.0
 
+    def formula_error(self, stage: str) -> float:
+        """Relative error of the size that a formula of a stage asks for in a water that nobody has seen; of any formula where the
+        model is not calibrated or that was not measured."""
+        any_formula = thresholds().intervals.formula_error
+        return max(any_formula, self.widths.formula.get(stage, 0.0)) if self.calibrated else any_formula
+
     def with_model(self, model) -> "Likelihood":
         """The same records and null with other effects in question; `model` at its null is the same model."""
         there = copy(self.origin)

@@ -5,15 +5,14 @@ one core, so that everything in it (rollouts, BLAS, null runs) keeps to one thre
 """
 
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context, parent_process
-from multiprocessing.connection import wait
-from multiprocessing.resource_tracker import ensure_running
+from multiprocessing import active_children, get_context
 from typing import Any
+
+from fishmj.cores import usable_cores
+from fishmj.processes import bind, deaf, ends_with_its_parent
 
 ALONE = {
     "OMP_NUM_THREADS": "1",
@@ -60,30 +59,9 @@ def alone() -> Iterator[None]:
             del os.environ[key]
 
 
-@contextmanager
-def deaf() -> Iterator[None]:
-    """Processes begun meanwhile do not hear Ctrl-C, not even while they import: it is left to the one that began them."""
-    ensure_running()  # what frees semaphores takes the block off where it is begun meanwhile
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def bound(begun) -> None:
     """First in each process: a core of its own, and an end with the one that began it. begun: how many there are."""
-    threading.Thread(target=_orphaned, name="orphaned", daemon=True).start()
+    ends_with_its_parent()
     with begun.get_lock():
         number, begun.value = begun.value, begun.value + 1
-    if hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[number % len(cores)]})
-
-
-def _orphaned() -> None:
-    """Waits for the end of the process that began this one, however it ends; nobody would take the answer."""
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
+    bind(number, usable_cores())

@@ -8,16 +8,20 @@ Set i hides effect i of the list, round and round, in a robot of its own. OUT/<s
 in the truth file only.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from fishmj import console, excitation
-from fishmj.campaign.hidden_lbm.hidden import Job, jobs, swum, trial_of
+from fishmj.campaign.hidden_lbm.hidden import Job, Owned, jobs, swum, trial_of
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.excitation import PERIOD, Excitation
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, preset
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
+from fishmj.log import Trial
 from fishmj.log.folder import write_trial
 from fishmj.mjcf.description import load_robot
 from fishmj.store import Manifest, read_json, write_json
@@ -44,8 +48,10 @@ def main(argv: list[str]) -> int:
     add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of what nobody measured")
     add("--slip", type=console.number(0, 1), default=1.0, help="ratio of the hull, quoted at the paper's grid")
     add("--domain", choices=EVERY, default="window_coarse", help="box of water; laptop is a preview")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
-    add("--tanks", type=console.whole(1, 256), help=f"experiments side by side; by default {ON_GPU} on a GPU, else 1")
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
+    many = f"experiments side by side on each device; by default {ON_GPU} on a GPU, else 1"
+    add("--tanks", type=console.whole(1, 256), help=many)
     add("--out", type=console.out_folder, help="folder of data sets; goes on with what is there; needed unless --dry-run")
     add("--truth", type=console.out_file, help="file for what is hidden, outside of --out; needed as --out is")
     add("--dry-run", action="store_true", help="print plan and cost, and stop")
@@ -65,7 +71,7 @@ def main(argv: list[str]) -> int:
             console.emit_json({"sets": args.sets, "water_s": water, "steps": steps, "gpu_s": gpu})
         return console.OK
     plan = plan_of(args, args.sets)
-    device = str(device_of(args.device))
+    device = ",".join(devices_of(args.device))
     _seal(args)
     tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
     lost = collect(args.out, plan, device, tanks)
@@ -77,26 +83,41 @@ def main(argv: list[str]) -> int:
 
 
 def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) -> dict[str, str]:
-    """Run what is missing in `out`; a set that is complete gets its manifest. Returns what nothing sound was left of."""
-    owner, waiting, lost = {}, [], {}
+    """Run what is missing in `out`; a set that is complete gets its manifest. Returns what nothing sound was left of.
+
+    device: one, or several as for `devices_of`. tanks: side by side on each.
+    """
+    waiting: list[tuple[tuple[str, str, int], Job]] = []  # set, name and steps of a job, and the job
+    lost: dict[str, str] = {}
     for name, part in plan.items():
         if not (out / name / "manifest.json").is_file():
-            waiting += [job for job in part if not (out / name / job.name).is_dir()]
-            owner |= {id(job): name for job in part}
-    total = sum(job.steps for job in waiting)
+            waiting += [((name, job.name, job.steps), job) for job in part if not (out / name / job.name).is_dir()]
+    total = sum(job.steps for _, job in waiting)
     done = 0
     with console.Progress(total, "hidden", unit="steps") as bar:
-        for run in swum(waiting, device, tanks):
-            name, done = owner[id(run.job)], done + run.job.steps
-            try:
-                write_trial(out / name / run.job.name, trial_of(run))
-            except OracleUnstable as error:
-                lost[f"{name}/{run.job.name}"] = str(error)
+        for (name, number, steps), made in spread(partial(on_device, tanks=tanks), waiting, devices_of(device)):
+            done += steps
+            if isinstance(made, str):
+                lost[f"{name}/{number}"] = made
+            else:
+                write_trial(out / name / number, made)
             bar.update(done, set=name)
     for name, part in plan.items():
         if all((out / name / job.name).is_dir() or f"{name}/{job.name}" in lost for job in part):
             _close(out / name, {key: why for key, why in lost.items() if key.startswith(f"{name}/")})
     return lost
+
+
+def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int) -> Iterator[tuple[tuple, Trial | str]]:
+    """Trials of jobs on one device (`spread`), each with what its job came with; why, where nothing of it was sound."""
+    jobs_of = Owned(waiting)
+    for run in swum(jobs_of, device, tanks):
+        made: Trial | str
+        try:
+            made = trial_of(run)
+        except OracleUnstable as error:
+            made = str(error)
+        yield jobs_of.owner(run), made
 
 
 def sized(args) -> tuple[int, int]:

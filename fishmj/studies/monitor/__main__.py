@@ -5,7 +5,8 @@
 
 A robot is a draw of the second robot's unmeasured constants; it swims through the host, in lockstep. Each has one healthy swim to
 learn from, others to watch, and one for every effect, of the middle of its catalogue's range, that comes at 60 s. Finished swims
-are kept: the same command goes on. Robots of other seeds (`--first`) are other robots.
+are kept: the same command goes on. A swim that was watched needs its tables no more: NAME.json and reference_ROBOT.npz are enough
+to go on elsewhere. Robots of other seeds (`--first`) are other robots.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -14,15 +15,18 @@ from math import exp, pi
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import chi2
 
-from fishmj import console, cores
+from fishmj import console, cores, interrupt
 from fishmj.deploy.monitor import BLOCK, RATE
 from fishmj.deploy.monitor_prediction import channels
-from fishmj.deploy.monitor_statistics import Cusums, Reference, learn
+from fishmj.deploy.monitor_statistics import learn
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
-from fishmj.store import read_npz, write_json, write_npz
+from fishmj.store import read_json, read_npz, write_json, write_npz
+from fishmj.studies.monitor import results
 from fishmj.studies.monitor.loopback_swims import swim
+from fishmj.studies.monitor.results import Watched
 from fishmj.studies.monitor.side_by_side import Blocks, blocks_of
 from fishmj.studies.monitor.swims import HEALTHY, Effects, Tables
 from fishmj.virtual_robot.trials import EFFECTS
@@ -44,6 +48,11 @@ def name_of(job: Job) -> str:
     """The file of a job."""
     robot, number, effect = job
     return f"{robot}_{number}{'_' + effect if effect else ''}.npz"
+
+
+def result_of(job: Job) -> str:
+    """The file of what the monitor said of a job."""
+    return str(Path(name_of(job)).with_suffix(".json"))
 
 
 def made(folder: Path, job: Job) -> None:
@@ -82,16 +91,53 @@ def parts(jobs: list[Job], count: int) -> list[list[Job]]:
     return [jobs[begin : begin + size] for begin in range(0, len(jobs), size)]
 
 
-def watched(reference: Reference, blocks: Blocks, rate: float) -> tuple[list[tuple[float, str, str]], float]:
-    """(s, channel, probe) of every alarm, the tests beginning afresh after each; the highest CUSUM, over its limit."""
-    cusums, found, highest = Cusums(reference, rate, BLOCK), [], 0.0
-    for t, block in blocks:
-        cusums.take(block)
-        highest = max(highest, *cusums.share().values())
-        if channel := cusums.parted():
-            found.append((t, channel, cusums.highest(channel)[0]))
-            cusums = Cusums(reference, rate, BLOCK)
-    return found, highest
+def learnt_from(folder: Path, jobs: list[Job]) -> None:
+    """Keep the reference of each of these robots' first swims."""
+    for job, blocks in predicted(folder, jobs).items():
+        results.write_reference(folder / results.reference_name(job[0]), learn([b for _, b in blocks], channels(3)))
+
+
+def watched_in(folder: Path, rate: float, jobs: list[Job]) -> None:
+    """Keep what the monitor says of each of these swims."""
+    references = {robot: results.read_reference(folder / results.reference_name(robot)) for robot in {job[0] for job in jobs}}
+    for job, blocks in predicted(folder, jobs).items():
+        write_json(folder / result_of(job), results.watched(references[job[0]], blocks, rate)._asdict())
+
+
+def kept(folder: Path, job: Job, rate: float) -> Watched | None:
+    """What the monitor said of a swim; None: it has not watched it, or at another rate."""
+    file = folder / result_of(job)
+    found = Watched(**read_json(file)) if file.is_file() else None
+    return found if found and found.rate == rate else None
+
+
+def walked(folder: Path, robots: list[int], swims: int, rate: float, jobs_at_once: int, swim_more: bool) -> None:
+    """Swim what is missing, learn every robot, watch its swims; what is finished is kept."""
+    todo = [job for job in watched_jobs(robots, swims) if kept(folder, job, rate) is None]
+    unknown = [(r, 0, "") for r in robots if not (folder / results.reference_name(r)).is_file() and any(j[0] == r for j in todo)]
+    with ProcessPoolExecutor(jobs_at_once) as pool:
+        if swim_more:
+            missing = [*unknown, *todo]
+            with console.Progress(max(len(missing), 1), "swims", "swims") as bar:
+                for number, _ in enumerate(pool.map(partial(made, folder), missing)):
+                    bar.update(number + 1)
+        swum = lambda jobs: [job for job in jobs if (folder / name_of(job)).is_file()]
+        first = parts(swum(unknown), jobs_at_once)
+        with console.Progress(max(len(first), 1), "references", "parts") as bar:
+            for number, _ in enumerate(pool.map(partial(learnt_from, folder), first)):
+                bar.update(number + 1)
+        known = [job for job in swum(todo) if (folder / results.reference_name(job[0])).is_file()]
+        lengths = ([job for job in known if not job[2]], [job for job in known if job[2]])
+        groups = [part for jobs in lengths for part in parts(jobs, jobs_at_once)]
+        with console.Progress(max(len(groups), 1), "predictions", "parts") as bar:
+            for number, _ in enumerate(pool.map(partial(watched_in, folder, rate), groups)):
+                bar.update(number + 1)
+
+
+def watched_jobs(robots: list[int], swims: int) -> list[Job]:
+    """Every swim that is watched, robot by robot in turn, so that a run that is cut has some of each."""
+    healthy = [(r, n, "") for n in range(1, swims + 1) for r in robots]
+    return [*healthy[: len(robots)], *((r, 500, effect) for r in robots for effect in PLANTED), *healthy[len(robots) :]]
 
 
 def main(argv: list[str]) -> int:
@@ -112,68 +158,70 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=console.out_folder, required=True)
     args = parser.parse_args(argv)
     robots = list(range(args.first, args.first + args.robots))
-    learnt = [(r, 0, "") for r in robots]
-    healthy = [(r, n, "") for r in robots for n in range(1, args.swims + 1)]
-    struck = [(r, 500, effect) for r in robots for effect in PLANTED]
     args.out.mkdir(parents=True, exist_ok=True)
-    everything = [*learnt, *healthy, *struck]
-    if args.score:
-        there = lambda job: (args.out / name_of(job)).is_file()
-        learnt, struck = [job for job in learnt if there(job)], [job for job in struck if there(job) and there((job[0], 0, ""))]
-        healthy = [job for job in healthy if there(job) and there((job[0], 0, ""))]
-        robots, everything = [robot for robot, _, _ in learnt], []
-        if not healthy:
-            raise ConfigError(f"{args.out}: no healthy swim of a robot that was learnt is there; leave --score out")
-    jobs_at_once = args.jobs or cores.usable_cores()
-    blocks: dict[Job, Blocks] = {}
-    with ProcessPoolExecutor(jobs_at_once) as pool:
-        with console.Progress(max(len(everything), 1), "swims", "swims") as bar:
-            for number, _ in enumerate(pool.map(partial(made, args.out), everything)):
-                bar.update(number + 1)
-        groups = [part for jobs in ([*learnt, *healthy], struck) for part in parts(jobs, jobs_at_once)]
-        with console.Progress(len(groups), "predictions", "predictions") as bar:
-            for number, some in enumerate(pool.map(partial(predicted, args.out), groups)):
-                blocks |= some
-                bar.update(number + 1)
-    references = {r: learn([b for _, b in blocks[r, 0, ""]], channels(3)) for r in robots}
-    hours = sum(len(blocks[job]) for job in healthy) * BLOCK / 3600
-    seen = {f"{r}_{n}": watched(references[r], blocks[r, n, ""], args.rate) for r, n, _ in healthy}
-    false = {name: alarms for name, (alarms, _) in seen.items() if alarms}
-    count = sum(map(len, false.values()))
-    highest = max(most for _, most in seen.values())
-    expected = args.rate * hours
-    console.say(f"healthy: {count} alarms in {hours:.2f} h of {len(robots)} robots, asked for at most {args.rate:g} an hour")
-    console.say(f"that is {expected:.2g} at most; none has then a probability of {exp(-expected):.2g} or more")
-    console.say(f"highest CUSUM of a healthy swim: {highest:.2f} of its limit")
-    rows = []
-    for effect in PLANTED:
-        found = [watched(references[r], blocks[r, n, e], args.rate)[0] for r, n, e in struck if e == effect]
-        before = sum(a[0] <= AT for alarms in found for a in alarms)
-        first = [next((a for a in alarms if a[0] > AT), None) for alarms in found]
-        delays = sorted(a[0] - AT for a in first if a)
-        row = {"effect": effect, **{f"{k}": v for k, v in next(iter(middle(effect).values())).items()}}
-        named = {"effect": effect, "size": ", ".join(f"{k} {v:.3g}" for k, v in row.items() if k != "effect")}
-        timed = {
-            "found": f"{len(delays)}/{len(first)}",
-            "before": before,
-            "median_s": float(np.median(delays)) if delays else None,
-        }
-        said = [f"{a[1]} {a[2]}" for a in first if a]
-        rows.append(
-            {
-                **named,
-                **timed,
-                "worst_s": delays[-1] if delays else None,
-                "first in": max(set(said), key=said.count) if said else "",
-            }
-        )
-    console.say(console.table(rows))
-    told = {"hours": hours, "rate": args.rate, "robots": robots, "false": false, "effects": rows}
-    told |= {"highest": {name: round(most, 3) for name, (_, most) in seen.items()}}
+    with interrupt.keeping(lambda: f"finished swims are in {args.out}; {interrupt.again()}"):
+        walked(args.out, robots, args.swims, args.rate, args.jobs or cores.usable_cores(), not args.score)
+    found = {job: kept(args.out, job, args.rate) for job in watched_jobs(robots, args.swims)}
+    seen = {job: result for job, result in found.items() if result is not None}
+    if not any(not job[2] for job in seen):
+        raise ConfigError(f"{args.out}: no healthy swim of a robot that was learnt is there; leave --score out")
+    told = summary(seen, args.rate)
+    for line in said(told):
+        console.say(line)
+    console.say(console.table(told["effects"]))
     write_json(args.out / "result.json", told)
     if args.json:
         console.emit_json(told)
-    return console.FAILED_CHECK if count else console.OK
+    return console.FAILED_CHECK if told["alarms"] else console.OK
+
+
+def summary(seen: dict[Job, Watched], rate: float) -> dict:
+    """Alarms of the healthy swims, and how soon each effect was found."""
+    healthy = {f"{r}_{n}": result for (r, n, effect), result in seen.items() if not effect}
+    false = {name: result.alarms for name, result in healthy.items() if result.alarms}
+    hours = sum(result.blocks for result in healthy.values()) * BLOCK / 3600
+    return {
+        "hours": hours,
+        "rate": rate,
+        "rate_below_95": highest_rate(sum(map(len, false.values())), hours),
+        "robots": sorted({r for r, _, effect in seen if not effect}),
+        "swims": len(healthy),
+        "alarms": sum(map(len, false.values())),
+        "false": false,
+        "highest": {name: round(result.highest, 3) for name, result in sorted(healthy.items())},
+        "effects": [row_of(effect, [s for (_, _, e), s in seen.items() if e == effect]) for effect in PLANTED],
+    }
+
+
+def highest_rate(alarms: int, hours: float) -> float:
+    """Upper end of the one-sided 95 % interval of a Poisson rate, 1/h (Garwood 1936, doi 10.1093/biomet/28.3-4.437)."""
+    return float(chi2.ppf(0.95, 2 * alarms + 2)) / (2 * hours)
+
+
+def row_of(effect: str, swims: list[Watched]) -> dict:
+    """How soon an effect was found, s after it came."""
+    first = [alarm for alarm in (next((a for a in s.alarms if a[0] > AT), None) for s in swims) if alarm]
+    delays, names = sorted(t - AT for t, _, _ in first), [f"{channel} {probe}" for _, channel, probe in first]
+    return {
+        "effect": effect,
+        "size": ", ".join(f"{name} {value:.3g}" for name, value in middle(effect)[effect].items()),
+        "found": f"{len(first)}/{len(swims)}",
+        "before": sum(a[0] <= AT for s in swims for a in s.alarms),
+        "median_s": float(np.median(delays)) if delays else None,
+        "worst_s": delays[-1] if delays else None,
+        "first in": max(sorted(set(names)), key=names.count, default=""),
+    }
+
+
+def said(told: dict) -> list[str]:
+    """What a person reads of a summary."""
+    expected, alarms = told["rate"] * told["hours"], f"{told['alarms']} alarms in {told['hours']:.2f} h"
+    return [
+        f"healthy: {alarms} of {len(told['robots'])} robots, asked for at most {told['rate']:g} an hour",
+        f"that is {expected:.2g} at most; none has then a probability of {exp(-expected):.2g} or more",
+        f"by these hours alone the rate is below {told['rate_below_95']:.2g} an hour, with 95 %",
+        f"highest CUSUM of a healthy swim: {max(told['highest'].values()):.2f} of its limit",
+    ]
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ def blocks_of(robot: Robot, swims: Sequence[Tables], flows: Sequence[tuple[float
             continue
         for name in probes:
             e = np.array([i.error[name] for i in kept], np.float32)
-            phi = np.array([[np.broadcast_to(p, e[0].shape) for p in i.probes[name]] for i in kept], np.float32)
+            phi = np.array([i.probes[name] for i in kept], np.float32)  # (n, P, B)
             for b in range(len(swims)):
                 if name == next(iter(probes)):
                     out[b].append((seen[b][k][0], {}))

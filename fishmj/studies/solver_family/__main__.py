@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fishmj import console, interrupt
 from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
 from fishmj.studies.gap_benchmark.command import shard_of
@@ -42,8 +42,9 @@ def main(argv: list[str]) -> int:
     free = "of --plan: to which free swims are cut, s (default 8)"
     add("--calibration", type=console.number(1, 60), default=8.0, metavar="S", help=free)
     add("--domain", choices=NAMES, default="window_coarse", help="of --plan: box of water; laptop is a preview")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N (default auto)")
-    add("--tanks", type=console.whole(1, 256), help=f"swims side by side (default {ON_GPU} on a GPU, else 1)")
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1 (default auto)"
+    add("--device", type=console.devices, default="auto", help=place)
+    add("--tanks", type=console.whole(1, 256), help=f"swims side by side on each device (default {ON_GPU} on a GPU, else 1)")
     add("--shard", type=shard_of, default=(0, 1), metavar="I/N", help="every N-th swim from the I-th (default 0/1)")
     add("--finish", action="store_true", help="swim nothing: make data sets of the robots that are complete")
     old = "data sets that were made with launches in them: copy them into OUT, launches left out, and stop"
@@ -107,7 +108,7 @@ def swim(plan: Plan, args) -> None:
     water = sum(one.job.steps for one in left) * box.dt
     less = "take a plan of fewer --robots, shorter --seconds; --domain laptop is a preview"
     solver_cost.agree("solver_family", args.device, [(box, water)], instead=less, tanks=args.tanks or 1)
-    device = str(device_of(args.device))
+    device = ",".join(devices_of(args.device))
     words = lambda: f"{args.out} keeps every swim that was done; the same command goes on"
     begin = time.monotonic()
     with interrupt.keeping(words):

@@ -13,13 +13,16 @@ A swim of which nothing sound was left, or that could not begin, leaves NAME.jso
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from fishmj import console, excitation
-from fishmj.campaign.hidden_lbm.hidden import HiddenRun, Job, jobs, swum, trial_of
+from fishmj.campaign.hidden_lbm.hidden import HiddenRun, Job, Owned, jobs, swum, trial_of
 from fishmj.errors import OracleUnstable
 from fishmj.excitation import Excitation
+from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle, write_bundle
 from fishmj.mjcf.description import Robot
@@ -84,16 +87,26 @@ def all_swims(plan: Plan, shard: tuple[int, int] = (0, 1)) -> list[Swim]:
 
 
 def swum_all(plan: Plan, folder: Path, device: str, tanks: int = 1, shard: tuple[int, int] = (0, 1)) -> int:
-    """Swim what is missing; returns how many time steps that were."""
-    todo = [swim for swim in all_swims(plan, shard) if not swim.done(folder)]
-    owner, done = {id(swim.job): swim for swim in todo}, 0
+    """Swim what is missing; returns how many time steps that were.
+
+    device: one, or several as for `devices_of`. tanks: side by side on each.
+    """
+    todo, done = [swim for swim in all_swims(plan, shard) if not swim.done(folder)], 0
+    keys = [((swim.set, swim.job.steps, swim), swim.job) for swim in todo]
     with console.Progress(sum(swim.job.steps for swim in todo), "solver", unit="steps") as bar:
-        for run in swum((swim.job for swim in todo), device, tanks):
-            swim = owner[id(run.job)]
-            keep(swim, run, folder)
-            done += swim.job.steps
-            bar.update(done, set=swim.set)
+        for name, steps in spread(partial(on_device, folder=folder, tanks=tanks), keys, devices_of(device)):
+            done += steps
+            bar.update(done, set=name)
     return done
+
+
+def on_device(waiting: Waiting, device: str, go_on: GoOn, *, folder: Path, tanks: int) -> Iterator[tuple[str, int]]:
+    """Swims on one device (`spread`), on disk when they are done: set and steps of each."""
+    jobs_of = Owned(waiting)
+    for run in swum(jobs_of, device, tanks):
+        name, steps, swim = jobs_of.owner(run)
+        keep(swim, run, folder)
+        yield name, steps
 
 
 def keep(swim: Swim, run: HiddenRun, folder: Path) -> None:

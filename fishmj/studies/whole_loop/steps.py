@@ -11,7 +11,7 @@ Robot commands run in lockstep (`tank.Tank`), the others as processes of their o
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from math import radians
@@ -80,8 +80,15 @@ def measure(loop: Loop, seed: int, faulty: bool) -> None:
     out = loop.folder(seed) / ("faulty" if faulty else "healthy")
     if (loop.folder(seed) / "searched.json").is_file():
         return
-    hidden = Fault.of(seed).options() if faulty else ""
-    names = loop.experiments if faulty else loop.healthy
+    played(loop, seed, loop.experiments if faulty else loop.healthy, out, Fault.of(seed).options() if faulty else "")
+
+
+def played(loop: Loop, seed: int, names: Sequence[str], out: Path, hidden: str) -> None:
+    """`deploy experiment NAMES --out OUT` in still water, once each. hidden: options of the loopback robot.
+
+    Raises:
+        FishmjError: the command failed.
+    """
     words = [*names, "--repeats", "1", "--yes", "--link", "loopback", "--flow", "0,0", "--out", str(out)]
     with told(loop, seed, ["deploy", "experiment", *words, "--loopback", f"--seed {seed} {hidden}"]) as argv:
         code = rig_experiment.main(argv[2:], wire=Tank().wire)

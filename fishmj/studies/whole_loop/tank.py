@@ -7,21 +7,18 @@
 No camera is drawn: the host gets poses with the noise that training puts on them, as late as frames would be.
 """
 
-import shlex
 from contextlib import ExitStack
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
-from fishmj.calib import constant
 from fishmj.deploy.links import Fishmj1Link, Sent
-from fishmj.deploy.localiser import InStep
 from fishmj.deploy.wiring import PROTOCOLS, Wired
 from fishmj.errors import ConfigError
-from fishmj.loopback.command import options, served
-from fishmj.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.loopback.in_step import wired
+from fishmj.loopback.lockstep import FixNoise, LockstepClock, LockstepTransport
 from fishmj.loopback.robot import LoopbackRobot
-from fishmj.loopback.settings import make_robot
 from fishmj.mjcf.description import Robot
 
 
@@ -68,12 +65,7 @@ class Tank:
         """In the place of `wiring.wire`. Raises ConfigError: options of a robot that lockstep has not."""
         if args.link != "loopback" or args.protocol != PROTOCOLS[0]:
             raise ConfigError(f"lockstep: --link {args.link} --protocol {args.protocol}; expected loopback and {PROTOCOLS[0]}")
-        settings = served(options().parse_args(["--model", args.robot, *shlex.split(args.loopback or "")])).settings
-        self._clock = clock = Watched(make_robot(settings))
+        found = wired(args, robot, stack, Watched, FixNoise.of_the_task())
+        self._clock = clock = cast(Watched, found.clock)
         self._link = link = FirstNoted(LockstepTransport(clock))
-        noise = FixNoise(constant("noise", "position"), constant("noise", "yaw"))
-        localiser = InStep(LockstepCamera(clock), PoseTracker(noise, settings.seed))
-        for part in (link, localiser):
-            part.open()
-            stack.callback(part.close)
-        return Wired(link, localiser, clock, True)
+        return replace(found, link=link)

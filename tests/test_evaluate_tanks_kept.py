@@ -1,0 +1,124 @@
+"""Judging in the flow solver, trial by trial: each is kept as it ends, its tank takes the next, a judgement that was cut goes on.
+
+The tanks are replaced by a pond without water: a fish turns with its first joint, in a device that is slow where it flows fast.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fishmj import controllers
+from fishmj.engines import FishState, Trace, drained, lbm
+from fishmj.evaluate import run_trials, trials
+from fishmj.mjcf import load_robot
+
+ROBOT = load_robot("fish")
+PLAN = trials(speeds=[0.1, 0.3], los_deg=[0, 90], repeats=2, duration=1.0)
+STEPS = round(PLAN.duration / ROBOT.timing.control_dt)
+
+
+class Pond:
+    """An engine of one fish; `made` are all that were ever made."""
+
+    made: list["Pond"] = []
+
+    def __init__(self, robot, flows, *, device, **box):
+        assert len(flows) == 1
+        self.robot, self.flow, self.box = robot, flows[0], box
+        self.domain, self.stopped, self.ticks = SimpleNamespace(dx=0.02), [""], [0]
+        self.made.append(self)
+
+    def advancing(self, state, commands, params, current, tick):
+        q, rows = np.array(state.q, float), []
+        for command in commands[0]:
+            for _ in range(5 if self.flow.speed > 0.2 else 1):
+                yield
+            q[0, 2] += 0.1 * command[0]
+            q[0, :2] -= 0.01 * np.array([np.cos(q[0, 2]), np.sin(q[0, 2])])
+            self.ticks[0] += 1
+            rows.append((q[0, :3].copy(), command, np.zeros(3), np.zeros(3), 1.0))
+        trace = Trace(*(np.stack(column)[None] for column in zip(*rows, strict=True)))
+        return FishState(q, np.zeros((1, 6)), np.zeros(1), state.buffer, state.memory), trace
+
+    def advance(self, *args):
+        return drained(self.advancing(*args))
+
+
+@pytest.fixture(autouse=True)
+def ponds(monkeypatch):
+    monkeypatch.setattr(lbm, "Engine", Pond)
+    monkeypatch.setattr(Pond, "made", [])
+    return Pond.made
+
+
+def judged(folder, brain="dob", **options):
+    brain = controllers.make(brain, ROBOT) if isinstance(brain, str) else brain
+    return run_trials.judge_in_solver(brain, ROBOT, PLAN, folder, device="cpu", **options)
+
+
+def kept(folder):
+    return sorted(path.name for path in (folder / run_trials.KEPT).glob("*.npz"))
+
+
+def test_a_trial_is_kept_as_it_ends_and_a_cut_judgement_goes_on_with_the_rest(tmp_path, ponds):
+    class Cut(Exception):
+        pass
+
+    def cut(done):
+        if kept(tmp_path) and done > 4.5 * STEPS:
+            raise Cut
+
+    with pytest.raises(Cut):
+        judged(tmp_path, tanks=4, progress=cut)
+    first = kept(tmp_path)
+    assert 4 <= len(first) < 8, "the four slow ones are under way, the others are on disk"
+    assert all("u0.1" in name for name in first[:4])
+    before = len(ponds)
+    again = judged(tmp_path, tanks=4)
+    assert len(ponds) - before == 8 - len(first), "what was kept is not run again"
+    whole = judged(None, tanks=1)
+    for name in ("pose", "command", "obs", "distance", "left"):
+        np.testing.assert_allclose(getattr(again, name), getattr(whole, name), rtol=1e-12, atol=1e-12)
+
+
+def test_a_tank_that_is_through_takes_the_next_trial_and_no_more_than_asked_for_are_at_work(ponds):
+    seen = []
+    judged(None, tanks=3, progress=lambda done: seen.append((done, sum(0 < pond.ticks[0] < 50 for pond in ponds))))
+    assert max(busy for _, busy in seen) == 3 and seen[-1][0] == 8 * STEPS
+    ends = [pond.ticks[0] for pond in ponds]
+    assert ends == [50] * 8 and [done for done, _ in seen] == sorted(done for done, _ in seen)
+
+
+def test_a_stopped_trial_is_kept_with_its_reason(tmp_path, monkeypatch, capsys):
+    advancing = Pond.advancing
+
+    def leaves(self, *args):
+        found = yield from advancing(self, *args)
+        self.stopped = ["left_domain at t = 0.2 s"] if self.flow.speed > 0.2 else [""]
+        return found
+
+    monkeypatch.setattr(Pond, "advancing", leaves)
+    found = judged(tmp_path, tanks=3)
+    assert (found.left[PLAN.speed > 0.2] == 51).all() and capsys.readouterr().err.count("truncated: left_domain") == 4
+    assert (judged(tmp_path).left == found.left).all()
+
+
+def test_a_controller_that_cannot_be_copied_judges_one_trial_after_another(ponds, capsys):
+    class Odd:
+        name = "odd"
+
+        def __init__(self):
+            self.inner = controllers.make("dob", ROBOT)
+            self.lock = (part for part in ())  # no copy of a generator
+
+        def reset(self, n):
+            assert n == 1
+            self.inner.reset(n)
+
+        def __call__(self, obs):
+            return self.inner(obs)
+
+    one = judged(None, Odd(), tanks=4)
+    assert "cannot be copied" in capsys.readouterr().err
+    np.testing.assert_allclose(one.pose, judged(None, tanks=4).pose, rtol=1e-12, atol=1e-12)
