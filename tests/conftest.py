@@ -10,6 +10,7 @@ numba, Warp, null runs of the search) is not judged: the next run does so.
 
 import os
 import resource
+import signal
 import time
 from pathlib import Path
 
@@ -23,12 +24,18 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")  # s;
 QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 os.environ.setdefault("XLA_FLAGS", f"{QUICKLY} --xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
+# A command in the background of a script ignores Ctrl-C, and one under nohup a closed terminal; what tests start shall not.
+for asked in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(asked) is signal.SIG_IGN:
+        signal.signal(asked, signal.default_int_handler if asked == signal.SIGINT else signal.SIG_DFL)
+
 settings.register_profile("fishmj", derandomize=True, deadline=None)
 settings.load_profile("fishmj")
 
 SLOWNESS = float(os.environ.get("FISHMJ_SLOWNESS", "1"))
 OF_A_TEST, OF_SHARED, OF_A_PART = 10.0 * SLOWNESS, 120.0 * SLOWNESS, 120.0 * SLOWNESS  # s of CPU
 LONGEST = "test_whole_loop.py"
+GRAIN = 0.01  # s, that the stamp of a folder may be behind the clock
 UNBOUNDED = ("slow", "gpu", "sb3", "ray")  # marks of what the default run leaves out
 
 _HOME = machine_code.cache_folder()
@@ -43,20 +50,20 @@ def spent() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
-def kept() -> dict[Path, int]:
-    """The folders of what is compiled once, each with the time of its last change."""
+def compiled_since(moment: float) -> bool:
+    """Has anything been written since then, s of the clock, that is compiled once and kept?"""
     folders = (*_KEPT, *_WARP.glob("*"), *_SOURCES.rglob("__pycache__"))
-    return {folder: folder.stat().st_mtime_ns for folder in folders if folder.is_dir()}
+    return any(folder.is_dir() and folder.stat().st_mtime > moment - GRAIN for folder in folders)
 
 
 def bounded(item: pytest.Item, bound: float, what: str):
     """Runs a phase of a test; fails it where it took more CPU than `bound`, in s, and nothing was compiled in it."""
     if any(item.get_closest_marker(mark) for mark in UNBOUNDED):
         return (yield)
-    before, began = kept(), spent()
+    moment, began = time.time(), spent()
     result = yield
     took = spent() - began
-    if took > bound and kept() == before:
+    if took > bound and not compiled_since(moment):
         pytest.fail(f"{what} took {took:.1f} s of CPU, at most {bound:g} s: make it cheaper, or mark it slow", pytrace=False)
     return result
 

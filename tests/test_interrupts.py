@@ -31,12 +31,24 @@ raise SystemExit(console.run(main, sys.argv[1:]))
 """
 
 
+STARTED: list[subprocess.Popen] = []  # by the test that runs
+
+
+@pytest.fixture(autouse=True)
+def nothing_left():
+    """A command that did not end as asked does not outlive its test."""
+    yield
+    while STARTED:
+        STARTED.pop().kill()
+
+
 def begun(tmp_path: Path, body: str, *argv: str) -> subprocess.Popen:
     """A command with this body, once it has made the file `begun`."""
     script = COMMAND.format(body=body.strip().replace("\n", "\n    "))
     env = {**os.environ, "PYTHONPATH": str(interrupts.ROOT)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen([sys.executable, "-c", script, *argv], cwd=tmp_path, env=env, **pipes)
+    STARTED.append(process)
     until = time.monotonic() + 60
     while not (tmp_path / "begun").exists() and process.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
