@@ -42,6 +42,13 @@ def nothing_left():
         STARTED.pop().kill()
 
 
+def made(path: Path, process: subprocess.Popen | None = None) -> None:
+    """Wait until this file is there, or the process has ended; a minute at most."""
+    until = time.monotonic() + 60
+    while not path.exists() and (process is None or process.poll() is None) and time.monotonic() < until:
+        time.sleep(0.02)
+
+
 def begun(tmp_path: Path, body: str, *argv: str) -> subprocess.Popen:
     """A command with this body, once it has made the file `begun`."""
     script = COMMAND.format(body=body.strip().replace("\n", "\n    "))
@@ -49,9 +56,7 @@ def begun(tmp_path: Path, body: str, *argv: str) -> subprocess.Popen:
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen([sys.executable, "-c", script, *argv], cwd=tmp_path, env=env, **pipes)
     STARTED.append(process)
-    until = time.monotonic() + 60
-    while not (tmp_path / "begun").exists() and process.poll() is None and time.monotonic() < until:
-        time.sleep(0.02)
+    made(tmp_path / "begun", process)
     return process
 
 
@@ -125,8 +130,7 @@ with interrupt.keeping(lambda: (open("keeping", "w").close(), time.sleep(60))):
 """
     process = begun(tmp_path, body)
     process.send_signal(signal.SIGINT)
-    while not (tmp_path / "keeping").exists():
-        time.sleep(0.02)
+    made(tmp_path / "keeping", process)
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=30)
@@ -164,9 +168,7 @@ console.say("nobody reads this")
         os.chdir(tmp_path)
         os.environ["PYTHONPATH"] = str(interrupts.ROOT)
         os.execv(sys.executable, [sys.executable, "-c", script])
-    until = time.monotonic() + 60
-    while not (tmp_path / "begun").exists() and time.monotonic() < until:
-        time.sleep(0.02)
+    made(tmp_path / "begun")
     os.close(terminal)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == console.HUNG_UP
     assert (tmp_path / "rested").exists()
@@ -198,8 +200,7 @@ def test_fault_13_a_robot_on_its_way_to_zero_has_more_than_the_usual_two_seconds
 def test_fault_13_asked_twice_a_robot_is_let_go_before_the_process_ends(tmp_path):
     process = begun(tmp_path, WAY_OUT.format(seconds=60))
     process.send_signal(signal.SIGINT)
-    while not (tmp_path / "heard").exists():
-        time.sleep(0.02)
+    made(tmp_path / "heard", process)
     time.sleep(interrupt.TWICE + 0.1)
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=30)

@@ -17,6 +17,9 @@ is pulled once, the path of a child in two fine steps is 2 c_i, the coarse one, 
 f_i(X): what leaves one level enters the other, mass and momentum to round-off. The second line of `coalesce`: paths that cut an
 edge of R. Beside an edge one child in four enters in the first step, and 2 s - 1 is taken less its mean, 1/2.
 
+What crosses is a matter of the box's size alone, and is listed once, a thread for each entry. An entry is a word: the direction,
+and the cell counted from the low corner of a box. `corner` is where in memory the fine array and R begin: (3,) fine, (3,) coarse.
+
 Nothing is divided by tau - 1, and the eddy viscosity may differ from cell to cell. After the collision the stress is
 -2 rho c_s^2 (tau - 1) dt S; with one viscosity on both levels, (tau_f - 1/2) dt_f = (tau_c - 1/2) dt_c, the two differ by
 rho c_s^2 S dt_f, and S is known from the velocity. In `explode` and `coalesce` the places do it. f_i of the fine level at x, t
@@ -32,15 +35,22 @@ uniform, and paths along edges of R are exact.
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
-from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec19, wrap
-from fishmj.lbm_oracle.fluid.storage import peek, poke
+from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec6i, vec19, wrap
+from fishmj.lbm_oracle.fluid.pairs import quotient
+from fishmj.lbm_oracle.fluid.step import within
+from fishmj.lbm_oracle.fluid.storage import peek, peek3, peek3_pair, peek_pair, poke, poke3, six
 
 wp.set_module_options({"max_unroll": 0, "enable_backward": False})  # unrolled, they take two minutes to compile
 
 _Q = wp.constant(Q)
-UNROLLED = {"max_unroll": 32, "enable_backward": False}  # nineteen loads under way at once
+UNROLLED = {"max_unroll": 32, "enable_backward": False}  # all loads of a thread under way at once
+BLOCK = 64  # threads that start and end together: `restrict` needs many registers, and few cells shall keep all processors busy
 GHOST = 1  # layers of fine cells round R
+CELL_BITS = 27  # of a word of a list; the direction has the other five: nineteen times the cells of an array are under 2^31
+_BITS, _CELL = wp.constant(CELL_BITS), wp.constant((1 << CELL_BITS) - 1)
 _CS2 = wp.constant(1.0 / 3.0)
+
+mat219 = wp.types.matrix(shape=(2, Q), dtype=wp.float32)
 
 
 @wp.struct
@@ -51,6 +61,9 @@ class Nest:
     fine: wp.vec3i  # cells of the fine array
     size: wp.vec3i  # fine cells of R
     ghost: wp.vec3i
+    shell: wp.vec3i  # coarse cells of R and of a layer round it, where there are ghosts
+    by_fine: wp.vec4i  # what divides by the sizes of y and z of the fine array (pairs.py)
+    by_shell: wp.vec4i
     linear: float  # 1; 0 makes E uniform, to show what that costs
 
 
@@ -95,16 +108,70 @@ def within_box(s: Nest, r: wp.vec3i, scale: int):
     return not (beyond(s, r, 0, scale) or beyond(s, r, 1, scale) or beyond(s, r, 2, scale))
 
 
+@wp.func_native("return (later ? second.data : first.data)[i];")
+def peek_either(first: wp.array(dtype=wp.float32), second: wp.array(dtype=wp.float32), later: int, i: int) -> wp.float32: ...
+
+
 @wp.func
-def exploded(s: Nest, low: wp.vec3i, f: wp.array(dtype=float), i: int, c: wp.vec3i, w: wp.vec3i, second: float):
-    """E_i(w, s) from the coarse populations; `low` is R's corner, w a fine cell counted from there."""
-    x = parent(w)
+def direction_in(word: int):
+    return (word >> _BITS) & 31
+
+
+@wp.func
+def cell_in(word: int, n: wp.vec3i, by: wp.vec4i):
+    """The cell of a word of a list, counted from the low corner of a box of n cells."""
+    at = word & _CELL
+    column = quotient(at, by[2], by[3])
+    x = quotient(column, by[0], by[1])
+    return wp.vec3i(x, column - x * n[1], at - column * n[2])
+
+
+@wp.func
+def in_fine(s: Nest, corner: vec6i, p: wp.vec3i):
+    """Where a fine cell is in memory, counted from the low corner of the fine array."""
+    n = s.fine
+    x, y, z = within(corner[0] + p[0], n[0]), within(corner[1] + p[1], n[1]), within(corner[2] + p[2], n[2])
+    return (x * n[1] + y) * n[2] + z
+
+
+@wp.func
+def in_coarse(s: Nest, corner: vec6i, x: wp.vec3i):
+    """Where a coarse cell is in memory, counted from R's low corner."""
     n = s.coarse
-    first = i * n[0] * n[1] * n[2]
-    here = peek(f, first + place(low + x, n))
+    i, j, k = within(corner[3] + x[0], n[0]), within(corner[4] + x[1], n[1]), within(corner[5] + x[2], n[2])
+    return (i * n[1] + j) * n[2] + k
+
+
+@wp.func
+def around(s: Nest, corner: vec6i, x: wp.vec3i):
+    """`in_coarse` of a cell, and of its neighbours behind it and ahead of it on each axis."""
+    n = s.coarse
+    i, j, k = within(corner[3] + x[0], n[0]), within(corner[4] + x[1], n[1]), within(corner[5] + x[2], n[2])
+    here = (i * n[1] + j) * n[2] + k
+    plane, row = n[1] * n[2], n[2]
+    behind = wp.vec3i(
+        here + wp.where(i > 0, -plane, (n[0] - 1) * plane),
+        here + wp.where(j > 0, -row, (n[1] - 1) * row),
+        here + wp.where(k > 0, -1, n[2] - 1),
+    )
+    ahead = wp.vec3i(
+        here + wp.where(i < n[0] - 1, plane, (1 - n[0]) * plane),
+        here + wp.where(j < n[1] - 1, row, (1 - n[1]) * row),
+        here + wp.where(k < n[2] - 1, 1, 1 - n[2]),
+    )
+    return here, behind, ahead
+
+
+@wp.func
+def exploded(s: Nest, corner: vec6i, f: wp.array(dtype=float), i: int, c: wp.vec3i, w: wp.vec3i, second: int):
+    """E_i(w, s) from the coarse populations; w is a fine cell counted from R's low corner."""
+    x = parent(w)
+    here, behind, ahead = around(s, corner, x)
+    first = i * (s.coarse[0] * s.coarse[1] * s.coarse[2])
+    value = peek(f, first + here)
     if s.linear == 0.0:
-        return here
-    k = 2.0 * second - 1.0
+        return value
+    k = 2.0 * float(second) - 1.0
     edges = int(0)  # noqa: UP018  a variable to Warp
     for a in range(3):
         if c[a] != 0 and beyond(s, x, a, 1):
@@ -112,87 +179,9 @@ def exploded(s: Nest, low: wp.vec3i, f: wp.array(dtype=float), i: int, c: wp.vec
     if edges == 2:
         k -= 0.5  # beside an edge of R one child in four enters in the first step: the mean over all shall stay f_i(X)
     d = offset(w) + 0.25 * k * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
-    value = here
     for a in range(3):
-        if d[a] != 0.0:
-            step = wp.vec3i(0, 0, 0)
-            step[a] = 1
-            value += 0.5 * d[a] * (peek(f, first + place(low + x + step, n)) - peek(f, first + place(low + x - step, n)))
+        value += 0.5 * d[a] * (peek(f, first + ahead[a]) - peek(f, first + behind[a]))
     return value
-
-
-@wp.kernel
-def explode(
-    s: Nest,
-    directions: wp.array(dtype=wp.vec3i),
-    ghosts: wp.array(dtype=wp.vec3i),
-    origin: wp.array(dtype=int),
-    second: int,
-    f: wp.array(dtype=float),
-    u: wp.array(dtype=wp.vec3),
-    f_fine: wp.array(dtype=float),
-    u_fine: wp.array(dtype=wp.vec3),
-):
-    """A population of a ghost cell before the first or the second fine step; with the rest population, the velocity, too."""
-    i, cell = wp.tid()
-    y, c = ghosts[cell], directions[i]
-    enters = within_box(s, y + c, 2)
-    if second == 1 and i > 0 and not enters:
-        return
-    low = low_of(s, origin)
-    n, m = s.fine, s.coarse
-    here, there = place(2 * low + y, n), place(low + parent(y), m)
-    if enters:
-        poke(f_fine, i * n[0] * n[1] * n[2] + here, exploded(s, low, f, i, c, y - second * c, float(second)))
-    else:  # nobody pulls it: only kept within what water does
-        poke(f_fine, i * n[0] * n[1] * n[2] + here, peek(f, i * m[0] * m[1] * m[2] + there))
-    if i == 0:  # for the gradients beside it
-        node, d = low + parent(y), offset(y)
-        value = u[there]
-        for a in range(3):
-            step = wp.vec3i(0, 0, 0)
-            step[a] = 1
-            value += 0.5 * d[a] * (u[place(node + step, m)] - u[place(node - step, m)])
-        u_fine[here] = value
-
-
-@wp.kernel
-def coalesce(
-    s: Nest,
-    directions: wp.array(dtype=wp.vec3i),
-    shell: wp.array(dtype=wp.vec3i),
-    origin: wp.array(dtype=int),
-    f_first: wp.array(dtype=float),
-    f_second: wp.array(dtype=float),
-    f: wp.array(dtype=float),
-):
-    """Coarse cells on both sides of R's faces: the populations that the next coarse step pulls out of R, and along its edges."""
-    i, cell = wp.tid()
-    x, c = shell[cell], directions[i]
-    if within_box(s, x + c, 1):
-        return
-    low = low_of(s, origin)
-    n, m = s.fine, s.coarse
-    first = i * n[0] * n[1] * n[2]
-    inside = within_box(s, x, 1)
-    total = float(0.0)  # noqa: UP018
-    cut = int(0)  # noqa: UP018
-    for child in range(8):
-        r = 2 * x + wp.vec3i(child / 4, (child / 2) % 2, child % 2)
-        if inside:
-            if within_box(s, r + c, 2):
-                total += peek(f_second, first + place(2 * low + r + c, n))
-            else:
-                total += peek(f_first, first + place(2 * low + r, n))
-        elif within_box(s, r + c, 2):
-            cut += 1
-            total += peek(f_second, first + place(2 * low + r + c, n))
-            total -= peek(f_first, first + place(2 * low + r, n))
-    slot = i * m[0] * m[1] * m[2] + place(low + x, m)
-    if inside:
-        poke(f, slot, 0.125 * total)
-    elif cut > 0:
-        poke(f, slot, peek(f, slot) + 0.125 * total)
 
 
 @wp.func
@@ -210,6 +199,108 @@ def stored(f: wp.array(dtype=float), n: wp.vec3i, here: int, q: vec19):
 
 
 @wp.func
+def filled(
+    s: Nest,
+    corner: vec6i,
+    p: wp.vec3i,
+    staying: int,
+    second: int,
+    f: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    f_fine: wp.array(dtype=float),
+    u_fine: wp.array(dtype=wp.vec3),
+):
+    """The velocity of a ghost cell, for the gradients beside it, and the populations whose bit is set in `staying`."""
+    cells = s.fine[0] * s.fine[1] * s.fine[2]
+    y = p - s.ghost
+    here = in_fine(s, corner, p)
+    there, behind, ahead = around(s, corner, parent(y))
+    d = offset(y)
+    value = peek3(u, there)
+    for a in range(3):
+        value += 0.5 * d[a] * (peek3(u, ahead[a]) - peek3(u, behind[a]))
+    poke3(u_fine, here, value)
+    if second == 1:
+        poke(f_fine, here, peek(f, there))
+    else:
+        q = loaded(f, s.coarse, there)
+        for i in range(_Q):
+            if (staying >> i) & 1 == 1:
+                poke(f_fine, i * cells + here, q[i])
+
+
+@wp.kernel(module="unique", module_options=UNROLLED, grid_stride=False)
+def explode(
+    s: Nest,
+    directions: wp.array(dtype=wp.vec3i),
+    ghosts: wp.array(dtype=int),
+    staying: wp.array(dtype=int),
+    entering: wp.array(dtype=int),
+    corner: wp.array(dtype=int),
+    second: int,
+    f: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    f_fine: wp.array(dtype=float),
+    u_fine: wp.array(dtype=wp.vec3),
+):
+    """Ghost cells before the first or the second fine step: a thread for each, then one for each population that enters R.
+
+    A bit of `staying` is set for each population that does not enter. Nobody pulls it: it is only kept within what water does,
+    before the first step; the rest population before both.
+    """
+    t = wp.tid()
+    o = six(corner)
+    if t < ghosts.shape[0]:
+        filled(s, o, cell_in(ghosts[t], s.fine, s.by_fine), staying[t], second, f, u, f_fine, u_fine)
+    else:
+        word = entering[t - ghosts.shape[0]]
+        i = direction_in(word)
+        c, p = directions[i], cell_in(word, s.fine, s.by_fine)
+        slot = i * (s.fine[0] * s.fine[1] * s.fine[2]) + in_fine(s, o, p)
+        poke(f_fine, slot, exploded(s, o, f, i, c, p - s.ghost - second * c, second))
+
+
+@wp.kernel(module="unique", module_options=UNROLLED, grid_stride=False)
+def coalesce(
+    s: Nest,
+    directions: wp.array(dtype=wp.vec3i),
+    leaving: wp.array(dtype=int),
+    later: wp.array(dtype=int),
+    corner: wp.array(dtype=int),
+    f_first: wp.array(dtype=float),
+    f_second: wp.array(dtype=float),
+    f: wp.array(dtype=float),
+):
+    """Coarse cells on both sides of R's faces: the populations that the next coarse step pulls out of R, and along its edges.
+
+    A bit of `later` is set for each child x with x + c_i in R.
+    """
+    t = wp.tid()
+    o = six(corner)
+    word, bits = leaving[t], later[t]
+    i = direction_in(word)
+    c = directions[i]
+    x = cell_in(word, s.shell, s.by_shell) - s.ghost
+    low = 2 * x + s.ghost
+    first = i * (s.fine[0] * s.fine[1] * s.fine[2])
+    slot = i * (s.coarse[0] * s.coarse[1] * s.coarse[2]) + in_coarse(s, o, x)
+    total = float(0.0)  # noqa: UP018
+    if within_box(s, x, 1):
+        for child in range(8):
+            bit = (bits >> child) & 1
+            p = low + wp.vec3i(child / 4, (child / 2) % 2, child % 2) + bit * c
+            total += peek_either(f_first, f_second, bit, first + in_fine(s, o, p))
+        poke(f, slot, 0.125 * total)
+    else:
+        for child in range(8):
+            if (bits >> child) & 1 == 1:
+                p = low + wp.vec3i(child / 4, (child / 2) % 2, child % 2)
+                total += peek(f_second, first + in_fine(s, o, p + c))
+                total -= peek(f_first, first + in_fine(s, o, p))
+        poke(f, slot, peek(f, slot) + 0.125 * total)
+
+
+@wp.func
 def strain(dx: wp.vec3, dy: wp.vec3, dz: wp.vec3):
     """dev S from d u / d x, d y, d z; (xx, yy, zz, xy, xz, yz)."""
     third = (dx[0] + dy[1] + dz[2]) / 3.0
@@ -217,43 +308,56 @@ def strain(dx: wp.vec3, dy: wp.vec3, dz: wp.vec3):
     return vec6(dx[0] - third, dy[1] - third, dz[2] - third, xy, xz, yz)
 
 
-@wp.kernel(module="unique", module_options=UNROLLED)
+@wp.func
+def loaded_pair(f: wp.array(dtype=float), cells: int, here: int):
+    """Two neighbours along z, the first at an even place."""
+    q = mat219()
+    for i in range(_Q):
+        both = peek_pair(f, i * cells + here)
+        q[0, i] = both[0]
+        q[1, i] = both[1]
+    return q
+
+
+@wp.kernel(module="unique", module_options=UNROLLED, grid_stride=False)
 def restrict(
     s: Nest,
-    children: int,
-    origin: wp.array(dtype=int),
+    pairs: int,
+    cells: wp.array(dtype=int),
+    corner: wp.array(dtype=int),
     f_fine: wp.array(dtype=float),
     u_fine: wp.array(dtype=wp.vec3),
     f: wp.array(dtype=float),
     u: wp.array(dtype=wp.vec3),
 ):
-    """The coarse cells of R from their children."""
-    i, j, k = wp.tid()
-    x = wp.vec3i(i, j, k)
-    low = low_of(s, origin)
+    """Coarse cells of R from their children, two neighbours along z at once: the first is at an even place."""
+    x = cell_in(cells[wp.tid()], s.shell, s.by_shell) - s.ghost
+    o = six(corner)
+    fine_cells = s.fine[0] * s.fine[1] * s.fine[2]
     drho, m, p, v = float(0.0), wp.vec3(), vec6(), wp.vec3()  # noqa: UP018
     dx, dy, dz = wp.vec3(), wp.vec3(), wp.vec3()
-    for child in range(children):  # eight, but the compiler shall not write them out
-        a, b, c = child / 4, (child / 2) % 2, child % 2
-        here = place(2 * (low + x) + wp.vec3i(a, b, c), s.fine)
-        q = loaded(f_fine, s.fine, here)
-        rho = density(q)
-        flow = momentum(q)
-        drho += 0.125 * rho
-        m += 0.125 * flow
-        p += 0.125 * non_equilibrium_stress(
-            q, rho, (1.0 / (1.0 + rho)) * flow
-        )  # of each child: not the stress of their differences
-        w = u_fine[here]
-        v += 0.125 * w
-        dx += 0.25 * float(2 * a - 1) * w
-        dy += 0.25 * float(2 * b - 1) * w
-        dz += 0.25 * float(2 * c - 1) * w
+    for pair in range(pairs):  # four, but the compiler shall not write them out
+        a, b = pair / 2, pair % 2
+        here = in_fine(s, o, 2 * x + s.ghost + wp.vec3i(a, b, 0))
+        both, velocities = loaded_pair(f_fine, fine_cells, here), peek3_pair(u_fine, here)
+        for c in range(2):
+            q, w = both[c], velocities[c]
+            rho = density(q)
+            flow = momentum(q)
+            drho += 0.125 * rho
+            m += 0.125 * flow
+            p += 0.125 * non_equilibrium_stress(
+                q, rho, (1.0 / (1.0 + rho)) * flow
+            )  # of each child: not the stress of their differences
+            v += 0.125 * w
+            dx += 0.25 * float(2 * a - 1) * w
+            dy += 0.25 * float(2 * b - 1) * w
+            dz += 0.25 * float(2 * c - 1) * w
     w = (1.0 / (1.0 + drho)) * m
     p += ((1.0 + drho) * _CS2) * strain(dx, dy, dz)
-    here = place(low + x, s.coarse)
+    here = in_coarse(s, o, x)
     stored(f, s.coarse, here, reconstruct(drho, w, w, p))
-    u[here] = v
+    poke3(u, here, v)
 
 
 @wp.func

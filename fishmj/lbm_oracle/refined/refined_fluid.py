@@ -1,14 +1,18 @@
 """Water on two levels: a box of finer cells in a coarser `Fluid`, stepped together.
 
     step 2 n      explode into the ghosts, fine step, what enters next, coalesce into the coarse populations
-    step 2 n + 1  fine step, coarse step, restrict                                             (exchange.py)
+    step 2 n + 1  fine step, coarse step, restrict, the finest box first                       (exchange.py)
 
 A `RefinedFluid` is the fine level, with all that a `Fluid` offers: a body is coupled to it, and steps with it. `outer` is the
-coarse level, which may be a window, and may itself be refined. Between two coarse steps (`whole`) both levels are complete: then
-the box may move by whole coarse cells. What it leaves is in the coarse cells already; what it comes to cover is made from them.
+coarse level, which may be a window, and may itself be refined. Between two coarse steps (`whole`) the box may move by whole
+coarse cells. What it leaves is in the coarse cells already; what it comes to cover is made from them.
+
+A box in a box is restricted in full when all levels are at the same time (`complete`). Between, only its rim is, a coarse cell
+wide: that is as far as the coarse cells outside, and `explode`, see into it.
 """
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,8 +24,9 @@ from fishmj.lbm_oracle.fluid.domain_faces import FACES, PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey
 from fishmj.lbm_oracle.fluid.fluid import NOWHERE, Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice, Q
+from fishmj.lbm_oracle.fluid.pairs import split_by
 from fishmj.lbm_oracle.refined import exchange
-from fishmj.lbm_oracle.refined.exchange import GHOST, Nest
+from fishmj.lbm_oracle.refined.exchange import BLOCK, CELL_BITS, GHOST, Nest
 
 RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one
 ROOM = 2  # coarse cells between R and a face of the coarse water
@@ -75,10 +80,10 @@ class RefinedFluid(Fluid):
         )
         self._made = True
         self._nest = _nest(outer.shape, self.shape, RATIO * self.size_lu, self._ghost, linear)
-        cells = lambda found: wp.array(np.array(found, np.int32).reshape(-1, 3), dtype=wp.vec3i, device=self.device)
-        self._ghosts = cells(_layers(RATIO * self.size_lu, self._ghost))
-        self._directions = cells(VELOCITIES)
-        self._shell = cells(_shell(self.size_lu, ~fills))
+        self._directions = wp.array(VELOCITIES.astype(np.int32), dtype=wp.vec3i, device=self.device)
+        lists = [wp.array(found, dtype=int, device=self.device) for found in _lists(_cells(size), _cells(self._ghost))]
+        self._ghosts, self._staying, self._entering, self._leaving, self._later, self._all, self._rim = lists
+        self._corner = wp.zeros(6, dtype=int, device=self.device)
         self._place(RATIO * np.array(low, int) - self._ghost)
         self.steps = RATIO * outer.steps
         self.clock.fill_(self.steps)
@@ -112,6 +117,11 @@ class RefinedFluid(Fluid):
         """Are both levels at the same time?"""
         return self.steps % RATIO == 0
 
+    @property
+    def complete(self) -> bool:
+        """Are all levels at the same time? Then each holds in its box what the finer level has there; else at the rim only."""
+        return all(box.whole for box in self.boxes)
+
     def set_flow(self, flow: Flow) -> None:
         super().set_flow(flow)
         if flow is not self.outer.flow:
@@ -123,30 +133,53 @@ class RefinedFluid(Fluid):
             self.outer.settle()
         super().settle()
 
+    def _place(self, origin: np.ndarray) -> None:
+        super()._place(origin)
+        corner = np.concatenate([origin % self.shape, self.low_lu % self.outer.shape])
+        self._corner.assign(corner.astype(np.int32))  # where in memory the fine array and R begin
+
     def stream_collide(self) -> None:
         """One fine time step, and every second time a coarse one."""
+        self._advance()
+        complete = self.complete
+        for box in self.boxes:  # the finest first: coarser cells are made of its
+            if not box.whole:
+                break
+            box._restrict(box._all if complete else box._rim)
+
+    def _advance(self) -> None:
+        """The same, but the coarse cells in a box stay as their own step leaves them."""
         coarse = self.outer
         if self.whole:
             self._explode(0)
             super().stream_collide()
             self._explode(1)
-            args = [self._nest, self._directions, self._shell, self.origin, self._f[1 - self.parity].flatten(), self.f.flatten()]
-            self._exchange(exchange.coalesce, (Q, len(self._shell)), args, [coarse.f.flatten()])
+            self._coalesce()
         else:
             super().stream_collide()
-            coarse.stream_collide()
-            self.restrict()
-            if isinstance(coarse, RefinedFluid) and coarse.whole:
-                coarse.restrict()  # again: its own came before the finest level's
+            if isinstance(coarse, RefinedFluid):
+                coarse._advance()
+            else:
+                coarse.stream_collide()
 
     def _explode(self, second: int) -> None:
-        args = [self._nest, self._directions, self._ghosts, self.origin, second, self.outer.f.flatten(), self.outer.u.flatten()]
-        self._exchange(exchange.explode, (Q, len(self._ghosts)), args, [self.f.flatten(), self.u.flatten()])
+        args = [self._nest, self._directions, self._ghosts, self._staying, self._entering, self._corner, second]
+        args += [self.outer.f.flatten(), self.outer.u.flatten()]
+        threads = len(self._ghosts) + len(self._entering)
+        self._exchange(exchange.explode, threads, args, [self.f.flatten(), self.u.flatten()])
+
+    def _coalesce(self) -> None:
+        args = [self._nest, self._directions, self._leaving, self._later, self._corner]
+        args += [self._f[1 - self.parity].flatten(), self.f.flatten()]
+        self._exchange(exchange.coalesce, len(self._leaving), args, [self.outer.f.flatten()])
 
     def restrict(self) -> None:
         """Coarse cells in the box from the fine ones."""
-        args = [self._nest, RATIO**3, self.origin, self.f.flatten(), self.u.flatten()]
-        self._exchange(exchange.restrict, tuple(self.size_lu.tolist()), args, [self.outer.f.flatten(), self.outer.u.flatten()])
+        self._restrict(self._all)
+
+    def _restrict(self, cells: wp.array) -> None:
+        args = [self._nest, RATIO**2, cells, self._corner, self.f.flatten(), self.u.flatten()]
+        self._exchange(exchange.restrict, len(cells), args, [self.outer.f.flatten(), self.outer.u.flatten()])
 
     def prolong(self, kept: tuple | None = None) -> None:
         """Fine cells from the coarse ones, but for those in the box `kept` of coarse cells, (low, size)."""
@@ -156,7 +189,7 @@ class RefinedFluid(Fluid):
         self._exchange(exchange.prolong, tuple(self.size_lu.tolist()), args, [self.f.flatten(), self.u.flatten()])
 
     def _exchange(self, kernel, dim, inputs, outputs) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, block_dim=BLOCK)
 
     def move(self, by: Cells) -> None:
         """Move the box by whole coarse cells, between two coarse steps.
@@ -168,6 +201,8 @@ class RefinedFluid(Fluid):
             raise ConfigError("refined: the box moves between two coarse steps only, after an even number of its own")
         old = self.low_lu
         self._fills(old + by)
+        if not self.complete:
+            self.restrict()  # what the box leaves behind
         self._place(RATIO * (old + by) - self._ghost)
         self.prolong((old, self.size_lu))
 
@@ -223,8 +258,8 @@ class RefinedFluid(Fluid):
         """A graph of a whole period from the present phase on; capturing does not run it."""
         key = self.phase
         if key not in self._graphs:
-            wp.load_module(exchange, device=self.device)
-            exchange.restrict.module.load(self.device)
+            for kernel in (exchange.explode, exchange.coalesce, exchange.restrict):
+                kernel.module.load(self.device, BLOCK)
             for level in self.levels:
                 level._kernel.module.load(self.device)
             account = self.account
@@ -346,7 +381,11 @@ def _room(outer: Fluid) -> int:
 
 def _nest(coarse, fine, size, ghost, linear: bool) -> Nest:
     made = Nest()
-    made.coarse, made.fine, made.size, made.ghost = (wp.vec3i(*map(int, n)) for n in (coarse, fine, size, ghost))
+    shell = size // RATIO + 2 * ghost
+    made.coarse, made.fine, made.size, made.ghost, made.shell = (
+        wp.vec3i(*map(int, n)) for n in (coarse, fine, size, ghost, shell)
+    )
+    made.by_fine, made.by_shell = (wp.vec4i(*split_by(int(n[1])), *split_by(int(n[2]))) for n in (fine, shell))
     made.linear = float(linear)
     return made
 
@@ -366,3 +405,58 @@ def _shell(size: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Cells on both sides of the faces of a box, on the axes that have `ends`, (n, 3)."""
     r = np.indices(tuple(size + 2 * ends)).reshape(3, -1).T - ends
     return r[~np.all((r > 0) & (r < size - 1) | ~ends, 1)]
+
+
+def _inside(r: np.ndarray, size: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Which cells (..., 3) are in a box of `size` from (0, 0, 0) on; only axes that have `ends` count."""
+    return np.all((r >= 0) & (r < size) | ~ends, -1)
+
+
+def _words(at: np.ndarray, shape: np.ndarray, directions: Any = 0) -> np.ndarray:
+    """Cells (n, 3) of a box of `shape`, and a direction of each, (n,) int32 (exchange.py, `CELL_BITS`)."""
+    cells = np.ravel_multi_index(tuple(at.T), tuple(shape.tolist()))
+    return (np.asarray(directions, np.int64) << CELL_BITS | cells).astype(np.uint32).view(np.int32)
+
+
+@cache
+def _lists(size: Cells, ghost: Cells) -> tuple[np.ndarray, ...]:
+    """Of a box of `size` coarse cells, what `_entering`, `_leaving` and `_covered` find: a second for a million fine cells."""
+    coarse, width = np.array(size), np.array(ghost)
+    return *_entering(RATIO * coarse, width), *_leaving(coarse, width), *_covered(coarse, width)
+
+
+def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `explode` goes through, for a box of `size` fine cells, by direction and in order of memory.
+
+    Returns:
+        Words of the ghost cells, (n,); for each a bit for every direction that does not enter, (n,); words of what enters, (m,).
+    """
+    y, ends, shape = _layers(size, ghost), ghost > 0, size + 2 * ghost
+    enters = np.array([_inside(y + c, size, ends) for c in VELOCITIES])
+    direction, cell = np.nonzero(enters)
+    staying = (~enters * (1 << np.arange(Q))[:, None]).sum(0)
+    return _words(y + ghost, shape), staying.astype(np.int32), _words(y[cell] + ghost, shape, direction)
+
+
+def _leaving(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `coalesce` goes through, for a box of `size` coarse cells, by direction.
+
+    Returns:
+        Words of coarse cells on both sides of the box's faces, (n,); for each a bit for every child x with x + c_i in it, (n,).
+    """
+    ends, shape = ghost > 0, size + 2 * ghost
+    x = _shell(size, ends)
+    later = np.zeros((Q, len(x)), int)
+    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
+        for i, c in enumerate(VELOCITIES):
+            later[i] |= _inside(RATIO * x + r + c, RATIO * size, ends).astype(int) << child
+    moves = np.array([~_inside(x + c, size, ends) for c in VELOCITIES]) & (_inside(x, size, ends) | (later > 0))
+    direction, cell = np.nonzero(moves)
+    return _words(x[cell] + ghost, shape, direction), later[direction, cell].astype(np.int32)
+
+
+def _covered(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `restrict` goes through, words as `_leaving`'s: all coarse cells of a box, (n,), and those at its faces, (m,)."""
+    cells = lambda r: _words(r + ghost, size + 2 * ghost)
+    shell = _shell(size, ghost > 0)
+    return cells(np.indices(tuple(size)).reshape(3, -1).T), cells(shell[_inside(shell, size, ghost > 0)])
