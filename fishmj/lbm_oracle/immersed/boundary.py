@@ -24,7 +24,7 @@ from fishmj.lbm_oracle.immersed.kernels import check_width
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import Markers
 
-GPU_CHUNKS = 16  # partial sums over the markers; one on the CPU
+MARKERS_A_CHUNK, CHUNKS = 24, (16, 256)  # of a partial sum over the markers; how many of these at least and at most on a GPU
 MARGIN = 4  # cells of the scratch box round the markers: half a kernel, rounding, the bend of the skin
 
 
@@ -98,10 +98,11 @@ class Boundary:
         self.wanted, self.force = empty((n, self.rhs), wp.vec3), empty((n, self.rhs), wp.vec3)
         self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)  # all v_j and the rest state at once: one set of launches
         self.final = empty(n, wp.vec3)
-        chunks = min(GPU_CHUNKS, n) if device.is_cuda else 1
+        chunks = min(n, max(CHUNKS[0], min(n // MARKERS_A_CHUNK, CHUNKS[1]))) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
         self._solvers = fsi_solve.BLOCK if device.is_cuda else 1  # threads
+        self._adders = fsi_solve.WARP if device.is_cuda else 1  # threads that add up the chunks of an entry
         self.elimination = empty(self.dofs * self.rhs, wp.float64), empty(self.dofs, wp.int32), empty(self.dofs, wp.int32)
         self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
         sent, returned = (_reached(array, device) for array in (self.staging, self.inbox))
@@ -193,7 +194,8 @@ class Boundary:
         # float32 forces, float64 sums: K joins masses of trunk and tail in one solve
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(fsi_solve.response_part, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
-        self._launch(fsi_solve.response_total, self.water.shape, [self.part, scale * lat.velocity], [self.water])
+        total_in = [self.part, scale * lat.velocity, self._adders]
+        self._launch(fsi_solve.response_total, (*self.water.shape, self._adders), total_in, [self.water])
         if self._branch is not None:
             wp.get_stream(self.device).wait_stream(self._branch)
 
@@ -218,8 +220,8 @@ class Boundary:
         lat = self.lattice
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
         self._launch(fsi_solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
-        args = [self.wrench_part, lat.mass * lat.velocity, self.host, self.layout]
-        self._launch(fsi_solve.add_wrench, (self.links, 6), args, [self._wrench, self._returned_wrench])
+        args = [self.wrench_part, lat.mass * lat.velocity, self._adders, self.host, self.layout]
+        self._launch(fsi_solve.add_wrench, (self.links, 6, self._adders), args, [self._wrench, self._returned_wrench])
 
     def spread_force(self, acceleration: wp.array) -> None:
         """Queue the final force into the fluid's `acceleration`."""

@@ -12,7 +12,7 @@ from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 256  # threads of the one block that solves on a GPU: Warp's own number, with any other the module is compiled twice
-WARP = 32  # of them run in step: they take the columns of a row, so that they read and write side by side
+WARP = 32  # of them run in step: they take the columns of a row, or the chunks of a sum, and read and write side by side
 
 
 @wp.kernel
@@ -39,14 +39,33 @@ def response_part(
     part[c, i, r] = total
 
 
-@wp.kernel
-def response_total(part: wp.array3d(dtype=wp.float64), scale: wp.float64, total: wp.array2d(dtype=wp.float64)):
-    """total[i, r] = scale sum_c part[c, i, r]."""
-    i, r = wp.tid()
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int o = 16; o > 0; o /= 2) x += __shfl_xor_sync(0xffffffffu, x, o);
+#endif
+    return x;
+""")
+def over_warp(x: wp.float64) -> wp.float64: ...
+
+
+@wp.func
+def over_chunks(part: wp.array3d(dtype=wp.float64), i: int, j: int, lane: int, lanes: int):
+    """sum_c part[c, i, j], by the lanes of a warp together; by one thread on the CPU."""
     s = wp.float64(0.0)
-    for c in range(part.shape[0]):
-        s += part[c, i, r]
-    total[i, r] = scale * s
+    c = int(lane)
+    while c < part.shape[0]:
+        s += part[c, i, j]
+        c += lanes
+    return over_warp(s)
+
+
+@wp.kernel
+def response_total(part: wp.array3d(dtype=wp.float64), scale: wp.float64, lanes: int, total: wp.array2d(dtype=wp.float64)):
+    """total[i, r] = scale sum_c part[c, i, r]."""
+    i, r, lane = wp.tid()
+    s = over_chunks(part, i, r, lane, lanes)
+    if lane == 0:
+        total[i, r] = scale * s
 
 
 @wp.func_native("""
@@ -214,15 +233,16 @@ def wrench(
     origin = point3(host, at.frame + 12 * l)
     k = c
     while k < volume.shape[0]:
+        force, place, s, v = final[k], world[k], share[k], volume[k]  # all loads at once, whoever needs them
         w = wp.float64(0.0)  # a thread sums for one link: atomics over links would add in another order every time
         if before[k] == l:
-            w += wp.float64(1.0) - share[k]
+            w += wp.float64(1.0) - s
         if after[k] == l:
-            w += share[k]
+            w += s
         if w > wp.float64(0.0):
-            f = (-w * wp.float64(volume[k])) * wp.vec3d(wp.float64(final[k][0]), wp.float64(final[k][1]), wp.float64(final[k][2]))
+            f = (-w * wp.float64(v)) * wp.vec3d(wp.float64(force[0]), wp.float64(force[1]), wp.float64(force[2]))
             push += f
-            turn += wp.cross(world[k] - origin, f)
+            turn += wp.cross(place - origin, f)
         k += part.shape[0]
     for i in range(3):
         part[c, l, i] = push[i]
@@ -233,16 +253,16 @@ def wrench(
 def add_wrench(
     part: wp.array3d(dtype=wp.float64),
     scale: wp.float64,
+    lanes: int,
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     total: wp.array2d(dtype=wp.float64),
     on_host: wp.array2d(dtype=wp.float64),
 ):
     """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far; `on_host` is the host's copy."""
-    l, i = wp.tid()
-    s = wp.float64(0.0)
-    for c in range(part.shape[0]):
-        s += part[c, l, i]
-    before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
-    total[l, i] = before + scale * s
-    on_host[l, i] = before + scale * s
+    l, i, lane = wp.tid()
+    s = over_chunks(part, l, i, lane, lanes)
+    if lane == 0:
+        before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
+        total[l, i] = before + scale * s
+        on_host[l, i] = before + scale * s

@@ -24,6 +24,7 @@ from fishmj.lbm_oracle.immersed.kernels import CouplingArrays, first, phi, pulle
 LANES = 32  # of a marker, on an accelerator
 GROUP = 4  # lanes of a marker and right-hand side in `answer`
 PASSES = 2  # that these kernels do
+BLOCKS = 128  # of `answer`, about as many as a device runs at once: the one that ends last adds up what all have found
 MOST = 24  # degrees of freedom that are solved for in shared memory
 
 
@@ -410,7 +411,8 @@ class MarkerWarps:
         self.boundary, on_gpu = boundary, device.is_cuda
         self._place, self._look, self._answer, self._push = marker_kernels(b.width, on_gpu, number)
         self._threads = b.count * (LANES if on_gpu else 1)
-        self._chunk = max(1, fsi_solve.BLOCK // (GROUP * b.rhs)) if on_gpu else b.count  # markers of a block in `answer`
+        least, most = fsi_solve.BLOCK // (GROUP * b.rhs), -(-b.count // BLOCKS)
+        self._chunk = max(1, least, most) if on_gpu else b.count  # markers of a block in `answer`
         blocks = -(-b.count // self._chunk)
         self._answering = blocks * (fsi_solve.BLOCK if on_gpu else 1)
         empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)

@@ -199,34 +199,15 @@ def stored(f: wp.array(dtype=float), n: wp.vec3i, here: int, q: vec19):
 
 
 @wp.func
-def filled(
-    s: Nest,
-    corner: vec6i,
-    p: wp.vec3i,
-    staying: int,
-    second: int,
-    f: wp.array(dtype=float),
-    u: wp.array(dtype=wp.vec3),
-    f_fine: wp.array(dtype=float),
-    u_fine: wp.array(dtype=wp.vec3),
-):
-    """The velocity of a ghost cell, for the gradients beside it, and the populations whose bit is set in `staying`."""
-    cells = s.fine[0] * s.fine[1] * s.fine[2]
+def met(s: Nest, corner: vec6i, p: wp.vec3i, u: wp.array(dtype=wp.vec3)):
+    """The velocity of a ghost cell, linear in the coarse one, for the gradients beside it."""
     y = p - s.ghost
-    here = in_fine(s, corner, p)
     there, behind, ahead = around(s, corner, parent(y))
     d = offset(y)
     value = peek3(u, there)
     for a in range(3):
         value += 0.5 * d[a] * (peek3(u, ahead[a]) - peek3(u, behind[a]))
-    poke3(u_fine, here, value)
-    if second == 1:
-        poke(f_fine, here, peek(f, there))
-    else:
-        q = loaded(f, s.coarse, there)
-        for i in range(_Q):
-            if (staying >> i) & 1 == 1:
-                poke(f_fine, i * cells + here, q[i])
+    return value
 
 
 @wp.kernel(module="unique", module_options=UNROLLED, grid_stride=False)
@@ -238,25 +219,35 @@ def explode(
     entering: wp.array(dtype=int),
     corner: wp.array(dtype=int),
     second: int,
+    copies: int,
     f: wp.array(dtype=float),
     u: wp.array(dtype=wp.vec3),
     f_fine: wp.array(dtype=float),
     u_fine: wp.array(dtype=wp.vec3),
 ):
-    """Ghost cells before the first or the second fine step: a thread for each, then one for each population that enters R.
+    """Ghost cells before the first or the second fine step: `copies` threads for each, then one for each that enters R.
 
     A bit of `staying` is set for each population that does not enter. Nobody pulls it: it is only kept within what water does,
-    before the first step; the rest population before both.
+    before the first step; the rest population, and with it the velocity, before both. So `copies` is 19, then 1.
     """
     t = wp.tid()
     o = six(corner)
-    if t < ghosts.shape[0]:
-        filled(s, o, cell_in(ghosts[t], s.fine, s.by_fine), staying[t], second, f, u, f_fine, u_fine)
+    cells = s.fine[0] * s.fine[1] * s.fine[2]
+    if t < copies * ghosts.shape[0]:
+        i = t / ghosts.shape[0]
+        k = t - i * ghosts.shape[0]
+        if (staying[k] >> i) & 1 == 1:
+            p = cell_in(ghosts[k], s.fine, s.by_fine)
+            here = in_fine(s, o, p)
+            there = in_coarse(s, o, parent(p - s.ghost))
+            poke(f_fine, i * cells + here, peek(f, i * (s.coarse[0] * s.coarse[1] * s.coarse[2]) + there))
+            if i == 0:
+                poke3(u_fine, here, met(s, o, p, u))
     else:
-        word = entering[t - ghosts.shape[0]]
+        word = entering[t - copies * ghosts.shape[0]]
         i = direction_in(word)
         c, p = directions[i], cell_in(word, s.fine, s.by_fine)
-        slot = i * (s.fine[0] * s.fine[1] * s.fine[2]) + in_fine(s, o, p)
+        slot = i * cells + in_fine(s, o, p)
         poke(f_fine, slot, exploded(s, o, f, i, c, p - s.ghost - second * c, second))
 
 

@@ -163,9 +163,10 @@ class RefinedFluid(Fluid):
                 coarse.stream_collide()
 
     def _explode(self, second: int) -> None:
-        args = [self._nest, self._directions, self._ghosts, self._staying, self._entering, self._corner, second]
+        copies = 1 if second else Q
+        args = [self._nest, self._directions, self._ghosts, self._staying, self._entering, self._corner, second, copies]
         args += [self.outer.f.flatten(), self.outer.u.flatten()]
-        threads = len(self._ghosts) + len(self._entering)
+        threads = copies * len(self._ghosts) + len(self._entering)
         self._exchange(exchange.explode, threads, args, [self.f.flatten(), self.u.flatten()])
 
     def _coalesce(self) -> None:
