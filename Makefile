@@ -1,6 +1,7 @@
 # make demo         train a fish, judge it, watch it
 # make test         style, types, and the tests of every run: all fast ones, and each part of the product once
 # make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, docs, wheel
+# make verify-share SHARE=2/6   the second of six parts of it, with as much as one run of .ci/run has time for
 # make docs         the site of docs/, into build/docs; a broken link fails
 # make bench        one JSON line a benchmark
 # make lint         style and types only
@@ -22,7 +23,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # tests start many processes; without bytecode each of them compiles the package
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test verify sb3 ray solver docs bench lint install manifest wheel release clean
+.PHONY: demo test verify verify-share slow discrepancy sb3 ray solver docs bench lint install manifest wheel release clean
 .DEFAULT_GOAL := test
 
 install: $(INSTALLED)
@@ -55,9 +56,21 @@ test: lint
 	@$(STEP) "tests" $(PY) -m pytest -q $(WORKERS) --durations 10
 
 verify: $(EXTRAS) $(SITE)
-	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) --durations 20 -m "slow and not gpu and not sb3 and not ray" $(call marked,slow)
-	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 10 --seed 1 --jobs $(JOBS)
+	@$(MAKE) --no-print-directory slow discrepancy
 	@$(MAKE) --no-print-directory -j $(JOBS) --output-sync=target wheel sb3 ray solver docs
+
+# the K-th part of N: every N-th file of slow tests, and of the other parts of `make verify` every N-th
+SHARE ?= 1/1
+OTHERS := discrepancy wheel sb3 ray solver docs
+verify-share: $(INSTALLED)
+	@$(MAKE) --no-print-directory slow FISHMJ_SHARE=$(SHARE)
+	@$(MAKE) --no-print-directory -j $(JOBS) --output-sync=target $$(.ci/share $(SHARE) $(OTHERS))
+
+slow: $(EXTRAS)
+	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) --durations 20 -m "slow and not gpu and not sb3 and not ray" $(call marked,slow)
+
+discrepancy: $(INSTALLED)
+	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 10 --seed 1 --jobs $(JOBS)
 
 # each of these keeps one core busy: `make verify` runs them side by side
 sb3 ray: $(EXTRAS)

@@ -414,6 +414,7 @@ class Progress:
         self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
         self._clock, self._start = clock, clock()
         self.begun = 0.0  # done before, and no part of the rate
+        self._most = 0.0  # the greatest that was reported
         self._shown = -math.inf
         self._seen = [(self._start, 0.0)]  # (time [s], done), the last `MEMORY` seconds
         self._named = False  # a stage without a rate is under way
@@ -443,8 +444,12 @@ class Progress:
         return max(self.total - self._seen[-1][1], 0.0) / self.rate if self.rate > 0 else math.inf
 
     def update(self, done: float, **fields: Any) -> None:
-        """Report `done` of `total` and any named figures; prints only when it is time to."""
-        now = self._clock()
+        """Report `done` of `total` and any named figures; prints only when it is time to.
+
+        Less than before counts as before: of several processes one may have ended a part that it has not told of yet.
+        """
+        now, done = self._clock(), max(done, self._most)
+        self._most = done
         if self._named:
             self._named, self._seen, self._shown = False, [], -math.inf
         self._seen.append((now, done))

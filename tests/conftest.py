@@ -2,7 +2,8 @@
 
 A test without the mark `slow` takes at most 5 s of CPU, its child processes included: CPU time, because wall time is
 also that of the other work on the machine. It fails above `OF_A_TEST`, twice that: a machine may be half as fast.
-Where the speed of the machine is not known, `FISHMJ_SLOWNESS` multiplies all bounds (`.ci/run` sets 3). What a setup
+Where the speed of the machine is not known, `FISHMJ_SLOWNESS` multiplies all bounds (`.ci/run` sets 3). `FISHMJ_SHARE`
+runs a part of the files, so that a slow tier is spread over several runs. What a setup
 makes may be shared by a file or by all files and has `OF_SHARED`; one part of the product from end to end (mark
 `part`) has `OF_A_PART`. A test during which something was compiled that is kept between runs (`fishmj.machine_code`,
 numba, Warp, null runs of the search) is not judged: the next run does so.
@@ -36,6 +37,7 @@ SLOWNESS = float(os.environ.get("FISHMJ_SLOWNESS", "1"))
 OF_A_TEST, OF_SHARED, OF_A_PART = 10.0 * SLOWNESS, 120.0 * SLOWNESS, 120.0 * SLOWNESS  # s of CPU
 LONGEST = "test_whole_loop.py"
 GRAIN = 0.01  # s, that the stamp of a folder may be behind the clock
+SHARE, SHARES = map(int, os.environ.get("FISHMJ_SHARE", "1/1").split("/"))  # 2/5: every fifth file of tests, from the second on
 UNBOUNDED = ("slow", "gpu", "sb3", "ray")  # marks of what the default run leaves out
 
 _HOME = machine_code.cache_folder()
@@ -68,9 +70,16 @@ def bounded(item: pytest.Item, bound: float, what: str):
     return result
 
 
-def pytest_collection_modifyitems(items):
-    """The longest file first: begun last, it keeps one worker busy for minutes while the others have nothing left to do."""
+def pytest_collection_modifyitems(config, items):
+    """The longest file first: begun last, it keeps one worker busy for minutes while the others have nothing left to do.
+
+    Of a share of the tests only the files of that share.
+    """
     items.sort(key=lambda item: item.path.name != LONGEST)
+    mine = set(sorted({item.path.name for item in items})[SHARE - 1 :: SHARES])
+    if others := [item for item in items if item.path.name not in mine]:
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if item.path.name in mine]
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -162,6 +162,16 @@ def test_a_screen_gets_one_line_that_is_rewritten():
     assert "100 %" in text and "reward 0.5" in text and "took 4.0 s" in text
 
 
+def test_progress_never_goes_back():
+    clock = Clock()
+    bar = console.Progress(100, "judge", "s", stream=Screen(), clock=clock)
+    for done in (10, 30, 20, 40):
+        clock.now += 1
+        bar.update(done)
+        assert bar.rate >= 0 and "? left" not in bar.line()
+    assert " 40 %" in bar.line()
+
+
 def test_a_file_gets_few_lines_without_carriage_returns():
     clock, file = Clock(), io.StringIO()
     with console.Progress(1000, "train", "steps", stream=file, clock=clock) as bar:
