@@ -328,7 +328,8 @@ def in_tanks(
                 yield i, _arrays(end.value, engine)
                 emptied += 1
                 del engine, steps
-        if emptied >= tanks:  # captured launches and their tank hold each other: without this a GPU fills up with old water
+        # captured launches and their tank hold each other: without this a GPU fills up with old water
+        if emptied >= tanks and not device.startswith("cpu"):
             gc.collect()
             emptied = 0
         if (now := sum(done.values())) != seen:
