@@ -1,7 +1,7 @@
 # make demo         train a fish, judge it, watch it
 # make test         style, types, and the tests of every run: all fast ones, and each part of the product once
 # make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, docs, wheel
-# make verify-share SHARE=2/8   the second of eight parts of it: as much as .ci/run has time for
+# make verify-share SHARE=2/10   the second of ten parts of it: as much as .ci/run has time for
 # make docs         the site of docs/, into build/docs; a broken link fails
 # make bench        one JSON line a benchmark
 # make lint         style and types only
@@ -64,7 +64,7 @@ SHARE ?= 1/1
 OTHERS := discrepancy wheel sb3 ray solver docs
 verify-share: $(INSTALLED)
 	@$(MAKE) --no-print-directory slow FISHMJ_SHARE=$(SHARE)
-	@$(MAKE) --no-print-directory -j $(JOBS) --output-sync=target $$(.ci/share $(SHARE) $(OTHERS))
+	@some=$$(.ci/share $(SHARE) $(OTHERS)); [ -z "$$some" ] || $(MAKE) --no-print-directory -j $(JOBS) --output-sync=target $$some
 
 slow: $(EXTRAS)
 	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) --durations 20 -m "slow and not gpu and not sb3 and not ray" $(call marked,slow)
