@@ -14,6 +14,13 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = 256  # threads of the one block that solves on a GPU: Warp's own number, with any other the module is compiled twice
 WARP = 32  # of them run in step: they take the columns of a row, or the chunks of a sum, and read and write side by side
 
+OVER_WARP = """
+#if defined(__CUDA_ARCH__)
+    for (int o = 16; o > 0; o /= 2) x += __shfl_xor_sync(0xffffffffu, x, o);
+#endif
+    return x;
+"""  # the sum of a number of any kind over the lanes of a warp
+
 
 @wp.kernel
 def fetch(sent: wp.array(dtype=wp.float64), host: wp.array(dtype=wp.float64)):
@@ -39,12 +46,7 @@ def response_part(
     part[c, i, r] = total
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    for (int o = 16; o > 0; o /= 2) x += __shfl_xor_sync(0xffffffffu, x, o);
-#endif
-    return x;
-""")
+@wp.func_native(OVER_WARP)
 def over_warp(x: wp.float64) -> wp.float64: ...
 
 

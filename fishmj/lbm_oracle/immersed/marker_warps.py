@@ -28,12 +28,7 @@ BLOCKS = 128  # of `answer`, about as many as a device runs at once: the one tha
 MOST = 24  # degrees of freedom that are solved for in shared memory
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    for (int o = 16; o > 0; o /= 2) x += __shfl_xor_sync(0xffffffffu, x, o);
-#endif
-    return x;
-""")
+@wp.func_native(fsi_solve.OVER_WARP)
 def over_warp(x: wp.float32) -> wp.float32: ...
 
 

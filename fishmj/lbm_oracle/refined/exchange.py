@@ -35,7 +35,7 @@ uniform, and paths along edges of R are exact.
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
-from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec6i, vec19, wrap
+from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec6i, vec19
 from fishmj.lbm_oracle.fluid.pairs import quotient
 from fishmj.lbm_oracle.fluid.step import within
 from fishmj.lbm_oracle.fluid.storage import peek, peek3, peek3_pair, peek_pair, poke, poke3, six
@@ -68,18 +68,6 @@ class Nest:
 
 
 @wp.func
-def low_of(s: Nest, origin: wp.array(dtype=int)):
-    """World node of R's low corner on the coarse level; `origin` is the fine array's."""
-    return wp.vec3i((origin[0] + s.ghost[0]) / 2, (origin[1] + s.ghost[1]) / 2, (origin[2] + s.ghost[2]) / 2)
-
-
-@wp.func
-def place(node: wp.vec3i, n: wp.vec3i):
-    """Where a world node is in memory."""
-    return (wrap(node[0], n[0]) * n[1] + wrap(node[1], n[1])) * n[2] + wrap(node[2], n[2])
-
-
-@wp.func
 def half(i: int):
     """floor(i / 2) for i >= -4, a fine cell's coarse one."""
     return (i + 4) / 2 - 2
@@ -98,14 +86,14 @@ def offset(r: wp.vec3i):
 
 
 @wp.func
-def beyond(s: Nest, r: wp.vec3i, axis: int, scale: int):
-    """Is r, in cells of size 1 / scale of a coarse one, outside R along an axis that R does not fill?"""
-    return s.ghost[axis] > 0 and (r[axis] < 0 or 2 * r[axis] >= scale * s.size[axis])
+def beyond(s: Nest, x: wp.vec3i, axis: int):
+    """Is a coarse cell, counted from R's low corner, outside R along an axis that R does not fill?"""
+    return s.ghost[axis] > 0 and (x[axis] < 0 or 2 * x[axis] >= s.size[axis])
 
 
 @wp.func
-def within_box(s: Nest, r: wp.vec3i, scale: int):
-    return not (beyond(s, r, 0, scale) or beyond(s, r, 1, scale) or beyond(s, r, 2, scale))
+def within_box(s: Nest, x: wp.vec3i):
+    return not (beyond(s, x, 0) or beyond(s, x, 1) or beyond(s, x, 2))
 
 
 @wp.func_native("return (later ? second.data : first.data)[i];")
@@ -174,7 +162,7 @@ def exploded(s: Nest, corner: vec6i, f: wp.array(dtype=float), i: int, c: wp.vec
     k = 2.0 * float(second) - 1.0
     edges = int(0)  # noqa: UP018  a variable to Warp
     for a in range(3):
-        if c[a] != 0 and beyond(s, x, a, 1):
+        if c[a] != 0 and beyond(s, x, a):
             edges += 1
     if edges == 2:
         k -= 0.5  # beside an edge of R one child in four enters in the first step: the mean over all shall stay f_i(X)
@@ -276,7 +264,7 @@ def coalesce(
     first = i * (s.fine[0] * s.fine[1] * s.fine[2])
     slot = i * (s.coarse[0] * s.coarse[1] * s.coarse[2]) + in_coarse(s, o, x)
     total = float(0.0)  # noqa: UP018
-    if within_box(s, x, 1):
+    if within_box(s, x):
         for child in range(8):
             bit = (bits >> child) & 1
             p = low + wp.vec3i(child / 4, (child / 2) % 2, child % 2) + bit * c
@@ -352,9 +340,9 @@ def restrict(
 
 
 @wp.func
-def moments(f: wp.array(dtype=float), n: wp.vec3i, node: wp.vec3i):
-    """rho - 1 and rho u of a coarse node."""
-    q = loaded(f, n, place(node, n))
+def moments(f: wp.array(dtype=float), n: wp.vec3i, here: int):
+    """rho - 1 and rho u of a coarse cell."""
+    q = loaded(f, n, here)
     m = momentum(q)
     return wp.vec4(density(q), m[0], m[1], m[2])
 
@@ -362,7 +350,7 @@ def moments(f: wp.array(dtype=float), n: wp.vec3i, node: wp.vec3i):
 @wp.kernel
 def prolong(
     s: Nest,
-    origin: wp.array(dtype=int),
+    corner: wp.array(dtype=int),
     kept_low: wp.vec3i,
     kept_size: wp.vec3i,
     f: wp.array(dtype=float),
@@ -370,32 +358,35 @@ def prolong(
     f_fine: wp.array(dtype=float),
     u_fine: wp.array(dtype=wp.vec3),
 ):
-    """The fine cells of R from the coarse level, but for those in a box of coarse cells that keep what they have."""
+    """The fine cells of R from the coarse level, but for those in a box of coarse cells that keep what they have.
+
+    kept_low: that box's low corner, counted from R's.
+    """
     i, j, k = wp.tid()
-    n = s.coarse
-    node = low_of(s, origin) + wp.vec3i(i, j, k)
-    at = node - kept_low
+    n, x = s.coarse, wp.vec3i(i, j, k)
+    at = x - kept_low
     if at[0] >= 0 and at[0] < kept_size[0] and at[1] >= 0 and at[1] < kept_size[1] and at[2] >= 0 and at[2] < kept_size[2]:
         return
-    q = loaded(f, n, place(node, n))
+    o = six(corner)
+    here, behind, ahead = around(s, o, x)
+    q = loaded(f, n, here)
     drho, m = density(q), momentum(q)
     p = non_equilibrium_stress(q, drho, (1.0 / (1.0 + drho)) * m)
-    ex, ey, ez = wp.vec3i(1, 0, 0), wp.vec3i(0, 1, 0), wp.vec3i(0, 0, 1)
-    gx = 0.5 * (moments(f, n, node + ex) - moments(f, n, node - ex))
-    gy = 0.5 * (moments(f, n, node + ey) - moments(f, n, node - ey))
-    gz = 0.5 * (moments(f, n, node + ez) - moments(f, n, node - ez))
-    ux = 0.5 * (u[place(node + ex, n)] - u[place(node - ex, n)])
-    uy = 0.5 * (u[place(node + ey, n)] - u[place(node - ey, n)])
-    uz = 0.5 * (u[place(node + ez, n)] - u[place(node - ez, n)])
+    gx = 0.5 * (moments(f, n, ahead[0]) - moments(f, n, behind[0]))
+    gy = 0.5 * (moments(f, n, ahead[1]) - moments(f, n, behind[1]))
+    gz = 0.5 * (moments(f, n, ahead[2]) - moments(f, n, behind[2]))
+    ux = 0.5 * (peek3(u, ahead[0]) - peek3(u, behind[0]))
+    uy = 0.5 * (peek3(u, ahead[1]) - peek3(u, behind[1]))
+    uz = 0.5 * (peek3(u, ahead[2]) - peek3(u, behind[2]))
     p -= (0.5 * (1.0 + drho) * _CS2) * strain(ux, uy, uz)  # a fine cell is half a coarse one: S in 1 / dt_f
     for child in range(8):
         r = wp.vec3i(child / 4, (child / 2) % 2, child % 2)
         d = offset(r)
         g = wp.vec4(drho, m[0], m[1], m[2]) + d[0] * gx + d[1] * gy + d[2] * gz
         v = (1.0 / (1.0 + g[0])) * wp.vec3(g[1], g[2], g[3])
-        here = place(2 * node + r, s.fine)
-        stored(f_fine, s.fine, here, reconstruct(g[0], v, v, p))
-        u_fine[here] = u[place(node, n)] + d[0] * ux + d[1] * uy + d[2] * uz
+        there = in_fine(s, o, 2 * x + s.ghost + r)
+        stored(f_fine, s.fine, there, reconstruct(g[0], v, v, p))
+        poke3(u_fine, there, peek3(u, here) + d[0] * ux + d[1] * uy + d[2] * uz)
 
 
 @wp.kernel

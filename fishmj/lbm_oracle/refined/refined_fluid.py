@@ -185,7 +185,7 @@ class RefinedFluid(Fluid):
     def prolong(self, kept: tuple | None = None) -> None:
         """Fine cells from the coarse ones, but for those in the box `kept` of coarse cells, (low, size)."""
         low, size = kept if kept is not None else NOWHERE
-        args = [self._nest, self.origin, wp.vec3i(*map(int, low)), wp.vec3i(*map(int, size))]
+        args = [self._nest, self._corner, wp.vec3i(*_cells(low - self.low_lu)), wp.vec3i(*map(int, size))]
         args += [self.outer.f.flatten(), self.outer.u.flatten()]
         self._exchange(exchange.prolong, tuple(self.size_lu.tolist()), args, [self.f.flatten(), self.u.flatten()])
 
