@@ -13,16 +13,20 @@ import os
 import resource
 import signal
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from packaging.version import Version
 
 from fishmj import machine_code
 
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")  # s; JAX's own default is for longer programs
 # A test's programs run for milliseconds: XLA compiles them in a third of the time where it does not optimise them.
-QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+# XLA ends a process at a flag that it does not know; jaxlib 0.11 has no longer that of the emitters.
+EMITTERS = "--xla_cpu_use_fusion_emitters=false " if Version(version("jaxlib")) < Version("0.11") else ""
+QUICKLY = f"--xla_backend_optimization_level=0 {EMITTERS}--xla_cpu_parallel_codegen_split_count=1"
 os.environ.setdefault("XLA_FLAGS", f"{QUICKLY} --xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
 # A command in the background of a script ignores Ctrl-C, and one under nohup a closed terminal; what tests start shall not.
