@@ -11,15 +11,20 @@ from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases.refined import across, ball_in_a_box, pulse_returned, shear_viscosity, water_and_box
 from fishmj.lbm_oracle.fluid.domain_faces import channel
+from fishmj.lbm_oracle.fluid import fluid
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
+from fishmj.lbm_oracle.fluid.pairs import stream_collide_pairs
+from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
+from fishmj.lbm_oracle.fluid.step import stream_collide
 from fishmj.lbm_oracle.refined.exchange import CELL_BITS
-from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, fine_lattice
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory, fine_lattice
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
 
 pytestmark = pytest.mark.oracle
 STREAM = np.array([0.05, -0.03, 0.02])
+THREADS = {stream_collide: lambda cells: cells, stream_collide_rows: lambda cells: 1, stream_collide_pairs: lambda cells: cells // 2}  # a row of z
 
 
 def stirred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -57,7 +62,8 @@ class Plain:
     """The formulas of exchange.py, cell by cell."""
 
     def __init__(self, box: RefinedFluid):
-        self.box, self.low, self.size, self.ends = box, box.low_lu, 2 * box.size_lu, box._ghost > 0
+        self.box, self.size, self.ends = box, 2 * box.size_lu, box._ghost > 0
+        self.low = {1: box.low_lu, 2: box.first_lu}
 
     def inside(self, r, scale: int = 2) -> bool:
         """Is a cell in R? `scale`: 2 for a fine one, 1 for a coarse one."""
@@ -65,7 +71,7 @@ class Plain:
 
     def at(self, field: np.ndarray, r, scale: int = 2) -> tuple:
         """Index of a cell, counted from R's corner, in (nx, ny, nz, ...)."""
-        return tuple((scale * self.low + r) % field.shape[:3])
+        return tuple((self.low[scale] + r) % field.shape[:3])
 
     def difference(self, field: np.ndarray, x, axis: int):
         step = np.eye(3, dtype=int)[axis]
@@ -108,25 +114,45 @@ def around_box(size, ghost) -> np.ndarray:
     return np.indices(tuple(size + 2 * ghost)).reshape(3, -1).T - ghost
 
 
-@pytest.mark.parametrize("second", [0, 1])
 @pytest.mark.parametrize(("name", "linear"), [("inside", True), ("through", True), ("flat", True), ("inside", False)])
-def test_what_enters_a_box_is_what_the_formula_says(name, linear, second):
+def test_what_enters_a_box_is_what_the_formula_says(name, linear):
+    """In the copies that the two fine steps read; all else stays."""
     box = boxed(name, linear)
     plain, f, u = Plain(box), box.outer.f.numpy(), box.outer.u.numpy()
-    wanted, wanted_u = box.f.numpy().copy(), box.u.numpy().copy()
+    copies = [box.parity, 1 - box.parity]
+    wanted, wanted_u = ([values[k].numpy().copy() for k in copies] for values in (box._f, box._u))
     for y in around_box(2 * box.size_lu, box._ghost):
         if plain.inside(y):
             continue
-        at = plain.at(wanted_u, y)
-        wanted_u[at] = plain.linear(u, y // 2, (y % 2) / 2 - 0.25)
-        for i, c in enumerate(VELOCITIES):
-            if plain.inside(y + c):
-                wanted[(i, *at)] = plain.exploded(f, y, i, second)
-            elif i == 0 or second == 0:
-                wanted[(i, *at)] = f[(i, *plain.at(f[i], y // 2, 1))]
-    box._explode(second)
-    np.testing.assert_allclose(box.f.numpy(), wanted, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(box.u.numpy(), wanted_u, rtol=0, atol=1e-8)
+        at = plain.at(wanted_u[0], y)
+        for second in range(2):
+            wanted_u[second][at] = plain.linear(u, y // 2, (y % 2) / 2 - 0.25)
+            for i, c in enumerate(VELOCITIES):
+                if plain.inside(y + c):
+                    wanted[second][(i, *at)] = plain.exploded(f, y, i, second)
+    box._explode()
+    np.testing.assert_allclose([box._f[k].numpy() for k in copies], wanted, rtol=0, atol=1e-8)
+    np.testing.assert_allclose([box._u[k].numpy() for k in copies], wanted_u, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", BOXES)
+@pytest.mark.parametrize("make", [stream_collide, stream_collide_rows, stream_collide_pairs])
+def test_a_step_leaves_ghosts_alone(name, make, monkeypatch):
+    """In each kernel; and a survey does not see them."""
+    monkeypatch.setattr(fluid, "kernel_for", lambda shape, device: (make, shape[1] * THREADS[make](shape[2])))
+    box = boxed(name)
+    ghosts = np.ones(box.shape, bool)
+    ghosts[_memory(box, box.first_lu, 2 * box.size_lu)] = False
+    for k in range(2):
+        f, u = box._f[k].numpy().copy(), box._u[k].numpy().copy()
+        f[:, ghosts], u[ghosts] = 7.0, 7.0
+        box._f[k].assign(f)
+        box._u[k].assign(u)
+    before = box._f[1 - box.parity].numpy().copy()
+    assert box.survey().rho_max < 2 and box.survey().speed < 1
+    Fluid.stream_collide(box)
+    assert (box.f.numpy()[:, ghosts] == 7.0).all() and (box.u.numpy()[ghosts] == 7.0).all()
+    assert (box.f.numpy() != before)[:, ~ghosts].any(0).all()
 
 
 @pytest.mark.parametrize("name", BOXES)
@@ -166,26 +192,30 @@ def test_the_lists_of_the_exchange_hold_each_path_once(name):
     box = boxed(name)
     plain, bits = Plain(box), (1 << CELL_BITS) - 1
 
-    def read(words, shape):
+    def read(words):
         words = words.numpy().view(np.uint32)
-        cells = np.stack(np.unravel_index(words & bits, tuple(shape.tolist())), -1) - box._ghost
+        cells = np.stack(np.unravel_index(words & bits, tuple((box.size_lu + 2 * box._ghost).tolist())), -1) - box._ghost
         return [(int(i), *map(int, cell)) for i, cell in zip(words >> CELL_BITS, cells, strict=True)]
 
-    fine, coarse = 2 * box.size_lu + 2 * box._ghost, box.size_lu + 2 * box._ghost
-    ghosts = [tuple(map(int, y)) for y in around_box(2 * box.size_lu, box._ghost) if not plain.inside(y)]
-    assert [y for _, *y in read(box._ghosts, fine)] == [list(y) for y in ghosts]
-    enters = {(i, *y) for y in ghosts for i, c in enumerate(VELOCITIES) if plain.inside(np.array(y) + c)}
-    found = read(box._entering, fine)
-    assert set(found) == enters and found == sorted(found) and len(found) == len(enters)
-    for y, staying in zip(ghosts, box._staying.numpy(), strict=True):
-        assert [bool(staying >> i & 1) for i in range(19)] == [(i, *y) not in enters for i in range(19)]
+    ghosts = [y for y in around_box(2 * box.size_lu, box._ghost) if not plain.inside(y)]
+    steps = [(i, second) for i in range(1, len(VELOCITIES)) for second in (0, 1)]
+    enters = {(i, second, *map(int, y)) for y in ghosts for i, second in steps if plain.inside(y + VELOCITIES[i])}
+    enters |= {(0, 0, *map(int, y)) for y in ghosts}
+    found, paths = read(box._entering), []
+    assert found == sorted(found)
+    for (i, *x), children in zip(found, box._children.numpy().tolist(), strict=True):
+        for bit in (bit for bit in range(16) if children >> bit & 1):
+            y = 2 * np.array(x) + CHILDREN[bit % 8] + bit // 8 * VELOCITIES[i]
+            y = np.where(box._ghost > 0, y, y % (2 * box.size_lu))
+            paths.append((i, bit // 8, *map(int, y)))
+    assert set(paths) == enters and len(paths) == len(enters)
     crosses = {}
     for x in around_box(box.size_lu, box._ghost):
         for i, c in enumerate(VELOCITIES):
             later = sum(plain.inside(r + c) << n for n, r in enumerate(2 * x + CHILDREN))
             if not plain.inside(x + c, 1) and (plain.inside(x, 1) or later):
                 crosses[i, *map(int, x)] = later
-    found = read(box._leaving, coarse)
+    found = read(box._leaving)
     assert dict(zip(found, box._later.numpy().tolist(), strict=True)) == crosses and found == sorted(found)
     everything = {(0, *map(int, x)) for x in around_box(box.size_lu, box._ghost) if plain.inside(x, 1)}
     seen = {
@@ -193,7 +223,7 @@ def test_the_lists_of_the_exchange_hold_each_path_once(name):
         for _, *x in everything
         if not all(plain.inside(np.array(x) + step, 1) for step in (*np.eye(3, dtype=int), *-np.eye(3, dtype=int)))
     }
-    assert set(read(box._all, coarse)) == everything and set(read(box._rim, coarse)) == seen
+    assert set(read(box._all)) == everything and set(read(box._rim)) == seen
     assert len(box._all) == len(everything) and len(box._rim) == len(seen)
 
 
@@ -227,6 +257,7 @@ def test_mass_and_momentum_are_kept_when_the_box_moves():
     box = pair()
     for by in ((1, 0, 0), (-1, 2, 1), (0, -3, -1)):
         box.run(6)
+        box.complete()
         before, coarse = box.totals(), box.outer.f.numpy().copy()
         box.move(by)
         assert box.totals() == pytest.approx(before, abs=2e-8 * box.outer.cells)
@@ -257,6 +288,7 @@ def test_three_levels_conserve_too():
     assert [level.lattice.dx for level in finest.levels] == [0.25, 0.5, 1.0]
     before = finest.totals()
     finest.run(200)
+    finest.complete()
     assert (finest.steps, middle.steps, middle.outer.steps) == (200, 100, 50)
     assert finest.totals() == pytest.approx(before, abs=2e-8 * middle.outer.cells)
     fine = finest.velocity()[finest.box_slices()].reshape(6, 2, 5, 2, 4, 2, 3).mean((1, 3, 5))
@@ -264,25 +296,33 @@ def test_three_levels_conserve_too():
     assert middle.velocity()[x, y, z] == pytest.approx(fine, abs=1e-6)
 
 
-def test_a_box_in_a_box_shows_at_its_rim_all_that_the_water_outside_sees():
-    """Between two steps of the coarsest water only the rim is restricted: outside every number is the same."""
+def test_a_box_shows_at_its_rim_all_that_the_water_outside_sees():
+    """Only the rim is restricted: outside every number is the same as when all cells are."""
     finest, full = (RefinedFluid(pair("wale"), (12, 12, 10), (6, 5, 4)) for _ in range(2))
-    full._rim = full._all
-    assert len(finest._rim) < len(finest._all)
+    for box in full.boxes:
+        box._rim = box._all
+    assert all(len(box._rim) < len(box._all) for box in finest.boxes)
     for steps, by in ((2, None), (1, None), (3, None), (0, (1, -1, 1)), (1, None), (5, None), (4, None)):
         for water in (finest, full):
             water.run(steps)
             if by:
-                assert not water.complete and water.whole
+                assert water.whole and not water.outer.whole
                 water.move(by)
         for one, other in zip(finest.levels, full.levels, strict=True):
             same = (one.f.numpy() == other.f.numpy()).all(0) & (one.u.numpy() == other.u.numpy()).all(-1)
-            inside = np.zeros(one.shape, bool)
-            if one is finest.outer and not finest.complete:
-                core = zip(finest.low_lu + 1, finest.size_lu - 2, one.shape, strict=True)
-                inside[np.ix_(*((low + np.arange(n)) % m for low, n, m in core))] = True
-            assert same[~inside].all()
-    assert finest.complete
+            counts = np.ones(one.shape, bool)
+            if isinstance(one, RefinedFluid):  # ghosts are read by nobody, but for what enters
+                counts[:] = False
+                counts[_memory(one, one.first_lu, 2 * one.size_lu)] = True
+            for box in (box for box in finest.boxes if box.outer is one):
+                counts[_memory(one, box.low_lu + 1, box.size_lu - 2)] = False
+            assert same[counts].all()
+    for water in (finest, full):
+        water.complete()
+    for one, other in zip(finest.levels[1:], full.levels[1:], strict=True):
+        box = next(box for box in finest.boxes if box.outer is one)
+        under = _memory(one, box.low_lu, box.size_lu)
+        assert (one.f.numpy()[:, *under] == other.f.numpy()[:, *under]).all()
 
 
 def test_a_period_of_steps_returns_to_the_same_copies():
@@ -302,9 +342,10 @@ def test_a_period_of_steps_returns_to_the_same_copies():
 
 
 def test_the_levels_agree_where_both_are():
-    """After a coarse step the cells under the box hold the means of their children."""
+    """Asked for, the cells under the box hold the means of their children."""
     box = pair()
     box.run(10)
+    box.complete()
     x, y, z = box.box_slices()
     fine = box.velocity()[x, y, z].reshape(7, 2, 6, 2, 6, 2, 3).mean((1, 3, 5))
     assert box.outer.velocity()[4:11, 4:10, 3:9] == pytest.approx(fine, abs=1e-6)
@@ -316,8 +357,30 @@ def test_restored_levels_go_on_bit_for_bit():
     box.move((1, 0, -1))
     state = box.snapshot()
     box.run(8), other.restore(state), other.run(8)
-    assert np.array_equal(box.f.numpy(), other.f.numpy()) and np.array_equal(box.outer.f.numpy(), other.outer.f.numpy())
+    inside = (slice(None), *_memory(box, box.first_lu, 2 * box.size_lu))
+    assert np.array_equal(box.f.numpy()[inside], other.f.numpy()[inside])
+    assert np.array_equal(box.outer.f.numpy(), other.outer.f.numpy())
     assert (other.steps, other.outer.steps, other.low_lu.tolist()) == (14, 7, [5, 4, 2])
+
+
+def test_a_state_does_not_depend_on_how_a_box_numbers_its_nodes():
+    """Along z: by default so that it begins at a multiple of 8."""
+    aligned, plain = (RefinedFluid(pair("wale").outer, (4, 4, 3), (7, 6, 6), numbers=numbers) for numbers in (None, 0))
+    assert (aligned.first_lu[2], plain.first_lu[2]) == (8, 6) and aligned.shape[2] % 8 == 0
+    for box in (aligned, plain):
+        box.run(4)
+        box.move((1, 0, 1))
+        box.run(4)
+    state, other = aligned.snapshot(), plain.snapshot()
+    assert state.keys() == other.keys() and state["f"].shape == (19, *aligned.extent)
+    assert state["origin"].tolist() == other["origin"].tolist()
+    low, size = plain.first_lu, 2 * plain.size_lu
+    inside = np.ix_(*((a + np.arange(n)) % m for a, n, m in zip(low, size, plain.extent, strict=True)))
+    assert np.array_equal(state["f"][:, *inside], other["f"][:, *inside])
+    assert np.array_equal(aligned.velocity()[aligned.box_slices()], plain.velocity()[plain.box_slices()])
+    plain.restore(state)
+    aligned.run(4), plain.run(4)
+    assert np.array_equal(aligned.velocity()[aligned.box_slices()], plain.velocity()[plain.box_slices()])
 
 
 def test_turbulence_passes_through_the_box():

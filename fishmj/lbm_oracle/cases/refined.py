@@ -80,6 +80,7 @@ def shear_viscosity(device: str = "cpu", nu: float = 0.02, steps: int = 600) -> 
     """Viscosity that the wave shows on the coarse and on the fine level, over `nu`."""
     box = water_and_box((N, 8, 1), (8, 2, 0), (16, 4, 1), shear(nu), nu=nu, device=device)
     box.run(2 * steps)
+    box.complete()
     found = []
     for level, where in ((box.outer, ...), (box, box.box_slices())):
         x, u = places(level)[where][..., 0], level.velocity()[where][..., 1]
@@ -99,6 +100,7 @@ def across(flow: Callable[..., Field] = shear, device: str = "cpu", nu: float = 
     steps, q = 400 * n * n // N**2, n // 4
     box = water_and_box((n, n, 1), (q, q, 0), (2 * q, 2 * q, 1), flow(nu, n=n), nu=nu, device=device, linear=linear)
     box.run(2 * steps)
+    box.complete()
     there = flow(nu, steps, n)
     return max(error(box.outer, there), error(box, there, box.box_slices()))
 

@@ -11,8 +11,8 @@ import warp as wp
 from fishmj.lbm_oracle.fluid.collide import density, momentum, reconstruct, relaxed
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
 from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec19, wrap
-from fishmj.lbm_oracle.fluid.step import OPTIONS, Params
-from fishmj.lbm_oracle.fluid.storage import peek, poke
+from fishmj.lbm_oracle.fluid.step import OPTIONS, Params, is_ghost, within
+from fishmj.lbm_oracle.fluid.storage import peek, poke, six
 
 wp.set_module_options(OPTIONS)
 
@@ -90,6 +90,7 @@ def derive(s: Params, f: wp.array(dtype=Any), u: wp.array3d(dtype=wp.vec3)):
 @wp.kernel
 def survey(
     s: Params,
+    origin: wp.array(dtype=int),
     f: wp.array(dtype=Any),
     u: wp.array3d(dtype=wp.vec3),
     planes: int,
@@ -99,10 +100,16 @@ def survey(
     mass: wp.array(dtype=wp.float64),
     lost: wp.array(dtype=int),
 ):
-    """By y: least and greatest drho, greatest speed squared, sum of drho, nodes that are not finite; a thread for some planes."""
+    """By y: least and greatest drho, greatest speed squared, sum of drho, nodes that are not finite; a thread for some planes.
+
+    Ghosts count for nothing.
+    """
     part, y, z = wp.tid()
+    o = six(origin)
     low, high, fast, total, bad = float(0.0), float(0.0), float(0.0), wp.float64(0.0), int(0)  # noqa: UP018  variables to Warp
     for x in range(part * planes, wp.min((part + 1) * planes, s.nx)):
+        if is_ghost(s, wp.vec3i(within(x - o[3], s.nx), within(y - o[4], s.ny), within(z - o[5], s.nz))):
+            continue
         drho = density(_loaded(f, s, x, y, z))
         speed2 = wp.length_sq(u[x, y, z])
         if wp.isfinite(drho) and wp.isfinite(speed2):
@@ -138,11 +145,11 @@ class Surveyor:
         self.found = [wp.zeros(shape[1], dtype=kind, device=device) for kind in kinds]
         self.on_host = [wp.zeros(shape[1], dtype=kind, device="cpu", pinned=device.is_cuda) for kind in kinds]
 
-    def start(self, params, f: wp.array, u: wp.array) -> None:
+    def start(self, params, origin: wp.array, f: wp.array, u: wp.array) -> None:
         """Queue one survey, and the copies of what it finds, on the present stream."""
         for column in self.found:
             column.zero_()
-        wp.launch(survey, dim=self.dim, inputs=[params, f, u, self.planes, *self.found], device=self.device)
+        wp.launch(survey, dim=self.dim, inputs=[params, origin, f, u, self.planes, *self.found], device=self.device)
         for near, far in zip(self.on_host, self.found, strict=True):
             wp.copy(near, far)
 

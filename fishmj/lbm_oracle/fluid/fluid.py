@@ -153,6 +153,7 @@ class Fluid:
         self._options: dict[str, Any] = {"cw": cw, "omega_bulk": omega_bulk, "blend": blend, "dtype": dtype}
         self._options["body_acceleration"] = body_acceleration
         self.params = _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend)
+        self.params.low, self.params.high = (wp.vec3i(*end) for end in self._stepped())
         self.threads = slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
             self._f = [wp.zeros((Q, *shape), dtype=STORAGE[dtype]) for _ in range(2)]
@@ -167,6 +168,15 @@ class Fluid:
         self._surveyor = Surveyor(shape, self.device)
         self.set_flow(self.flow)
         self.settle()
+
+    @property
+    def extent(self) -> tuple[int, int, int]:
+        """Cells from the low corner on that hold water: all of `shape`."""
+        return self.shape
+
+    def _stepped(self) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+        """Logical nodes that are stepped, low inclusive, high exclusive."""
+        return (0, 0, 0), self.shape
 
     @property
     def f(self) -> wp.array:
@@ -335,12 +345,17 @@ class Fluid:
         self.origin.assign(np.concatenate([origin, origin % self.shape]).astype(np.int32))
 
     def velocity(self) -> np.ndarray:
-        """(nx, ny, nz, 3) m/s, low corner first."""
-        return np.roll(self.u.numpy(), -self.origin_lu, (0, 1, 2)) * self.lattice.velocity
+        """(nx, ny, nz, 3) m/s, low corner first; nx, ny, nz: `extent`."""
+        return self._in_order(self.u) * self.lattice.velocity
 
     def pressure(self) -> np.ndarray:
-        """(nx, ny, nz) Pa over still water, low corner first."""
-        return np.roll(self.drho().numpy(), -self.origin_lu, (0, 1, 2)) * self.lattice.pressure / 3
+        """(nx, ny, nz) Pa over still water, low corner first; nx, ny, nz: `extent`."""
+        return self._in_order(self.drho()) * self.lattice.pressure / 3
+
+    def _in_order(self, values: wp.array) -> np.ndarray:
+        """An array of the device by logical node."""
+        x, y, z = self.extent
+        return np.roll(values.numpy(), -self.origin_lu, (0, 1, 2))[:x, :y, :z]
 
     def drho(self) -> wp.array:
         """(nx, ny, nz) density minus one, in memory order."""
@@ -356,7 +371,7 @@ class Fluid:
 
     def begin_survey(self) -> None:
         """Queue a survey on the present stream; the host goes on."""
-        self._surveyor.start(self.params, _flat(self.f), self.u)
+        self._surveyor.start(self.params, self.origin, _flat(self.f), self.u)
 
     def surveyed(self) -> Survey:
         """What the last one found; to be asked once the device is through with it."""

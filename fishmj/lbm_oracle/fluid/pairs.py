@@ -20,6 +20,7 @@ from fishmj.lbm_oracle.fluid.step import (
     Faces,
     Params,
     hits,
+    is_ghost,
     leave_through,
     module_of,
     pick,
@@ -176,6 +177,8 @@ def stream_collide_pairs(faces: Faces, subgrid: bool, dtype: str = "float32", ke
             clock_next[0] = step + 1
         at = wp.vec3i(within(m[0] - o[3], s.nx), within(m[1] - o[4], s.ny), within(m[2] - o[5], s.nz))
         next_at = wp.vec3i(at[0], at[1], within(m[2] + 1 - o[5], s.nz))
+        if is_ghost(s, at):  # so is the next: what is stepped of a row begins at an even place
+            return
         node = wp.vec3i(at[0] + o[0], at[1] + o[1], at[2] + o[2])
         next_node = wp.vec3i(node[0], node[1], next_at[2] + o[2])
 

@@ -21,6 +21,7 @@ from fishmj.lbm_oracle.fluid.step import (
     Faces,
     Params,
     gradient_within,
+    is_ghost,
     leave_through,
     module_of,
     pick,
@@ -106,6 +107,8 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         xm, xp = wp.where(x > 0, x - 1, nx - 1) * plane, wp.where(x < nx - 1, x + 1, 0) * plane
         ym, yp = wp.where(y > 0, y - 1, ny - 1) * nz, wp.where(y < ny - 1, y + 1, 0) * nz
         at_x, at_y = within(x - origin[3], nx), within(y - origin[4], ny)
+        if is_ghost(s, wp.vec3i(at_x, at_y, s.low[2])):
+            return
         node_x, node_y = at_x + origin[0], at_y + origin[1]
         low_z = within(origin[5], nz)  # where the lowest cell of the window lies in memory, and behind it the highest
         high_z = within(low_z + nz - 1, nz)
@@ -222,17 +225,31 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                     pushes[wp.static(a) * LONG + k] = w[a]
                 k += 1
 
+            # what is stepped of a row, in two pieces where it wraps round
+            begin = within(low_z + s.low[2], nz)
+            end = begin + s.high[2] - s.low[2]
+            start_k, stop = wp.clamp(begin - first, 0, count), wp.clamp(end - first, 0, count)
+            rest = wp.clamp(end - nz - first, 0, count)
             i = int(0)  # noqa: UP018
             while i < wp.static(Q):
                 base = i * cells + row + first
+                k = int(start_k)
+                while k < stop:
+                    poke_at(f_next, base, k, populations[i * LONG + k])
+                    k += 1
                 k = int(0)  # noqa: UP018
-                while k < count:
+                while k < rest:
                     poke_at(f_next, base, k, populations[i * LONG + k])
                     k += 1
                 i += 1
             if wp.static(keeps):
+                k = int(start_k)
+                while k < stop:
+                    for a in range(3):
+                        poke3_at(u_next, row + first, k, a, pushes[wp.static(a) * LONG + k])
+                    k += 1
                 k = int(0)  # noqa: UP018
-                while k < count:
+                while k < rest:
                     for a in range(3):
                         poke3_at(u_next, row + first, k, a, pushes[wp.static(a) * LONG + k])
                     k += 1

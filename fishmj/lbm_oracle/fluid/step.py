@@ -35,6 +35,8 @@ class Params:
     planes: vec19i  # where each population begins
     by_ny: wp.vec2i  # what divides by ny and by nz (pairs.py)
     by_nz: wp.vec2i
+    low: wp.vec3i  # logical nodes from `low` to below `high` are stepped; the others are read, and another level fills them
+    high: wp.vec3i
     nu: float
     omega_bulk: float
     cw2: float  # square of the WALE constant
@@ -70,6 +72,13 @@ def within(i: int, n: int):
     if i >= n:
         return i - n
     return i
+
+
+@wp.func
+def is_ghost(s: Params, at: wp.vec3i):
+    """Does another level fill the cell at logical node `at`?"""
+    outside = at[0] < s.low[0] or at[0] >= s.high[0] or at[1] < s.low[1] or at[1] >= s.high[1]
+    return outside or at[2] < s.low[2] or at[2] >= s.high[2]
 
 
 def pull_through(faces: Faces, number: type):
@@ -290,6 +299,8 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
         if here == 0:
             clock_next[0] = step + 1
         at = wp.vec3i(within(m[0] - origin[3], s.nx), within(m[1] - origin[4], s.ny), within(m[2] - origin[5], s.nz))
+        if is_ghost(s, at):
+            return
         node = wp.vec3i(at[0] + origin[0], at[1] + origin[1], at[2] + origin[2])
 
         inner, inner_m = at, m

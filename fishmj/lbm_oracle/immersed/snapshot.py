@@ -60,7 +60,7 @@ def reseed(coupled: FluidStructure, qpos, qvel=None, *, water: dict[str, np.ndar
 def save(path: str | Path, coupled: FluidStructure, **notes) -> Path:
     """Write a snapshot as one file with its own checksum (safetensors, no pickle)."""
     lattice = coupled.fluid.lattice
-    meta = {"schema": SCHEMA, "dx": lattice.dx, "dt": lattice.dt, "shape": list(coupled.fluid.shape), **notes}
+    meta = {"schema": SCHEMA, "dx": lattice.dx, "dt": lattice.dt, "shape": list(coupled.fluid.extent), **notes}
     return write_tensors(path, snapshot(coupled), meta)
 
 
@@ -71,7 +71,7 @@ def load(path: str | Path, coupled: FluidStructure) -> dict:
         ConfigError: another schema, grid or fish. StoreError: the file is damaged.
     """
     state, meta = read_tensors(path)
-    lattice, shape = coupled.fluid.lattice, list(coupled.fluid.shape)
+    lattice, shape = coupled.fluid.lattice, list(coupled.fluid.extent)
     if meta.get("schema") != SCHEMA:
         raise ConfigError(f"{path}: schema {meta.get('schema')!r}; expected {SCHEMA!r}")
     if (meta["dx"], meta["dt"], meta["shape"]) != (lattice.dx, lattice.dt, shape):

@@ -65,7 +65,7 @@ def plane_of(fluid, z: float | None = None) -> np.ndarray:
     Raises:
         ConfigError: z lies outside the water.
     """
-    lattice, (nx, ny, nz) = fluid.lattice, fluid.shape
+    lattice, (nx, ny, nz) = fluid.lattice, fluid.extent
     height = fluid.origin_lu[2] + (nz - 1) / 2 if z is None else lattice.to_lu((0.0, 0.0, z))[2]
     level = float(height - fluid.origin_lu[2])
     if not -1e-6 <= level <= nz - 1 + 1e-6:
@@ -85,8 +85,8 @@ def slice_of(run, z: float | None = None) -> Slice:
     with coupled.scope():
         plane = plane_of(fluid, z)
     low = fluid.lattice.to_si(fluid.origin_lu)
-    x, y = (low[axis] + fluid.lattice.dx * np.arange(fluid.shape[axis]) for axis in range(2))
-    at = low[2] + (fluid.shape[2] - 1) / 2 * fluid.lattice.dx if z is None else z
+    x, y = (low[axis] + fluid.lattice.dx * np.arange(fluid.extent[axis]) for axis in range(2))
+    at = low[2] + (fluid.extent[2] - 1) / 2 * fluid.lattice.dx if z is None else z
     return Slice(run.time, float(at), x, y, plane[..., 0], plane[..., 1], plane[..., 2], outline(run))
 
 
@@ -115,7 +115,7 @@ class FieldRecorder:
         self._clear(overwrite)
         fluid, flow = run.coupled.fluid, run.coupled.fluid.flow
         about: dict[str, Any] = {"schema": SCHEMA, "origin": "synthetic", "source": "fishmj.lbm_oracle", "robot": run.robot.name}
-        about |= {"every_s": every, "z_m": z, "dx_m": fluid.lattice.dx, "dt_s": fluid.lattice.dt, "shape": list(fluid.shape)}
+        about |= {"every_s": every, "z_m": z, "dx_m": fluid.lattice.dx, "dt_s": fluid.lattice.dt, "shape": list(fluid.extent)}
         about |= {"slip": run.coupled.slip, "flow": {"speed": flow.speed, "direction": flow.direction, "seed": flow.seed}}
         write_json(self.folder / INDEX, about)
         self.picture = SlicePicture(strong)

@@ -38,7 +38,19 @@ from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_s
 from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec6i, vec19
 from fishmj.lbm_oracle.fluid.pairs import quotient
 from fishmj.lbm_oracle.fluid.step import within
-from fishmj.lbm_oracle.fluid.storage import peek, peek3, peek3_pair, peek_pair, poke, poke3, six
+from fishmj.lbm_oracle.fluid.storage import (
+    peek,
+    peek3,
+    peek3_pair,
+    peek_pair,
+    poke,
+    poke3,
+    poke3_first,
+    poke3_last,
+    poke_first,
+    poke_last,
+    six,
+)
 
 wp.set_module_options({"max_unroll": 0, "enable_backward": False})  # unrolled, they take two minutes to compile
 
@@ -61,28 +73,22 @@ class Nest:
     fine: wp.vec3i  # cells of the fine array
     size: wp.vec3i  # fine cells of R
     ghost: wp.vec3i
+    gap: int  # cells along z that are no R's
     shell: wp.vec3i  # coarse cells of R and of a layer round it, where there are ghosts
-    by_fine: wp.vec4i  # what divides by the sizes of y and z of the fine array (pairs.py)
-    by_shell: wp.vec4i
+    by_shell: wp.vec4i  # what divides by the sizes of y and z of that shell (pairs.py)
     linear: float  # 1; 0 makes E uniform, to show what that costs
 
 
 @wp.func
-def half(i: int):
-    """floor(i / 2) for i >= -4, a fine cell's coarse one."""
-    return (i + 4) / 2 - 2
-
-
-@wp.func
-def parent(r: wp.vec3i):
-    return wp.vec3i(half(r[0]), half(r[1]), half(r[2]))
+def child_at(n: int):
+    """The place of a child in its coarse cell, 0 or 1 on every axis."""
+    return wp.vec3i(n / 4, (n / 2) % 2, n % 2)
 
 
 @wp.func
 def offset(r: wp.vec3i):
     """d of a child, coarse cells."""
-    p = parent(r)
-    return wp.vec3(0.5 * float(r[0] - 2 * p[0]) - 0.25, 0.5 * float(r[1] - 2 * p[1]) - 0.25, 0.5 * float(r[2] - 2 * p[2]) - 0.25)
+    return wp.vec3(0.5 * float(r[0]) - 0.25, 0.5 * float(r[1]) - 0.25, 0.5 * float(r[2]) - 0.25)
 
 
 @wp.func
@@ -151,25 +157,46 @@ def around(s: Nest, corner: vec6i, x: wp.vec3i):
 
 
 @wp.func
-def exploded(s: Nest, corner: vec6i, f: wp.array(dtype=float), i: int, c: wp.vec3i, w: wp.vec3i, second: int):
-    """E_i(w, s) from the coarse populations; w is a fine cell counted from R's low corner."""
-    x = parent(w)
-    here, behind, ahead = around(s, corner, x)
-    first = i * (s.coarse[0] * s.coarse[1] * s.coarse[2])
-    value = peek(f, first + here)
-    if s.linear == 0.0:
-        return value
+def entry(s: Nest, x: wp.vec3i, c: wp.vec3i, second: int):
+    """(2 s - 1) / 4 of `explode`, or what stands for it beside an edge of R."""
     k = 2.0 * float(second) - 1.0
     edges = int(0)  # noqa: UP018  a variable to Warp
     for a in range(3):
         if c[a] != 0 and beyond(s, x, a):
             edges += 1
     if edges == 2:
-        k -= 0.5  # beside an edge of R one child in four enters in the first step: the mean over all shall stay f_i(X)
-    d = offset(w) + 0.25 * k * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
-    for a in range(3):
-        value += 0.5 * d[a] * (peek(f, first + ahead[a]) - peek(f, first + behind[a]))
-    return value
+        k -= 0.5  # one child in four enters in the first step: the mean over all shall stay f_i(X)
+    return 0.25 * k
+
+
+@wp.func
+def end_of(s: Nest, p: wp.vec3i, here: int):
+    """-1 or 1 for a ghost cell at the low or high end of z that has a sector of the memory for itself, else 0."""
+    if s.gap >= 8 and p[2] == 0 and here % 8 == 7:
+        return -1
+    if s.gap >= 8 and p[2] == s.size[2] + 1 and here % 8 == 0:
+        return 1
+    return 0
+
+
+@wp.func
+def put(f: wp.array(dtype=float), place: int, end: int, value: float):
+    if end == 0:
+        poke(f, place, value)
+    elif end < 0:
+        poke_last(f, place, value)
+    else:
+        poke_first(f, place, value)
+
+
+@wp.func
+def put3(u: wp.array(dtype=wp.vec3), place: int, end: int, value: wp.vec3):
+    if end == 0:
+        poke3(u, place, value)
+    elif end < 0:
+        poke3_last(u, place, value)
+    else:
+        poke3_first(u, place, value)
 
 
 @wp.func
@@ -186,57 +213,67 @@ def stored(f: wp.array(dtype=float), n: wp.vec3i, here: int, q: vec19):
         poke(f, i * n[0] * n[1] * n[2] + here, q[i])
 
 
-@wp.func
-def met(s: Nest, corner: vec6i, p: wp.vec3i, u: wp.array(dtype=wp.vec3)):
-    """The velocity of a ghost cell, linear in the coarse one, for the gradients beside it."""
-    y = p - s.ghost
-    there, behind, ahead = around(s, corner, parent(y))
-    d = offset(y)
-    value = peek3(u, there)
-    for a in range(3):
-        value += 0.5 * d[a] * (peek3(u, ahead[a]) - peek3(u, behind[a]))
-    return value
-
-
 @wp.kernel(module="unique", module_options=UNROLLED, grid_stride=False)
 def explode(
     s: Nest,
     directions: wp.array(dtype=wp.vec3i),
-    ghosts: wp.array(dtype=int),
-    staying: wp.array(dtype=int),
     entering: wp.array(dtype=int),
+    children: wp.array(dtype=int),
     corner: wp.array(dtype=int),
-    second: int,
-    copies: int,
     f: wp.array(dtype=float),
     u: wp.array(dtype=wp.vec3),
-    f_fine: wp.array(dtype=float),
-    u_fine: wp.array(dtype=wp.vec3),
+    f_first: wp.array(dtype=float),
+    u_first: wp.array(dtype=wp.vec3),
+    f_second: wp.array(dtype=float),
+    u_second: wp.array(dtype=wp.vec3),
 ):
-    """Ghost cells before the first or the second fine step: `copies` threads for each, then one for each that enters R.
+    """What the two fine steps pull out of ghost cells, in the copies that they read: a thread for a coarse cell and a direction.
 
-    A bit of `staying` is set for each population that does not enter. Nobody pulls it: it is only kept within what water does,
-    before the first step; the rest population, and with it the velocity, before both. So `copies` is 19, then 1.
+    Bits 0 to 7 of `children` are set for each child from which a population enters R in the first step, 8 to 15 in the second.
+    Those at rest stand for the velocity, which the gradients beside a ghost cell ask for: a bit for each child that is one.
     """
     t = wp.tid()
     o = six(corner)
-    cells = s.fine[0] * s.fine[1] * s.fine[2]
-    if t < copies * ghosts.shape[0]:
-        i = t / ghosts.shape[0]
-        k = t - i * ghosts.shape[0]
-        if (staying[k] >> i) & 1 == 1:
-            p = cell_in(ghosts[k], s.fine, s.by_fine)
-            here = in_fine(s, o, p)
-            there = in_coarse(s, o, parent(p - s.ghost))
-            poke(f_fine, i * cells + here, peek(f, i * (s.coarse[0] * s.coarse[1] * s.coarse[2]) + there))
-            if i == 0:
-                poke3(u_fine, here, met(s, o, p, u))
+    word, bits = entering[t], children[t]
+    i = direction_in(word)
+    x = cell_in(word, s.shell, s.by_shell) - s.ghost
+    low = 2 * x + s.ghost
+    here, behind, ahead = around(s, o, x)
+    if i == 0:
+        middle = peek3(u, here)
+        gx = peek3(u, ahead[0]) - peek3(u, behind[0])
+        gy = peek3(u, ahead[1]) - peek3(u, behind[1])
+        gz = peek3(u, ahead[2]) - peek3(u, behind[2])
+        for child in range(8):
+            if (bits >> child) & 1 == 1:
+                r = child_at(child)
+                d = offset(r)
+                there = in_fine(s, o, low + r)
+                end = end_of(s, low + r, there)
+                v = middle + 0.5 * d[0] * gx + 0.5 * d[1] * gy + 0.5 * d[2] * gz
+                put3(u_first, there, end, v)
+                put3(u_second, there, end, v)
     else:
-        word = entering[t - copies * ghosts.shape[0]]
-        i = direction_in(word)
-        c, p = directions[i], cell_in(word, s.fine, s.by_fine)
-        slot = i * cells + in_fine(s, o, p)
-        poke(f_fine, slot, exploded(s, o, f, i, c, p - s.ghost - second * c, second))
+        c, first = directions[i], i * (s.coarse[0] * s.coarse[1] * s.coarse[2])
+        plane = i * (s.fine[0] * s.fine[1] * s.fine[2])
+        value, g = peek(f, first + here), wp.vec3()
+        if s.linear != 0.0:
+            for a in range(3):
+                g[a] = peek(f, first + ahead[a]) - peek(f, first + behind[a])
+        for second in range(2):
+            along = entry(s, x, c, second) * wp.vec3(float(c[0]), float(c[1]), float(c[2]))
+            for child in range(8):
+                if (bits >> (8 * second + child)) & 1 == 1:
+                    r = child_at(child)
+                    d = offset(r) + along
+                    p = low + r + second * c
+                    there = in_fine(s, o, p)
+                    end = end_of(s, p, there)
+                    w = value + 0.5 * d[0] * g[0] + 0.5 * d[1] * g[1] + 0.5 * d[2] * g[2]
+                    if second == 0:
+                        put(f_first, plane + there, end, w)
+                    else:
+                        put(f_second, plane + there, end, w)
 
 
 @wp.kernel(module="unique", module_options=UNROLLED, grid_stride=False)
@@ -267,13 +304,13 @@ def coalesce(
     if within_box(s, x):
         for child in range(8):
             bit = (bits >> child) & 1
-            p = low + wp.vec3i(child / 4, (child / 2) % 2, child % 2) + bit * c
+            p = low + child_at(child) + bit * c
             total += peek_either(f_first, f_second, bit, first + in_fine(s, o, p))
         poke(f, slot, 0.125 * total)
     else:
         for child in range(8):
             if (bits >> child) & 1 == 1:
-                p = low + wp.vec3i(child / 4, (child / 2) % 2, child % 2)
+                p = low + child_at(child)
                 total += peek(f_second, first + in_fine(s, o, p + c))
                 total -= peek(f_first, first + in_fine(s, o, p))
         poke(f, slot, peek(f, slot) + 0.125 * total)
@@ -380,7 +417,7 @@ def prolong(
     uz = 0.5 * (peek3(u, ahead[2]) - peek3(u, behind[2]))
     p -= (0.5 * (1.0 + drho) * _CS2) * strain(ux, uy, uz)  # a fine cell is half a coarse one: S in 1 / dt_f
     for child in range(8):
-        r = wp.vec3i(child / 4, (child / 2) % 2, child % 2)
+        r = child_at(child)
         d = offset(r)
         g = wp.vec4(drho, m[0], m[1], m[2]) + d[0] * gx + d[1] * gy + d[2] * gz
         v = (1.0 / (1.0 + g[0])) * wp.vec3(g[1], g[2], g[3])

@@ -1,14 +1,14 @@
 """Water on two levels: a box of finer cells in a coarser `Fluid`, stepped together.
 
-    step 2 n      explode into the ghosts, fine step, what enters next, coalesce into the coarse populations
+    step 2 n      explode into the ghosts of both steps, fine step, coalesce into the coarse populations
     step 2 n + 1  fine step, coarse step, restrict, the finest box first                       (exchange.py)
 
 A `RefinedFluid` is the fine level, with all that a `Fluid` offers: a body is coupled to it, and steps with it. `outer` is the
 coarse level, which may be a window, and may itself be refined. Between two coarse steps (`whole`) the box may move by whole
 coarse cells. What it leaves is in the coarse cells already; what it comes to cover is made from them.
 
-A box in a box is restricted in full when all levels are at the same time (`complete`). Between, only its rim is, a coarse cell
-wide: that is as far as the coarse cells outside, and `explode`, see into it.
+Only the rim of a box is restricted, a coarse cell wide: that is as far as the coarse cells outside, and `explode`, see into it. The
+coarse cells behind it hold what flows there without the body, until the box moves or is asked (`restrict`, `complete`).
 """
 
 from dataclasses import replace
@@ -30,14 +30,16 @@ from fishmj.lbm_oracle.refined.exchange import BLOCK, CELL_BITS, GHOST, Nest
 
 RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one
 ROOM = 2  # coarse cells between R and a face of the coarse water
+SECTOR = 8  # numbers that an accelerator's memory reads and writes at once
 
 Cells = tuple[int, int, int]
 
 
-def fine_lattice(coarse: Lattice) -> Lattice:
-    """Half the cell, half the step; fine node 2 N and 2 N + 1 share the coarse cell N."""
-    x, y, z = (c - coarse.dx / 4 for c in coarse.corner)
-    return replace(coarse, dx=coarse.dx / RATIO, dt=coarse.dt / RATIO, corner=(x, y, z))
+def fine_lattice(coarse: Lattice, numbers: int = 0) -> Lattice:
+    """Half the cell, half the step; fine nodes 2 N and 2 N + 1 share the coarse cell N, along z with `numbers` more."""
+    dx = coarse.dx / RATIO
+    x, y, z = (c - dx / 2 for c in coarse.corner)
+    return replace(coarse, dx=dx, dt=coarse.dt / RATIO, corner=(x, y, z - numbers * dx))
 
 
 class RefinedFluid(Fluid):
@@ -47,16 +49,28 @@ class RefinedFluid(Fluid):
         outer: the coarse water, at rest or developed; the box begins with what is there.
         low: (3,) world node of `outer` at the box's low corner. size: (3,) coarse cells of the box.
         linear: False explodes uniformly (Rohde et al. 2006), kept to show what that costs.
+        numbers: world nodes of this level are 2 N + `numbers` of the z node N of `outer`; by default so many, less than 8, that the
+            box begins at a multiple of 8, where no two rows of it share a sector of the memory.
 
     Attributes:
         size_lu: (3,) `size`. embedded: numbers of the axes that the box does not fill.
-        shape: of the fine array, a ghost cell on every side of the box but along an axis that it fills.
+        extent: (3,) cells of the box and a ghost cell on every side of it but along an axis that it fills.
+        shape: of the arrays; along z `extent` or more, up to a multiple of 8.
 
     Raises:
         ConfigError: the box does not fit into `outer` with two cells to spare, or half precision.
     """
 
-    def __init__(self, outer: Fluid, low: Cells, size: Cells, *, linear: bool = True, threads: int | None = None):
+    def __init__(
+        self,
+        outer: Fluid,
+        low: Cells,
+        size: Cells,
+        *,
+        linear: bool = True,
+        threads: int | None = None,
+        numbers: int | None = None,
+    ):
         self._made = False
         self.outer, self.size_lu = outer, np.array(size, int)
         options = outer._options
@@ -66,11 +80,14 @@ class RefinedFluid(Fluid):
         self._linear = linear
         self._ghost = np.where(fills, 0, GHOST)
         self.embedded = np.flatnonzero(~fills).tolist()
+        if numbers is None:
+            numbers = 0 if fills[2] else -RATIO * int(low[2]) % SECTOR
+        self._numbers = np.array([0, 0, numbers])
         faces = Boundaries(**{name: getattr(PERIODIC, name) for name in "xyz"})
         more: dict[str, Any] = {name: value for name, value in options.items() if name != "dtype"}
         super().__init__(
-            fine_lattice(outer.lattice),
-            _cells(RATIO * self.size_lu + 2 * self._ghost),
+            fine_lattice(outer.lattice, numbers),
+            (*self.extent[:2], self.extent[2] if fills[2] else -(-self.extent[2] // SECTOR) * SECTOR),
             outer.device,
             boundaries=faces,
             subgrid=outer.subgrid,
@@ -82,16 +99,16 @@ class RefinedFluid(Fluid):
         self._nest = _nest(outer.shape, self.shape, RATIO * self.size_lu, self._ghost, linear)
         self._directions = wp.array(VELOCITIES.astype(np.int32), dtype=wp.vec3i, device=self.device)
         lists = [wp.array(found, dtype=int, device=self.device) for found in _lists(_cells(size), _cells(self._ghost))]
-        self._ghosts, self._staying, self._entering, self._leaving, self._later, self._all, self._rim = lists
+        self._entering, self._children, self._leaving, self._later, self._all, self._rim = lists
         self._corner = wp.zeros(6, dtype=int, device=self.device)
-        self._place(RATIO * np.array(low, int) - self._ghost)
+        self._place(RATIO * np.array(low, int) + self._numbers - self._ghost)
         self.steps = RATIO * outer.steps
         self.clock.fill_(self.steps)
         self.prolong()
 
     def _fills(self, low: np.ndarray) -> np.ndarray:
         """(3,) whether a box at `low` fills an axis from end to end; it must be periodic."""
-        shape, first = np.array(self.outer.shape), self.outer.origin_lu
+        shape, first = np.array(self.outer.extent), self.outer.origin_lu
         room = _room(self.outer)
         fills = self.size_lu == shape
         for a, axis in enumerate(self.outer.boundaries.axes):
@@ -108,19 +125,26 @@ class RefinedFluid(Fluid):
         return fills
 
     @property
+    def extent(self) -> Cells:
+        return _cells(RATIO * self.size_lu + 2 * self._ghost)
+
+    def _stepped(self) -> tuple[Cells, Cells]:
+        return _cells(self._ghost), _cells(RATIO * self.size_lu + self._ghost)
+
+    @property
+    def first_lu(self) -> np.ndarray:
+        """(3,) world node of this level at the box's low corner."""
+        return self.origin_lu + self._ghost
+
+    @property
     def low_lu(self) -> np.ndarray:
         """(3,) world node of the coarse level at the box's low corner."""
-        return (self.origin_lu + self._ghost) // RATIO
+        return (self.first_lu - self._numbers) // RATIO
 
     @property
     def whole(self) -> bool:
         """Are both levels at the same time?"""
         return self.steps % RATIO == 0
-
-    @property
-    def complete(self) -> bool:
-        """Are all levels at the same time? Then each holds in its box what the finer level has there; else at the rim only."""
-        return all(box.whole for box in self.boxes)
 
     def set_flow(self, flow: Flow) -> None:
         super().set_flow(flow)
@@ -141,19 +165,17 @@ class RefinedFluid(Fluid):
     def stream_collide(self) -> None:
         """One fine time step, and every second time a coarse one."""
         self._advance()
-        complete = self.complete
         for box in self.boxes:  # the finest first: coarser cells are made of its
             if not box.whole:
                 break
-            box._restrict(box._all if complete else box._rim)
+            box._restrict(box._rim)
 
     def _advance(self) -> None:
         """The same, but the coarse cells in a box stay as their own step leaves them."""
         coarse = self.outer
         if self.whole:
-            self._explode(0)
+            self._explode()
             super().stream_collide()
-            self._explode(1)
             self._coalesce()
         else:
             super().stream_collide()
@@ -162,12 +184,11 @@ class RefinedFluid(Fluid):
             else:
                 coarse.stream_collide()
 
-    def _explode(self, second: int) -> None:
-        copies = 1 if second else Q
-        args = [self._nest, self._directions, self._ghosts, self._staying, self._entering, self._corner, second, copies]
+    def _explode(self) -> None:
+        args = [self._nest, self._directions, self._entering, self._children, self._corner]
         args += [self.outer.f.flatten(), self.outer.u.flatten()]
-        threads = copies * len(self._ghosts) + len(self._entering)
-        self._exchange(exchange.explode, threads, args, [self.f.flatten(), self.u.flatten()])
+        copies = [copy.flatten() for k in (self.parity, 1 - self.parity) for copy in (self._f[k], self._u[k])]
+        self._exchange(exchange.explode, len(self._entering), args, copies)
 
     def _coalesce(self) -> None:
         args = [self._nest, self._directions, self._leaving, self._later, self._corner]
@@ -175,8 +196,13 @@ class RefinedFluid(Fluid):
         self._exchange(exchange.coalesce, len(self._leaving), args, [self.outer.f.flatten()])
 
     def restrict(self) -> None:
-        """Coarse cells in the box from the fine ones."""
+        """All coarse cells in the box from the fine ones."""
         self._restrict(self._all)
+
+    def complete(self) -> None:
+        """All cells under finer boxes, of all levels."""
+        for box in self.boxes:
+            box.restrict()
 
     def _restrict(self, cells: wp.array) -> None:
         args = [self._nest, RATIO**2, cells, self._corner, self.f.flatten(), self.u.flatten()]
@@ -202,9 +228,8 @@ class RefinedFluid(Fluid):
             raise ConfigError("refined: the box moves between two coarse steps only, after an even number of its own")
         old = self.low_lu
         self._fills(old + by)
-        if not self.complete:
-            self.restrict()  # what the box leaves behind
-        self._place(RATIO * (old + by) - self._ghost)
+        self.restrict()  # what the box leaves behind
+        self._place(self.origin_lu + RATIO * np.array(by))
         self.prolong((old, self.size_lu))
 
     def centre_on(self, point) -> bool:
@@ -287,7 +312,7 @@ class RefinedFluid(Fluid):
             counts = np.ones(level.shape, bool)
             if isinstance(level, RefinedFluid):
                 counts[:] = False
-                counts[_memory(level, RATIO * level.low_lu, RATIO * level.size_lu)] = True
+                counts[_memory(level, level.first_lu, RATIO * level.size_lu)] = True
             if hole is not None:
                 counts[hole] = False
             sums += level.f.numpy()[:, counts].sum(1, dtype=float) * level.lattice.mass
@@ -297,7 +322,7 @@ class RefinedFluid(Fluid):
 
     def box_slices(self) -> tuple[slice, slice, slice]:
         """Where the box is in arrays of the fine level that begin at its low corner (`velocity`, `pressure`): without ghosts."""
-        x, y, z = (slice(int(g), int(n - g)) for g, n in zip(self._ghost, self.shape, strict=True))
+        x, y, z = (slice(int(g), int(n - g)) for g, n in zip(self._ghost, self.extent, strict=True))
         return x, y, z
 
     def begin_survey(self) -> None:
@@ -321,7 +346,8 @@ class RefinedFluid(Fluid):
         outer = self.outer.finer_levels(factor) if isinstance(self.outer, RefinedFluid) else self.outer.finer(factor)
         outer._place(self.outer.origin_lu.copy())
         x, y, z = self.low_lu
-        return RefinedFluid(outer, (x, y, z), _cells(self.size_lu), linear=self._linear, threads=self.threads)
+        same = {"linear": self._linear, "threads": self.threads, "numbers": int(self._numbers[2])}
+        return RefinedFluid(outer, (x, y, z), _cells(self.size_lu), **same)
 
     def take_outer(self, other: "RefinedFluid") -> None:
         """All coarser water of another box of the same cells and another time step: its place, clock and state."""
@@ -336,14 +362,27 @@ class RefinedFluid(Fluid):
             mine.take_outer(theirs)
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """Of both levels, those of the coarse one under `outer.`.
+        """Of both levels, those of the coarse one under `outer.`; of this one what `extent` holds, by world node 2 N of N modulo it.
 
         Raises:
             ConfigError: in the middle of a coarse step.
         """
         if not self.whole:
             raise ConfigError("refined: a state is kept between two coarse steps only, after an even number of fine ones")
-        return super().snapshot() | {f"outer.{name}": value for name, value in self.outer.snapshot().items()}
+        self.restrict()
+        state, origin = super().snapshot(), self.origin_lu - self._numbers
+        for name, (values, axes) in self._fields(state).items():
+            held = np.roll(values, -self.origin_lu, axes)[self._held(axes)]
+            state[name] = np.roll(held, origin, axes)
+        return state | {"origin": origin} | {f"outer.{name}": value for name, value in self.outer.snapshot().items()}
+
+    def _fields(self, state: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
+        """Those that have an entry for each cell, with their axes."""
+        return {"f": (state["f"], (1, 2, 3)), "u": (state["u"], (0, 1, 2))}
+
+    def _held(self, axes: tuple[int, int, int]) -> tuple[slice, ...]:
+        """Where `extent` is in such a field by logical node."""
+        return *(slice(None) for _ in range(axes[0])), *(slice(n) for n in self.extent)
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue from a snapshot, bit for bit; the coarse clock follows the fine one.
@@ -354,7 +393,14 @@ class RefinedFluid(Fluid):
         outer = {name.removeprefix("outer."): value for name, value in state.items() if name.startswith("outer.")}
         if "f" not in outer:
             raise ConfigError("refined: a snapshot of one level; expected one of refined water, with both")
-        super().restore(state)
+        if state["f"].shape[1:] != self.extent:
+            raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.extent}")
+        plain = np.array(state["origin"], int)
+        mine, changed = plain + self._numbers, {}
+        for name, (values, axes) in self._fields(state).items():
+            more = [(0, self.shape[axes.index(a)] - n) if a in axes else (0, 0) for a, n in enumerate(values.shape)]
+            changed[name] = np.roll(np.pad(np.roll(values, -plain, axes), more), mine, axes)
+        super().restore(state | changed | {"origin": mine})
         self.outer.restore(outer | {"steps": np.array(self.steps // RATIO)})
 
 
@@ -372,7 +418,7 @@ def lowest(outer: Fluid, point, size) -> Cells:
 def _limits(outer: Fluid, size) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest world node (3,) that the low corner of a box in `outer` may have."""
     low = outer.origin_lu + _room(outer)
-    return low, outer.origin_lu + np.array(outer.shape) - _room(outer) - np.array(size)
+    return low, outer.origin_lu + np.array(outer.extent) - _room(outer) - np.array(size)
 
 
 def _room(outer: Fluid) -> int:
@@ -386,20 +432,14 @@ def _nest(coarse, fine, size, ghost, linear: bool) -> Nest:
     made.coarse, made.fine, made.size, made.ghost, made.shell = (
         wp.vec3i(*map(int, n)) for n in (coarse, fine, size, ghost, shell)
     )
-    made.by_fine, made.by_shell = (wp.vec4i(*split_by(int(n[1])), *split_by(int(n[2]))) for n in (fine, shell))
-    made.linear = float(linear)
+    made.by_shell = wp.vec4i(*split_by(int(shell[1])), *split_by(int(shell[2])))
+    made.gap, made.linear = int(fine[2] - size[2]), float(linear)
     return made
 
 
 def _memory(level: Fluid, low, size) -> tuple[np.ndarray, ...]:
     """Index of a box of world nodes in a level's arrays."""
     return np.ix_(*((a + np.arange(b)) % n for a, b, n in zip(low, size, level.shape, strict=True)))
-
-
-def _layers(size: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Cells round a box of `size` from (0, 0, 0) on, `width` of them on either side of each axis, (n, 3)."""
-    r = np.indices(tuple(size + 2 * width)).reshape(3, -1).T - width
-    return r[np.any((r < 0) | (r >= size), 1)]
 
 
 def _shell(size: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -423,20 +463,28 @@ def _words(at: np.ndarray, shape: np.ndarray, directions: Any = 0) -> np.ndarray
 def _lists(size: Cells, ghost: Cells) -> tuple[np.ndarray, ...]:
     """Of a box of `size` coarse cells, what `_entering`, `_leaving` and `_covered` find: a second for a million fine cells."""
     coarse, width = np.array(size), np.array(ghost)
-    return *_entering(RATIO * coarse, width), *_leaving(coarse, width), *_covered(coarse, width)
+    return *_entering(coarse, width), *_leaving(coarse, width), *_covered(coarse, width)
 
 
-def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `explode` goes through, for a box of `size` fine cells, by direction and in order of memory.
+def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `explode` goes through, for a box of `size` coarse cells, by direction and in order of memory.
 
     Returns:
-        Words of the ghost cells, (n,); for each a bit for every direction that does not enter, (n,); words of what enters, (m,).
+        Words of coarse cells beside the box, (n,); for each its children that count, as `explode` reads them, (n,).
     """
-    y, ends, shape = _layers(size, ghost), ghost > 0, size + 2 * ghost
-    enters = np.array([_inside(y + c, size, ends) for c in VELOCITIES])
-    direction, cell = np.nonzero(enters)
-    staying = (~enters * (1 << np.arange(Q))[:, None]).sum(0)
-    return _words(y + ghost, shape), staying.astype(np.int32), _words(y[cell] + ghost, shape, direction)
+    ends, shape, fine = ghost > 0, size + 2 * ghost, RATIO * size
+    x = _shell(size, ends)
+    x = x[~_inside(x, size, ends)]
+    children = np.zeros((Q, len(x)), int)
+    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
+        w = RATIO * x + r
+        children[0] |= _inside(w + ghost, fine + 2 * ghost, ends).astype(int) << child  # within a layer of the box
+        for i, c in enumerate(VELOCITIES[1:], 1):
+            first = _inside(w + c, fine, ends)
+            second = ~first & _inside(w + 2 * c, fine, ends)
+            children[i] |= first.astype(int) << child | second.astype(int) << 8 + child
+    direction, cell = np.nonzero(children)
+    return _words(x[cell] + ghost, shape, direction), children[direction, cell].astype(np.int32)
 
 
 def _leaving(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -30,7 +30,7 @@ class RefinedStructure(FluidStructure):
             ConfigError: a marker is so near to a face of the box that its kernel would read what no level knows.
         """
         fluid, found = self.fluid, self.body.corner_box(self.boundary.corners).tolist()
-        lattice, first, size = fluid.lattice, (RATIO * fluid.low_lu).tolist(), (RATIO * fluid.size_lu).tolist()
+        lattice, first, size = fluid.lattice, fluid.first_lu.tolist(), (RATIO * fluid.size_lu).tolist()
         for a in fluid.embedded:
             low, high = ((found[a + 3 * k] - lattice.corner[a]) / lattice.dx - first[a] for k in (0, 1))
             room = min(low, size[a] - 1 - high)

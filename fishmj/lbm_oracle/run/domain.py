@@ -31,9 +31,16 @@ AROUND = {  # m, box of finer cells round a fish of 0.54 m at any heading
 }
 TWICE = ("paper", "forcemap", "window", "window_coarse")  # of these also with a box of still finer cells in the first
 CLOSE = (0.72, 0.72, 0.28)  # m, the second box
+SMALL = ("paper", "window_coarse")  # of these also with both boxes as small as a fish of 0.54 m allows
+SMALL_AROUND, SMALL_CLOSE = (0.8, 0.8, 0.32), (0.64, 0.64, 0.24)  # m
 THRICE = ("window_coarse",)  # of these also with a third, to look at what half the cell of the second changes
 CLOSEST = (0.64, 0.64, 0.2)  # m
-BOXES = ((AROUND, (), ""), (TWICE, (CLOSE,), "_twice"), (THRICE, (CLOSE, CLOSEST), "_thrice"))
+BOXES = {  # end of a name: the first box of each domain, and those in it
+    "_refined": (AROUND, ()),
+    "_refined_twice": ({name: AROUND[name] for name in TWICE}, (CLOSE,)),
+    "_refined_twice_small": (dict.fromkeys(SMALL, SMALL_AROUND), (SMALL_CLOSE,)),
+    "_refined_thrice": ({name: AROUND[name] for name in THRICE}, (CLOSE, CLOSEST)),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,19 +143,17 @@ def _presets() -> dict[str, Domain]:
 
 
 def _refined() -> dict[str, Domain]:
-    """Those of them with a box of finer cells, by names that end in `_refined`, with two in `_refined_twice`, with three in
-    `_refined_thrice`."""
+    """Those of them with boxes of finer cells, by names that end as `BOXES` says."""
     plain, made = _presets(), {}
-    for names, more, ending in BOXES:
-        for name in names:
-            domain = replace(plain[name], name=f"{name}_refined{ending}", fine=AROUND[name], finer=more)
-            made[domain.name] = domain
+    for ending, (around, more) in BOXES.items():
+        for name, first in around.items():
+            made[name + ending] = replace(plain[name], name=name + ending, fine=first, finer=more)
     return made
 
 
 PREVIEWS = ("laptop",)  # too coarse for a judgement
 NAMES = ("paper", "forcemap", "flow_tank", "window", "window_fine", "window_coarse", "laptop")
-REFINED = tuple(f"{name}_refined{ending}" for names, _, ending in BOXES for name in names)
+REFINED = tuple(name + ending for ending, (around, _) in BOXES.items() for name in around)
 EVERY = NAMES + REFINED
 
 
@@ -193,7 +198,7 @@ class Follower:
 def margin(fluid, low, high) -> float:
     """Least distance in cells between a box of points, low and high (3,) m, and the faces of the fluid; negative outside."""
     dx, room = fluid.lattice.dx, float("inf")
-    sides = zip(low, high, fluid.lattice.corner, fluid.origin_lu.tolist(), fluid.shape, strict=True)
+    sides = zip(low, high, fluid.lattice.corner, fluid.origin_lu.tolist(), fluid.extent, strict=True)
     for a, b, corner, first, n in sides:  # plain numbers: a handful is faster so than in NumPy
         room = min(room, (a - corner) / dx - first, first + n - 1 - (b - corner) / dx)
     return float(room)

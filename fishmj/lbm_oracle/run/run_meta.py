@@ -13,12 +13,12 @@ def about(run, tables: dict) -> dict:
     fluid, edge = run.coupled.fluid, run.coupled.boundary
     flow, lattice = fluid.flow, fluid.lattice
     (x, y, turn), c, s = run.pushed, np.cos(run.first[2]), np.sin(run.first[2])
-    water = {"dx": lattice.dx, "dt": lattice.dt, "shape": list(fluid.shape), "slip": run.coupled.slip}
+    water = {"dx": lattice.dx, "dt": lattice.dt, "shape": list(fluid.extent), "slip": run.coupled.slip}
     water |= {"subgrid": fluid.subgrid, "kernel": edge.width, "passes": edge.passes, "markers": edge.count}
     water["boundary"] = run.boundary_name
     if isinstance(fluid, RefinedFluid):
         coarse = fluid.outer
-        water["coarse"] = {"dx": coarse.lattice.dx, "dt": coarse.lattice.dt, "shape": list(coarse.shape)}
+        water["coarse"] = {"dx": coarse.lattice.dx, "dt": coarse.lattice.dt, "shape": list(coarse.extent)}
     return {
         "schema": SCHEMA,
         "origin": "synthetic",
