@@ -102,10 +102,13 @@ class SegmentRunner:
         """(J,) rad for the next tick; zeros where joints follow a path."""
         return self.drive.command(self.run.ticks, self.run)
 
-    def ticked(self) -> None:
-        """After every tick: the record begins where the settling ends."""
-        if self.run.ticks == self.before:
-            self.start = self._state()
+    def ticking(self) -> Iterator[None]:
+        """All its ticks, pausing whenever other tanks could have their turn; the record begins where the settling ends."""
+        tank = ConcurrentRuns([self.run])
+        while not self.done:
+            yield from tank.ticking(self.command()[None])
+            if self.run.ticks == self.before:
+                self.start = self._state()
 
     def finished(self) -> Finished:
         """The record, as far as it is sound."""
@@ -160,33 +163,32 @@ class SegmentRunner:
 
 
 def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = always) -> Iterator[Finished]:
-    """Run what is waiting, `tanks` at a time; a tank that is done takes the next segment.
+    """Run what is waiting, `tanks` at a time, each at its own pace; a tank that is done takes the next segment.
 
     Args:
         waiting: emptied from the left, asked only where there is room for one more.
-        go_on: called after every tick with the seconds of water that the unfinished segments have done; False gives these up and
+        go_on: called after every round with the seconds of water that the unfinished segments have done; False gives these up and
             ends.
 
     Raises:
         ConfigError, OracleUnstable: a segment could not be set up.
     """
-    busy: list[SegmentRunner] = []
+    busy: list[tuple[SegmentRunner, Iterator[None]]] = []
     emptied = 0
     while busy or waiting:
         while len(busy) < tanks and waiting:
-            busy.append(SegmentRunner(waiting.popleft(), setup))
-        ConcurrentRuns([tank.run for tank in busy]).tick(np.array([tank.command() for tank in busy]))
-        for tank in list(busy):
-            tank.ticked()
-            if tank.done:
-                busy.remove(tank)
+            tank = SegmentRunner(waiting.popleft(), setup)
+            busy.append((tank, tank.ticking()))
+        for tank, ticks in list(busy):
+            if next(ticks, tank) is tank:
+                busy.remove((tank, ticks))
                 yield tank.finished()
                 emptied += 1
-                del tank
+            del tank, ticks
         if emptied >= tanks:  # captured launches and their tank hold each other: without this a GPU fills up with old water
             gc.collect()
             emptied = 0
-        if not go_on(sum(tank.water for tank in busy)):
+        if not go_on(sum(tank.water for tank, _ in busy)):
             return
 
 

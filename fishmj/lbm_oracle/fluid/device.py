@@ -3,17 +3,20 @@
 One water has one device (`device_of`). Independent waters may have several (`devices_of`): `cuda:all`, or a list.
 """
 
+import os
 from functools import cache
 
 from fishmj import console
 from fishmj.errors import ConfigError, UnknownName
 
 KINDS = ("auto", "cpu", "cuda")
+QUEUES = "32"  # of an accelerator's work, the most there are: with eight, its default, twelve tanks wait for each other
 
 
 @cache
 def _warp():
     """Warp, initialised without a banner."""
+    os.environ.setdefault("CUDA_DEVICE_MAX_CONNECTIONS", QUEUES)  # read once, when the device is first used
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING

@@ -22,7 +22,6 @@ from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, Si
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
-from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run.run_meta import about
 from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
@@ -103,8 +102,7 @@ class Run:
         follow: called with the coupled fish after every step: a window moves, a tank looks after its walls. It touches the
             water in `FluidStructure.scope` only.
         on_device: a tick's steps are done in one, the fish's own motion on the device (`DeviceSteps`), wherever servos alone
-            drive a plain body; by default on an accelerator, in water of one cell size: with finer cells round the fish the
-            host's steps are faster there. `follow` is then called once a tick.
+            drive a plain body; by default on an accelerator. `follow` is then called once a tick.
 
     Attributes:
         root: of a tethered fish, its path: t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
@@ -132,8 +130,7 @@ class Run:
         follow: Callable[[FluidStructure], None] | None = None,
         on_device: bool | None = None,
     ):
-        several = isinstance(coupled.fluid, RefinedFluid)
-        self.on_device = coupled.fluid.device.is_cuda and not several if on_device is None else on_device
+        self.on_device = coupled.fluid.device.is_cuda if on_device is None else on_device
         self._at_once: DeviceSteps | None = None
         self.coupled, self.robot = coupled, load_robot(robot)
         self.tethered, self.prescribed, self.follow = tethered, prescribed, follow

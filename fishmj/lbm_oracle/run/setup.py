@@ -158,7 +158,7 @@ class DomainWatch:
             return
         if self.moves_water:
             with coupled.scope():
-                for _ in range(looks):  # each turns the lead by so much at most
+                for _ in range(looks if self.domain.follows else 1):  # each turns a window's lead by so much at most
                     self.follow(coupled)
         body, fluid = coupled.body, coupled.fluid
         room = margin(fluid, *body.bounds(coupled.boundary.corners))

@@ -16,6 +16,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import TICK
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.refined.refined_fluid import RATIO
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain
 
 MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
@@ -114,7 +115,7 @@ def step_for(lattice: Lattice, speed: float) -> float:
 
 @dataclass
 class Watch:
-    """Looks at a fluid every `every` steps and stops it before nonsense is written.
+    """Looks at a fluid every `every` steps, of the coarsest of its levels, and stops it before nonsense is written.
 
     `look` waits for the device; `begin` does not, and `end` judges what it saw once the device has gone on.
 
@@ -129,7 +130,7 @@ class Watch:
 
     def due(self, fluid, since: int = 1) -> bool:
         """Whether this is a step to look after, or one of the last `since` was."""
-        return fluid.steps % self.every < since
+        return fluid.steps % (self.every * RATIO ** (len(fluid.levels) - 1)) < since
 
     def after_step(self, fluid) -> bool:
         """To be called after each step; True when it looked and found all well: the moment to keep a checkpoint."""

@@ -115,7 +115,7 @@ def _emptied(domain, device, steps: int, unit: float = 1.0) -> Work:
 
 
 def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
-    """Fish at rest in still water, all with their servos on; `unit` of work a step of one tank.
+    """Fish at rest in still water, all with their servos on, each at its own pace as trials are; `unit` of work a step of one.
 
     Raises:
         SimDiverged: a tank stopped; its steps would have been counted without having been done.
@@ -128,14 +128,20 @@ def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
     from fishmj.lbm_oracle.run.setup import SwimSetup
 
     stage = SwimSetup(domain=domain, device=str(device))
-    side = ConcurrentRuns([stage.run() for _ in range(tanks)], ahead=True)  # as trials are judged
-    first = side.runs[0]
-    commands = np.zeros((tanks, first.joints))
+    side = [ConcurrentRuns([stage.run()], ahead=True) for _ in range(tanks)]
+    first = side[0].runs[0]
+    commands = np.zeros((1, first.joints))
+
+    def ticking(tank: ConcurrentRuns):
+        for _ in range(ticks):
+            yield from tank.ticking(commands)
+            if not tank.swimming:
+                raise SimDiverged(f"bench: {tank.runs[0].stopped}")
 
     def run():
-        for _ in range(ticks):
-            if len(side.tick(commands)) < tanks:
-                raise SimDiverged("bench: " + "; ".join(one.stopped for one in side.runs if one.stopped))
+        busy = [ticking(tank) for tank in side]
+        while busy:
+            busy = [one for one in busy if next(one, one) is None]
         wp.synchronize_device(device)
 
     run()
