@@ -154,7 +154,7 @@ def set_clock(run: Run, time: float) -> None:
     coupled = run.coupled
     fluid = coupled.fluid
     with coupled.scope():
-        fluid.restore(fluid.snapshot() | {"steps": np.array(round(time / fluid.lattice.dt))})
+        fluid.set_steps(round(time / fluid.lattice.dt))
         fluid.settle()
     coupled.body.data.time = time
     run.begin()

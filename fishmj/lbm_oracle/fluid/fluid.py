@@ -232,6 +232,11 @@ class Fluid:
         self._inflow = inflow_of(flow, self.lattice, self.device)
         self._launches, self._graphs, self._parts = None, {}, {}
 
+    def set_steps(self, steps: int) -> None:
+        """The clock, in steps since the start; the water stays as it is."""
+        self.steps = int(steps)
+        self.clock.fill_(self.steps)
+
     def settle(self) -> None:
         """Undisturbed background flow everywhere, at the present time."""
         self._settle(self.origin_lu, self.shape)
@@ -401,9 +406,8 @@ class Fluid:
             raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.shape}")
         self.f.assign(state["f"])
         self.u.assign(state["u"])
-        self.steps = int(state["steps"])
         self._place(np.array(state["origin"], int))
-        self.clock.fill_(self.steps)
+        self.set_steps(int(state["steps"]))
 
 
 def _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend) -> Params:

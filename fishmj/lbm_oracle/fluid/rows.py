@@ -228,8 +228,8 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
             # what is stepped of a row, in two pieces where it wraps round
             begin = within(low_z + s.low[2], nz)
             end = begin + s.high[2] - s.low[2]
-            start_k, stop = wp.clamp(begin - first, 0, count), wp.clamp(end - first, 0, count)
-            rest = wp.clamp(end - nz - first, 0, count)
+            start_k, stop = wp.max(wp.min(begin - first, count), 0), wp.min(end - first, count)
+            rest = wp.min(end - nz - first, count)
             i = int(0)  # noqa: UP018
             while i < wp.static(Q):
                 base = i * cells + row + first

@@ -151,6 +151,18 @@ class RefinedFluid(Fluid):
         if flow is not self.outer.flow:
             self.outer.set_flow(flow)
 
+    def set_steps(self, steps: int) -> None:
+        """The clocks of both levels.
+
+        Raises:
+            ConfigError: no whole number of coarse steps.
+        """
+        if steps % RATIO:
+            raise ConfigError(f"refined: {steps} steps are no whole number of coarse ones; expected a multiple of {RATIO}")
+        super().set_steps(steps)
+        if self._made:
+            self.outer.set_steps(steps // RATIO)
+
     def settle(self) -> None:
         """Undisturbed background flow everywhere on both levels."""
         if self._made:

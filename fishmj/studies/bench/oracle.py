@@ -86,6 +86,7 @@ def oracle_fluid_half(quick: bool) -> Work:
 
 TANKS, TANKS_CPU = 12, 2  # side by side
 TICKS, TICKS_CPU, TICKS_QUICK = 60, 6, 2  # a run of the benchmark
+FINE_TICKS = 16  # of the same with finer cells round the fish
 
 
 def _place(quick: bool):
@@ -167,6 +168,41 @@ def oracle_tanks(quick: bool) -> Work:
     """Several of them side by side in one process, their steps added up."""
     domain, device, ticks = _place(quick)
     return _resting(domain, device, ticks, TANKS if device.is_cuda else TANKS_CPU)
+
+
+def _fine_cells(quick: bool):
+    """The same with 5 mm round the fish, on the CPU 1 cm."""
+    from fishmj.lbm_oracle.fluid.device import device_of
+    from fishmj.lbm_oracle.run.domain import preset
+
+    device = device_of("auto")
+    name, ticks = ("paper_refined_twice_small", FINE_TICKS) if device.is_cuda else ("laptop_refined", 1 if quick else TICKS_QUICK)
+    return preset(name), device, ticks
+
+
+def fine_alone(quick: bool) -> Work:
+    """The water of one of those tanks with nobody in it, all levels."""
+    import warp as wp
+
+    from fishmj.lbm_oracle.run.setup import SwimSetup
+
+    domain, device, ticks = _fine_cells(quick)
+    made = SwimSetup(domain=domain, device=str(device)).run()
+    water, steps = made.coupled.fluid, 2 * ticks * made.steps
+
+    def run():
+        water.run(steps)
+        wp.synchronize_device(device)
+
+    run()
+    return Work(run, steps * water.lattice.dt, f"{device}, {water.threads} slabs")
+
+
+@benchmark("oracle_tanks_fine", "simulated s/s", baseline=fine_alone)
+def oracle_tanks_fine(quick: bool) -> Work:
+    """Tanks side by side with 5 mm round the fish, on the CPU 1 cm: simulated seconds a second, added up."""
+    domain, device, ticks = _fine_cells(quick)
+    return _resting(domain, device, ticks, TANKS if device.is_cuda else 1, domain.body_level.dt)
 
 
 def _laptop():
