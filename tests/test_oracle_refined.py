@@ -10,8 +10,8 @@ wp = pytest.importorskip("warp")
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases.refined import across, ball_in_a_box, pulse_returned, shear_viscosity, water_and_box
-from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid import fluid
+from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
 from fishmj.lbm_oracle.fluid.pairs import stream_collide_pairs
@@ -24,7 +24,8 @@ from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
 
 pytestmark = pytest.mark.oracle
 STREAM = np.array([0.05, -0.03, 0.02])
-THREADS = {stream_collide: lambda cells: cells, stream_collide_rows: lambda cells: 1, stream_collide_pairs: lambda cells: cells // 2}  # a row of z
+# threads for a row of z
+THREADS = {stream_collide: lambda n: n, stream_collide_rows: lambda n: 1, stream_collide_pairs: lambda n: n // 2}
 
 
 def stirred(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -131,7 +131,8 @@ def six(values: wp.array(dtype=int)) -> vec6i: ...
 
 @wp.func_native(
     _for(
-        "float4* w = (float4*)(values.data + i); w[0] = make_float4(value, 0.f, 0.f, 0.f); w[1] = make_float4(0.f, 0.f, 0.f, 0.f);",
+        """float4* w = (float4*)(values.data + i);
+        w[0] = make_float4(value, 0.f, 0.f, 0.f); w[1] = make_float4(0.f, 0.f, 0.f, 0.f);""",
         "values.data[i] = value;",
     )
 )

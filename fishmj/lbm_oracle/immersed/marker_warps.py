@@ -24,7 +24,7 @@ from fishmj.lbm_oracle.immersed.kernels import CouplingArrays, first, phi, pulle
 LANES = 32  # of a marker, on an accelerator
 GROUP = 4  # lanes of a marker and right-hand side in `answer`
 PASSES = 2  # that these kernels do
-BLOCKS = 64  # of `answer`, about half as many as a device runs at once, for several tanks: the one that ends last adds up what all found
+BLOCKS = 64  # of `answer`, half as many as run at once, for there are other tanks; the last one adds up what all have found
 MOST = 24  # degrees of freedom that are solved for in shared memory
 
 

@@ -42,15 +42,13 @@ class Sharpness:
 
     hull: how far hulls are drawn in along their normal. rim: how far sheets are drawn in at their free edges, in their plane.
     None: both as `offset_of` has it. hull_slip, sheet_slip: slip lengths where the water sticks (slip = 0); a wall with a slip
-    ratio has its friction from that. tapers: the rim of a sheet that stands for a body of some thickness is drawn in less, the
-    more the thicker, and where it is about to become a hull as far as that: both meet there.
+    ratio has its friction from that.
     """
 
     hull: float | None = None
     rim: float | None = None
     hull_slip: float = 0.0
     sheet_slip: float = 0.0
-    tapers: bool = False
 
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
         """Cells that hulls and rims are drawn in by; a `hydro_offset` that is given holds for both."""
@@ -170,7 +168,7 @@ def chain_markers(
     """`fish_markers` of a chain that is taken as it is: it may have more links than a description of a robot."""
     g = geometry_of(robot)
     (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
-    parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness.tapers)]
+    parts = [_body(robot, g, hull * dx, rim * dx, step, dx)]
     parts += [_side_fin(robot, g, fin, side, rim * dx, step) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
     point, normal, area, anchor, sheet, thick = (np.concatenate(column) for column in zip(*parts, strict=True))
     if len(point) == 0:
@@ -207,20 +205,18 @@ def _profile(robot: Robot, g: Geometry):
     return half, plate
 
 
-def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: float, tapers: bool):
+def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: float):
     """Hull rings, nose cap and tail sheet, in the straight pose, body frame."""
     half, plate = _profile(robot, g)
     nose, tail = min(inset, CLAMP * robot.length), robot.length - rim
     n = max(1, round((tail - nose) / step))
     ds = (tail - nose) / n
-    thick = min(SHEET * dx + inset, SHEET * dx / (1 - CLAMP))  # the half-width from which on there are two sides
     out = []
     for i, s in enumerate(nose + (np.arange(n) + 0.5) * ds):
         a, b = half(s)
         drawn = min(inset, CLAMP * b)
         if s >= plate or b - drawn < SHEET * dx:
-            less = (rim - drawn) * min(b / thick, 1.0) if tapers else 0.0
-            out.append(_row(s, a - min(rim - less, CLAMP * a), b, ds, step))
+            out.append(_row(s, a - min(rim, CLAMP * a), b, ds, step))
             continue
         slope = [(v - u) / (2e-3) for u, v in zip(half(s - 1e-3), half(s + 1e-3), strict=True)]
         out.append(_ring(s, a - drawn, b - drawn, slope, ds, step))

@@ -9,7 +9,7 @@ in its coarse cell X, and s = 0, 1 counts the fine steps:
                E_i(w, s) = f_i(X) + [d_w + (2 s - 1) c_i / 4] . grad f_i         w in X; grad f_i by central differences
     coalesce   f_i(X) = mean over the children x of X of [B_i(x + c_i) if x + c_i in R, else A_i(x)]        X in R, X + c_i not
                f_i(X) gains the mean of [B_i(x + c_i) - A_i(x)] over those x with x + c_i in R              X and X + c_i not in R
-    restrict   rho, rho u: means of the children,   P_c = mean P_f + rho c_s^2 dev S                        X in R, after the step
+    restrict   rho, rho u: means of the children,   P_c = mean P_f + rho c_s^2 dev S                        X at R's rim, later
     prolong    rho, rho u: linear in the coarse cell, its mean kept,   P_f = P_c - rho c_s^2 dev S          cells new in R
 
 `coalesce` writes into the coarse populations before their step, where the plain kernel of the solver pulls them. Each population

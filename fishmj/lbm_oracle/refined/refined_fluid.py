@@ -7,8 +7,8 @@ A `RefinedFluid` is the fine level, with all that a `Fluid` offers: a body is co
 coarse level, which may be a window, and may itself be refined. Between two coarse steps (`whole`) the box may move by whole
 coarse cells. What it leaves is in the coarse cells already; what it comes to cover is made from them.
 
-Only the rim of a box is restricted, a coarse cell wide: that is as far as the coarse cells outside, and `explode`, see into it. The
-coarse cells behind it hold what flows there without the body, until the box moves or is asked (`restrict`, `complete`).
+Only the rim of a box is restricted, a coarse cell wide: that is as far as the coarse cells outside, and `explode`, see into it.
+The coarse cells behind it hold what flows there without the body, until the box moves or is asked (`restrict`, `complete`).
 """
 
 from dataclasses import replace
@@ -49,8 +49,8 @@ class RefinedFluid(Fluid):
         outer: the coarse water, at rest or developed; the box begins with what is there.
         low: (3,) world node of `outer` at the box's low corner. size: (3,) coarse cells of the box.
         linear: False explodes uniformly (Rohde et al. 2006), kept to show what that costs.
-        numbers: world nodes of this level are 2 N + `numbers` of the z node N of `outer`; by default so many, less than 8, that the
-            box begins at a multiple of 8, where no two rows of it share a sector of the memory.
+        numbers: along z the world node N of `outer` holds 2 N + `numbers` and the next of this level; by default so many that the
+            box begins at a multiple of 8: no two rows of it then share a sector of the memory.
 
     Attributes:
         size_lu: (3,) `size`. embedded: numbers of the axes that the box does not fill.
@@ -358,7 +358,7 @@ class RefinedFluid(Fluid):
         outer = self.outer.finer_levels(factor) if isinstance(self.outer, RefinedFluid) else self.outer.finer(factor)
         outer._place(self.outer.origin_lu.copy())
         x, y, z = self.low_lu
-        same = {"linear": self._linear, "threads": self.threads, "numbers": int(self._numbers[2])}
+        same: dict[str, Any] = {"linear": self._linear, "threads": self.threads, "numbers": int(self._numbers[2])}
         return RefinedFluid(outer, (x, y, z), _cells(self.size_lu), **same)
 
     def take_outer(self, other: "RefinedFluid") -> None:
@@ -374,7 +374,7 @@ class RefinedFluid(Fluid):
             mine.take_outer(theirs)
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """Of both levels, those of the coarse one under `outer.`; of this one what `extent` holds, by world node 2 N of N modulo it.
+        """Of both levels, those of the coarse one under `outer.`; fields of this one by world node, as without `numbers`.
 
         Raises:
             ConfigError: in the middle of a coarse step.
