@@ -1,5 +1,6 @@
 """The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/decisions/reliability.md)."""
 
+import os
 import re
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from fishmj import console
 from fishmj.errors import ConfigError, OracleUnstable, UnknownName
 from fishmj.lbm_oracle import __main__ as verbs
 from fishmj.lbm_oracle import cases
+from fishmj.lbm_oracle.fluid import device
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -65,6 +67,22 @@ def test_fault_11_an_accelerator_that_is_too_small_is_named_with_both_figures(mo
     assert device_of("auto", 359 * 2**20).is_cpu and "running on the CPU" in capsys.readouterr().err
     with pytest.raises(UnknownName, match="cuda"):
         device_of("gpu")
+
+
+@pytest.mark.parametrize(("said", "queues"), [(None, "32"), ("8", "8")])
+def test_an_accelerator_has_a_queue_for_every_tank_unless_somebody_said_how_many(said, queues, monkeypatch):
+    if said is None:
+        monkeypatch.delenv("CUDA_DEVICE_MAX_CONNECTIONS", raising=False)
+    else:
+        monkeypatch.setenv("CUDA_DEVICE_MAX_CONNECTIONS", said)
+    device._warp.__wrapped__()
+    assert os.environ["CUDA_DEVICE_MAX_CONNECTIONS"] == queues
+
+
+@pytest.mark.parametrize(("levels", "steps"), [(1, 50), (2, 100), (3, 200)])
+def test_the_watch_looks_every_fifty_steps_of_the_coarsest_water(levels, steps):
+    seen = [n for n in range(1, 401) if stability.Watch().due(SimpleNamespace(steps=n, levels=[None] * levels))]
+    assert seen == list(range(steps, 401, steps))
 
 
 def test_fault_11_without_an_accelerator_auto_falls_back_and_cuda_says_why():

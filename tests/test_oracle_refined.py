@@ -364,6 +364,15 @@ def test_restored_levels_go_on_bit_for_bit():
     assert (other.steps, other.outer.steps, other.low_lu.tolist()) == (14, 7, [5, 4, 2])
 
 
+def test_a_clock_is_that_of_both_levels():
+    box = pair()
+    box.set_steps(-4)
+    assert (box.steps, box.outer.steps) == (-4, -2)
+    assert (int(box.clock.numpy()[0]), int(box.outer.clock.numpy()[0])) == (-4, -2)
+    with pytest.raises(ConfigError, match="3 steps"):
+        box.set_steps(3)
+
+
 def test_a_state_does_not_depend_on_how_a_box_numbers_its_nodes():
     """Along z: by default so that it begins at a multiple of 8."""
     aligned, plain = (RefinedFluid(pair("wale").outer, (4, 4, 3), (7, 6, 6), numbers=numbers) for numbers in (None, 0))
