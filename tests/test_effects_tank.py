@@ -61,9 +61,9 @@ class Dry:
     def __init__(self, stage: SwimSetup, body: ImmersedBody):
         self.body, self.steps, self.together, self.slip = body, 1, 1, 1.0  # step 1 for good: nobody looks after the water
         body.place(reference_qpos(body.model, stage.pose, np.array(stage.joints)))
-        lattice, idle = SimpleNamespace(sound=np.inf, dt=body.dt), dict.fromkeys(("restore", "settle"), lambda *_: None)
+        lattice, idle = SimpleNamespace(sound=np.inf, dt=body.dt), dict.fromkeys(("set_steps", "settle"), lambda *_: None)
         device = SimpleNamespace(is_cuda=False)
-        self.fluid = SimpleNamespace(flow=stage.flow, lattice=lattice, steps=1, snapshot=dict, device=device, **idle)
+        self.fluid = SimpleNamespace(flow=stage.flow, lattice=lattice, steps=1, levels=[None], device=device, **idle)
         self.boundary = SimpleNamespace(corners=Corners(np.zeros((body.links, 8, 3)), body.water.centre))
         self.ahead = False
         self.place_markers = self.assemble_response = self.push_water = self.join_stream = lambda: None

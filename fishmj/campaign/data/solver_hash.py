@@ -14,8 +14,8 @@ PHYSICS = (
     *("fluid/collide", "fluid/domain_faces", "fluid/fluid", "fluid/inflow", "fluid/lattice", "fluid/pairs", "fluid/rows"),
     *("fluid/step", "fluid/storage", "immersed/articulated_body", "immersed/body", "immersed/boundary", "immersed/coupling"),
     *("immersed/device_body", "immersed/device_steps", "immersed/early_water", "immersed/fsi_solve", "immersed/kernels"),
-    *("immersed/marker_warps", "immersed/markers", "refined/exchange", "refined/refined_fluid", "refined/refined_structure"),
-    *("run/refined_run", "run/time_refinement"),
+    *("immersed/marker_warps", "immersed/markers", "refined/crossings", "refined/exchange", "refined/refined_fluid"),
+    *("refined/refined_structure", "run/refined_run", "run/time_refinement"),
 )
 # hashes of later code -> that of the code which made the shipped segments: every figure is equal to the bit on a CPU, but for
 # `SECTORS` in refined water, where nodes have other numbers and markers the round-off of these: 1e-9
@@ -26,7 +26,7 @@ TWO_LEVELS = "e9b7b5df01ae327b9c422e7ca271641f62f2db389de9f6afc2d157063a79f5ea" 
 QUICKER = "0e63acdfdad8f2d9bac570118892d127a48684438947c61699655a92137077b1"  # two cells a thread, a tick in one graph
 AHEAD = "6cb595be3e1f8b9a4770058ae4507856de4f514bf90aee8b3ac81a473a83b584"  # a tick ahead of the host, on a GPU
 LISTED = "27ff9448df17743150b4eafb663e9f9264b8bf567b43721429792f6ba33006f8"  # lists of what levels exchange, short sums on a GPU
-SECTORS = "405e005e9b9a537950aeb07515921a6bbf88d1919394ed3bba2d4e0f3b71eb87"  # rows of a box in whole sectors of the memory
+SECTORS = "da93fd1a3adbc752f04b6fd325b6dc18a25a6fee46ad7c29cb1f8635fe831a3a"  # rows of a box in whole sectors of the memory
 SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS), SHIPPED)
 
 

@@ -10,7 +10,7 @@ from fishmj import console
 from fishmj.errors import ConfigError, UnknownName
 
 KINDS = ("auto", "cpu", "cuda")
-QUEUES = "32"  # of an accelerator's work, the most there are: with eight, its default, twelve tanks wait for each other
+QUEUES = "32"  # of an accelerator's work, the most there are: with eight, its default, tanks with finer cells wait for each other
 
 
 @cache

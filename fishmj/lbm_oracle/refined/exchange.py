@@ -1,7 +1,7 @@
 """What a box of finer cells and the coarse water round it exchange in a step.
 
-Coarse node N covers the fine nodes 2 N and 2 N + 1 of every axis; a fine step takes half the time, so that a lattice unit of
-velocity is the same. R is the box of whole coarse cells that are refined; the fine array has a ghost cell more on every side.
+Coarse node N covers two fine nodes of every axis; a fine step takes half the time, so that a lattice unit of velocity is the
+same. R is the box of whole coarse cells that are refined; the fine array has a ghost cell more on every side, and a gap along z.
 From a coarse step to the next, A and B are the fine populations at its start and half-way, d_x = +-1/4 is the place of a child x
 in its coarse cell X, and s = 0, 1 counts the fine steps:
 
@@ -73,7 +73,7 @@ class Nest:
     fine: wp.vec3i  # cells of the fine array
     size: wp.vec3i  # fine cells of R
     ghost: wp.vec3i
-    gap: int  # cells along z that are no R's
+    gap: int  # cells of a row of the fine array that are no R's: two ghosts, and what fills it up to a multiple of eight
     shell: wp.vec3i  # coarse cells of R and of a layer round it, where there are ghosts
     by_shell: wp.vec4i  # what divides by the sizes of y and z of that shell (pairs.py)
     linear: float  # 1; 0 makes E uniform, to show what that costs
@@ -171,7 +171,11 @@ def entry(s: Nest, x: wp.vec3i, c: wp.vec3i, second: int):
 
 @wp.func
 def end_of(s: Nest, p: wp.vec3i, here: int):
-    """-1 or 1 for a ghost cell at the low or high end of z that has a sector of the memory for itself, else 0."""
+    """-1 or 1 for a ghost cell at the low or high end of z whose sector of the memory has nothing of R in it, else 0.
+
+    The other end's ghost may be there. What is written for one spoils nothing of the other's: no population enters at both ends,
+    and eight velocities are three sectors.
+    """
     if s.gap >= 8 and p[2] == 0 and here % 8 == 7:
         return -1
     if s.gap >= 8 and p[2] == s.size[2] + 1 and here % 8 == 0:

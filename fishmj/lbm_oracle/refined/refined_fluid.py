@@ -12,7 +12,6 @@ The coarse cells behind it hold what flows there without the body, until the box
 """
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,16 +22,14 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey
 from fishmj.lbm_oracle.fluid.fluid import NOWHERE, Fluid
-from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice, Q
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
 from fishmj.lbm_oracle.fluid.pairs import split_by
 from fishmj.lbm_oracle.refined import exchange
-from fishmj.lbm_oracle.refined.exchange import BLOCK, CELL_BITS, GHOST, Nest
+from fishmj.lbm_oracle.refined.crossings import RATIO, Cells, lists_of
+from fishmj.lbm_oracle.refined.exchange import BLOCK, GHOST, Nest
 
-RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one
 ROOM = 2  # coarse cells between R and a face of the coarse water
 SECTOR = 8  # numbers that an accelerator's memory reads and writes at once
-
-Cells = tuple[int, int, int]
 
 
 def fine_lattice(coarse: Lattice, numbers: int = 0) -> Lattice:
@@ -98,7 +95,7 @@ class RefinedFluid(Fluid):
         self._made = True
         self._nest = _nest(outer.shape, self.shape, RATIO * self.size_lu, self._ghost, linear)
         self._directions = wp.array(VELOCITIES.astype(np.int32), dtype=wp.vec3i, device=self.device)
-        lists = [wp.array(found, dtype=int, device=self.device) for found in _lists(_cells(size), _cells(self._ghost))]
+        lists = [wp.array(found, dtype=int, device=self.device) for found in lists_of(_cells(size), _cells(self._ghost))]
         self._entering, self._children, self._leaving, self._later, self._all, self._rim = lists
         self._corner = wp.zeros(6, dtype=int, device=self.device)
         self._place(RATIO * np.array(low, int) + self._numbers - self._ghost)
@@ -452,72 +449,3 @@ def _nest(coarse, fine, size, ghost, linear: bool) -> Nest:
 def _memory(level: Fluid, low, size) -> tuple[np.ndarray, ...]:
     """Index of a box of world nodes in a level's arrays."""
     return np.ix_(*((a + np.arange(b)) % n for a, b, n in zip(low, size, level.shape, strict=True)))
-
-
-def _shell(size: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Cells on both sides of the faces of a box, on the axes that have `ends`, (n, 3)."""
-    r = np.indices(tuple(size + 2 * ends)).reshape(3, -1).T - ends
-    return r[~np.all((r > 0) & (r < size - 1) | ~ends, 1)]
-
-
-def _inside(r: np.ndarray, size: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Which cells (..., 3) are in a box of `size` from (0, 0, 0) on; only axes that have `ends` count."""
-    return np.all((r >= 0) & (r < size) | ~ends, -1)
-
-
-def _words(at: np.ndarray, shape: np.ndarray, directions: Any = 0) -> np.ndarray:
-    """Cells (n, 3) of a box of `shape`, and a direction of each, (n,) int32 (exchange.py, `CELL_BITS`)."""
-    cells = np.ravel_multi_index(tuple(at.T), tuple(shape.tolist()))
-    return (np.asarray(directions, np.int64) << CELL_BITS | cells).astype(np.uint32).view(np.int32)
-
-
-@cache
-def _lists(size: Cells, ghost: Cells) -> tuple[np.ndarray, ...]:
-    """Of a box of `size` coarse cells, what `_entering`, `_leaving` and `_covered` find: a second for a million fine cells."""
-    coarse, width = np.array(size), np.array(ghost)
-    return *_entering(coarse, width), *_leaving(coarse, width), *_covered(coarse, width)
-
-
-def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `explode` goes through, for a box of `size` coarse cells, by direction and in order of memory.
-
-    Returns:
-        Words of coarse cells beside the box, (n,); for each its children that count, as `explode` reads them, (n,).
-    """
-    ends, shape, fine = ghost > 0, size + 2 * ghost, RATIO * size
-    x = _shell(size, ends)
-    x = x[~_inside(x, size, ends)]
-    children = np.zeros((Q, len(x)), int)
-    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
-        w = RATIO * x + r
-        children[0] |= _inside(w + ghost, fine + 2 * ghost, ends).astype(int) << child  # within a layer of the box
-        for i, c in enumerate(VELOCITIES[1:], 1):
-            first = _inside(w + c, fine, ends)
-            second = ~first & _inside(w + 2 * c, fine, ends)
-            children[i] |= first.astype(int) << child | second.astype(int) << 8 + child
-    direction, cell = np.nonzero(children)
-    return _words(x[cell] + ghost, shape, direction), children[direction, cell].astype(np.int32)
-
-
-def _leaving(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `coalesce` goes through, for a box of `size` coarse cells, by direction.
-
-    Returns:
-        Words of coarse cells on both sides of the box's faces, (n,); for each a bit for every child x with x + c_i in it, (n,).
-    """
-    ends, shape = ghost > 0, size + 2 * ghost
-    x = _shell(size, ends)
-    later = np.zeros((Q, len(x)), int)
-    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
-        for i, c in enumerate(VELOCITIES):
-            later[i] |= _inside(RATIO * x + r + c, RATIO * size, ends).astype(int) << child
-    moves = np.array([~_inside(x + c, size, ends) for c in VELOCITIES]) & (_inside(x, size, ends) | (later > 0))
-    direction, cell = np.nonzero(moves)
-    return _words(x[cell] + ghost, shape, direction), later[direction, cell].astype(np.int32)
-
-
-def _covered(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `restrict` goes through, words as `_leaving`'s: all coarse cells of a box, (n,), and those at its faces, (m,)."""
-    cells = lambda r: _words(r + ghost, size + 2 * ghost)
-    shell = _shell(size, ghost > 0)
-    return cells(np.indices(tuple(size)).reshape(3, -1).T), cells(shell[_inside(shell, size, ghost > 0)])

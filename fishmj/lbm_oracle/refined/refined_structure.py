@@ -1,6 +1,6 @@
 """A body in refined water: the coupled step of `FluidStructure` on the fine level.
 
-On a GPU a part of a step is captured once for each phase of the two levels, four in all: which copy each level reads, and in
+On a GPU a part of a step is captured once for each phase of the levels, four of two: which copy each level reads, and in
 which half of a coarse step (`coupling.Graphs`).
 """
 

@@ -1,0 +1,81 @@
+"""What crosses the faces of a box of finer cells: lists of it, made once a box for the kernels of exchange.py."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Q
+from fishmj.lbm_oracle.refined.exchange import CELL_BITS
+
+RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one
+Cells = tuple[int, int, int]
+
+
+@cache
+def lists_of(size: Cells, ghost: Cells) -> tuple[np.ndarray, ...]:
+    """Of a box of `size` coarse cells, what `_entering`, `_leaving` and `_covered` find: a second for a million fine cells."""
+    coarse, width = np.array(size), np.array(ghost)
+    return *_entering(coarse, width), *_leaving(coarse, width), *_covered(coarse, width)
+
+
+def _shell(size: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Cells on both sides of the faces of a box, on the axes that have `ends`, (n, 3)."""
+    r = np.indices(tuple(size + 2 * ends)).reshape(3, -1).T - ends
+    return r[~np.all((r > 0) & (r < size - 1) | ~ends, 1)]
+
+
+def _inside(r: np.ndarray, size: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Which cells (..., 3) are in a box of `size` from (0, 0, 0) on; only axes that have `ends` count."""
+    return np.all((r >= 0) & (r < size) | ~ends, -1)
+
+
+def _words(at: np.ndarray, shape: np.ndarray, directions: Any = 0) -> np.ndarray:
+    """Cells (n, 3) of a box of `shape`, and a direction of each, (n,) int32 (exchange.py, `CELL_BITS`)."""
+    cells = np.ravel_multi_index(tuple(at.T), tuple(shape.tolist()))
+    return (np.asarray(directions, np.int64) << CELL_BITS | cells).astype(np.uint32).view(np.int32)
+
+
+def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `explode` goes through, for a box of `size` coarse cells, by direction and in order of memory.
+
+    Returns:
+        Words of coarse cells beside the box, (n,); for each its children that count, as `explode` reads them, (n,).
+    """
+    ends, shape, fine = ghost > 0, size + 2 * ghost, RATIO * size
+    x = _shell(size, ends)
+    x = x[~_inside(x, size, ends)]
+    children = np.zeros((Q, len(x)), int)
+    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
+        w = RATIO * x + r
+        children[0] |= _inside(w + ghost, fine + 2 * ghost, ends).astype(int) << child  # within a layer of the box
+        for i, c in enumerate(VELOCITIES[1:], 1):
+            first = _inside(w + c, fine, ends)
+            second = ~first & _inside(w + 2 * c, fine, ends)
+            children[i] |= first.astype(int) << child | second.astype(int) << 8 + child
+    direction, cell = np.nonzero(children)
+    return _words(x[cell] + ghost, shape, direction), children[direction, cell].astype(np.int32)
+
+
+def _leaving(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `coalesce` goes through, for a box of `size` coarse cells, by direction.
+
+    Returns:
+        Words of coarse cells on both sides of the box's faces, (n,); for each a bit for every child x with x + c_i in it, (n,).
+    """
+    ends, shape = ghost > 0, size + 2 * ghost
+    x = _shell(size, ends)
+    later = np.zeros((Q, len(x)), int)
+    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
+        for i, c in enumerate(VELOCITIES):
+            later[i] |= _inside(RATIO * x + r + c, RATIO * size, ends).astype(int) << child
+    moves = np.array([~_inside(x + c, size, ends) for c in VELOCITIES]) & (_inside(x, size, ends) | (later > 0))
+    direction, cell = np.nonzero(moves)
+    return _words(x[cell] + ghost, shape, direction), later[direction, cell].astype(np.int32)
+
+
+def _covered(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `restrict` goes through, words as `_leaving`'s: all coarse cells of a box, (n,), and those at its faces, (m,)."""
+    cells = lambda r: _words(r + ghost, size + 2 * ghost)
+    shell = _shell(size, ghost > 0)
+    return cells(np.indices(tuple(size)).reshape(3, -1).T), cells(shell[_inside(shell, size, ghost > 0)])
