@@ -15,6 +15,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory, fine_lattice
 from fishmj.lbm_oracle.run.domain import Domain, preset
+from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
 
 pytestmark = pytest.mark.oracle
@@ -275,8 +276,8 @@ POOL = Domain(name="pool", shape=(36, 24, 16), dx=0.04, dt=0.01, sponge=4, fine=
 QUICK = Gait(frequency=2.0, ramp=0.1)
 
 
-def pool(domain: Domain = POOL):
-    return SwimSetup(domain=domain, flow=Flow(speed=0.1, direction=3.0), slip=0.98, spacing=0.5).run(latency=0.0)
+def pool(domain: Domain = POOL, **options) -> Run:
+    return SwimSetup(domain=domain, flow=Flow(speed=0.1, direction=3.0), slip=0.98, spacing=0.5).run(latency=0.0, **options)
 
 
 def test_a_tick_that_is_too_fast_is_done_again_on_both_levels():
@@ -314,3 +315,20 @@ def test_levels_survive_another_time_step_and_back():
 def test_a_tick_of_half_a_coarse_step_is_refused():
     with pytest.raises(ConfigError, match="no multiple of the coarse dt = 0.008"):
         pool(replace(POOL, dt=0.008))
+
+
+def test_a_run_on_the_device_redoes_ticks_and_moves_boxes_as_the_host_does(monkeypatch):
+    """What a GPU does by default: a tick of all levels at once, and finer steps by the host where it was too fast."""
+    monkeypatch.setattr(Run, "limit", 0.45)
+    ends = []
+    for on_device in (False, True):
+        run = pool(replace(POOL, fine=(0.96, 0.52, 0.32)), on_device=on_device)
+        body, low = run.coupled.body, run.coupled.fluid.low_lu.copy()
+        body.place(body.data.qpos.copy(), [0.4] + [0.0] * (body.dofs - 1))
+        for _ in range(11):
+            run.tick(QUICK(run.time))
+        water = run.coupled.fluid
+        ends.append((run.refined, (water.low_lu - low).tolist(), water.steps, run.pose, run.angles()))
+    one, other = ends
+    assert other[:3] == one[:3] and one[0] > 0 and any(one[1])
+    np.testing.assert_allclose(np.concatenate(other[3:]), np.concatenate(one[3:]), atol=1e-9)
