@@ -112,6 +112,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         node_x, node_y = at_x + origin[0], at_y + origin[1]
         low_z = within(origin[5], nz)  # where the lowest cell of the window lies in memory, and behind it the highest
         high_z = within(low_z + nz - 1, nz)
+        ends = wp.where(wp.static(wraps[2]) or low_z == 0, 2, 4)  # cells that wrap round in memory, and those at faces elsewhere
         edge = wp.static(not wraps[0]) and (at_x == 0 or at_x == nx - 1)
         edge = edge or (wp.static(not wraps[1]) and (at_y == 0 or at_y == ny - 1))
         inner, inner_x, inner_y = wp.vec3i(at_x, at_y, 0), x, y
@@ -177,7 +178,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                         gradients[wp.static(6 + a) * LONG + k] = 0.5 * (above - below)
                     k += 1
             e = int(0)  # noqa: UP018
-            while e < wp.where(edge, count, 4):
+            while e < wp.where(edge, count, ends):
                 z = first + e
                 if not edge:
                     z = wp.where(e < 2, wp.where(e == 0, 0, nz - 1), wp.where(e == 2, low_z, high_z))
