@@ -122,9 +122,11 @@ def _characteristic(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
     normal = wp.dot(away, n)
     # the incoming wave is set to zero, not extrapolated: that returns a tenth of a pulse (docs/methods/oracle.md)
     leaving = 0.5 * (_CS * drho + normal)
-    if wp.dot(target, n) < 0.0:
-        return leaving / _CS, target + leaving * n
-    return leaving / _CS, u + (leaving - normal) * n
+    enters = wp.dot(target, n) < 0.0
+    more = wp.where(enters, leaving, leaving - normal)
+    for a in range(3):  # no branch, and number by number: rows.py makes vector instructions of it
+        u[a] = wp.where(enters, target[a], u[a]) + more * n[a]
+    return leaving / _CS, u
 
 
 class Open(Face):

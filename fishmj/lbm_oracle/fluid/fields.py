@@ -16,7 +16,7 @@ from fishmj.lbm_oracle.fluid.storage import peek, poke, six
 
 wp.set_module_options(OPTIONS)
 
-PLANES = 8  # that a thread of an accelerator looks through; all of them on the CPU
+PLANES = 8  # of x that a thread of an accelerator looks through at one z; one on the CPU, all of its row
 
 
 @wp.func
@@ -94,29 +94,31 @@ def survey(
     f: wp.array(dtype=Any),
     u: wp.array3d(dtype=wp.vec3),
     planes: int,
+    depth: int,
     least: wp.array(dtype=float),
     greatest: wp.array(dtype=float),
     fastest: wp.array(dtype=float),
     mass: wp.array(dtype=wp.float64),
     lost: wp.array(dtype=int),
 ):
-    """By y: least and greatest drho, greatest speed squared, sum of drho, nodes that are not finite; a thread for some planes.
+    """By y: least and greatest drho, greatest speed squared, sum of drho, nodes that are not finite; ghosts count for nothing.
 
-    Ghosts count for nothing.
+    A thread looks through some planes of x and some nodes of z.
     """
-    part, y, z = wp.tid()
+    part, y, column = wp.tid()
     o = six(origin)
     low, high, fast, total, bad = float(0.0), float(0.0), float(0.0), wp.float64(0.0), int(0)  # noqa: UP018  variables to Warp
     for x in range(part * planes, wp.min((part + 1) * planes, s.nx)):
-        if is_ghost(s, wp.vec3i(within(x - o[3], s.nx), within(y - o[4], s.ny), within(z - o[5], s.nz))):
-            continue
-        drho = density(_loaded(f, s, x, y, z))
-        speed2 = wp.length_sq(u[x, y, z])
-        if wp.isfinite(drho) and wp.isfinite(speed2):
-            low, high, fast = wp.min(low, drho), wp.max(high, drho), wp.max(fast, speed2)
-            total += wp.float64(drho)
-        else:
-            bad += 1
+        for z in range(column * depth, (column + 1) * depth):
+            if is_ghost(s, wp.vec3i(within(x - o[3], s.nx), within(y - o[4], s.ny), within(z - o[5], s.nz))):
+                continue
+            drho = density(_loaded(f, s, x, y, z))
+            speed2 = wp.length_sq(u[x, y, z])
+            if wp.isfinite(drho) and wp.isfinite(speed2):
+                low, high, fast = wp.min(low, drho), wp.max(high, drho), wp.max(fast, speed2)
+                total += wp.float64(drho)
+            else:
+                bad += 1
     wp.atomic_min(least, y, low)
     wp.atomic_max(greatest, y, high)
     wp.atomic_max(fastest, y, fast)
@@ -139,8 +141,9 @@ class Surveyor:
     """Surveys of one box of water on one device; what it found is kept by columns of y, so that few threads add to one number."""
 
     def __init__(self, shape: tuple[int, int, int], device):
-        self.device, self.planes = device, PLANES if device.is_cuda else shape[0]
-        self.dim = (-(-shape[0] // self.planes), *shape[1:])
+        self.device = device
+        self.planes, self.depth = (PLANES, 1) if device.is_cuda else (1, shape[2])  # as memory likes to be read
+        self.dim = (-(-shape[0] // self.planes), shape[1], shape[2] // self.depth)
         kinds = (wp.float32, wp.float32, wp.float32, wp.float64, wp.int32)  # least, greatest drho, greatest u^2, sum, lost
         self.found = [wp.zeros(shape[1], dtype=kind, device=device) for kind in kinds]
         self.on_host = [wp.zeros(shape[1], dtype=kind, device="cpu", pinned=device.is_cuda) for kind in kinds]
@@ -149,7 +152,7 @@ class Surveyor:
         """Queue one survey, and the copies of what it finds, on the present stream."""
         for column in self.found:
             column.zero_()
-        wp.launch(survey, dim=self.dim, inputs=[params, origin, f, u, self.planes, *self.found], device=self.device)
+        wp.launch(survey, dim=self.dim, inputs=[params, origin, f, u, self.planes, self.depth, *self.found], device=self.device)
         for near, far in zip(self.on_host, self.found, strict=True):
             wp.copy(near, far)
 

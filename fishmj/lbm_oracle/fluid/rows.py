@@ -2,8 +2,7 @@
 
 A compiler turns a loop into vector instructions where it has no branch, no store that could meet a load, and a plain count. So a
 thread loads up to `LONG` cells of its row into a buffer, collides them in one such loop, and stores them. What has a branch stays
-outside of it: cells that a face redirects, the body's force, the background flow of the sponge. Rows whose nodes an open face
-completes go cell by cell.
+outside of it: cells that a face redirects, the body's force, the background flow of the sponge.
 
 What the compiler must see: `while` loops, for Warp's `range` hides the count; a base and an index apart; velocities by component
 and `wp.where` on single numbers, for vectors of three become wide loads that it does not take apart again.
@@ -26,11 +25,9 @@ from fishmj.lbm_oracle.fluid.step import (
     module_of,
     pick,
     pull_through,
-    push_at,
-    update_through,
     within,
 )
-from fishmj.lbm_oracle.fluid.storage import STORAGE, peek3_at, peek_at, poke, poke3, poke3_at, poke_at, six
+from fishmj.lbm_oracle.fluid.storage import STORAGE, peek3_at, peek_at, poke3_at, poke_at
 
 CELLS = 32  # that are collided at once
 WIDTH = 8  # numbers in a vector register, at most: the loop goes on to a multiple of it and what is too much is not stored
@@ -40,14 +37,23 @@ Gradients = wp.types.vector(length=9 * CELLS, dtype=wp.float32)
 Velocities = wp.types.vector(length=3 * CELLS, dtype=wp.float32)
 
 
-def collide_through(subgrid: bool, opened: bool):
-    """The Warp function of one cell without a branch: `update_through` behind faces that complete nothing."""
+def collide_through(faces: Faces, subgrid: bool):
+    """The Warp function of one cell without a branch: `update_through`. `outer`: an open face with normal n completes it."""
+    opened = any(any(completes(axis)) for axis in faces)
+    complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
 
     @wp.func
-    def collide(q: vec19, d: wp.mat33, s: Params, g: wp.vec3, damped: bool, sigma: float, target: wp.vec3):
+    def collide(
+        q: vec19, d: wp.mat33, s: Params, g: wp.vec3, damped: bool, sigma: float, target: wp.vec3, outer: bool, n: wp.vec3
+    ):
         drho = density(q)
         u = (1.0 / (1.0 + drho)) * momentum(q)
         p = non_equilibrium_stress(q, drho, u)
+        if wp.static(opened):
+            own_drho, own_u = wp.static(complete)(drho, wp.vec3(u[0], u[1], u[2]), target, n)
+            drho = wp.where(outer, own_drho, drho)
+            for a in range(3):
+                u[a] = wp.where(outer, own_u[a], u[a])
         share = wp.where(g[0] * g[0] + g[1] * g[1] + g[2] * g[2] == 0.0, s.hybrid_share, s.hybrid_share_layer)
         nu = s.nu
         if wp.static(subgrid):
@@ -74,8 +80,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u_rows" if keeps else "f_rows")
     pull, velocity_gradient = pull_through(faces, number), gradient_within(faces)
     opened = any(any(completes(axis)) for axis in faces)
-    inward, update = leave_through(faces)[0], update_through(faces, subgrid)
-    collide = collide_through(subgrid, opened)
+    inward, collide = leave_through(faces)[0], collide_through(faces, subgrid)
     (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
     wraps = [FACES[axis.low].wraps for axis in faces]
 
@@ -104,8 +109,6 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         x, y = column / ny, column % ny
         row = column * nz
         x0, y0 = x * plane, y * nz
-        xm, xp = wp.where(x > 0, x - 1, nx - 1) * plane, wp.where(x < nx - 1, x + 1, 0) * plane
-        ym, yp = wp.where(y > 0, y - 1, ny - 1) * nz, wp.where(y < ny - 1, y + 1, 0) * nz
         at_x, at_y = within(x - origin[3], nx), within(y - origin[4], ny)
         if is_ghost(s, wp.vec3i(at_x, at_y, s.low[2])):
             return
@@ -113,12 +116,26 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         low_z = within(origin[5], nz)  # where the lowest cell of the window lies in memory, and behind it the highest
         high_z = within(low_z + nz - 1, nz)
         ends = wp.where(wp.static(wraps[2]) or low_z == 0, 2, 4)  # cells that wrap round in memory, and those at faces elsewhere
-        edge = wp.static(not wraps[0]) and (at_x == 0 or at_x == nx - 1)
-        edge = edge or (wp.static(not wraps[1]) and (at_y == 0 or at_y == ny - 1))
+        # an open face completes what it takes from the inner neighbour
         inner, inner_x, inner_y = wp.vec3i(at_x, at_y, 0), x, y
+        outer, n = False, wp.vec3()
         if wp.static(opened):
             inner = inward(s, inner)
             inner_x, inner_y = within(x + inner[0] - at_x, nx), within(y + inner[1] - at_y, ny)
+            outer = inner_x != x or inner_y != y
+            if outer:
+                n = wp.normalize(wp.vec3(float(at_x - inner[0]), float(at_y - inner[1]), 0.0))
+        edge = wp.static(not wraps[0]) and (inner[0] == 0 or inner[0] == nx - 1)
+        edge = edge or (wp.static(not wraps[1]) and (inner[1] == 0 or inner[1] == ny - 1))
+        from_x, from_y = inner_x * plane, inner_y * nz
+        from_xm, from_xp = wp.where(inner_x > 0, inner_x - 1, nx - 1) * plane, wp.where(inner_x < nx - 1, inner_x + 1, 0) * plane
+        from_ym, from_yp = wp.where(inner_y > 0, inner_y - 1, ny - 1) * nz, wp.where(inner_y < ny - 1, inner_y + 1, 0) * nz
+        xm, xp = wp.where(x > 0, x - 1, nx - 1) * plane, wp.where(x < nx - 1, x + 1, 0) * plane
+        ym, yp = wp.where(y > 0, y - 1, ny - 1) * nz, wp.where(y < ny - 1, y + 1, 0) * nz
+        if wp.static(not wraps[0]):
+            xm, xp = wp.where(at_x == 0, x0, xm), wp.where(at_x == nx - 1, x0, xp)
+        if wp.static(not wraps[1]):
+            ym, yp = wp.where(at_y == 0, y0, ym), wp.where(at_y == ny - 1, y0, yp)
         sigma = float(0.0)  # noqa: UP018  a variable to Warp
         if wp.static(opened):
             sigma = ramp(wp.static(low_x), wp.static(high_x), at_x, nx, s.sponge)
@@ -127,39 +144,21 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         damped = sigma > 0.0
         pushed = node_x >= box[0] and node_x < box[3] and node_y >= box[1] and node_y < box[4]
 
-        if wp.static(opened):
-            if inner_x != x or inner_y != y:  # the face completes what it takes from the inner neighbour
-                for z in range(nz):
-                    m = wp.vec3i(x, y, z)
-                    at = wp.vec3i(at_x, at_y, within(z - origin[5], nz))
-                    node = wp.vec3i(node_x, node_y, at[2] + origin[2])
-                    within_face = wp.vec3i(inner[0], inner[1], at[2])
-                    q = pull(f, s, within_face, wp.vec3i(inner_x, inner_y, z))
-                    d = wp.mat33()
-                    if wp.static(subgrid):
-                        d = velocity_gradient(u_old, s, at, m)
-                    g, share = push_at(s, six(box), force, node, row + z)
-                    q, w = update(q, d, s, flow, at, within_face, node, step, g, share)
-                    for i in range(wp.static(Q)):
-                        poke(f_next, i * cells + row + z, q[i])
-                    if wp.static(keeps):
-                        poke3(u_next, row + z, w)
-                return
-
         sources = vec19i()
         for i in range(wp.static(Q)):
-            sources[i] = wp.static(i) * cells + pick(wp.static(C[i][0]), xm, x0, xp) + pick(wp.static(C[i][1]), ym, y0, yp)
-            sources[i] = sources[i] - wp.static(C[i][2])
+            sources[i] = wp.static(i) * cells + pick(wp.static(C[i][0]), from_xm, from_x, from_xp)
+            sources[i] = sources[i] + pick(wp.static(C[i][1]), from_ym, from_y, from_yp) - wp.static(C[i][2])
         first = int(0)  # noqa: UP018
         populations, gradients = Populations(), Gradients()
         while first < nz:
             count = wp.min(LONG, nz - first)
-            # rows as they lie in memory, then cell by cell what wraps in z or is redirected
+            # rows as they lie in memory, in whole vectors but at its end; then cell by cell what wraps in z or is redirected
+            whole = (count + 2 * WIDTH - 1) / (2 * WIDTH) * (2 * WIDTH)
             i = int(0)  # noqa: UP018
             while i < wp.static(Q):
                 base = sources[i] + first
-                k = wp.where(first == 0, 1, 0)
-                last = wp.where(first + count == nz, count - 1, count)
+                k = int(0)  # noqa: UP018
+                last = wp.where(base + whole <= Q * cells, whole, wp.where(first + count == nz, count - 1, count))
                 while k < last:
                     populations[i * LONG + k] = peek_at(f, base, k)
                     k += 1
@@ -185,7 +184,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                 if z >= first and z < first + count:
                     k = z - first
                     at, m = wp.vec3i(at_x, at_y, within(z - origin[5], nz)), wp.vec3i(x, y, z)
-                    q = pull(f, s, at, m)
+                    q = pull(f, s, wp.vec3i(inner[0], inner[1], at[2]), wp.vec3i(inner_x, inner_y, z))
                     for i in range(wp.static(Q)):
                         populations[wp.static(i) * LONG + k] = q[i]
                     if wp.static(subgrid):
@@ -195,14 +194,14 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                 e += 1
             pushes, targets = Velocities(), Velocities()
             k = int(0)  # noqa: UP018
-            if pushed or damped:
+            if pushed or damped or outer:
                 while k < count:
                     node_z = within(first + k - origin[5], nz) + origin[2]
                     if pushed and node_z >= box[2] and node_z < box[5]:
                         for a in range(3):
                             pushes[wp.static(a) * LONG + k] = peek3_at(force, row + first, k, a)
                     if wp.static(opened):
-                        if damped:
+                        if damped or outer:
                             target = background(flow, wp.vec3(float(node_x), float(node_y), float(node_z)), step + 1)
                             for a in range(3):
                                 targets[wp.static(a) * LONG + k] = target[a]
@@ -219,7 +218,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                     d[wp.static(a // 3), wp.static(a % 3)] = gradients[wp.static(a) * LONG + k]
                 g = wp.vec3(pushes[k], pushes[LONG + k], pushes[2 * LONG + k])
                 target = wp.vec3(targets[k], targets[LONG + k], targets[2 * LONG + k])
-                q, w = collide(q, d, s, g, damped, sigma, target)
+                q, w = collide(q, d, s, g, damped, sigma, target, outer, n)
                 for i in range(wp.static(Q)):
                     populations[wp.static(i) * LONG + k] = q[i]
                 for a in range(3):

@@ -11,6 +11,7 @@ come back.
 """
 
 from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -98,6 +99,7 @@ class Boundary:
         self.wanted, self.force = empty((n, self.rhs), wp.vec3), empty((n, self.rhs), wp.vec3)
         self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)  # all v_j and the rest state at once: one set of launches
         self.final = empty(n, wp.vec3)
+        self._recorded: dict[tuple, Any] = {}  # launches on a CPU, by kernel and arguments
         chunks = min(n, max(CHUNKS[0], min(n // MARKERS_A_CHUNK, CHUNKS[1]))) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
@@ -278,7 +280,23 @@ class Boundary:
         self._launch(fsi_solve.fetch, len(sent), [sent], [host])
 
     def _launch(self, kernel, dim, inputs, outputs) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+        if self.device.is_cuda:  # graphs hold it
+            wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+            return
+        key = (kernel, dim, *map(_identity, inputs), *map(_identity, outputs))
+        if key not in self._recorded:  # Warp looks at every argument of a launch anew, which takes longer than a small kernel
+            args: dict[str, Any] = {"inputs": inputs, "outputs": outputs, "device": self.device, "record_cmd": True}
+            self._recorded[key] = wp.launch(kernel, dim=dim, **args)
+        self._recorded[key].launch()
+
+
+def _identity(value: Any) -> Any:
+    """What tells an argument of a launch from another: of an array where it lies, of a struct itself, else its value."""
+    if isinstance(value, wp.array):
+        return value.ptr, value.shape
+    if isinstance(value, kernels.CouplingArrays.cls):
+        return id(value)
+    return value if isinstance(value, int | float) else tuple(value) if hasattr(value, "__len__") else value.value
 
 
 def _reached(array: wp.array, device) -> wp.array:

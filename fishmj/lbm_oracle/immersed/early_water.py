@@ -8,11 +8,15 @@ A plane of x needs the last step's water only, so the parts may come in any orde
 """
 
 from collections import deque
+from collections.abc import Iterable
 from concurrent.futures import Future
+from threading import Lock
+from typing import Any
 
 from fishmj.lbm_oracle.fluid.fluid import THINNEST, Fluid, pieces, pool
 
-SHARE = 8  # parts of the box for each core: small enough that all end together
+SHARE = 8  # parts of the box for each core
+SMALL = 2  # so many of them, those at the end, are halved: all cores end together
 
 
 class EarlyWater:
@@ -22,6 +26,7 @@ class EarlyWater:
         self.fluid, self._grain = fluid, max(THINNEST, fluid.shape[0] // (SHARE * fluid.threads))
         self._waiting: deque = deque()
         self._workers: list[Future] = []
+        self._lock, self._working = Lock(), 0  # threads that look for parts
 
     def begin(self, first: int, count: int) -> None:
         """Start on all but `count` world planes of x from `first` on, which hold all cells that a force may reach."""
@@ -29,30 +34,44 @@ class EarlyWater:
         low = first // grain * grain
         wide = -(-(first + count) // grain) * grain - low
         self._near = (low, wide) if wide < size else (0, size)
-        self._add(self._near[0] + self._near[1], size - self._near[1])
-        self._workers = [pool().submit(self._work) for _ in range(self.fluid.threads - 1)]
+        self._workers, self._working = [], 0
+        self._begin(self._parts(self._near[0] + self._near[1], size - self._near[1]))
 
     def finish(self) -> None:
         """The rest of the step, the force being known; then it is counted."""
-        self._add(*self._near)
-        more = [pool().submit(self._work) for _ in range(self.fluid.threads - 1)]  # those of `begin` may have gone home
+        self._begin(self._parts(*self._near, small=SMALL * self._grain))
+        with self._lock:
+            self._working += 1
         self._work()
-        for worker in (*self._workers, *more):
+        for worker in self._workers:
             worker.result()
-        self._workers = []
         self.fluid.skip(1)
 
-    def _add(self, first: int, count: int) -> None:
-        """Parts of so many world planes to what waits."""
+    def _parts(self, first: int, count: int, small: int = 0) -> list[Any]:
+        """The launches of so many world planes; the last `small` of them in half parts, so that all cores end together."""
+        made = []
         for start, planes in pieces(first, count, self.fluid.shape[0]):
-            for low in range(start, start + planes, self._grain):
-                self._waiting.append(self.fluid.planes(low, min(self._grain, start + planes - low)))
+            low, end = start, start + planes
+            while low < end:
+                size = min(self._grain if end - low > small else self._grain // 2, end - low)
+                made.append(self.fluid.planes(low, size))
+                low += size
+        return made
+
+    def _begin(self, parts: Iterable[Any]) -> None:
+        """Let all other cores look for these, too; a thread more than there are cores would keep one waiting in its part."""
+        with self._lock:
+            self._waiting.extend(parts)
+            more = self.fluid.threads - 1 - self._working
+            self._working += more
+        self._workers += [pool().submit(self._work) for _ in range(more)]
 
     def _work(self) -> None:
         """Part after part until none waits."""
         while True:
-            try:
+            with self._lock:
+                if not self._waiting:
+                    self._working -= 1
+                    return
                 part = self._waiting.popleft()
-            except IndexError:
-                return
             part.launch()
