@@ -1,5 +1,8 @@
 """A step of the water in parts: far from the body early, near it when the force is known; the same numbers to the bit."""
 
+from threading import Lock
+from time import sleep
+
 import numpy as np
 import pytest
 import warp as wp
@@ -45,6 +48,44 @@ def test_early_and_late_parts_on_two_cores_are_all_the_water(near):
         early.finish()
     np.testing.assert_array_equal(other.f.numpy(), one.f.numpy())
     assert other.account == one.account
+
+
+def test_no_more_threads_than_cores_are_at_work():
+    """Those of the early part may still be busy when the late one begins."""
+    early, lock, busy, most, done = EarlyWater(stirred(2)), Lock(), [0], [0], []
+
+    class Slow:
+        def __init__(self, place):
+            self.place = place
+
+        def launch(self):
+            with lock:
+                busy[0] += 1
+                most[0] = max(most[0], busy[0])
+            sleep(0.002)
+            with lock:
+                busy[0] -= 1
+                done.append(self.place)
+
+    early._parts = lambda first, count, small=0: [Slow(first + k) for k in range(count)]
+    for near in ((9, 12), (0, 40)):
+        done.clear()
+        early.begin(*near)
+        sleep(0.003)
+        early.finish()
+        assert sorted(done) == sorted(set(done)) and len(done) == 40
+    assert most[0] <= 2
+
+
+def test_launches_are_recorded_once():
+    domain = Domain(name="small", shape=(60, 40, 20), dx=0.02, dt=0.004, follows=True, sponge=4)
+    coupled = SwimSetup(domain=domain, slip=0.99).coupled()
+    known = coupled.boundary._recorded
+    coupled.step(), coupled.step()
+    first = len(known)
+    for _ in range(6):
+        coupled.step()
+    assert len(known) == first > 0
 
 
 def test_a_fish_swims_the_same_to_the_bit_whether_its_water_is_early():
