@@ -26,7 +26,7 @@ TWO_LEVELS = "e9b7b5df01ae327b9c422e7ca271641f62f2db389de9f6afc2d157063a79f5ea" 
 QUICKER = "0e63acdfdad8f2d9bac570118892d127a48684438947c61699655a92137077b1"  # two cells a thread, a tick in one graph
 AHEAD = "6cb595be3e1f8b9a4770058ae4507856de4f514bf90aee8b3ac81a473a83b584"  # a tick ahead of the host, on a GPU
 LISTED = "27ff9448df17743150b4eafb663e9f9264b8bf567b43721429792f6ba33006f8"  # lists of what levels exchange, short sums on a GPU
-SECTORS = "7d5437a8829dafb729ef40e332d7fde9809dcbc129a3b32301020b1a452493c9"  # rows of a box in whole sectors of the memory
+SECTORS = "6a3e1a55735965626466d32617474f2f2124ef1cb8d3bb52d46916a3841214b0"  # rows of a box in whole sectors of the memory
 SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS), SHIPPED)
 
 

@@ -351,16 +351,16 @@ class Fluid:
 
     def velocity(self) -> np.ndarray:
         """(nx, ny, nz, 3) m/s, low corner first; nx, ny, nz: `extent`."""
-        return self._in_order(self.u) * self.lattice.velocity
+        return self._in_order(self.u.numpy()) * self.lattice.velocity
 
     def pressure(self) -> np.ndarray:
         """(nx, ny, nz) Pa over still water, low corner first; nx, ny, nz: `extent`."""
-        return self._in_order(self.drho()) * self.lattice.pressure / 3
+        return self._in_order(self.drho().numpy()) * self.lattice.pressure / 3
 
-    def _in_order(self, values: wp.array) -> np.ndarray:
-        """An array of the device by logical node."""
-        x, y, z = self.extent
-        return np.roll(values.numpy(), -self.origin_lu, (0, 1, 2))[:x, :y, :z]
+    def _in_order(self, values: np.ndarray, first: int = 0) -> np.ndarray:
+        """A field in memory order by logical node, `extent` of it; x, y, z are its axes from `first` on."""
+        held = *(slice(None) for _ in range(first)), *(slice(n) for n in self.extent)
+        return np.roll(values, -self.origin_lu, (first, first + 1, first + 2))[held]
 
     def drho(self) -> wp.array:
         """(nx, ny, nz) density minus one, in memory order."""

@@ -125,48 +125,34 @@ def poke3_pair(values: wp.array(dtype=wp.vec3), i: int, a: wp.vec3, b: wp.vec3):
 def six(values: wp.array(dtype=int)) -> vec6i: ...
 
 
-# the first or the last of eight numbers, or of eight velocities, in a place that begins at a multiple of eight, and zeros in the
-# rest of its sector: a sector that is written in part is read first by an accelerator
+# `end` 1, -1: the first or the last of eight numbers, or of eight velocities, in a place that begins at a multiple of eight, with
+# zeros in the rest of its sector: a sector that is written in part is read first by an accelerator. `end` 0: the number alone
 
 
 @wp.func_native(
     _for(
-        """float4* w = (float4*)(values.data + i);
-        w[0] = make_float4(value, 0.f, 0.f, 0.f); w[1] = make_float4(0.f, 0.f, 0.f, 0.f);""",
+        """if (end == 0) { values.data[i] = value; return; }
+        float4 rest = make_float4(0.f, 0.f, 0.f, 0.f), own = rest;
+        (end > 0 ? own.x : own.w) = value;
+        float4* w = (float4*)(values.data + (end > 0 ? i : i - 7));
+        w[0] = end > 0 ? own : rest; w[1] = end > 0 ? rest : own;""",
         "values.data[i] = value;",
     )
 )
-def poke_first(values: wp.array(dtype=wp.float32), i: int, value: wp.float32): ...
+def poke_end(values: wp.array(dtype=wp.float32), i: int, end: int, value: wp.float32): ...
 
 
 @wp.func_native(
     _for(
-        """float4* w = (float4*)(values.data + (i - 7));
-        w[0] = make_float4(0.f, 0.f, 0.f, 0.f); w[1] = make_float4(0.f, 0.f, 0.f, value);""",
+        """if (end == 0) { values.data[i] = value; return; }
+        float4 rest = make_float4(0.f, 0.f, 0.f, 0.f);
+        float4 own = end > 0 ? make_float4(value[0], value[1], value[2], 0.f) : make_float4(0.f, value[0], value[1], value[2]);
+        float4* w = (float4*)((float*)(values.data + i) - (end > 0 ? 0 : 5));
+        w[0] = end > 0 ? own : rest; w[1] = end > 0 ? rest : own;""",
         "values.data[i] = value;",
     )
 )
-def poke_last(values: wp.array(dtype=wp.float32), i: int, value: wp.float32): ...
-
-
-@wp.func_native(
-    _for(
-        """float4* w = (float4*)(values.data + i);
-        w[0] = make_float4(value[0], value[1], value[2], 0.f); w[1] = make_float4(0.f, 0.f, 0.f, 0.f);""",
-        "values.data[i] = value;",
-    )
-)
-def poke3_first(values: wp.array(dtype=wp.vec3), i: int, value: wp.vec3): ...
-
-
-@wp.func_native(
-    _for(
-        """float4* w = (float4*)((float*)(values.data + i) - 5);
-        w[0] = make_float4(0.f, 0.f, 0.f, 0.f); w[1] = make_float4(0.f, value[0], value[1], value[2]);""",
-        "values.data[i] = value;",
-    )
-)
-def poke3_last(values: wp.array(dtype=wp.vec3), i: int, value: wp.vec3): ...
+def poke_end(values: wp.array(dtype=wp.vec3), i: int, end: int, value: wp.vec3): ...  # noqa: F811
 
 
 # the same with a base and an index apart, and velocities by component: a compiler makes vector instructions of it (rows.py)

@@ -179,7 +179,6 @@ class Boundary:
             speed: (L,) m/s, where the interior water's goes; to the host by default.
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
-        self.scratch.zero_()  # first: on a CPU it takes long enough for other threads to wake up and begin (early_water.py)
         with nullcontext() if self._branch is None else wp.ScopedStream(self._branch):  # a branch of its own
             self._measure_interior(f, shape, self._interior_speed if speed is None else speed)
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
@@ -190,9 +189,8 @@ class Boundary:
         self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
         target_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
         self._launch(kernels.set_target, (n, self.rhs), target_in, [self.wanted, self.force])
-        for k in range(self.passes - 1):
-            if k:
-                self.scratch.zero_()
+        for _ in range(self.passes - 1):
+            self.scratch.zero_()
             self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
             self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
         # float32 forces, float64 sums: K joins masses of trunk and tail in one solve

@@ -36,23 +36,28 @@ def _words(at: np.ndarray, shape: np.ndarray, directions: Any = 0) -> np.ndarray
     return (np.asarray(directions, np.int64) << CELL_BITS | cells).astype(np.uint32).view(np.int32)
 
 
+def _arriving(x: np.ndarray, steps: int, size: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Of coarse cells (n, 3), (Q, n) a bit for every child that is in the box, `size` coarse cells, `steps` fine steps later."""
+    bits = np.zeros((Q, len(x)), int)
+    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
+        for i, c in enumerate(VELOCITIES):
+            bits[i] |= _inside(RATIO * x + r + steps * c, RATIO * size, ends).astype(int) << child
+    return bits
+
+
 def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What `explode` goes through, for a box of `size` coarse cells, by direction and in order of memory.
 
     Returns:
         Words of coarse cells beside the box, (n,); for each its children that count, as `explode` reads them, (n,).
     """
-    ends, shape, fine = ghost > 0, size + 2 * ghost, RATIO * size
+    ends, shape = ghost > 0, size + 2 * ghost
     x = _shell(size, ends)
     x = x[~_inside(x, size, ends)]
-    children = np.zeros((Q, len(x)), int)
-    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
-        w = RATIO * x + r
-        children[0] |= _inside(w + ghost, fine + 2 * ghost, ends).astype(int) << child  # within a layer of the box
-        for i, c in enumerate(VELOCITIES[1:], 1):
-            first = _inside(w + c, fine, ends)
-            second = ~first & _inside(w + 2 * c, fine, ends)
-            children[i] |= first.astype(int) << child | second.astype(int) << 8 + child
+    first = _arriving(x, 1, size, ends)
+    children = first | (_arriving(x, 2, size, ends) & ~first) << 8
+    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):  # at rest: those within a layer of the box
+        children[0] |= _inside(RATIO * x + r + ghost, RATIO * size + 2 * ghost, ends).astype(int) << child
     direction, cell = np.nonzero(children)
     return _words(x[cell] + ghost, shape, direction), children[direction, cell].astype(np.int32)
 
@@ -65,10 +70,7 @@ def _leaving(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """
     ends, shape = ghost > 0, size + 2 * ghost
     x = _shell(size, ends)
-    later = np.zeros((Q, len(x)), int)
-    for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
-        for i, c in enumerate(VELOCITIES):
-            later[i] |= _inside(RATIO * x + r + c, RATIO * size, ends).astype(int) << child
+    later = _arriving(x, 1, size, ends)
     moves = np.array([~_inside(x + c, size, ends) for c in VELOCITIES]) & (_inside(x, size, ends) | (later > 0))
     direction, cell = np.nonzero(moves)
     return _words(x[cell] + ghost, shape, direction), later[direction, cell].astype(np.int32)

@@ -38,19 +38,7 @@ from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_s
 from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec6i, vec19
 from fishmj.lbm_oracle.fluid.pairs import quotient
 from fishmj.lbm_oracle.fluid.step import within
-from fishmj.lbm_oracle.fluid.storage import (
-    peek,
-    peek3,
-    peek3_pair,
-    peek_pair,
-    poke,
-    poke3,
-    poke3_first,
-    poke3_last,
-    poke_first,
-    poke_last,
-    six,
-)
+from fishmj.lbm_oracle.fluid.storage import peek, peek3, peek3_pair, peek_pair, poke, poke3, poke_end, six
 
 wp.set_module_options({"max_unroll": 0, "enable_backward": False})  # unrolled, they take two minutes to compile
 
@@ -184,26 +172,6 @@ def end_of(s: Nest, p: wp.vec3i, here: int):
 
 
 @wp.func
-def put(f: wp.array(dtype=float), place: int, end: int, value: float):
-    if end == 0:
-        poke(f, place, value)
-    elif end < 0:
-        poke_last(f, place, value)
-    else:
-        poke_first(f, place, value)
-
-
-@wp.func
-def put3(u: wp.array(dtype=wp.vec3), place: int, end: int, value: wp.vec3):
-    if end == 0:
-        poke3(u, place, value)
-    elif end < 0:
-        poke3_last(u, place, value)
-    else:
-        poke3_first(u, place, value)
-
-
-@wp.func
 def loaded(f: wp.array(dtype=float), n: wp.vec3i, here: int):
     q = vec19()
     for i in range(_Q):
@@ -255,8 +223,8 @@ def explode(
                 there = in_fine(s, o, low + r)
                 end = end_of(s, low + r, there)
                 v = middle + 0.5 * d[0] * gx + 0.5 * d[1] * gy + 0.5 * d[2] * gz
-                put3(u_first, there, end, v)
-                put3(u_second, there, end, v)
+                poke_end(u_first, there, end, v)
+                poke_end(u_second, there, end, v)
     else:
         c, first = directions[i], i * (s.coarse[0] * s.coarse[1] * s.coarse[2])
         plane = i * (s.fine[0] * s.fine[1] * s.fine[2])
@@ -275,9 +243,9 @@ def explode(
                     end = end_of(s, p, there)
                     w = value + 0.5 * d[0] * g[0] + 0.5 * d[1] * g[1] + 0.5 * d[2] * g[2]
                     if second == 0:
-                        put(f_first, plane + there, end, w)
+                        poke_end(f_first, plane + there, end, w)
                     else:
-                        put(f_second, plane + there, end, w)
+                        poke_end(f_second, plane + there, end, w)
 
 
 @wp.kernel(module="unique", module_options=UNROLLED, grid_stride=False)

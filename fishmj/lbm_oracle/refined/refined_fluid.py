@@ -29,6 +29,7 @@ from fishmj.lbm_oracle.refined.crossings import RATIO, Cells, lists_of
 from fishmj.lbm_oracle.refined.exchange import BLOCK, GHOST, Nest
 
 ROOM = 2  # coarse cells between R and a face of the coarse water
+AXES = {"f": (1, 2, 3), "u": (0, 1, 2)}  # x, y, z in the fields of a snapshot
 SECTOR = 8  # numbers that an accelerator's memory reads and writes at once
 
 
@@ -99,8 +100,7 @@ class RefinedFluid(Fluid):
         self._entering, self._children, self._leaving, self._later, self._all, self._rim = lists
         self._corner = wp.zeros(6, dtype=int, device=self.device)
         self._place(RATIO * np.array(low, int) + self._numbers - self._ghost)
-        self.steps = RATIO * outer.steps
-        self.clock.fill_(self.steps)
+        self.set_steps(RATIO * outer.steps)
         self.prolong()
 
     def _fills(self, low: np.ndarray) -> np.ndarray:
@@ -157,8 +157,7 @@ class RefinedFluid(Fluid):
         if steps % RATIO:
             raise ConfigError(f"refined: {steps} steps are no whole number of coarse ones; expected a multiple of {RATIO}")
         super().set_steps(steps)
-        if self._made:
-            self.outer.set_steps(steps // RATIO)
+        self.outer.set_steps(steps // RATIO)
 
     def settle(self) -> None:
         """Undisturbed background flow everywhere on both levels."""
@@ -380,18 +379,9 @@ class RefinedFluid(Fluid):
             raise ConfigError("refined: a state is kept between two coarse steps only, after an even number of fine ones")
         self.restrict()
         state, origin = super().snapshot(), self.origin_lu - self._numbers
-        for name, (values, axes) in self._fields(state).items():
-            held = np.roll(values, -self.origin_lu, axes)[self._held(axes)]
-            state[name] = np.roll(held, origin, axes)
+        for name, axes in AXES.items():
+            state[name] = np.roll(self._in_order(state[name], axes[0]), origin, axes)
         return state | {"origin": origin} | {f"outer.{name}": value for name, value in self.outer.snapshot().items()}
-
-    def _fields(self, state: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
-        """Those that have an entry for each cell, with their axes."""
-        return {"f": (state["f"], (1, 2, 3)), "u": (state["u"], (0, 1, 2))}
-
-    def _held(self, axes: tuple[int, int, int]) -> tuple[slice, ...]:
-        """Where `extent` is in such a field by logical node."""
-        return *(slice(None) for _ in range(axes[0])), *(slice(n) for n in self.extent)
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue from a snapshot, bit for bit; the coarse clock follows the fine one.
@@ -406,9 +396,10 @@ class RefinedFluid(Fluid):
             raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.extent}")
         plain = np.array(state["origin"], int)
         mine, changed = plain + self._numbers, {}
-        for name, (values, axes) in self._fields(state).items():
-            more = [(0, self.shape[axes.index(a)] - n) if a in axes else (0, 0) for a, n in enumerate(values.shape)]
-            changed[name] = np.roll(np.pad(np.roll(values, -plain, axes), more), mine, axes)
+        for name, axes in AXES.items():
+            more = [(0, 0)] * state[name].ndim
+            more[axes[2]] = 0, self.shape[2] - self.extent[2]
+            changed[name] = np.roll(np.pad(np.roll(state[name], -plain, axes), more), mine, axes)
         super().restore(state | changed | {"origin": mine})
         self.outer.restore(outer | {"steps": np.array(self.steps // RATIO)})
 

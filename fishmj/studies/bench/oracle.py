@@ -100,12 +100,12 @@ def _place(quick: bool):
 
 
 def _emptied(domain, device, steps: int, unit: float = 1.0) -> Work:
-    """Steps of the same box without a fish; `unit` of work each."""
+    """Steps of the same water, all its levels, without a fish; `unit` of work each."""
     import warp as wp
 
-    from fishmj.lbm_oracle.fluid.fluid import Fluid
+    from fishmj.lbm_oracle.run.setup import SwimSetup
 
-    water = Fluid(domain.lattice, domain.shape, device, boundaries=domain.boundaries)
+    water = SwimSetup(domain=domain, device=str(device)).coupled().fluid
 
     def run():
         water.run(steps)
@@ -181,21 +181,9 @@ def _fine_cells(quick: bool):
 
 
 def fine_alone(quick: bool) -> Work:
-    """The water of one of those tanks with nobody in it, all levels."""
-    import warp as wp
-
-    from fishmj.lbm_oracle.run.setup import SwimSetup
-
+    """The water of one of those tanks with nobody in it."""
     domain, device, ticks = _fine_cells(quick)
-    made = SwimSetup(domain=domain, device=str(device)).run()
-    water, steps = made.coupled.fluid, 2 * ticks * made.steps
-
-    def run():
-        water.run(steps)
-        wp.synchronize_device(device)
-
-    run()
-    return Work(run, steps * water.lattice.dt, f"{device}, {water.threads} slabs")
+    return _emptied(domain, device, 40 * ticks, domain.body_level.dt)
 
 
 @benchmark("oracle_tanks_fine", "simulated s/s", baseline=fine_alone)
