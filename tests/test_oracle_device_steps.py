@@ -252,8 +252,10 @@ def test_steps_go_behind_one_set_of_steps():
             steps.queue_next(command(2))
 
 
-def test_what_is_held_or_led_is_left_to_the_host():
+def test_what_is_led_is_left_to_the_host():
     run = Run(pond("cpu"), on_device=True, tethered=True)
+    start = run.pose[:3].copy()
+    run.root = lambda t: start + [0.01 * t, 0.0, 0.0]
     run.tick(np.zeros(3))
     assert run._at_once is None
     run.tethered = False
@@ -265,6 +267,31 @@ def test_what_is_held_or_led_is_left_to_the_host():
     other = Run(pond("cpu", scheme="explicit"), on_device=True)
     other.tick(np.zeros(3))
     assert other._at_once is None and not other.on_device
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_fish_that_is_held_and_let_go_is_the_hosts(ahead, monkeypatch):
+    """MuJoCo's own steps agree while it is held, too; no tick is ahead of the one after which it is let go."""
+    monkeypatch.setattr("fishmj.lbm_oracle.run.run.AUDIT", 2)
+    gait, made = Gait(ramp=0.2), []
+    for on_device in (False, True):
+        run = Run(pond("cpu", slip=0.97), on_device=on_device, tethered=True, latency=0.02)
+        run.ahead = ahead and on_device
+        if on_device and ahead:
+            run._at_once = DeviceSteps(run.coupled, run.steps, warps=True)
+        for tick in range(9):
+            run.tethered = tick < 4
+            run.tick(gait(run.time))
+            if tick == 3:
+                assert np.abs(run.coupled.body.data.qvel[:3]).max() < 1e-15 < np.abs(run.rates()).max()
+                held = run.pose[:3].copy()
+            elif tick < 3:
+                assert run.coupled.ahead is False
+        assert np.abs(run.pose[:3] - held).max() > 1e-4
+        made.append(run)
+    one, other = made
+    for mine, theirs in zip(columns(other), columns(one), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-11, rtol=1e-9)
 
 
 def test_a_tank_alone_keeps_its_steps_on_the_host_on_a_cpu():

@@ -13,6 +13,7 @@ from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
 from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
 from fishmj.lbm_oracle.fluid.step import stream_collide
+from fishmj.lbm_oracle.fluid.storage import UNIT, decoded, encoded, peek3, peek3_pair, poke3, poke3_pair
 
 pytestmark = pytest.mark.oracle
 SHAPE = (12, 11, 34)  # a row of more cells than are collided at once
@@ -76,3 +77,41 @@ def test_a_large_box_on_a_cpu_goes_by_rows_and_an_accelerator_by_pairs_where_it_
     assert kernel_for((8, 8, 8), Device(False)) == (stream_collide, 64)
     assert kernel_for((200, 200, 50), Device(True)) == (stream_collide_pairs, 200 * 25)
     assert kernel_for((20, 20, 5), Device(True)) == (stream_collide, 100)
+
+
+@wp.kernel
+def keep(u: wp.array(dtype=wp.vec3), one: wp.array(dtype=wp.vec3s), two: wp.array(dtype=wp.vec3s), back: wp.array(dtype=wp.vec3)):
+    i = 2 * wp.tid()
+    for k in range(2):
+        poke3(one, i + k, u[i + k])
+    poke3_pair(two, i, u[i], u[i + 1])
+    pair = peek3_pair(two, i)
+    back[i] = pair[0]
+    back[i + 1] = 2.0 * pair[1] - peek3(one, i + 1)
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+def test_a_velocity_of_16_bits_is_the_nearest_and_ends_at_half_a_cell_a_step(device):
+    u = np.random.default_rng(0).uniform(-0.6, 0.6, (64, 3)).astype(np.float32)
+    u[:4] = UNIT * np.array([[0.5, 1.5, 2.5], [-0.5, -1.5, -2.5], [0.49, 0.51, -0.51], [9e4, -9e4, 0.0]])  # ties, signs, ends
+    one, two = (wp.zeros(64, dtype=wp.vec3s, device=device) for _ in range(2))
+    back = wp.zeros(64, dtype=wp.vec3, device=device)
+    wp.launch(keep, dim=32, inputs=[wp.array(u, dtype=wp.vec3, device=device), one, two, back], device=device)
+    expected = encoded(u, wp.vec3s)
+    assert expected[:4].tolist() == [[0, 2, 2], [0, -2, -2], [0, 1, -1], [32767, -32767, 0]]
+    for kept in (one, two):
+        np.testing.assert_array_equal(kept.numpy(), expected)
+    np.testing.assert_array_equal(back.numpy(), decoded(expected))
+    slow = np.abs(u) < 32767 * UNIT
+    assert np.abs(decoded(expected) - u)[slow].max() <= 0.5 * UNIT
+
+
+def test_where_no_force_acts_a_velocity_is_read_as_exactly_as_the_populations_have_it():
+    still, pushed = (Fluid(Lattice(dx=0.02, dt=0.004), (8, 6, 6), "cpu") for _ in range(2))
+    u = 0.03 * np.random.default_rng(0).standard_normal((8, 6, 6, 3))
+    still.impose(u)
+    np.testing.assert_allclose(still.velocity(), u, atol=1e-6)
+    assert np.abs(decoded(still.u.numpy()) * 5.0 - u).max() > 2e-5  # 5 m/s: a cell a step
+    pushed.force.fill_(wp.vec3(1e-3, 0.0, 0.0))
+    pushed.step(((0, 0, 0), (8, 6, 6)))  # from rest: G / 2 is what is kept, the populations have G
+    np.testing.assert_allclose(pushed.velocity(), [[[[2.5e-3, 0.0, 0.0]]]] * np.ones((8, 6, 6, 1)), atol=0.51 * UNIT * 5.0)

@@ -90,7 +90,7 @@ def test_the_last_good_state_has_all_levels(monkeypatch):
     kept.look(run)
     kept.good, before = kept.candidate, [level.velocity() for level in run.coupled.fluid.levels]
     run.tick(QUICK(0.0))
-    run.coupled.fluid.levels[-1].u.fill_(np.nan)
+    run.coupled.fluid.levels[-1].f.fill_(np.nan)
     assert kept.save(None, SimpleNamespace(coupled=run.coupled, robot=FISH, stopped="")) == "kept"
     for level, velocity in zip(run.coupled.fluid.levels, before, strict=True):
         np.testing.assert_array_equal(level.velocity(), velocity)

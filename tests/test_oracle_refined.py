@@ -13,6 +13,7 @@ from fishmj.lbm_oracle.cases.refined import across, ball_in_a_box, pulse_returne
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.fluid.storage import UNIT
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory, fine_lattice
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.run import Run
@@ -99,7 +100,7 @@ def test_three_levels_conserve_too():
     assert finest.totals() == pytest.approx(before, abs=2e-8 * middle.outer.cells)
     fine = finest.velocity()[finest.box_slices()].reshape(6, 2, 5, 2, 4, 2, 3).mean((1, 3, 5))
     x, y, z = (slice(a - b, a - b + n) for a, b, n in zip((12, 12, 10), middle.origin_lu, (6, 5, 4), strict=True))
-    assert middle.velocity()[x, y, z] == pytest.approx(fine, abs=1e-6)
+    assert middle.velocity()[x, y, z] == pytest.approx(fine, abs=UNIT * middle.lattice.velocity)
 
 
 def test_a_box_shows_at_its_rim_all_that_the_water_outside_sees():
@@ -308,7 +309,7 @@ def test_levels_survive_another_time_step_and_back():
     assert fine.fluid.account[1][1] == 2 * before[1][1][1] and fine.fluid.outer.lattice.dt == 0.005
     run._refinement.hand_over(fine, run.coupled)
     for level, velocity in zip(water.levels, before[0], strict=True):
-        assert level.velocity() == pytest.approx(velocity, abs=1e-6)
+        assert level.velocity() == pytest.approx(velocity, abs=2 * UNIT * level.lattice.velocity)  # kept anew twice
     assert water.account == before[1]
 
 

@@ -26,7 +26,7 @@ from fishmj.lbm_oracle.fluid.lattice import Lattice, Q, vec19i
 from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
 from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
 from fishmj.lbm_oracle.fluid.step import Params, stream_collide
-from fishmj.lbm_oracle.fluid.storage import STORAGE
+from fishmj.lbm_oracle.fluid.storage import STORAGE, decoded, encoded, velocity_type
 
 MOST = 16  # cores that one box keeps busy
 _POOL = ThreadPoolExecutor(max_workers=MOST, thread_name_prefix="slab")
@@ -36,7 +36,7 @@ SUBGRID = ("wale", "none")
 CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
-BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force
+BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force; without eddy viscosity
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
 
@@ -98,7 +98,8 @@ class Fluid:
     Attributes:
         f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
             scaled (`storage`).
-        u: (nx, ny, nz) vec3, velocity of the last step; without `keep_velocity` it is derived when asked for.
+        u: (nx, ny, nz) velocity of the last step as it is kept (storage.py), vec3s with eddy viscosity, else vec3; without
+            `keep_velocity` it is derived when asked for.
         force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
         origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
@@ -157,7 +158,7 @@ class Fluid:
         self.threads = slabs_for(self.device, shape[0], threads)
         with wp.ScopedDevice(self.device):
             self._f = [wp.zeros((Q, *shape), dtype=STORAGE[dtype]) for _ in range(2)]
-            self._u = [wp.zeros(shape, dtype=wp.vec3) for _ in range(2)]
+            self._u = [wp.zeros(shape, dtype=velocity_type(subgrid == "wale")) for _ in range(2)]
             self._clock = [wp.zeros(1, dtype=int) for _ in range(2)]
             self.force = wp.zeros(shape, dtype=wp.vec3)
             self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(6, dtype=int)
@@ -185,7 +186,7 @@ class Fluid:
     @property
     def u(self) -> wp.array:
         if not self._keeps:
-            args = [self.params, _flat(self.f), self._u[self.parity]]
+            args = [self.params, _flat(self.f), _flat(self._u[self.parity])]
             wp.launch(fields.derive, dim=self.shape, inputs=args, device=self.device)
         return self._u[self.parity]
 
@@ -242,17 +243,23 @@ class Fluid:
         self._settle(self.origin_lu, self.shape)
 
     def _settle(self, low, size) -> None:
-        inputs = [self.params, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), self.u]
+        inputs = [self.params, self._inflow, wp.vec3i(*map(int, low)), self.clock, _flat(self.f), _flat(self.u)]
         wp.launch(fields.settle, dim=tuple(map(int, size)), inputs=inputs, device=self.device)
 
     def impose(self, u: np.ndarray, pressure: np.ndarray | None = None) -> None:
         """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them."""
         u_lu = np.asarray(u, np.float32) / self.lattice.velocity
         drho = np.zeros(self.shape, np.float32) if pressure is None else np.asarray(pressure) * 3 / self.lattice.pressure
-        now = self.u
-        now.assign(np.roll(u_lu, self.origin_lu, (0, 1, 2)))
+        rolled = np.roll(u_lu, self.origin_lu, (0, 1, 2))
+        self._keep(rolled)
+        u_exact = wp.array(rolled, dtype=wp.vec3, device=self.device)
         rho = wp.array(np.roll(drho, self.origin_lu, (0, 1, 2)).astype(np.float32), dtype=float, device=self.device)
-        wp.launch(fields.impose, dim=self.shape, inputs=[self.params, rho, now, _flat(self.f)], device=self.device)
+        wp.launch(fields.impose, dim=self.shape, inputs=[self.params, rho, u_exact, _flat(self.f)], device=self.device)
+
+    def _keep(self, u: np.ndarray) -> None:
+        """Take velocities (nx, ny, nz, 3) in memory order, cells a step, for those of the last step."""
+        now = self.u
+        now.assign(encoded(u, now.dtype))
 
     def step(self, box: Box | None = None) -> None:
         """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
@@ -349,9 +356,17 @@ class Fluid:
         self.origin_lu = origin
         self.origin.assign(np.concatenate([origin, origin % self.shape]).astype(np.int32))
 
+    def velocity_lu(self) -> wp.array:
+        """(nx, ny, nz) vec3 of the last step in memory order, cells a step."""
+        if self.u.dtype is wp.vec3:
+            return self.u
+        out = wp.empty(self.shape, dtype=wp.vec3, device=self.device)
+        wp.launch(fields.resolve, dim=self.shape, inputs=[self.params, _flat(self.f), _flat(self.u), out], device=self.device)
+        return out
+
     def velocity(self) -> np.ndarray:
         """(nx, ny, nz, 3) m/s, low corner first; nx, ny, nz: `extent`."""
-        return self._in_order(self.u.numpy()) * self.lattice.velocity
+        return self._in_order(self.velocity_lu().numpy()) * self.lattice.velocity
 
     def pressure(self) -> np.ndarray:
         """(nx, ny, nz) Pa over still water, low corner first; nx, ny, nz: `extent`."""
@@ -376,7 +391,7 @@ class Fluid:
 
     def begin_survey(self) -> None:
         """Queue a survey on the present stream; the host goes on."""
-        self._surveyor.start(self.params, self.origin, _flat(self.f), self.u)
+        self._surveyor.start(self.params, self.origin, _flat(self.f), _flat(self.u))
 
     def surveyed(self) -> Survey:
         """What the last one found; to be asked once the device is through with it."""
@@ -393,7 +408,7 @@ class Fluid:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
-        f, u = self.f.numpy().copy(), self.u.numpy().copy()
+        f, u = self.f.numpy().copy(), decoded(self.u.numpy()).copy()
         return {"f": f, "u": u, "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -405,7 +420,7 @@ class Fluid:
         if state["f"].shape != (Q, *self.shape):
             raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.shape}")
         self.f.assign(state["f"])
-        self.u.assign(state["u"])
+        self._keep(state["u"])
         self._place(np.array(state["origin"], int))
         self.set_steps(int(state["steps"]))
 

@@ -28,7 +28,7 @@ from fishmj.lbm_oracle.fluid.step import (
     update_through,
     within,
 )
-from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, peek3_pair, peek_pair, poke3_pair, poke_pair, six
+from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, peek3_pair, peek_pair, poke3_pair, poke_pair, six, velocity_type
 
 
 @wp.func_native("return (unsigned long long)(unsigned int)n * (unsigned int)by_magic >> shift;")
@@ -107,12 +107,12 @@ def pull_pair_through(faces: Faces, number: type):
     return pull
 
 
-def gradient_pair_within(faces: Faces):
+def gradient_pair_within(faces: Faces, velocity: type):
     """`step.gradient_within` for two cells."""
     bounded = [not FACES[axis.low].wraps for axis in faces]
 
     @wp.func
-    def velocity_gradient(u: wp.array(dtype=wp.vec3), s: Params, at: wp.vec3i, next_z: int, m: wp.vec3i):
+    def velocity_gradient(u: wp.array(dtype=velocity), s: Params, at: wp.vec3i, next_z: int, m: wp.vec3i):
         x, y, z = m[0], m[1], m[2]
         xm, xp = wp.where(x > 0, x - 1, s.nx - 1), wp.where(x < s.nx - 1, x + 1, 0)
         ym, yp = wp.where(y > 0, y - 1, s.ny - 1), wp.where(y < s.ny - 1, y + 1, 0)
@@ -145,9 +145,9 @@ def stream_collide_pairs(faces: Faces, subgrid: bool, dtype: str = "float32", ke
 
     t counts up from the first argument, or down from the second where that is not negative.
     """
-    number = STORAGE[dtype]
+    number, velocity = STORAGE[dtype], velocity_type(subgrid)
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u_pairs" if keeps else "f_pairs")
-    pull, velocity_gradient = pull_pair_through(faces, number), gradient_pair_within(faces)
+    pull, velocity_gradient = pull_pair_through(faces, number), gradient_pair_within(faces, velocity)
     opened = any(any(completes(axis)) for axis in faces)
     inward, update = leave_through(faces)[0], update_through(faces, subgrid)
 
@@ -161,10 +161,10 @@ def stream_collide_pairs(faces: Faces, subgrid: bool, dtype: str = "float32", ke
         box: wp.array(dtype=int),
         clock: wp.array(dtype=int),
         f: wp.array(dtype=number),
-        u_old: wp.array(dtype=wp.vec3),
+        u_old: wp.array(dtype=velocity),
         force: wp.array(dtype=wp.vec3),
         f_next: wp.array(dtype=number),
-        u_next: wp.array(dtype=wp.vec3),
+        u_next: wp.array(dtype=velocity),
         clock_next: wp.array(dtype=int),
     ):
         here = 2 * wp.where(turn < 0, start + wp.tid(), turn - wp.tid())

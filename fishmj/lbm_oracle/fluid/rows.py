@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.fluid.step import (
     pull_through,
     within,
 )
-from fishmj.lbm_oracle.fluid.storage import STORAGE, peek3_at, peek_at, poke3_at, poke_at
+from fishmj.lbm_oracle.fluid.storage import STORAGE, peek3_at, peek_at, poke3_at, poke_at, velocity_type
 
 CELLS = 32  # that are collided at once
 WIDTH = 8  # numbers in a vector register, at most: the loop goes on to a multiple of it and what is too much is not stored
@@ -76,9 +76,9 @@ def collide_through(faces: Faces, subgrid: bool):
 @cache
 def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: bool = True) -> wp.Kernel:
     """The kernel of `step.stream_collide` for a CPU; its first argument is the first row, not the first cell."""
-    number = STORAGE[dtype]
+    number, velocity = STORAGE[dtype], velocity_type(subgrid)
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u_rows" if keeps else "f_rows")
-    pull, velocity_gradient = pull_through(faces, number), gradient_within(faces)
+    pull, velocity_gradient = pull_through(faces, number), gradient_within(faces, velocity)
     opened = any(any(completes(axis)) for axis in faces)
     inward, collide = leave_through(faces)[0], collide_through(faces, subgrid)
     (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
@@ -93,10 +93,10 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         box: wp.array(dtype=int),
         clock: wp.array(dtype=int),
         f: wp.array(dtype=number),
-        u_old: wp.array(dtype=wp.vec3),
+        u_old: wp.array(dtype=velocity),
         force: wp.array(dtype=wp.vec3),
         f_next: wp.array(dtype=number),
-        u_next: wp.array(dtype=wp.vec3),
+        u_next: wp.array(dtype=velocity),
         clock_next: wp.array(dtype=int),
     ):
         column = start + wp.tid()

@@ -5,8 +5,9 @@
 Arrays are (19, nx, ny, nz) and (nx, ny, nz) with z fastest: neighbouring threads read neighbouring words of every population.
 Memory is addressed by world node modulo size, so that a window moves by changing `origin`, the world node of its low corner.
 
-Bytes a cell and step, FP32: populations 2 x 76 = 152; with eddy viscosity 12 more to write u and about 12 to read it once (its
-six neighbours come from cache; the same gradient serves the stress); the force is read inside the body's box only.
+Bytes a cell and step, FP32: populations 2 x 76 = 152; with eddy viscosity 6 more to write u and about 6 to read it once: three
+numbers of 16 bits (storage.py), and the six neighbours come from cache; the same gradient serves the stress. The force is read
+inside the body's box only.
 
 `stream_collide(faces, subgrid)` is the kernel for one set of faces (domain_faces.py): a face that is not there costs nothing.
 """
@@ -19,7 +20,7 @@ from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, no
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Source, completes, ramp, sources
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
 from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec6i, vec19, vec19i
-from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, poke, poke3, six
+from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, poke, poke3, six, velocity_type
 
 OPTIONS = {"max_unroll": 32, "enable_backward": False}  # and quick roots and quotients on a GPU where there is an eddy viscosity
 Faces = tuple[Axis, Axis, Axis]
@@ -167,7 +168,7 @@ def leave_through(faces: Faces):
     return inward, leave
 
 
-def gradient_within(faces: Faces):
+def gradient_within(faces: Faces, velocity: type):
     """The Warp function of the velocity gradient, d u / d x, d y, d z in rows, from the last step.
 
     At a face the node stands in for its missing neighbour: right along a slip face, half the shear beside a wall at rest.
@@ -175,7 +176,7 @@ def gradient_within(faces: Faces):
     bounded = [not FACES[axis.low].wraps for axis in faces]
 
     @wp.func
-    def velocity_gradient(u: wp.array(dtype=wp.vec3), s: Params, at: wp.vec3i, m: wp.vec3i):
+    def velocity_gradient(u: wp.array(dtype=velocity), s: Params, at: wp.vec3i, m: wp.vec3i):
         x, y, z = m[0], m[1], m[2]
         xm, xp = wp.where(x > 0, x - 1, s.nx - 1), wp.where(x < s.nx - 1, x + 1, 0)
         ym, yp = wp.where(y > 0, y - 1, s.ny - 1), wp.where(y < s.ny - 1, y + 1, 0)
@@ -271,9 +272,9 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
 
     `dtype` is how populations are stored. `keeps` stores the velocity of each step, which the next one needs for them.
     """
-    number = STORAGE[dtype]
+    number, velocity = STORAGE[dtype], velocity_type(subgrid)
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u" if keeps else "f")
-    pull, velocity_gradient = pull_through(faces, number), gradient_within(faces)
+    pull, velocity_gradient = pull_through(faces, number), gradient_within(faces, velocity)
     opened = any(any(completes(axis)) for axis in faces)
     inward, update = leave_through(faces)[0], update_through(faces, subgrid)
 
@@ -286,10 +287,10 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
         box: wp.array(dtype=int),
         clock: wp.array(dtype=int),
         f: wp.array(dtype=number),
-        u_old: wp.array(dtype=wp.vec3),
+        u_old: wp.array(dtype=velocity),
         force: wp.array(dtype=wp.vec3),
         f_next: wp.array(dtype=number),
-        u_next: wp.array(dtype=wp.vec3),
+        u_next: wp.array(dtype=velocity),
         clock_next: wp.array(dtype=int),
     ):
         here = start + wp.tid()

@@ -5,13 +5,36 @@ lattice update needs on an accelerator. The arrays here are contiguous and the i
 
 Half precision stores 2^15 (f - w): values of 1e-6 to 1 keep their eleven bits, where unscaled they would lose them below 6e-5
 (Lehmann et al. 2022, Phys. Rev. E 106:015308). The arithmetic stays in single precision.
+
+A velocity that only the eddy viscosity and the hybrid stress read is kept as three integers of 16 bits, the nearest to 2^16 u:
+six bytes in place of twelve. That is 1.5e-5 cells a step from one number to the next, up to half a cell a step, where a run has
+long been stopped; a difference of two is exact. Without an eddy viscosity nobody reads it but the user, and it is a float.
 """
 
+import numpy as np
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.lattice import vec6i
 
 STORAGE = {"float32": wp.float32, "float16": wp.float16}
+VELOCITIES = (wp.vec3, wp.vec3s)
+UNIT = 2.0**-16  # of a velocity of 16 bits, cells a step
+GREATEST = 32767
+
+
+def velocity_type(subgrid: bool) -> type:
+    """How velocities are kept."""
+    return VELOCITIES[subgrid]
+
+
+def encoded(u: np.ndarray, kind: type) -> np.ndarray:
+    """Velocities (..., 3) in cells a step, as an array of this type keeps them."""
+    return np.clip(np.rint(u / UNIT), -GREATEST, GREATEST).astype(np.int16) if kind is wp.vec3s else u.astype(np.float32)
+
+
+def decoded(u: np.ndarray) -> np.ndarray:
+    """Kept velocities (..., 3) as float32, cells a step."""
+    return u * np.float32(UNIT) if u.dtype == np.int16 else u
 
 
 @wp.func_native("return values.data[i];")
@@ -34,8 +57,32 @@ def poke(values: wp.array(dtype=wp.float16), i: int, value: wp.float32): ...  # 
 def peek3(values: wp.array(dtype=wp.vec3), i: int) -> wp.vec3: ...
 
 
+@wp.func_native("""const auto& v = values.data[i];
+    const float unit = 1.52587890625e-05f;
+    return wp::vec3(v[0] * unit, v[1] * unit, v[2] * unit);""")
+def peek3(values: wp.array(dtype=wp.vec3s), i: int) -> wp.vec3: ...  # noqa: F811
+
+
 @wp.func_native("values.data[i] = value;")
 def poke3(values: wp.array(dtype=wp.vec3), i: int, value: wp.vec3): ...
+
+
+# 2^16 u to the nearest integer, ties to even: added to 1.5 x 2^23 it is in the low bits of a float, on every machine alike
+_INTEGER = """float w = 65536.0f * {value};
+        w = w > 32767.0f ? 32767.0f : w;
+        w = w < -32767.0f ? -32767.0f : w;
+        union {{ float number; int bits; }} sum;
+        sum.number = w + 12582912.0f;
+        {kept} = (short)sum.bits;"""
+
+
+def _three(value: str, kept: str) -> str:
+    """The text that keeps three components, `k` in both arguments."""
+    return f"for (int k = 0; k < 3; ++k) {{ {_INTEGER.format(value=value, kept=kept)} }}"
+
+
+@wp.func_native(_three("value[k]", "values.data[i][k]"))
+def poke3(values: wp.array(dtype=wp.vec3s), i: int, value: wp.vec3): ...  # noqa: F811
 
 
 # two neighbours at once, the first at an even place: one load or store of twice the width on an accelerator (pairs.py)
@@ -104,12 +151,41 @@ def peek3_pair(values: wp.array(dtype=wp.vec3), i: int) -> mat23: ...
 
 @wp.func_native(
     _for(
+        """const unsigned int* w = (const unsigned int*)(values.data + i);
+        unsigned int a = w[0], b = w[1], c = w[2];
+        wp::mat_t<2, 3, wp::float32> r;
+        r.data[0][0] = (short)a; r.data[0][1] = (short)(a >> 16); r.data[0][2] = (short)b;
+        r.data[1][0] = (short)(b >> 16); r.data[1][1] = (short)c; r.data[1][2] = (short)(c >> 16);
+        for (int n = 0; n < 2; ++n) for (int k = 0; k < 3; ++k) r.data[n][k] *= 1.52587890625e-05f;
+        return r;""",
+        """wp::mat_t<2, 3, wp::float32> r;
+        for (int n = 0; n < 2; ++n) for (int k = 0; k < 3; ++k) r.data[n][k] = values.data[i + n][k] * 1.52587890625e-05f;
+        return r;""",
+    )
+)
+def peek3_pair(values: wp.array(dtype=wp.vec3s), i: int) -> mat23: ...  # noqa: F811
+
+
+@wp.func_native(
+    _for(
         """float2* w = (float2*)(values.data + i);
         w[0] = make_float2(a[0], a[1]); w[1] = make_float2(a[2], b[0]); w[2] = make_float2(b[1], b[2]);""",
         "values.data[i] = a; values.data[i + 1] = b;",
     )
 )
 def poke3_pair(values: wp.array(dtype=wp.vec3), i: int, a: wp.vec3, b: wp.vec3): ...
+
+
+@wp.func_native(
+    f"short r[6]; {_three('a[k]', 'r[k]')} {_three('b[k]', 'r[3 + k]')}"
+    + "\n"
+    + _for(
+        """unsigned int* w = (unsigned int*)(values.data + i);
+        for (int k = 0; k < 3; ++k) w[k] = (unsigned int)(unsigned short)r[2 * k] | (unsigned int)r[2 * k + 1] << 16;""",
+        "for (int k = 0; k < 3; ++k) { values.data[i][k] = r[k]; values.data[i + 1][k] = r[3 + k]; }",
+    )
+)
+def poke3_pair(values: wp.array(dtype=wp.vec3s), i: int, a: wp.vec3, b: wp.vec3): ...  # noqa: F811
 
 
 @wp.func_native(
@@ -155,6 +231,11 @@ def poke_end(values: wp.array(dtype=wp.float32), i: int, end: int, value: wp.flo
 def poke_end(values: wp.array(dtype=wp.vec3), i: int, end: int, value: wp.vec3): ...  # noqa: F811
 
 
+@wp.func
+def poke_end(values: wp.array(dtype=wp.vec3s), i: int, end: int, value: wp.vec3):  # noqa: F811  six bytes do not fill a sector
+    poke3(values, i, value)
+
+
 # the same with a base and an index apart, and velocities by component: a compiler makes vector instructions of it (rows.py)
 
 
@@ -178,8 +259,16 @@ def poke_at(values: wp.array(dtype=wp.float16), base: int, i: int, value: wp.flo
 def peek3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int) -> wp.float32: ...
 
 
+@wp.func_native("return ((const short*)(values.data + base))[3 * i + part] * 1.52587890625e-05f;")
+def peek3_at(values: wp.array(dtype=wp.vec3s), base: int, i: int, part: int) -> wp.float32: ...  # noqa: F811
+
+
 @wp.func_native("((float*)(values.data + base))[3 * i + part] = value;")
 def poke3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int, value: wp.float32): ...
+
+
+@wp.func_native(_INTEGER.format(value="value", kept="((short*)(values.data + base))[3 * i + part]"))
+def poke3_at(values: wp.array(dtype=wp.vec3s), base: int, i: int, part: int, value: wp.float32): ...  # noqa: F811
 
 
 # plain, too: code that runs once is paced by how much of it there is

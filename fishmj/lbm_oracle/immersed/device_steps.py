@@ -11,7 +11,8 @@ these: it goes on from its own state.
 The arithmetic is that of `body.py` and `link_dynamics.py`, with a thread for each link and each degree of freedom
 (`device_body.py`), and that of `kernels.py`, with a warp for each marker (`marker_warps.py`). The host's MuJoCo takes the
 state at the end and goes on from there, with this or step by step; every so often it does the same steps itself (`audit`).
-Servos and a push from outside drive the body; velocities that are prescribed, and the explicit scheme, are left to the host.
+Servos and a push from outside drive the body, and some of its degrees of freedom may be held; other velocities that are
+prescribed, and the explicit scheme, are left to the host.
 """
 
 from collections.abc import Iterator
@@ -47,6 +48,7 @@ class Queued(NamedTuple):
 
     number: int
     command: np.ndarray  # (S, A) rad
+    held: np.ndarray  # (n,) 1 where the velocity is zero in all of them
     kept: int  # numbers of the state that the device has from the steps before; 0: the host sends it
 
 
@@ -128,39 +130,45 @@ class DeviceSteps:
         e.push, e.seen, e.corner = make(np.zeros(6 * body.links)), make(np.zeros(7 * body.links)), make(corners.at)
         return e
 
-    def run(self, command: np.ndarray) -> Seen:
-        """`count` steps under the servo commands (count, A) rad; raises as `queue` and `finish`."""
-        self.queue(command)
+    def run(self, command: np.ndarray, held: np.ndarray | None = None) -> Seen:
+        """`count` steps; arguments as of `queue`, raises as `queue` and `finish`."""
+        self.queue(command, held)
         try:
             return self.finish()
         finally:
             self.coupled.join_stream()
 
-    def queue(self, command: np.ndarray) -> None:
+    def queue(self, command: np.ndarray, held: np.ndarray | None = None) -> None:
         """Set the device to work on them; the host may look after another tank meanwhile.
+
+        Args:
+            command: (count, A) rad, of the servos in each step. held: (n,) 1 where the velocity is zero in all of them.
 
         Raises:
             ConfigError: not a command for every step and servo; or a marker is so near to a face that its kernel would read
                 beyond it, at the start.
         """
         body, command = self.coupled.body, self._checked(command)
+        fixed = np.zeros(body.dofs) if held is None else np.asarray(held, float)
         self._queued = []  # whoever begins anew has given up what was under way
         self.coupled.place_markers()
-        self.boundary.set_equation(body.system, 0.0, body.data.qvel)  # nothing prescribed; the rest is found anew
-        held = self._mail[(self._runs + 1) % 2].held
-        held["qpos"][:], held["qvel"][:] = body.data.qpos, body.data.qvel
-        held["last"][:], held["speed"][:] = body.momentum.ravel(), body.interior_speed
-        self._send(command, 0)
+        self.boundary.set_equation(body.system, 0.0, body.data.qvel, fixed, 0.0)  # the rest is found anew
+        told = self._mail[(self._runs + 1) % 2].told
+        told["qpos"][:], told["qvel"][:] = body.data.qpos, body.data.qvel
+        told["last"][:], told["speed"][:] = body.momentum.ravel(), body.interior_speed
+        self._send(command, fixed, 0)
 
     def queue_next(self, command: np.ndarray) -> None:
         """The steps behind those that were queued and not finished, from the state that the device will be in then.
+
+        What is held stays so.
 
         Raises:
             ConfigError: not a command for every step and servo; or there are no such steps, or two sets of them.
         """
         if not self.goes_on or len(self._queued) != 1:
             raise ConfigError(f"steps on the device: {len(self._queued)} sets under way; `queue_next` goes behind one")
-        self._send(self._checked(command), sum(self._kept.values()))
+        self._send(self._checked(command), self._queued[0].held, sum(self._kept.values()))
 
     @property
     def goes_on(self) -> bool:
@@ -178,13 +186,13 @@ class DeviceSteps:
             raise ConfigError(f"steps on the device: commands of shape {command.shape}; expected {shape}, rad, one row a step")
         return command
 
-    def _send(self, command: np.ndarray, kept: int) -> None:
+    def _send(self, command: np.ndarray, fixed: np.ndarray, kept: int) -> None:
         """What the host says anew of every set of steps, and their launch."""
         self._runs += 1
-        held = self._mail[self._runs % 2].held
-        held["applied"][:], held["total"][:], held["fastest"][:] = self.coupled.body.applied, 0.0, 0.0
-        held["command"][: command.size], held["done"][:] = command.ravel(), self._runs
-        self._queued.append(Queued(self._runs, command, kept))
+        told = self._mail[self._runs % 2].told
+        told["applied"][:], told["total"][:], told["fastest"][:] = self.coupled.body.applied, 0.0, 0.0
+        told["command"][: command.size], told["done"][:] = command.ravel(), self._runs
+        self._queued.append(Queued(self._runs, command, fixed, kept))
         if self.coupled.graphs is None:
             self.launch()
         else:
@@ -217,7 +225,7 @@ class DeviceSteps:
         self._queued, self.found = [], self._mail[queued.number % 2].found  # nothing goes on behind what is not believed
         self._judge()
         if audit:
-            self._audit(queued.command)
+            self._audit(queued.command, queued.held > 0.5)
         self._take()
         self._queued = behind
         found, shape = self.found, (self.count, self.coupled.body.dofs)
@@ -249,7 +257,7 @@ class DeviceSteps:
             self.coupled.gain += found["total"].reshape(-1, 6)
         self.coupled.steps, self.coupled.together = self.coupled.steps + self.count, self.count
 
-    def _audit(self, command: np.ndarray) -> None:
+    def _audit(self, command: np.ndarray, held: np.ndarray) -> None:
         """MuJoCo's own steps, `mj_step` to the velocity of each, beside what the device did; the body is put back.
 
         Compared: servo torques of every step, the state at the end, and in the last step the velocity that MuJoCo's masses and
@@ -271,7 +279,8 @@ class DeviceSteps:
                 if k == self.count - 1:
                     self.coupled.wait_for_water()
                     k_water, b_water = self.boundary.response
-                    expected = np.linalg.solve(system + k_water, right - b_water)
+                    whole = np.where(held[:, None], np.eye(n), system + k_water)
+                    expected = np.linalg.solve(whole, np.where(held, 0.0, right - b_water))
                 if self.boundary.interior is not None:
                     body.set_interior_speed(slid[k])
                 body.advance(rates[k + 1] if k + 1 < self.count else found["qvel"])
@@ -302,7 +311,7 @@ class DeviceSteps:
         """Queue all of it."""
         boundary, fluid, tree = self.boundary, self.fluid, self._tree
         block, at, wrench = boundary.host, boundary.layout, boundary.wrench_sum
-        number, _, kept = self._queued[-1]
+        number, kept = self._queued[-1].number, self._queued[-1].kept
         mail = self._mail[number % 2]
         with self._beside(self._side):
             sent = [tree, at, block, self._block, self._state, mail.sent, wrench, kept, self._told]
@@ -387,9 +396,9 @@ class _Mail:
         self._pinned = wp.zeros(2 * whole + wrenches, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
         seen = wp.array(ptr=self._pinned.ptr, dtype=wp.float64, shape=2 * whole + wrenches, device=device)
         self.sent, self.returned = seen[:whole], seen[whole:]
-        self.held, self.found, place = {}, {}, 0
+        self.told, self.found, place = {}, {}, 0
         for name, size in sizes.items():
-            self.held[name] = self._pinned.numpy()[place : place + size]
+            self.told[name] = self._pinned.numpy()[place : place + size]
             self.found[name] = self._pinned.numpy()[whole + place : whole + place + size]
             place += size
         self.found["wrench"] = self._pinned.numpy()[2 * whole :]

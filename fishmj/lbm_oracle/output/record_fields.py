@@ -73,7 +73,7 @@ def plane_of(fluid, z: float | None = None) -> np.ndarray:
         raise ConfigError(f"slice at z = {z} m lies outside the water; expected {low:.3f} to {high:.3f} m, or mid")
     k = int(np.clip(np.floor(level), 0, nz - 1))
     out = wp.empty((nx, ny), dtype=wp.vec3, device=fluid.device)
-    inputs = [fluid.params, fluid.u, wp.vec3i(*map(int, fluid.origin_lu)), k, max(level - k, 0.0), out]
+    inputs = [fluid.params, fluid.velocity_lu(), wp.vec3i(*map(int, fluid.origin_lu)), k, max(level - k, 0.0), out]
     wp.launch(cut, dim=(nx, ny), inputs=inputs, device=fluid.device)
     return out.numpy() * np.array([lattice.velocity, lattice.velocity, 1 / lattice.dt], np.float32)
 

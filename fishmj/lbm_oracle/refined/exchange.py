@@ -32,13 +32,15 @@ Filippova, Hoch, Molvig, Shock, Teixeira, Zhang 2006, Physica A 362:158 (conserv
 uniform, and paths along edges of R are exact.
 """
 
+from typing import Any
+
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
 from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec6i, vec19
 from fishmj.lbm_oracle.fluid.pairs import quotient
 from fishmj.lbm_oracle.fluid.step import within
-from fishmj.lbm_oracle.fluid.storage import peek, peek3, peek3_pair, peek_pair, poke, poke3, poke_end, six
+from fishmj.lbm_oracle.fluid.storage import VELOCITIES, peek, peek3, peek3_pair, peek_pair, poke, poke3, poke_end, six
 
 wp.set_module_options({"max_unroll": 0, "enable_backward": False})  # unrolled, they take two minutes to compile
 
@@ -162,7 +164,7 @@ def end_of(s: Nest, p: wp.vec3i, here: int):
     """-1 or 1 for a ghost cell at the low or high end of z whose sector of the memory has nothing of R in it, else 0.
 
     The other end's ghost may be there. What is written for one spoils nothing of the other's: no population enters at both ends,
-    and eight velocities are three sectors.
+    and eight velocities are three sectors. Those of 16 bits fill none.
     """
     if s.gap >= 8 and p[2] == 0 and here % 8 == 7:
         return -1
@@ -193,11 +195,11 @@ def explode(
     children: wp.array(dtype=int),
     corner: wp.array(dtype=int),
     f: wp.array(dtype=float),
-    u: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=Any),
     f_first: wp.array(dtype=float),
-    u_first: wp.array(dtype=wp.vec3),
+    u_first: wp.array(dtype=Any),
     f_second: wp.array(dtype=float),
-    u_second: wp.array(dtype=wp.vec3),
+    u_second: wp.array(dtype=Any),
 ):
     """What the two fine steps pull out of ghost cells, in the copies that they read: a thread for a coarse cell and a direction.
 
@@ -314,9 +316,9 @@ def restrict(
     cells: wp.array(dtype=int),
     corner: wp.array(dtype=int),
     f_fine: wp.array(dtype=float),
-    u_fine: wp.array(dtype=wp.vec3),
+    u_fine: wp.array(dtype=Any),
     f: wp.array(dtype=float),
-    u: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=Any),
 ):
     """Coarse cells of R from their children, two neighbours along z at once: the first is at an even place."""
     x = cell_in(cells[wp.tid()], s.shell, s.by_shell) - s.ghost
@@ -363,9 +365,9 @@ def prolong(
     kept_low: wp.vec3i,
     kept_size: wp.vec3i,
     f: wp.array(dtype=float),
-    u: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=Any),
     f_fine: wp.array(dtype=float),
-    u_fine: wp.array(dtype=wp.vec3),
+    u_fine: wp.array(dtype=Any),
 ):
     """The fine cells of R from the coarse level, but for those in a box of coarse cells that keep what they have.
 
@@ -400,7 +402,7 @@ def prolong(
 
 @wp.kernel
 def change_step(
-    f: wp.array(dtype=float), u: wp.array(dtype=wp.vec3), r: float, f_out: wp.array(dtype=float), u_out: wp.array(dtype=wp.vec3)
+    f: wp.array(dtype=float), u: wp.array(dtype=Any), r: float, f_out: wp.array(dtype=float), u_out: wp.array(dtype=Any)
 ):
     """Every cell for a time step r times as long: rho - 1 times r^2, u and P times r (run/time_refinement.py)."""
     here = wp.tid()
@@ -413,4 +415,12 @@ def change_step(
     q = reconstruct(r * r * drho, r * v, r * v, r * non_equilibrium_stress(q, drho, v))
     for i in range(_Q):
         poke(f_out, i * cells + here, q[i])
-    u_out[here] = r * u[here]
+    poke3(u_out, here, r * peek3(u, here))
+
+
+for _kept in VELOCITIES:  # beforehand: an overload that comes later reloads the module under captured graphs
+    _array = wp.array(dtype=_kept)
+    wp.overload(explode, {"u": _array, "u_first": _array, "u_second": _array})
+    wp.overload(restrict, {"u": _array, "u_fine": _array})
+    wp.overload(prolong, {"u": _array, "u_fine": _array})
+    wp.overload(change_step, {"u": _array, "u_out": _array})

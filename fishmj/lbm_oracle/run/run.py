@@ -250,7 +250,8 @@ class Run:
 
     def _device_steps(self) -> DeviceSteps | None:
         """What does a tick's steps in one; None where the host does them: by choice, or for what it moves otherwise."""
-        if not self.on_device or self.tethered or self.prescribed or type(self)._driver is not Run._driver:
+        led = self.prescribed or (self.tethered and (self.root is not None or self.coupled.ahead))
+        if not self.on_device or led or type(self)._driver is not Run._driver:
             return None
         if self._at_once is None:
             try:
@@ -265,7 +266,7 @@ class Run:
         audit = self.ticks == 0 or self.ticks % AUDIT == self._audited
         try:
             if not coupled.ahead:
-                at_once.queue(self._targets(self.ticks))
+                at_once.queue(self._targets(self.ticks), self.prescribed_velocity(coupled.body.dt)[0])
             if not (audit or give_up) and self._goes_on(at_once):
                 later = self._begin_next(at_once)
             coupled.ahead, self.fastest = bool(at_once.under_way > 1), 0.0
@@ -299,7 +300,7 @@ class Run:
         known = self.delay >= self.steps
         calm = self.fastest <= CAUTION * self.limit and self.ticks + 1 >= self.alert
         seen = self.watch.pending is None or not self.watch.due(self.coupled.fluid, self.steps)  # one look at a time
-        return self.ahead and at_once.goes_on and stays and known and calm and seen
+        return self.ahead and at_once.goes_on and stays and known and calm and seen and not self.tethered
 
     def _begin_next(self, at_once: DeviceSteps) -> tuple | None:
         """Queue the tick behind the one under way; the look between both, to be judged after it."""

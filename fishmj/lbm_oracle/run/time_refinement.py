@@ -18,7 +18,7 @@ from fishmj.errors import OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Q, vec19
-from fishmj.lbm_oracle.fluid.storage import peek, poke
+from fishmj.lbm_oracle.fluid.storage import peek, peek3, poke, poke3
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 
 FACTORS = (2, 4)  # finer steps in one
@@ -28,16 +28,16 @@ Steps = Callable[[FluidStructure, int], Generator[None, None, Tick | None]]
 
 
 @cache
-def _rescale(dtype: type) -> wp.Kernel:
-    """The kernel for populations stored as `dtype`."""
+def _rescale(dtype: type, velocity: type) -> wp.Kernel:
+    """The kernel for populations and velocities that are kept in these types."""
 
     @wp.kernel(module="unique", module_options={"max_unroll": 32, "enable_backward": False})
     def rescale(
         f: wp.array(dtype=dtype),
-        u: wp.array(dtype=wp.vec3),
+        u: wp.array(dtype=velocity),
         r: float,
         f_out: wp.array(dtype=dtype),
-        u_out: wp.array(dtype=wp.vec3),
+        u_out: wp.array(dtype=velocity),
     ):
         """Moments of every cell for another time step."""
         cell = wp.tid()
@@ -50,7 +50,7 @@ def _rescale(dtype: type) -> wp.Kernel:
         q = reconstruct(r * r * drho, r * v, r * v, r * non_equilibrium_stress(q, drho, v))
         for i in range(wp.static(Q)):
             poke(f_out, i * cells + cell, q[i])
-        u_out[cell] = r * u[cell]
+        poke3(u_out, cell, r * peek3(u, cell))
 
     return rescale
 
@@ -155,7 +155,7 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
         wp.synchronize_device(a.device)  # each has its own stream
     with taker.scope():
         inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
-        wp.launch(_rescale(a.f.dtype), dim=a.cells, inputs=inputs, device=a.device)
+        wp.launch(_rescale(a.f.dtype, a.u.dtype), dim=a.cells, inputs=inputs, device=a.device)
         _set_clock(b, a.origin, a.origin_lu, round(a.steps / r))
     if a.device.is_cuda:
         wp.synchronize_device(a.device)
