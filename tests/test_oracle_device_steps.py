@@ -150,7 +150,7 @@ def test_levels_of_water_are_the_hosts_too():
             run.tick(0.3 * command(tick)[0])
         made.append(run)
     one, other = made
-    assert other._at_once is not None and one._at_once is None
+    assert 1 in other._at_once and not one._at_once
     np.testing.assert_allclose(state_of(other.coupled), state_of(one.coupled), atol=1e-11)
     assert other.coupled.fluid.account == one.coupled.fluid.account
 
@@ -170,29 +170,36 @@ def test_a_run_on_the_device_is_the_run_of_the_host():
             run.tick(gait(run.time))
         made.append(run)
     one, other = made
-    assert other._at_once is not None and one._at_once is None
+    assert 1 in other._at_once and not one._at_once
     for mine, theirs in zip(columns(other), columns(one), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-11, rtol=1e-9)
     assert (other.watch.looks, other.coupled.steps) == (one.watch.looks, one.coupled.steps)
     assert other.fastest == pytest.approx(one.fastest)
 
 
-def test_a_tick_too_fast_for_the_device_is_done_again_by_the_host(monkeypatch):
-    gait, ends = Gait(ramp=0.2), []
-    monkeypatch.setattr(Run, "limit", 0.35)
+@pytest.mark.parametrize("limit", [0.35, 0.15])
+def test_a_tick_too_fast_for_the_device_is_done_again_there_with_finer_steps(monkeypatch, limit):
+    """Twice and four times finer ones: what the host's own steps do, and MuJoCo's agree."""
+    gait, made, factors = Gait(ramp=0.2), [], []
+    monkeypatch.setattr(Run, "limit", limit)
+    monkeypatch.setattr("fishmj.lbm_oracle.run.run.AUDIT", 3)
     for on_device in (False, True):
         run = Run(pond("cpu"), on_device=on_device, latency=0.0)
         for _ in range(12):
             run.tick(gait(run.time))
-        ends.append((run.refined, run.pose))
-    assert ends[1][0] == ends[0][0] > 0
-    np.testing.assert_allclose(ends[1][1], ends[0][1], atol=1e-11)
+            factors.append(run.factor)
+        made.append(run)
+    one, other = made
+    assert max(factors) == max(other._at_once) == (4 if limit == 0.15 else 2) and not one._at_once
+    assert (other.refined, other.watch.looks) == (one.refined, one.watch.looks) and one.refined > 0
+    for mine, theirs in zip(columns(other), columns(one), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-11, rtol=1e-9)
 
 
 def swum(ahead: bool, ticks: int = 14, root: str = "planar", **options) -> tuple[Run, list[bool]]:
     """A run that MuJoCo audits in ticks 0, 3 and 9, and whether it was ahead after each tick."""
     gait, run = Gait(ramp=0.2), Run(pond("cpu", root=root), on_device=True, **options)
-    run._at_once, run.ahead, run._audited = DeviceSteps(run.coupled, run.steps, warps=True), ahead, 3
+    run._at_once[1], run.ahead, run._audited = DeviceSteps(run.coupled, run.steps, warps=True), ahead, 3
     went = []
     for _ in range(ticks):
         run.tick(gait(run.time))
@@ -257,16 +264,16 @@ def test_what_is_led_is_left_to_the_host():
     start = run.pose[:3].copy()
     run.root = lambda t: start + [0.01 * t, 0.0, 0.0]
     run.tick(np.zeros(3))
-    assert run._at_once is None
+    assert not run._at_once
     run.tethered = False
     run.tick(np.zeros(3))
-    assert run._at_once is not None
+    assert 1 in run._at_once
     led = Run(pond("cpu"), on_device=True, prescribed=Gait())
     led.tick()
-    assert led._at_once is None
+    assert not led._at_once
     other = Run(pond("cpu", scheme="explicit"), on_device=True)
     other.tick(np.zeros(3))
-    assert other._at_once is None and not other.on_device
+    assert not other._at_once and not other.on_device
 
 
 @pytest.mark.parametrize("ahead", [False, True])
@@ -278,7 +285,7 @@ def test_a_fish_that_is_held_and_let_go_is_the_hosts(ahead, monkeypatch):
         run = Run(pond("cpu", slip=0.97), on_device=on_device, tethered=True, latency=0.02)
         run.ahead = ahead and on_device
         if on_device and ahead:
-            run._at_once = DeviceSteps(run.coupled, run.steps, warps=True)
+            run._at_once[1] = DeviceSteps(run.coupled, run.steps, warps=True)
         for tick in range(9):
             run.tethered = tick < 4
             run.tick(gait(run.time))

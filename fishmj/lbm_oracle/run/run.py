@@ -16,7 +16,6 @@ from itertools import count
 from typing import Protocol, cast
 
 import numpy as np
-import warp as wp
 
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.flow import Flow
@@ -131,7 +130,7 @@ class Run:
         on_device: bool | None = None,
     ):
         self.on_device = coupled.fluid.device.is_cuda if on_device is None else on_device
-        self._at_once: DeviceSteps | None = None
+        self._at_once: dict[int, DeviceSteps] = {}  # by how many times finer the steps are
         self.coupled, self.robot = coupled, load_robot(robot)
         self.tethered, self.prescribed, self.follow = tethered, prescribed, follow
         timing, dt = self.robot.timing, coupled.body.dt
@@ -216,9 +215,9 @@ class Run:
 
         With `give_up` it returns None as soon as a marker is too fast for them.
         """
-        at_once = self._device_steps() if factor == 1 else None
+        at_once = self._device_steps(coupled, factor)
         if at_once is not None:
-            return (yield from self._steps_at_once(at_once, give_up))
+            return (yield from self._steps_at_once(at_once, factor, give_up))
         if coupled.ahead:
             raise ConfigError("run: the water is ahead of the fish, and the host cannot go on there; drive it as before")
         count, corners = self.steps * factor, coupled.boundary.corners
@@ -248,51 +247,57 @@ class Run:
         self.factor = factor
         return driver.power, *coupled.take_wrench(count * coupled.body.dt)
 
-    def _device_steps(self) -> DeviceSteps | None:
-        """What does a tick's steps in one; None where the host does them: by choice, or for what it moves otherwise."""
+    def _device_steps(self, coupled: FluidStructure, factor: int) -> DeviceSteps | None:
+        """What does a tick's steps in one, or finer ones in `factor` parts; None where the host does them: by choice, or for
+        what it moves otherwise."""
         led = self.prescribed or (self.tethered and (self.root is not None or self.coupled.ahead))
         if not self.on_device or led or type(self)._driver is not Run._driver:
             return None
-        if self._at_once is None:
+        if factor not in self._at_once:
             try:
-                self._at_once = DeviceSteps(self.coupled, self.steps)
+                self._at_once[factor] = DeviceSteps(coupled, self.steps)
             except ConfigError:  # a body or a coupling that the device does not compute
                 self.on_device = False
-        return self._at_once
+        return self._at_once.get(factor)
 
-    def _steps_at_once(self, at_once: DeviceSteps, give_up: bool) -> Generator[None, None, Tick | None]:
-        """The steps of one tick without the host; as `_steps`."""
-        coupled, finished, later = self.coupled, False, None
+    def _steps_at_once(self, at_once: DeviceSteps, factor: int, give_up: bool) -> Generator[None, None, Tick | None]:
+        """The steps of one tick without the host, which looks after every `1 / factor` of it; as `_steps`."""
+        coupled, finished, later, seen = at_once.coupled, False, None, []
         audit = self.ticks == 0 or self.ticks % AUDIT == self._audited
+        fastest = 0.0
         try:
-            if not coupled.ahead:
-                at_once.queue(self._targets(self.ticks), self.prescribed_velocity(coupled.body.dt)[0])
-            if not (audit or give_up) and self._goes_on(at_once):
-                later = self._begin_next(at_once)
-            coupled.ahead, self.fastest = bool(at_once.under_way > 1), 0.0
-            for _ in range(PATIENCE):
-                yield
-                if at_once.ready():
-                    break
-            seen = at_once.finish(audit)
-            self.watch.end()  # the look begun after the tick before: it lies ahead of what was just waited for
-            self.watch.pending, self.fastest = later, seen.fastest
-            if give_up and self.fastest > self.limit:
-                return None
-            self._look(coupled)
+            for part in range(factor):
+                if not coupled.ahead:
+                    at_once.queue(self._targets(self.ticks, part, factor), self.prescribed_velocity(coupled.body.dt)[0])
+                if factor == 1 and not (audit or give_up) and self._goes_on(at_once):
+                    later = self._begin_next(at_once)
+                coupled.ahead = at_once.under_way > 1
+                for _ in range(PATIENCE):
+                    yield
+                    if at_once.ready():
+                        break
+                seen.append(at_once.finish(audit))
+                self.watch.end()  # the look begun before these steps: it lies ahead of what was just waited for
+                fastest = max(fastest, seen[-1].fastest)
+                self.watch.pending, self.fastest = later, fastest
+                if give_up and fastest > factor * self.limit:
+                    return None
+                self._look(coupled)
             finished = True
         finally:
             if not finished:
                 self.watch.pending, coupled.ahead = None, False
             if not coupled.ahead:
                 coupled.join_stream()
-        self.factor = 1
-        drawn = servo_power(seen.torque, seen.rate[:, -self.joints :], self.robot.servo.kb)
-        return drawn, *coupled.take_wrench(self.steps * coupled.body.dt)
+        self.factor = factor
+        torque, rate = (np.concatenate([getattr(part, name) for part in seen]) for name in ("torque", "rate"))
+        drawn = servo_power(torque, rate[:, -self.joints :], self.robot.servo.kb)
+        return drawn, *coupled.take_wrench(factor * self.steps * coupled.body.dt)
 
-    def _targets(self, tick: int) -> np.ndarray:
-        """(S, J) rad of the servos in the steps of a tick."""
-        return np.array([self.servo_target(tick * self.steps + i) for i in range(self.steps)])
+    def _targets(self, tick: int, part: int = 0, factor: int = 1) -> np.ndarray:
+        """(S, J) rad of the servos in the steps of a tick, or in one of the `factor` parts of finer ones."""
+        first = part * self.steps
+        return np.array([self.servo_target(tick * self.steps + (first + i) // factor) for i in range(self.steps)])
 
     def _goes_on(self, at_once: DeviceSteps) -> bool:
         """May the next tick begin before this one has been looked at?"""
@@ -344,7 +349,7 @@ class Run:
         Raises:
             OracleUnstable: too fast for the finest ones, too. SimDiverged: it was not for the time step.
         """
-        wp.synchronize_device(self.coupled.fluid.device)  # the look at the last tick's end is judged first
+        self.coupled.wait_for_water()  # the look at the last tick's end is judged first
         done = yield from self._refinement.redo(kept, self._factors(), self._steps)
         if done is None:
             message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
