@@ -151,12 +151,14 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     """Move fish and water from one time step to the other; wrenches stay where they were summed."""
     r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
     a, b = giver.fluid, taker.fluid
-    taker.come_behind(giver)
+    if a.device.is_cuda:
+        wp.synchronize_device(a.device)  # each has its own stream
     with taker.scope():
         inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
         wp.launch(_rescale(a.f.dtype, a.u.dtype), dim=a.cells, inputs=inputs, device=a.device)
         _set_clock(b, a.origin, a.origin_lu, round(a.steps / r))
-    giver.come_behind(taker)
+    if a.device.is_cuda:
+        wp.synchronize_device(a.device)
     body = taker.body
     now = body.water_momentum()
     body.momentum[:] = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step
