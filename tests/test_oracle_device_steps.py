@@ -339,3 +339,22 @@ def test_captured_ticks_on_an_accelerator_are_the_hosts(root):
         by_the_host(one, tick)
         steps.run(command(tick))
     np.testing.assert_allclose(state_of(other), state_of(one), atol=1e-3)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("limit", [0.35, 0.15])
+def test_finer_steps_on_an_accelerator_are_the_hosts(monkeypatch, limit):
+    """A held fish, let go, in ticks that are done again with twice and four times finer steps."""
+    monkeypatch.setattr(Run, "limit", limit)
+    gait, made, factors = Gait(ramp=0.2), [], []
+    for device in ("cpu", "cuda"):
+        run = Run(pond(device, slip=0.97), latency=0.0, tethered=True)
+        for tick in range(14):
+            run.tethered = tick < 3
+            run.tick(gait(run.time))
+            factors.append(run.factor)
+        made.append(run)
+    one, other = made
+    assert other.on_device and not one.on_device
+    assert factors[:14] == factors[14:] and max(factors) == (4 if limit == 0.15 else 2) == max(other._at_once)
+    np.testing.assert_allclose(np.array([row[3] for row in other.rows]), np.array([row[3] for row in one.rows]), atol=1e-3)

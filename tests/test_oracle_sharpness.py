@@ -1,5 +1,7 @@
 """Sharper hulls and sheets: an option of the markers that leaves the default as it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,18 @@ from fishmj.errors import UnknownName
 from fishmj.lbm_oracle.cases import eel, sheet_shear
 from fishmj.lbm_oracle.immersed import kernels
 from fishmj.lbm_oracle.immersed.boundary import slips_of
-from fishmj.lbm_oracle.immersed.markers import KINK, PLAIN, Sharpness, fish_markers, offset_of, sphere_markers
+from fishmj.lbm_oracle.immersed.markers import (
+    KINK,
+    PLAIN,
+    SHARP,
+    Sharpness,
+    _edge_inset,
+    chain_markers,
+    fish_markers,
+    offset_of,
+    sphere_markers,
+)
+from fishmj.lbm_oracle.run.solver_water import boundary_name
 
 SHARP_SHEET = Sharpness(sheet_slip=KINK[3])
 
@@ -87,6 +100,34 @@ def test_a_rim_is_of_sheets_and_a_hull_offset_of_hulls():
     assert height(rim) == pytest.approx(height(plain) - 0.0105, abs=0.005)  # of rows about a cell apart
     assert width(rim) == pytest.approx(width(plain), rel=1e-4)  # stations move a little with the end of the tail
     assert width(hull) == pytest.approx(width(plain) + 0.0025, abs=2e-4)
+
+
+def rings(markers) -> list[np.ndarray]:
+    """Numbers of the markers of each station of a hull."""
+    hull = np.flatnonzero(~markers.sheet & (np.abs(markers.normal[:, 0]) < 0.9))
+    station = np.round(markers.rest[hull, 0], 9) + 100.0 * markers.before[hull]
+    return [hull[station == s] for s in np.unique(station)]
+
+
+def test_no_marker_stands_on_the_edge_of_a_section_that_has_one():
+    made = {edges: chain_markers(eel.eel(), 1 / 64, slip=0.0, sharpness=replace(SHARP, edges=edges)) for edges in (False, True)}
+    upright = {edges: [np.abs(m.normal[ring, 2]).max() for ring in rings(m)] for edges, m in made.items()}
+    assert max(upright[False]) > 0.999 and max(upright[True]) < 0.99
+    assert all(len(ring) % 4 == 0 for ring in rings(made[True])) and any(len(ring) % 4 for ring in rings(made[False]))
+
+
+def test_an_edge_is_drawn_in_as_a_rim_where_it_is_sharp_and_as_a_hull_where_it_is_round():
+    dx, hull, rim = 0.01, 0.5, 1.25
+    inset = lambda half_width: _edge_inset(0.05, half_width, hull, rim, dx)
+    assert inset(1e-4) == pytest.approx(rim, abs=1e-3) and inset(1.0) == pytest.approx(hull, abs=1e-3)
+    assert inset(np.sqrt(0.05 * dx)) == pytest.approx((hull + rim) / 2)  # a radius of one cell
+    narrow = chain_markers(eel.eel(), 1 / 64, slip=0.0, sharpness=replace(SHARP, edges=True))
+    assert np.abs(narrow.rest[:, 2]).max() < np.abs(chain_markers(eel.eel(), 1 / 64, slip=0.0, sharpness=SHARP).rest[:, 2]).max()
+
+
+def test_a_boundary_without_edges_has_the_name_that_records_know():
+    assert boundary_name(Sharpness(rim=1.25)) == "Sharpness(hull=None, rim=1.25, hull_slip=0.0, sheet_slip=0.0)"
+    assert boundary_name(Sharpness(rim=1.25, edges=True)).endswith("edges=True)")
 
 
 def test_an_offset_that_is_given_holds_for_both():

@@ -33,6 +33,7 @@ SLIDING = {3: 0.45, 4: 0.55}  # and where it slides freely
 STICKY = 0.95  # slip ratio up to which the drag of a sphere is that without slip
 CLAMP = 0.45  # of the local half-thickness
 SHEET = 0.5  # cells; a retracted half-width below it is one sheet
+THIN = 0.3  # the same where hulls have edges
 KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angles to the grid; of 3 points 0.54 to 0.63
 
 
@@ -42,13 +43,15 @@ class Sharpness:
 
     hull: how far hulls are drawn in along their normal. rim: how far sheets are drawn in at their free edges, in their plane.
     None: both as `offset_of` has it. hull_slip, sheet_slip: slip lengths where the water sticks (slip = 0); a wall with a slip
-    ratio has its friction from that.
+    ratio has its friction from that. edges: a hull's section ends in one above and below, which no marker stands on and which is
+    drawn in as a rim is, the less the rounder it is (docs/methods/oracle_coupling.md).
     """
 
     hull: float | None = None
     rim: float | None = None
     hull_slip: float = 0.0
     sheet_slip: float = 0.0
+    edges: bool = False
 
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
         """Cells that hulls and rims are drawn in by; a `hydro_offset` that is given holds for both."""
@@ -168,7 +171,7 @@ def chain_markers(
     """`fish_markers` of a chain that is taken as it is: it may have more links than a description of a robot."""
     g = geometry_of(robot)
     (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
-    parts = [_body(robot, g, hull * dx, rim * dx, step, dx)]
+    parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness.edges)]
     parts += [_side_fin(robot, g, fin, side, rim * dx, step) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
     point, normal, area, anchor, sheet, thick = (np.concatenate(column) for column in zip(*parts, strict=True))
     if len(point) == 0:
@@ -205,7 +208,7 @@ def _profile(robot: Robot, g: Geometry):
     return half, plate
 
 
-def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: float):
+def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: float, edges: bool):
     """Hull rings, nose cap and tail sheet, in the straight pose, body frame."""
     half, plate = _profile(robot, g)
     nose, tail = min(inset, CLAMP * robot.length), robot.length - rim
@@ -215,16 +218,25 @@ def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: 
     for i, s in enumerate(nose + (np.arange(n) + 0.5) * ds):
         a, b = half(s)
         drawn = min(inset, CLAMP * b)
-        if s >= plate or b - drawn < SHEET * dx:
+        if s >= plate or b - drawn < (THIN if edges else SHEET) * dx:
             out.append(_row(s, a - min(rim, CLAMP * a), b, ds, step))
             continue
         slope = [(v - u) / (2e-3) for u, v in zip(half(s - 1e-3), half(s + 1e-3), strict=True)]
-        out.append(_ring(s, a - drawn, b - drawn, slope, ds, step))
+        high = a - (min(_edge_inset(a, b, inset, rim, dx), CLAMP * a) if edges else drawn)
+        out.append(_ring(s, high, b - drawn, slope, ds, step, edges))
         if i == 0:
-            out.append(_cap(nose, a - drawn, b - drawn, step))
+            out.append(_cap(nose, high, b - drawn, step))
     station, y, z, nx, ny, nz, area, sheet, thick = (np.concatenate(column) for column in zip(*out, strict=True))
     x = g.reference - station
     return np.stack([x, y, z], -1), np.stack([nx, ny, nz], -1), area, x, sheet.astype(bool), thick
+
+
+def _edge_inset(a: float, b: float, inset: float, rim: float, dx: float) -> float:
+    """How far the ends of a section of half-height a and half-width b are drawn in.
+
+    As a rim where the radius there, b^2 / a, is far below a cell, as a hull where it is far above.
+    """
+    return inset + (rim - inset) / (1.0 + b * b / (a * dx))
 
 
 def _even(count: float) -> int:
@@ -239,9 +251,14 @@ def _ellipse(a: float, b: float, n: int):
     return np.interp((np.arange(n) + 0.5) / n * length[-1], length, fine), length[-1]
 
 
-def _ring(s, a, b, slope, ds, step):
-    """One elliptical ring; `slope` are the derivatives of half-height and half-width along the body."""
-    n = max(6, _even(_ellipse(a, b, 1)[1] / step))
+def _ring(s, a, b, slope, ds, step, edges=False):
+    """One elliptical ring; `slope` are the derivatives of half-height and half-width along the body.
+
+    A marker on an edge stops what moves along the body's axis of height only, though most of the arc that it stands for faces
+    sideways: with `edges` there are as many as leave none there.
+    """
+    count = _ellipse(a, b, 1)[1] / step
+    n = max(4, 4 * round(count / 4)) if edges else max(6, _even(count))
     turn, perimeter = _ellipse(a, b, n)
     c, sn = np.cos(turn), np.sin(turn)
     across = np.stack([c * a, sn * b], -1)

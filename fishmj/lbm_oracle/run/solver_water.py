@@ -26,7 +26,8 @@ BOUNDARIES = {
 
 def boundary_name(sharpness: Sharpness) -> str:
     """Its name in `BOUNDARIES`, else its lengths."""
-    return next((name for name, known in BOUNDARIES.items() if known == sharpness), repr(sharpness))
+    lengths = repr(sharpness).replace(", edges=False", "")  # as in records from before there were edges
+    return next((name for name, known in BOUNDARIES.items() if known == sharpness), lengths)
 
 
 def boundary_entry(sharpness: Sharpness) -> dict[str, str]:
