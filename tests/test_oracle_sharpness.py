@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fishmj.errors import UnknownName
-from fishmj.lbm_oracle.cases import eel, sheet_shear
+from fishmj.lbm_oracle.cases import eel, paddle, sheet_shear
 from fishmj.lbm_oracle.immersed import kernels
 from fishmj.lbm_oracle.immersed.boundary import slips_of
 from fishmj.lbm_oracle.immersed.markers import (
@@ -134,3 +134,11 @@ def test_an_offset_that_is_given_holds_for_both():
     assert Sharpness(hull=0.2, rim=1.5).insets(3, 1.0, hydro_offset=0.4) == (0.4, 0.4)
     with pytest.raises(UnknownName):
         PLAIN.insets(5)
+
+
+def test_a_paddle_of_few_cells_pushes_as_one_of_more_where_its_hull_has_edges():
+    """Six cells a height and a marker too many on an edge or a sheet in its place make it push a quarter less."""
+    few, more = (paddle.heave(cells, "cpu", periods=1) for cells in (6, 8))
+    plain = paddle.heave(6, "cpu", sharpness=SHARP, periods=1)
+    assert few[0] == pytest.approx(more[0], rel=0.05) and few[1] == pytest.approx(more[1], rel=0.15)
+    assert plain[0] < 0.85 * few[0] and plain[1] < 0.8 * few[1]
