@@ -36,7 +36,7 @@ SUBGRID = ("wale", "none")
 CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
-BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force; without eddy viscosity
+BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force, without eddy viscosity
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
 

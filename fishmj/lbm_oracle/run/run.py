@@ -200,7 +200,7 @@ class Run:
         began, done = self.time, None
         begun = self.coupled.ahead  # with the device's own steps, whatever the tick before has shown
         careful = not begun and (self.fastest > CAUTION * self.limit or self.ticks < self.alert)
-        kept = checkpoint(self.coupled) if careful else None  # 176 bytes a cell: too much to copy before every tick
+        kept = checkpoint(self.coupled) if careful else None  # 164 bytes a cell: too much to copy before every tick
         try:
             if begun or self.fastest <= self.limit:  # else the tick before was too fast, and so will this one be
                 done = yield from self._steps(self.coupled, 1, give_up=kept is not None)
