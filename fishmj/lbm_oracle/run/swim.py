@@ -257,7 +257,7 @@ class LastGood:
 
     A state is sound when the watch has found the water well *after* it. The newest one that was seen only before a look is a
     candidate; the look that comes next makes it the last good one. Both stay on the device until they are needed:
-    176 bytes a cell of every level.
+    164 bytes a cell of every level.
     """
 
     def __init__(self) -> None:
