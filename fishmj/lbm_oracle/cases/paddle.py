@@ -44,9 +44,9 @@ def heave(cells: int, device: str, *, sharpness: Sharpness = EDGES, ratio: float
     corner = (0.0, 0.0, -BOX[2] / 2 + 0.1 * dx)  # it heaves at z = 0, off the nodes
     lattice = Lattice(dx=dx, dt=dt, rho=RHO, nu=fastest / REYNOLDS, corner=corner)
     side = Axis("slip", "slip")
-    water = Fluid(
-        lattice, tuple(round(b * cells) for b in BOX), device, subgrid="none", boundaries=Boundaries(x=side, y=side, z=side)
-    )
+    x, y, z = (round(length * cells) for length in BOX)
+    faces = Boundaries(x=side, y=side, z=side)
+    water = Fluid(lattice, (x, y, z), device, subgrid="none", boundaries=faces)
     robot = paddle(ratio)
     body = chain(robot, dt)
     body.place(np.array([BOX[0] / 2 + 0.2 * dx, BOX[1] / 2 - 0.3 * dx, 0.0, 0.0]))
