@@ -14,6 +14,7 @@ from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, LeftDomain, Run
+from fishmj.lbm_oracle.run.run_meta import plausible
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import checkpoint
 from fishmj.log import read_trial, write_trial
@@ -254,3 +255,11 @@ def test_both_devices_swim_the_same_swim():
         beat(coupled, 0.4, every=1000)
         ends.append(np.concatenate([coupled.body.data.qpos, coupled.body.data.qvel]))
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)
+
+
+def test_rows_at_the_end_that_are_faster_than_a_log_may_say_are_left_out_and_one_stays():
+    row = lambda wz, rate=0.0: (0.0, 0.02, None, np.array([0, 0, 0, 0.1, 0, wz]), None, np.array([rate]))
+    calm, wild = row(1.0), row(1e3)
+    assert plausible([calm, wild, calm]) == [calm, wild, calm]
+    assert plausible([calm, calm, row(1.0, -1e3), wild]) == [calm, calm]
+    assert plausible([wild]) == [wild]

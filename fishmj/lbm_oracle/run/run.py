@@ -22,7 +22,7 @@ from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, Si
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
-from fishmj.lbm_oracle.run.run_meta import about
+from fishmj.lbm_oracle.run.run_meta import about, plausible
 from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
 from fishmj.log import Trial, numbered
@@ -397,12 +397,15 @@ class Run:
     def trial(self) -> Trial:
         """Everything so far in the log's schema: commands at the start of each tick, the rest at its end, wrenches as means.
 
+        Where a run stopped, its last ticks are left out if water that blew up has thrown the fish faster than a log may say.
+
         Raises:
             LogError: nothing was recorded yet.
         """
         if not self.rows:
             raise LogError("oracle run: no tick was finished, nothing to write")
-        began, t, cmd, pose, joint, rate, power, raw, whole = (np.array(column) for column in zip(*self.rows, strict=True))
+        rows = plausible(self.rows) if self.stopped else self.rows
+        began, t, cmd, pose, joint, rate, power, raw, whole = (np.array(column) for column in zip(*rows, strict=True))
         q, v = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
         before = np.concatenate([self.first[None], q[:-1]])  # at the start of each tick
         flow = flow_at_links(self.coupled.fluid.flow, self.robot, before, self.start + began)

@@ -4,6 +4,7 @@ import numpy as np
 
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.log import SCHEMA
+from fishmj.log.trial_check import shipped_bounds
 from fishmj.mjcf.identity import identity
 from fishmj.source import made_by
 
@@ -43,3 +44,14 @@ def about(run, tables: dict) -> dict:
         "notes": "simulated; joint and pose are exact, without sensor noise or camera latency. wrench: means over a tick; r"
         " and n are the raw exchange",
     }
+
+
+def plausible(rows: list[tuple]) -> list[tuple]:
+    """Rows of a run without those at its end that are faster than a log may say; one at least."""
+    last, bounds = len(rows), shipped_bounds()
+    while last > 1:
+        pose, rate = rows[last - 1][3], rows[last - 1][5]
+        if max(abs(pose[5]), np.abs(rate).max(initial=0.0)) < bounds.rate and np.abs(pose[3:5]).max() < bounds.speed:
+            break
+        last -= 1
+    return rows[:last]
