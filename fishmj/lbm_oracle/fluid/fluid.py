@@ -358,10 +358,11 @@ class Fluid:
 
     def velocity_lu(self) -> wp.array:
         """(nx, ny, nz) vec3 of the last step in memory order, cells a step."""
-        if self.u.dtype is wp.vec3:
-            return self.u
+        u = self.u  # once: without `keep_velocity` a kernel makes it
+        if u.dtype is wp.vec3:
+            return u
         out = wp.empty(self.shape, dtype=wp.vec3, device=self.device)
-        wp.launch(fields.resolve, dim=self.shape, inputs=[self.params, _flat(self.f), _flat(self.u), out], device=self.device)
+        wp.launch(fields.resolve, dim=self.shape, inputs=[self.params, _flat(self.f), _flat(u), out], device=self.device)
         return out
 
     def velocity(self) -> np.ndarray:
