@@ -136,6 +136,11 @@ class FluidStructure:
         """`scope` for what shall see the water after all that was queued, wherever the fish is."""
         return nullcontext() if self.graphs is None else wp.ScopedStream(self.graphs.stream)
 
+    def come_behind(self, other: "FluidStructure") -> None:
+        """What is queued here from now on waits for all that was queued for the other; the host does not."""
+        if self.graphs is not None and other.graphs is not None:
+            self.graphs.stream.wait_stream(other.graphs.stream)
+
     def wait_for_water(self) -> None:
         """Until the device has done all that was queued for this tank."""
         if self.graphs is not None:

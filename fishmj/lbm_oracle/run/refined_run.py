@@ -74,8 +74,7 @@ class RefinedRefinement(Refinement):
         super().hand_over(giver, taker)
         with taker.scope():
             taker.fluid.take_outer(giver.fluid)
-        if giver.fluid.device.is_cuda:
-            wp.synchronize_device(giver.fluid.device)  # each has its own stream
+        giver.come_behind(taker)
         taker.steps = taker.fluid.steps  # an attempt that was given up ended anywhere: looks shall fall between two coarse steps
 
     def finer_water(self, factor: int) -> RefinedFluid:

@@ -16,7 +16,6 @@ from itertools import count
 from typing import Protocol, cast
 
 import numpy as np
-import warp as wp
 
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.flow import Flow
@@ -350,7 +349,7 @@ class Run:
         Raises:
             OracleUnstable: too fast for the finest ones, too. SimDiverged: it was not for the time step.
         """
-        wp.synchronize_device(self.coupled.fluid.device)  # the look at the last tick's end is judged first
+        self.coupled.wait_for_water()  # the look at the last tick's end is judged first
         done = yield from self._refinement.redo(kept, self._factors(), self._steps)
         if done is None:
             message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"

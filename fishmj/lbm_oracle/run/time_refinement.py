@@ -151,14 +151,12 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     """Move fish and water from one time step to the other; wrenches stay where they were summed."""
     r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
     a, b = giver.fluid, taker.fluid
-    if a.device.is_cuda:
-        wp.synchronize_device(a.device)  # each has its own stream
+    taker.come_behind(giver)
     with taker.scope():
         inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
         wp.launch(_rescale(a.f.dtype, a.u.dtype), dim=a.cells, inputs=inputs, device=a.device)
         _set_clock(b, a.origin, a.origin_lu, round(a.steps / r))
-    if a.device.is_cuda:
-        wp.synchronize_device(a.device)
+    giver.come_behind(taker)
     body = taker.body
     now = body.water_momentum()
     body.momentum[:] = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step
