@@ -18,7 +18,7 @@ PHYSICS = (
     *("refined/refined_structure", "run/refined_run", "run/time_refinement"),
 )
 # hashes of later code -> that of the code which made the shipped segments: every figure is equal to the bit on a CPU, but for
-# `SECTORS` in refined water, where nodes have other numbers and markers the round-off of these: 1e-9; and for `SHORT`, where the
+# `SECTORS` in refined water, where nodes have other numbers and markers the round-off of these: 1e-9; and from `SHORT` on, where the
 # eddy viscosity sees rounded velocities: 5e-6 of a wrench and 1e-7 of a velocity after 200 steps, as much as another device does
 SHIPPED = "0dab6aa94d79eb497cd8e8f0b49aca3effdda76c17720fbef289d83c3ccb22d5"
 REBUILT = "5b74e20cd51e912ce1b0b1c66d25d332fdae82f16d3b82799695029cd466b422"
@@ -29,7 +29,8 @@ AHEAD = "6cb595be3e1f8b9a4770058ae4507856de4f514bf90aee8b3ac81a473a83b584"  # a 
 LISTED = "27ff9448df17743150b4eafb663e9f9264b8bf567b43721429792f6ba33006f8"  # lists of what levels exchange, short sums on a GPU
 SECTORS = "6a3e1a55735965626466d32617474f2f2124ef1cb8d3bb52d46916a3841214b0"  # rows of a box in whole sectors of the memory
 SHORT = "c63b5116c9559a46382897a7ee2f9759b3ea29edb743ac06f51b4422d0969719"  # velocities in 16 bits; a held fish on the device
-SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT), SHIPPED)
+STREAMS = "0b62f72826c3f69cffcc5e1ec632c483d844b5ee2ad952876fb6f311a6f29445"  # a tick done again waits for its own tank only
+SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS), SHIPPED)
 
 
 @cache
