@@ -18,8 +18,8 @@ PHYSICS = (
     *("refined/refined_structure", "run/refined_run", "run/time_refinement"),
 )
 # hashes of later code -> that of the code which made the shipped segments: every figure is equal to the bit on a CPU, but for
-# `SECTORS` in refined water, where nodes have other numbers and markers the round-off of these: 1e-9; and from `SHORT` on, where the
-# eddy viscosity sees rounded velocities: 5e-6 of a wrench and 1e-7 of a velocity after 200 steps, as much as another device does
+# `SECTORS` in refined water, where nodes have other numbers and markers the round-off of these: 1e-9; and from `SHORT` on, where
+# the eddy viscosity sees rounded velocities: 5e-6 of a wrench, 1e-7 of a velocity after 200 steps, as much as another device does
 SHIPPED = "0dab6aa94d79eb497cd8e8f0b49aca3effdda76c17720fbef289d83c3ccb22d5"
 REBUILT = "5b74e20cd51e912ce1b0b1c66d25d332fdae82f16d3b82799695029cd466b422"
 ANY_LINKS = "5990401b1fdb88dc638e8c5d6e7d9e0ff001677f372f9dc87b5aa1155fa9f9a2"  # one solve for any number of links
