@@ -50,7 +50,7 @@ def test_a_boundary_that_was_chosen_is_in_the_water_its_label_and_the_names_of_k
         asked_for("evaluate", True, None, None, boundary="sharp")
     brain, robot = controllers.make("dob", load_robot("fish")), load_robot("fish")
     marks = {run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(sharpness=edge)) for edge in BOUNDARIES.values()}
-    assert len(marks) == 3 and run_trials.fingerprint(brain, robot, trials(), PLAIN) in marks
+    assert len(marks) == len(BOUNDARIES) and run_trials.fingerprint(brain, robot, trials(), PLAIN) in marks
 
 
 def test_water_in_half_precision_has_its_own_label_and_kept_trials_and_no_reference():
@@ -68,7 +68,7 @@ def test_water_in_half_precision_has_its_own_label_and_kept_trials_and_no_refere
 
 
 def test_a_boundary_has_its_name_or_says_its_lengths():
-    assert [boundary_name(BOUNDARIES[name]) for name in BOUNDARIES] == ["plain", "rims", "sharp"]
+    assert [boundary_name(BOUNDARIES[name]) for name in BOUNDARIES] == ["plain", "rims", "sharp", "edges"]
     assert BOUNDARIES["sharp"] == SHARP and boundary_name(Sharpness()) == "plain"
     assert "rim=0.9" in boundary_name(Sharpness(rim=0.9))
 

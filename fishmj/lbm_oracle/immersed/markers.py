@@ -17,7 +17,7 @@ Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it be
 before and with weight share to the link behind (`mjcf.skin`), so the hull bends without gaps.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, pi
 from typing import Any
 
@@ -33,7 +33,8 @@ SLIDING = {3: 0.45, 4: 0.55}  # and where it slides freely
 STICKY = 0.95  # slip ratio up to which the drag of a sphere is that without slip
 CLAMP = 0.45  # of the local half-thickness
 SHEET = 0.5  # cells; a retracted half-width below it is one sheet
-THIN = 0.3  # the same where hulls have edges
+EDGE_RADIUS = 2 / 3  # cells; an edge of this radius is drawn in half-way between a rim and a hull
+FLAT = 0.003  # share of an arc that faces across it, below which the arc counts as flat
 KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angles to the grid; of 3 points 0.54 to 0.63
 
 
@@ -43,8 +44,8 @@ class Sharpness:
 
     hull: how far hulls are drawn in along their normal. rim: how far sheets are drawn in at their free edges, in their plane.
     None: both as `offset_of` has it. hull_slip, sheet_slip: slip lengths where the water sticks (slip = 0); a wall with a slip
-    ratio has its friction from that. edges: a hull's section ends in one above and below, which no marker stands on and which is
-    drawn in as a rim is, the less the rounder it is (docs/methods/oracle_coupling.md).
+    ratio has its friction from that. edges: hulls are drawn in by the whole length however thin they are; a section ends above and
+    below in an edge that is drawn in as a rim is, the less the rounder it is; a marker faces all the ways that its arc does.
     """
 
     hull: float | None = None
@@ -68,6 +69,7 @@ class Sharpness:
 PLAIN = Sharpness()
 # chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (docs/methods/oracle_coupling.md)
 SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
+EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,8 +219,8 @@ def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: 
     out = []
     for i, s in enumerate(nose + (np.arange(n) + 0.5) * ds):
         a, b = half(s)
-        drawn = min(inset, CLAMP * b)
-        if s >= plate or b - drawn < (THIN if edges else SHEET) * dx:
+        drawn = inset if edges else min(inset, CLAMP * b)
+        if s >= plate or b - drawn < (0.0 if edges else SHEET) * dx:
             out.append(_row(s, a - min(rim, CLAMP * a), b, ds, step))
             continue
         slope = [(v - u) / (2e-3) for u, v in zip(half(s - 1e-3), half(s + 1e-3), strict=True)]
@@ -236,7 +238,7 @@ def _edge_inset(a: float, b: float, inset: float, rim: float, dx: float) -> floa
 
     As a rim where the radius there, b^2 / a, is far below a cell, as a hull where it is far above.
     """
-    return inset + (rim - inset) / (1.0 + b * b / (a * dx))
+    return inset + (rim - inset) / (1.0 + b * b / (a * dx * EDGE_RADIUS))
 
 
 def _even(count: float) -> int:
@@ -254,20 +256,44 @@ def _ellipse(a: float, b: float, n: int):
 def _ring(s, a, b, slope, ds, step, edges=False):
     """One elliptical ring; `slope` are the derivatives of half-height and half-width along the body.
 
-    A marker on an edge stops what moves along the body's axis of height only, though most of the arc that it stands for faces
-    sideways: with `edges` there are as many as leave none there.
+    With `edges` their number is a multiple of four, so that none stands on an edge, and each stands for its arc (`_facing`).
     """
     count = _ellipse(a, b, 1)[1] / step
     n = max(4, 4 * round(count / 4)) if edges else max(6, _even(count))
     turn, perimeter = _ellipse(a, b, n)
     c, sn = np.cos(turn), np.sin(turn)
-    across = np.stack([c * a, sn * b], -1)
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    across, share = _outward(a, b, turn), np.ones(n)
+    if edges:
+        which, across, share = _facing(a, b, n, across)
+        c, sn = c[which], sn[which]
     lengthwise = across[:, 0] * c * slope[1] + across[:, 1] * sn * slope[0]
     size = np.sqrt(1 + lengthwise**2)
-    one = np.ones(n)
-    area = perimeter / n * ds * size
+    one = np.ones(len(c))
+    area = share * perimeter / n * ds * size
     return s * one, b * c, a * sn, lengthwise / size, across[:, 0] / size, across[:, 1] / size, area, 0 * one, 0 * one
+
+
+def _outward(a: float, b: float, turn: np.ndarray) -> np.ndarray:
+    """(.., 2) unit normals in y, z of the ellipse of half-axes a (z) and b (y) at angles `turn`."""
+    across = np.stack([np.cos(turn) * a, np.sin(turn) * b], -1)
+    return across / np.linalg.norm(across, axis=-1, keepdims=True)
+
+
+def _facing(a: float, b: float, n: int, across: np.ndarray, fine: int = 32) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What each of n markers on an ellipse stands for: index, normal and share of its area; `across` (n, 2) are normals there.
+
+        <n n^T> = sum_i share_i e_i e_i^T      mean over the marker's arc; e_i: its principal directions, the shares add up to 1
+
+    A marker stops the water along its normal. Where the arc turns by much, as at an edge, it faces two ways: two markers stand
+    there, each with its share, or water that should leave the hull there would slip round the edge.
+    """
+    normal = _outward(a, b, _ellipse(a, b, fine * n)[0]).reshape(n, fine, 2)
+    shares, directions = np.linalg.eigh(np.einsum("nki,nkj->nij", normal, normal) / fine)
+    share, direction = shares.T.ravel(), directions.transpose(2, 0, 1).reshape(2 * n, 2)
+    which = np.tile(np.arange(n), 2)
+    direction *= np.where((direction * across[which]).sum(-1) < 0, -1.0, 1.0)[:, None]
+    kept = share > FLAT
+    return which[kept], direction[kept], np.where(share > 1 - FLAT, 1.0, share)[kept]
 
 
 def _cap(s, a, b, step):

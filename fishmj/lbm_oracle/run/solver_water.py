@@ -21,6 +21,7 @@ BOUNDARIES = {
     "plain": markers.PLAIN,  # markers as shipped data were made with
     "rims": Sharpness(rim=1.0),  # fins and tail end about where they do; for hulls with a slip ratio
     "sharp": markers.SHARP,  # hulls too, with slip lengths: for water that sticks, --slip 0
+    "edges": markers.EDGES,  # and the edges of thin hulls, where the water leaves them
 }
 
 
@@ -37,7 +38,7 @@ def boundary_entry(sharpness: Sharpness) -> dict[str, str]:
 
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
     """The option `--boundary` of a command; add: of its parser."""
-    words = "of the fish: plain; rims, fins drawn in; sharp, hulls too, and slip lengths for --slip 0; default plain"
+    words = "of the fish: plain; rims, fins drawn in; sharp, hulls too, and slip lengths for --slip 0; edges, and thin hulls' edges; default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
 
 
