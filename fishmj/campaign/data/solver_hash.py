@@ -30,7 +30,8 @@ LISTED = "27ff9448df17743150b4eafb663e9f9264b8bf567b43721429792f6ba33006f8"  # l
 SECTORS = "6a3e1a55735965626466d32617474f2f2124ef1cb8d3bb52d46916a3841214b0"  # rows of a box in whole sectors of the memory
 SHORT = "c63b5116c9559a46382897a7ee2f9759b3ea29edb743ac06f51b4422d0969719"  # velocities in 16 bits; a held fish on the device
 STREAMS = "0b62f72826c3f69cffcc5e1ec632c483d844b5ee2ad952876fb6f311a6f29445"  # a tick done again waits for its own tank only
-SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS), SHIPPED)
+EDGED = "8d1566379f522052afc1869614e2bd3c600135bae1a091e6c0ef7b90241a1b46"  # an option, edges of hulls; the rest to the bit
+SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED), SHIPPED)
 
 
 @cache

@@ -13,6 +13,8 @@ Source of gait and body: Kern and Koumoutsakos 2006, J. Exp. Biol. 209:4841, the
 state them. **Its speed was not found in what could be read of the paper** (summary and first page). Eels in experiments swim 0.26
 to 0.5 L / T, as the authors say of their own swimmers (www.cse-lab.ethz.ch/swimming): that band, the convergence and a straight
 course are gated, the speed itself is reported.
+
+A stiff one is towed while it heaves (`towed`): what the boundary alone gives of the forces.
 """
 
 from collections.abc import Callable
@@ -43,6 +45,7 @@ AHEAD = 0.35  # share of the window before the centre of mass
 BAND = (0.26, 0.5)  # L / T, eels in experiments
 STEP = 0.10  # that the speed may change; half of it from 144 to 192. Set before the first run, for a step from 96 to 144 cells
 TURN = 2.0  # deg of yaw a beat
+TOWED, HEAVE = 0.4, 0.08  # L / T, L, of a stiff eel
 
 
 class Swim(NamedTuple):
@@ -112,6 +115,41 @@ def growth(t) -> np.ndarray:
     return t - np.sin(2 * pi * t) / (2 * pi)
 
 
+class Window:
+    """An eel of `cells` cells a length at rest in its window, which follows the body's centre of mass by whole cells."""
+
+    def __init__(self, cells: int, device: str, robot: Robot, box: tuple[float, float, float], sharpness: Sharpness):
+        self.dx, self.steps = 1.0 / cells, PER_CELL * cells  # steps a beat
+        corner = (0.0, 0.0, -box[2] / 2 + 0.1 * self.dx)  # the eel swims at z = 0, off the nodes
+        lattice = Lattice(dx=self.dx, dt=1.0 / self.steps, rho=DENSITY, nu=VISCOSITY, corner=corner)
+        faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), z=Axis("slip", "slip"), sponge=max(8, cells // 10))
+        shape = (round(box[0] * cells), round(box[1] * cells), round(box[2] * cells))
+        self.water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces)
+        self.body = chain(robot, lattice.dt)
+        home = np.array(shape[:2]) * [1 - AHEAD, 0.5] * self.dx
+        self.body.place(np.concatenate([home + [0.2 * self.dx, -0.3 * self.dx], np.zeros(self.body.dofs - 2)]))
+        markers = chain_markers(robot, self.dx, slip=0.0, sharpness=sharpness)
+        self.held = FluidStructure(self.water, self.body, markers, slip=0.0)
+        self.start = self.centre()
+
+    @property
+    def dt(self) -> float:
+        return self.water.lattice.dt
+
+    def centre(self) -> np.ndarray:
+        """Of mass, (2,) m."""
+        return self.body.data.subtree_com[1][:2].copy()
+
+    def step(self, fixed: np.ndarray, value: np.ndarray) -> None:
+        """One step of water and body; value: velocities of the degrees of freedom that are `fixed`."""
+        self.held.step(fixed, value)
+        moved = (self.centre() - self.start) / self.dx - self.water.origin_lu[:2]
+        by = np.where(np.abs(moved) >= 1.0, np.sign(moved), 0.0).astype(int)
+        if by.any():
+            with self.held.scope():
+                self.water.shift((int(by[0]), int(by[1]), 0))
+
+
 def swim(
     cells: int,
     device: str,
@@ -123,42 +161,39 @@ def swim(
     told: Callable[[int, float], None] | None = None,
 ) -> Swim:
     """Let an eel of `cells` cells a length swim from rest; `told` hears of every beat and its speed, L / T."""
-    dx, steps = 1.0 / cells, PER_CELL * cells
-    corner = (0.0, 0.0, -box[2] / 2 + 0.1 * dx)  # the eel swims at z = 0, off the nodes
-    lattice = Lattice(dx=dx, dt=1.0 / steps, rho=DENSITY, nu=VISCOSITY, corner=corner)
-    faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), z=Axis("slip", "slip"), sponge=max(8, cells // 10))
-    shape = tuple(round(b * cells) for b in box)
-    water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces)
-    robot = eel(links)
-    body = chain(robot, lattice.dt)
-    home = np.array(shape[:2]) * [1 - AHEAD, 0.5] * dx
-    body.place(np.concatenate([home + [0.2 * dx, -0.3 * dx], np.zeros(body.dofs - 2)]))
-    free = FluidStructure(water, body, chain_markers(robot, dx, slip=0.0, sharpness=sharpness), slip=0.0)
-    wave = joints((np.arange(steps + 1)) / steps, links)
+    window = Window(cells, device, eel(links), box, sharpness)
+    wave = joints((np.arange(window.steps + 1)) / window.steps, links)
     wave[-1] = wave[0]
     fixed = np.concatenate([np.zeros(3), np.ones(links - 1)])
-    value = np.zeros(body.dofs)
-    centre = lambda: body.data.subtree_com[1][:2].copy()
-    at, speed, yaw = centre(), [], []
-    start = at.copy()
+    value = np.zeros(window.body.dofs)
+    at, speed, yaw = window.centre(), [], []
     for beat in range(beats):
-        grown = growth(beat + np.arange(steps + 1) / steps)[:, None] * wave
-        rates = np.diff(grown, axis=0) / lattice.dt
-        for rate in rates:
+        grown = growth(beat + np.arange(window.steps + 1) / window.steps)[:, None] * wave
+        for rate in np.diff(grown, axis=0) / window.dt:
             value[3:] = rate
-            free.step(fixed, value)
-            moved = (centre() - start) / dx - water.origin_lu[:2]
-            by = np.where(np.abs(moved) >= 1.0, np.sign(moved), 0.0).astype(int)
-            if by.any():
-                with free.scope():
-                    water.shift((int(by[0]), int(by[1]), 0))
-        here = centre()
+            window.step(fixed, value)
+        here = window.centre()
         gone, at = here - at, here
         speed.append(float(np.hypot(*gone) * np.sign(gone[0])))
-        yaw.append(float(np.degrees(body.data.qpos[2])))
+        yaw.append(float(np.degrees(window.body.data.qpos[2])))
         if told is not None:
             told(beat + 1, speed[-1])
     return Swim(np.array(speed), np.array(yaw))
+
+
+def towed(cells: int, device: str, *, sharpness: Sharpness = PLAIN, periods: int = 3) -> tuple[float, float, float]:
+    """A stiff eel towed nose first at 0.4 L / T while it heaves by 0.08 L: mean axial force, N, and the lateral one in phase with
+    acceleration and velocity, N, over the last period."""
+    window = Window(cells, device, eel(2), (2.0, 0.9, 0.6), sharpness)
+    fixed, force = np.ones(window.body.dofs), []
+    for k in range(periods * window.steps):
+        t = (k + 1) * window.dt
+        window.step(fixed, min(1.0, 2 * t) * np.array([TOWED, 2 * pi * HEAVE * np.sin(2 * pi * t), 0.0, 0.0]))
+        force.append(window.held.take_wrench(window.dt)[0][:, :2].sum(0))
+    last = np.array(force)[-window.steps :]
+    turn = 2 * pi * (np.arange(window.steps) + 0.5) * window.dt
+    in_phase = lambda wave: float(-2 * np.mean(last[:, 1] * wave(turn)))
+    return float(last[:, 0].mean()), in_phase(np.cos), in_phase(np.sin)
 
 
 SOURCE = "gait of Kern and Koumoutsakos 2006; speeds of eels in experiments"
@@ -206,3 +241,15 @@ def eel_fine(device):
     yield from table(192, fine)
     yield change(144, coarse, 192, fine, STEP / 2)
     yield reported("speed in the limit of the two, L/T", float(limit(144, coarse.speed[-1], 192, fine.speed[-1])))
+
+
+@register("eel_towed", rung=21.3, grid="96 x 43 x 29 to 384 x 173 x 115, L = 48 to 192", source="itself, more cells",
+          cost="GPU, 100 G updates", gpu=True)  # fmt: skip
+def eel_towed(device):
+    """A stiff eel, towed while it heaves: the lateral force of few cells is that of many, the axial one is not."""
+    found = {cells: towed(cells, device, sharpness=EDGES) for cells in (48, 64, 96, 192)}
+    for cells, forces in found.items():
+        for name, force in zip(("mean axial force", "in phase with acceleration", "in phase with velocity"), forces, strict=True):
+            yield reported(f"{name}, N, L = {cells}", force)
+    for k, name in ((1, "acceleration"), (2, "velocity")):
+        yield below(f"in phase with {name}, 64 against 192 cells", abs(found[64][k] / found[192][k] - 1), STEP)

@@ -44,8 +44,8 @@ class Sharpness:
 
     hull: how far hulls are drawn in along their normal. rim: how far sheets are drawn in at their free edges, in their plane.
     None: both as `offset_of` has it. hull_slip, sheet_slip: slip lengths where the water sticks (slip = 0); a wall with a slip
-    ratio has its friction from that. edges: hulls are drawn in by the whole length however thin they are; a section ends above and
-    below in an edge that is drawn in as a rim is, the less the rounder it is; a marker faces all the ways that its arc does.
+    ratio has its friction from that. edges: hulls are drawn in by the whole length however thin they are; a section ends above
+    and below in an edge that is drawn in as a rim is, the less the rounder it is; a marker faces all the ways that its arc does.
     """
 
     hull: float | None = None
