@@ -43,7 +43,7 @@ PER_CELL = 13  # steps a beat over cells a length: the tail's 0.79 L / T is then
 LINKS, BEATS = 16, 8
 AHEAD = 0.35  # share of the window before the centre of mass
 BAND = (0.26, 0.5)  # L / T, eels in experiments
-STEP = 0.10  # that the speed may change; half of it from 144 to 192. Set before the first run, for a step from 96 to 144 cells
+STEP = 0.10  # that the speed may change from 64 to 192 cells; half of it from 96 and 144. Set before the first run
 TURN = 2.0  # deg of yaw a beat
 TOWED, HEAVE = 0.4, 0.08  # L / T, L, of a stiff eel
 
