@@ -140,9 +140,10 @@ def test_markers_of_an_arc_face_all_the_ways_that_it_does(a, b, n):
     assert facing[::4] == pytest.approx(facing[3::4])  # of each, four: left and right, above and below
 
 
-def test_a_round_section_has_one_marker_a_place_and_a_thin_one_two_beside_its_edges():
+def test_a_section_of_many_cells_has_one_marker_a_place_a_thin_one_two_beside_its_edges_and_a_small_one_two_everywhere():
     counts = {b: np.bincount(_facing(20.0, b, 128, _outward(20.0, b, _ellipse(20.0, b, 128)[0]))[0]) for b in (20.0, 0.5)}
     assert (counts[20.0] == 1).all()
+    assert (np.bincount(_facing(4.0, 4.0, 24, _outward(4.0, 4.0, _ellipse(4.0, 4.0, 24)[0]))[0]) == 2).all()
     assert np.flatnonzero(counts[0.5] == 2).tolist() == [31, 32, 95, 96]
 
 

@@ -43,7 +43,9 @@ PER_CELL = 13  # steps a beat over cells a length: the tail's 0.79 L / T is then
 LINKS, BEATS = 16, 8
 AHEAD = 0.35  # share of the window before the centre of mass
 BAND = (0.26, 0.5)  # L / T, eels in experiments
-STEP = 0.10  # that the speed may change from 64 to 192 cells; half of it from 96 and 144. Set before the first run
+STEP = (
+    0.10  # that the speed may change: from 96 to 144 cells, set before the first run; from 64 to 192, half of it from 96, later
+)
 TURN = 2.0  # deg of yaw a beat
 TOWED, HEAVE = 0.4, 0.08  # L / T, L, of a stiff eel
 
@@ -224,7 +226,7 @@ def eel_coarse(device):
 @register("eel", rung=21.1, grid="192 x 77 x 48, 288 x 115 x 72 and 576 x 230 x 144, L = 64, 96 and 192", source=SOURCE,
           cost="GPU, 410 G updates", gpu=True)  # fmt: skip
 def eel_swims(device):
-    """A self-propelled eel of sixteen links, 64, 96 and 192 cells long; its tail ends in edges that are thinner than a cell."""
+    """A self-propelled eel of sixteen links, 64, 96 and 192 cells long; the radius of its tail's edges is below a cell."""
     found = {}
     for cells in (64, 96, 192):
         found[cells] = swim(cells, device, sharpness=EDGES)
@@ -244,7 +246,7 @@ def eel_fine(device):
 
 
 @register("eel_towed", rung=21.3, grid="96 x 43 x 29 to 384 x 173 x 115, L = 48 to 192", source="itself, more cells",
-          cost="GPU, 100 G updates", gpu=True)  # fmt: skip
+          cost="GPU, 62 G updates", gpu=True)  # fmt: skip
 def eel_towed(device):
     """A stiff eel, towed while it heaves: the lateral force of few cells is that of many, the axial one is not."""
     found = {cells: towed(cells, device, sharpness=EDGES) for cells in (48, 64, 96, 192)}

@@ -5,7 +5,7 @@
 Height H, length L = 2 H, blunt ends, thickness H / 4, A = H / 2, U = 2 pi A / T, Re = U H / nu = 500, no slip, second period.
 A box of 4.5 x 5 x 3.5 H with free slip on all faces. No reference but itself with more cells: a grid study, for the radius at the
 section's upper and lower edge, H / 32, is below a cell on every grid here, and what stands there decides where the water leaves.
-Of a thickness of H / 2, the same with edges alone: its radius is H / 8.
+A second paddle, H / 2 thick (radius H / 8), has edges only.
 """
 
 from math import pi
@@ -64,7 +64,7 @@ def heave(cells: int, device: str, *, sharpness: Sharpness = EDGES, ratio: float
 
 
 @register("paddle", rung=6.6, grid="27 x 30 x 21, 36 x 40 x 28 and 54 x 60 x 42, H = 6, 8 and 12", source="itself, more cells",
-          cost="2 min")  # fmt: skip
+          cost="30 s")  # fmt: skip
 def paddle_heaves(device):
     """A thin paddle that heaves: with edges its force hardly depends on the grid."""
     runs = [("sharp", SHARP, 0.25), ("edges", EDGES, 0.25), ("edges, H / 2 thick", EDGES, 0.5)]

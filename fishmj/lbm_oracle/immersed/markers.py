@@ -1,7 +1,8 @@
 """Lagrangian markers: where the immersed body touches the fluid, in the straight pose, about one marker a cell.
 
 A section of height h and width w becomes an ellipse of markers; where it is too thin for two sides (half-width after
-retraction below `SHEET` cells, or behind `fin_from`) it becomes one row of a sheet in the middle plane. Side fins are sheets.
+retraction below `SHEET` cells, with `edges` below 0, or behind `fin_from`) it becomes one row of a sheet in the middle
+plane. Side fins are sheets.
 
 The kernel spreads a marker's force over 1.5 (3-point) or 2 (4-point) cells each way, so the body acts fatter than its
 markers: they are drawn in along the normal by `hydro_offset` cells, at most `CLAMP` of the local half-thickness, and

@@ -39,7 +39,7 @@ def boundary_entry(sharpness: Sharpness) -> dict[str, str]:
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
     """The option `--boundary` of a command; add: of its parser."""
     words = "of the fish: plain; rims, fins drawn in; sharp, hulls too, and slip lengths for --slip 0; edges, sharp and hulls'"
-    words += " edges, for thin tails or a slip ratio; default plain"
+    words += " edges, for tails of 1 to 5 cells; default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
 
 
