@@ -43,9 +43,7 @@ PER_CELL = 13  # steps a beat over cells a length: the tail's 0.79 L / T is then
 LINKS, BEATS = 16, 8
 AHEAD = 0.35  # share of the window before the centre of mass
 BAND = (0.26, 0.5)  # L / T, eels in experiments
-STEP = (
-    0.10  # that the speed may change: from 96 to 144 cells, set before the first run; from 64 to 192, half of it from 96, later
-)
+STEP = 0.10  # that the speed may change from 96 to 144 cells, set before the first run; from 64 to 192, half from 96, set later
 TURN = 2.0  # deg of yaw a beat
 TOWED, HEAVE = 0.4, 0.08  # L / T, L, of a stiff eel
 
