@@ -153,6 +153,7 @@ def test_a_hull_with_edges_is_drawn_in_by_the_whole_length_and_a_sheet_where_not
     assert sheet.any() and edged_eel.slip_length[sheet].min() > KINK[3] - SHARP.hull - 1e-9
     widest = np.abs(edged_eel.rest[~sheet, 1]).max()
     assert widest == pytest.approx(0.04 - SHARP.hull * dx, abs=0.002)
+    assert min(np.abs(edged_eel.rest[ring, 1]).max() for ring in rings(edged_eel)) < 0.25 * dx  # by a part of its width: 0.3 dx
 
 
 def test_an_edge_is_drawn_in_as_a_rim_where_it_is_sharp_and_as_a_hull_where_it_is_round(edged_eel):

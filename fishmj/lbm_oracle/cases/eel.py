@@ -181,6 +181,12 @@ def swim(
     return Swim(np.array(speed), np.array(yaw))
 
 
+def in_phase(force: np.ndarray) -> tuple[float, float]:
+    """Amplitudes in phase with acceleration and velocity of the force (N,) on a body at -cos 2 pi t / T, over one period."""
+    turn = 2 * pi * (np.arange(len(force)) + 0.5) / len(force)
+    return float(-2 * np.mean(force * np.cos(turn))), float(-2 * np.mean(force * np.sin(turn)))
+
+
 def towed(cells: int, device: str, *, sharpness: Sharpness = PLAIN, periods: int = 3) -> tuple[float, float, float]:
     """A stiff eel towed nose first at 0.4 L / T while it heaves by 0.08 L: mean axial force, N, and the lateral one in phase with
     acceleration and velocity, N, over the last period."""
@@ -190,10 +196,8 @@ def towed(cells: int, device: str, *, sharpness: Sharpness = PLAIN, periods: int
         t = (k + 1) * window.dt
         window.step(fixed, min(1.0, 2 * t) * np.array([TOWED, 2 * pi * HEAVE * np.sin(2 * pi * t), 0.0, 0.0]))
         force.append(window.held.take_wrench(window.dt)[0][:, :2].sum(0))
-    last = np.array(force)[-window.steps :]
-    turn = 2 * pi * (np.arange(window.steps) + 0.5) * window.dt
-    in_phase = lambda wave: float(-2 * np.mean(last[:, 1] * wave(turn)))
-    return float(last[:, 0].mean()), in_phase(np.cos), in_phase(np.sin)
+    axial, lateral = np.array(force)[-window.steps :].T
+    return float(axial.mean()), *in_phase(lateral)
 
 
 SOURCE = "gait of Kern and Koumoutsakos 2006; speeds of eels in experiments"

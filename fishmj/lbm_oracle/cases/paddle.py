@@ -13,7 +13,7 @@ from math import pi
 import numpy as np
 
 from fishmj.lbm_oracle.cases import below, register, reported
-from fishmj.lbm_oracle.cases.eel import chain
+from fishmj.lbm_oracle.cases.eel import chain, in_phase
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
@@ -57,10 +57,8 @@ def heave(cells: int, device: str, *, sharpness: Sharpness = EDGES, ratio: float
         speed = fastest * np.sin(2 * pi * t) * min(1.0, 4 * t)  # grown within a quarter of a period
         held.step(np.ones(4), np.array([0.0, speed, 0.0, 0.0]))
         force.append(held.take_wrench(dt)[0][:, 1].sum())
-    turn = 2 * pi * (np.arange(len(force)) + 0.5) * dt
-    last, unit = slice((periods - 1) * steps, None), 0.5 * RHO * fastest**2 * LENGTH
-    harmonic = lambda wave: float(-2 * np.mean(np.array(force)[last] * wave(turn[last])) / unit)
-    return harmonic(np.cos), harmonic(np.sin)
+    unit = 0.5 * RHO * fastest**2 * LENGTH
+    return in_phase(np.array(force)[-steps:] / unit)
 
 
 @register("paddle", rung=6.6, grid="27 x 30 x 21, 36 x 40 x 28 and 54 x 60 x 42, H = 6, 8 and 12", source="itself, more cells",
