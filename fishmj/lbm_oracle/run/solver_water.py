@@ -38,8 +38,8 @@ def boundary_entry(sharpness: Sharpness) -> dict[str, str]:
 
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
     """The option `--boundary` of a command; add: of its parser."""
-    words = "treatment of the hull: rims: fins drawn in; sharp: hulls too, and slip lengths, for --slip 0; edges: as sharp, and the"
-    words += " edges of hulls, for tails 1 to 5 cells thick; default plain"
+    words = "treatment of the hull. rims: fins drawn in. sharp: hulls too, and slip lengths, for --slip 0. edges: as sharp, and"
+    words += " the edges of hulls, for tails 1 to 5 cells thick. Default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
 
 
