@@ -53,7 +53,7 @@ lint: $(INSTALLED)
 	@$(STEP) "types" $(PY) -m mypy
 
 test: lint
-	@$(STEP) "tests" $(PY) -m pytest -q $(WORKERS) --durations 10
+	@$(STEP) "tests" $(PY) -m pytest -q $(WORKERS)
 
 verify: $(EXTRAS) $(SITE)
 	@$(MAKE) --no-print-directory slow discrepancy
@@ -67,14 +67,14 @@ verify-share: $(INSTALLED)
 	@some=$$(.ci/share $(SHARE) $(OTHERS)); [ -z "$$some" ] || $(MAKE) --no-print-directory -j $(JOBS) --output-sync=target $$some
 
 slow: $(EXTRAS)
-	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) --durations 20 -m "slow and not gpu and not sb3 and not ray" $(call marked,slow)
+	@$(STEP) "slow tests" $(PY) -m pytest -q $(WORKERS) -m "slow and not gpu and not sb3 and not ray" $(call marked,slow)
 
 discrepancy: $(INSTALLED)
 	@$(STEP) "discrepancy" $(PY) -m fishmj.gap bench --small --cases 10 --seed 1 --jobs $(JOBS)
 
 # each of these keeps one core busy: `make verify` runs them side by side
 sb3 ray: $(EXTRAS)
-	@$(STEP) "$@" $(PY) -m pytest -q --durations 5 -m "$@ and not gpu" $(call marked,$@)
+	@$(STEP) "$@" $(PY) -m pytest -q -m "$@ and not gpu" $(call marked,$@)
 
 solver: $(INSTALLED)
 	@$(STEP) "flow solver" $(PY) -m fishmj.lbm_oracle cases --quick

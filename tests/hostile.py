@@ -85,7 +85,7 @@ def visited(page: Path, profile: Path) -> tuple[str, list[str]]:
     quiet = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-sync"
     drawing = "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --enable-logging=stderr --dump-dom"
     command = [browser(), *quiet.split(), *drawing.split(), f"--user-data-dir={profile}", "--virtual-time-budget=2000"]
-    done = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=300, check=True)
+    done = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=600, check=True)
     return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 
 

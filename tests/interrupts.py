@@ -26,7 +26,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 WITHIN = 5.0  # s from Ctrl-C to the end of the process
-PATIENCE = 60.0  # s after which a process that does not end is killed, and counted
+PATIENCE = 600.0  # s after which a process that does not end is killed, and counted
 CLOSE = 1e-6  # relative, of figures: code just compiled and code from the cache differ in the last bits
 OUTPUTS = ("run", "bench", "found", "judged", "runs", "water")
 WRONG = ("Traceback", "Segmentation", "Fatal", "Exception ignored", "Abort", "leaked", "core dumped")

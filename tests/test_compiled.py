@@ -168,7 +168,7 @@ def test_many_programs_in_flight_do_not_deadlock(engine):
     for worker in workers:
         worker.start()
     for worker in workers:
-        worker.join(60)
+        worker.join(600)
     assert not any(worker.is_alive() for worker in workers)
 
 

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import time
 from argparse import Namespace
 
 import pytest
@@ -16,8 +15,6 @@ from fishmj.lbm_oracle.run.domain import preset
 from fishmj.studies.gap_benchmark import command as bench
 from fishmj.train import training_cost as training
 from fishmj.train.settings import PRESETS, change
-
-CPU = 60.0  # s of processor that a refusal may take at most, imports and the load of a shared machine included
 
 
 class Terminal(io.StringIO):
@@ -44,10 +41,9 @@ def test_a_hopeless_command_is_refused_with_an_estimate_before_anything_begins(n
     prepare(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", io.StringIO())  # nobody answers
-    before, began = listing(tmp_path), time.process_time()
+    before = listing(tmp_path)
     code = console.run(cli.dispatch, [*HOPELESS[name], "--json"])
     out, err = capsys.readouterr()
-    assert time.process_time() - began < CPU
     assert code == console.BAD_INPUT and err.count("\n") == 1 and "nothing was begun" in err, err
     assert any(unit in err for unit in (" h ", " days", " years", " GB")), err
     assert "begins all the same" in err or "memory" in err, err

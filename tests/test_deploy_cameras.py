@@ -137,9 +137,9 @@ def test_a_device_keeps_only_fresh_pictures_and_survives_being_unplugged(monkeyp
     before = time.monotonic()
     camera.open()
     try:
-        found = camera.wait(5.0)
+        found = camera.wait(600.0)
         assert found and before <= found[0][0] <= time.monotonic()
-        end = time.monotonic() + 5
+        end = time.monotonic() + 600
         while device.left > -2 and time.monotonic() < end:
             time.sleep(0.01)
         assert 1 <= len(camera.read(0.0)) <= 4

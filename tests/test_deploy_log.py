@@ -192,7 +192,7 @@ def test_a_killed_swim_loses_only_what_came_since_the_last_writing(tmp_path, cap
     folder = tmp_path / "swim"
     process = subprocess.Popen([sys.executable, "-c", KILLED, str(folder)], stdout=subprocess.PIPE, cwd=ROOT)
     process.stdout.readline()
-    rows, end = folder / "journal" / "cmd.f64", time.monotonic() + 20
+    rows, end = folder / "journal" / "cmd.f64", time.monotonic() + 600
     while not (rows.exists() and rows.stat().st_size >= 25 * 9 * 8) and time.monotonic() < end:
         time.sleep(0.05)
     assert console.run(main, ["recover", str(folder)]) == console.BAD_INPUT and "still under way" in capsys.readouterr().err

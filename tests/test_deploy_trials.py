@@ -390,7 +390,7 @@ def test_trials_that_are_ended_by_a_signal_bring_the_robot_to_rest_and_keep_the_
             time.sleep(0.1)
             log = journal.read_text() if journal.is_file() else ""
         process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=60)[0]
+        said = process.communicate(timeout=600)[0]
     assert process.returncode == console.INTERRUPTED, said
     events = " ".join(read_trial(journal.parent).meta["host"]["events"])
     assert "SWIMMING -> NEUTRAL: OPERATOR_STOP" in events and "go on with: fishmj deploy trials" in said

@@ -43,7 +43,7 @@ def test_fault_13_kill_during_save_leaves_the_newest_complete_checkpoint(tmp_pat
         assert writer.stdout.readline() == b"ready\n"  # it read the survivor of the last kill without an error
         time.sleep(rng.uniform(0.02, 0.12))
         writer.send_signal(signal.SIGKILL)
-        writer.wait(10)
+        writer.wait(600)
         writer.stdout.close()
         found = store.Checkpoints(tmp_path, keep=2).latest()
         if found is None:

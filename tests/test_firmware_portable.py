@@ -124,7 +124,7 @@ def run_of_the_readme(folder, datagram: bytes) -> list[tuple[str, bytes]]:
     (loop,) = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     (folder / "board.c").write_text(BOARD + loop + MAIN)
     board = compiled(folder / "board", [folder / "board.c", *SOURCES])
-    done = subprocess.run([board], input=datagram, capture_output=True, check=True, timeout=30)
+    done = subprocess.run([board], input=datagram, capture_output=True, check=True, timeout=600)
     return [(line.split()[0], bytes.fromhex(line.split()[1])) for line in done.stdout.decode().splitlines()]
 
 

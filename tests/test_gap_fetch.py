@@ -67,7 +67,7 @@ class Server:
             request.wfile.flush()
             self.stall.discard(request.path)
             self.hang.set()
-            self.release.wait(20)
+            self.release.wait(600)
 
     def close(self):
         self.http.shutdown()
@@ -158,9 +158,9 @@ def test_a_killed_process_leaves_its_bytes_for_the_next(made_up, server, tmp_pat
         "fetch.fetch('made_up', sys.argv[2], sys.argv[3])"
     )
     child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "public"), str(made_up), server.base])
-    assert server.hang.wait(20)
+    assert server.hang.wait(600)
     part = made_up / f".made_up-{fetch.public_set('made_up').files[1].sha256[:16]}.part"
-    until = time.monotonic() + 20
+    until = time.monotonic() + 600
     while (not part.is_file() or part.stat().st_size < 9000) and time.monotonic() < until:
         time.sleep(0.01)
     child.kill()

@@ -288,7 +288,7 @@ def test_a_browser_shows_the_page_without_overflow(folder, tmp_path):
 
     def visit(profile: str, *options: str) -> str:
         command = [*start, f"--user-data-dir={tmp_path / profile}", *options, shown.as_uri()]
-        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+        return subprocess.run(command, capture_output=True, text=True, timeout=600, check=True).stdout
 
     width, pictures = map(int, re.search(r"<title>(\d+) (\d+)</title>", visit("a", "--dump-dom")).groups())
     assert width <= 1200 and pictures >= 5

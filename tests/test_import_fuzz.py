@@ -20,8 +20,6 @@ from synthetic import whole_trial
 from fishmj import console, log
 from fishmj.log import __main__ as command
 
-SLOW = 30.0  # s that no example may take
-
 
 def own(root, form):
     log.write_trial(root / "set" / "a", whole_trial(0.2), form=form)
@@ -50,11 +48,10 @@ def test_a_damaged_recording_is_read_or_refused_in_one_line(tmp_path, monkeypatc
         file = rng.choice(sorted(kept))
         damaged = lab_files.mutated(kept[file], rng)
         file.write_bytes(damaged)
-        said, complaint, start = io.StringIO(), io.StringIO(), time.monotonic()
+        said, complaint = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complaint):
             code = console.run(command.main, ["import", str(source), "--out", str(out), "--yes"])
         assert code in (console.OK, console.BAD_INPUT), f"example {rng_seed} of {name}: {complaint.getvalue()}"
-        assert time.monotonic() - start < SLOW, f"example {rng_seed} of {name} took {time.monotonic() - start:.0f} s"
         assert file.read_bytes() == damaged, "a source was edited"
         assert [p.name for p in out.parent.iterdir()] == ([out.name] if code == console.OK else [])
         if code == console.BAD_INPUT:

@@ -101,7 +101,7 @@ def test_a_singular_equation_gives_no_finite_velocity():
 @pytest.mark.parametrize(("n", "threads", "across"), [(6, 16, 4), (9, 12, 4), (13, 24, 8)])
 def test_threads_of_a_block_that_run_in_any_order_find_the_same(n, threads, across):
     """Its waits suffice: the kernel's own source, on Python's threads that pause at random."""
-    given, me, block = an_equation(n, 2), threading.local(), threading.Barrier(threads, timeout=20)
+    given, me, block = an_equation(n, 2), threading.local(), threading.Barrier(threads, timeout=600)
     layout = boundary._layout(1, n)
     sent = np.zeros(layout.size)
     for name, value in boundary._views(sent, 1, n).items():

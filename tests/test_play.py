@@ -203,7 +203,7 @@ def test_the_server_answers_and_holds_the_fish_and_dies_with_the_view():
         view.show(np.zeros(6), [0.7, 0.0], [-0.2, 0.0])
         view.trail([0.0, 0.0])
         view.trail([0.1, 0.0])
-        assert urllib.request.urlopen(view.url, timeout=10).status == 200
+        assert urllib.request.urlopen(view.url, timeout=600).status == 200
         page = view.page()
         assert page.count("viewer.handle_command_bytearray") > 2 * len(view.slices)
     assert view.server.process.poll() is not None
@@ -241,7 +241,7 @@ def test_the_server_listens_on_this_machine_alone(server):
     assert len(found) == 2 and {address for address, _ in found} == {"127.0.0.1"}, "pages and commands"
     for _, port in found:
         with pytest.raises(OSError, match="refused"):
-            socket.create_connection(("127.0.0.2", port), timeout=5)
+            socket.create_connection(("127.0.0.2", port), timeout=600)
 
 
 def test_a_page_that_came_by_a_foreign_name_is_refused(server):
@@ -249,7 +249,7 @@ def test_a_page_that_came_by_a_foreign_name_is_refused(server):
     key = {"Sec-WebSocket-Key": "x" * 22 + "==", "Sec-WebSocket-Version": "13", "Upgrade": "websocket", "Connection": "Upgrade"}
 
     def status(host: str, path: str = "/static/", **headers: str) -> int:
-        asked = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+        asked = http.client.HTTPConnection("127.0.0.1", port, timeout=600)
         with contextlib.closing(asked):
             asked.request("GET", path, headers={"Host": host, **headers})
             return asked.getresponse().status
@@ -265,7 +265,7 @@ def test_a_page_that_came_by_a_foreign_name_is_refused(server):
 def test_the_server_ends_when_its_parent_does():
     made = Server()
     made.process.stdin.close()  # what the system does when the parent dies
-    assert made.process.wait(10) == 0
+    assert made.process.wait(600) == 0
     made.process.stdout.close()
 
 

@@ -216,7 +216,7 @@ def visit(page: Path, profile: Path, *options: str, wish: str = "", budget: int 
     """Open a page in a fresh browser; its standard output and the errors of its console."""
     profile.mkdir()
     command = [browser(), *QUIET, f"--user-data-dir={profile}", f"--virtual-time-budget={budget}", *options]
-    done = subprocess.run([*command, f"{page.as_uri()}#{wish}"], capture_output=True, text=True, timeout=300, check=True)
+    done = subprocess.run([*command, f"{page.as_uri()}#{wish}"], capture_output=True, text=True, timeout=600, check=True)
     return done.stdout, [line for line in done.stderr.splitlines() if "ERROR:CONSOLE" in line or "Uncaught" in line]
 
 
