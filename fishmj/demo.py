@@ -1,6 +1,7 @@
 """Train a fish from scratch, judge it in 24 currents, write a replay and a report: the first ten minutes."""
 
 import shlex
+import time
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,14 @@ from fishmj import console, interrupt
 
 SPEED, INTENSITY = 0.2, 0.10  # m/s at which holding is judged; gusts as a fraction of the flow
 ARRIVALS, HOLDING = 23, 0.10  # of 24 trials; m
+TRAINING = {"steps": 2_500_000, "assess_every": 250_000, "assess_episodes": 128, "algorithm": {"envs": 256}}
+ENOUGH = 0.85  # share of episodes on the tuning flows that hold within 0.1 m (RMS over the last 10 s): training stops there
+TIMED = 4  # iterations of training that measure the machine
+USUAL, JUDGING = 0.6, 300_000  # share of the steps after which the fish holds; control steps that take as long as the judging
 SMOKE = {"steps": 150_000, "assess_every": 150_000, "assess_episodes": 32}  # runs every part, learns next to nothing
-ABOUT = """The policy sees 11 numbers in its own frame and never the current. It trains in gusts and is judged on MuJoCo in
-24 trials of 60 s: three flow speeds, eight directions, 10 % gusts, randomised robot, noise, latencies.
+ABOUT = """The policy sees 11 numbers in its own frame and never the current. It trains in gusts until it holds its place on
+flows that training does not see, and is judged on MuJoCo in 24 trials of 60 s: three flow speeds, eight directions,
+10 % gusts, randomised robot, noise, latencies. The demo measures this machine first and says how long it will take.
 Exit 1: fewer than 23 of 24 trials arrive, or it holds worse than 0.10 m at 0.2 m/s.
 
 example:
@@ -30,15 +36,16 @@ def options() -> console.Parser:
 
 
 def learn(args) -> dict:
-    """Train the quick preset into <out>/training; a demo that was interrupted goes on there, one that is finished begins anew."""
+    """Train into <out>/training until the fish holds; an interrupted demo goes on there, a finished one begins anew."""
     import shutil
 
     from fishmj import store
     from fishmj.train.build import settled, water_for
     from fishmj.train.settings import as_dict, change, preset
-    from fishmj.train.training_run import TrainingRun
+    from fishmj.train.training_run import TrainingRun, learner_of
 
-    folder, settings = args.out / "training", settled(change(preset("quick"), seed=args.seed, **(SMOKE if args.smoke else {})))
+    folder = args.out / "training"
+    settings = settled(change(preset("quick"), seed=args.seed, **(TRAINING | (SMOKE if args.smoke else {}))))
     console.say(f"water: {water_for(settings).said}")
     kept = None if (args.out / FINISHED).exists() else store.Checkpoints(folder / "checkpoints").latest()
     same = kept is not None and kept.meta["settings"] == store.plain(as_dict(settings))
@@ -47,7 +54,41 @@ def learn(args) -> dict:
         (args.out / FINISHED).unlink(missing_ok=True)
     else:
         console.say(f"going on with the training in {folder}")
-    return TrainingRun(settings, folder, resume=same).go()
+    learner = learner_of(settings)
+    left = settings.steps - (kept.step if same else 0)
+    console.say(plan(steps_per_second(learner), left))
+    return TrainingRun(settings, folder, resume=same, learner=learner, stop_when=holds).go()
+
+
+def holds(figures: dict) -> bool:
+    """Whether an assessment on the tuning flows is good enough to stop."""
+    return figures["within"] >= ENOUGH
+
+
+def steps_per_second(learner) -> float:
+    """Control steps that this machine trains in a second, measured on a training that is thrown away."""
+    import jax
+
+    _, algorithm, _ = learner
+    with console.Progress(TIMED + 1, "measure this machine", "iterations") as bar:
+        bar.stage("compiling the fish and the networks")
+        training = algorithm.init(jax.random.key(0))
+        training, _ = jax.block_until_ready(algorithm.iterate(training))  # compiles
+        bar.update(1)
+        began = time.monotonic()
+        for k in range(TIMED):
+            training, _ = jax.block_until_ready(algorithm.iterate(training))
+            bar.update(k + 2)
+    return TIMED * algorithm.steps_per_iteration / (time.monotonic() - began)
+
+
+def plan(rate: float, left: int) -> str:
+    """The sentence that says how long the demo takes.
+
+    rate: control steps of training per second. left: control steps of training, at most.
+    """
+    usual, most = (console.duration((share * left + JUDGING) / rate) for share in (USUAL, 1.0))
+    return f"this machine trains {rate:,.0f} control steps/s: about {usual} to go, {most} if the fish is slow to hold"
 
 
 def judge(args, policy: str):

@@ -22,8 +22,13 @@ def cache_folder() -> Path:
 
 
 def keep() -> None:
-    """Have JAX keep its machine code, unless the environment says where, JAX is imported already, or nothing can be written."""
-    if JAX in os.environ or "jax" in sys.modules:
+    """Have JAX keep its machine code, unless the user said where or nothing can be written.
+
+    JAX reads the environment as it is imported. One that is imported already is told by its configuration; programs that it
+    compiled before are not kept.
+    """
+    jax = sys.modules.get("jax")
+    if JAX in os.environ or getattr(getattr(jax, "config", None), "jax_compilation_cache_dir", None):
         return
     try:
         folder = cache_folder() / "jax"
@@ -32,3 +37,8 @@ def keep() -> None:
     there = next((parent for parent in (folder, *folder.parents) if parent.exists()), None)
     if there is not None and there.is_dir() and os.access(there, os.W_OK):
         os.environ[JAX] = str(folder)
+        if jax is not None:
+            from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+            reset_cache()  # after a first compilation JAX no longer looks where its programs are kept

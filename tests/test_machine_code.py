@@ -40,24 +40,31 @@ def test_a_folder_that_the_user_chose_stays(bare, chosen):
     assert os.environ[machine_code.JAX] == chosen
 
 
-def test_jax_that_is_there_already_is_left_alone(bare):
-    bare.setitem(sys.modules, "jax", object())
-    machine_code.keep()
-    assert machine_code.JAX not in os.environ
-
-
 def test_nothing_is_kept_where_nothing_can_be_written(bare):
     bare.setenv("FISHMJ_CACHE", __file__)
     machine_code.keep()
     assert machine_code.JAX not in os.environ
 
 
-def test_a_second_process_compiles_nothing_again(tmp_path):
+JAX_FIRST = "import jax\n"
+COMPILED_FIRST = "import jax\njax.jit(lambda x: x + 2)(1.0).block_until_ready()\n"
+
+
+@pytest.mark.parametrize("before", ("", JAX_FIRST, COMPILED_FIRST))
+def test_second_process_compiles_nothing_again(tmp_path, before):
     env = {key: value for key, value in os.environ.items() if key != machine_code.JAX}
     env |= {"FISHMJ_CACHE": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    begin = lambda: subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, check=True)
+    begin = lambda: subprocess.run([sys.executable, "-c", before + PROGRAM], env=env, capture_output=True, text=True, check=True)
     (hits, misses), (hits_again, misses_again) = (map(int, begin().stdout.split()) for _ in range(2))
     assert hits == 0 and misses > 0 and (hits_again, misses_again) == (misses, 0)
+
+
+def test_folder_set_in_jax_config_stays(tmp_path):
+    chosen = f"import jax\njax.config.update('jax_compilation_cache_dir', {str(tmp_path / 'mine')!r})\nimport fishmj\n"
+    env = {key: value for key, value in os.environ.items() if key != machine_code.JAX}
+    told = "print(jax.config.jax_compilation_cache_dir)"
+    done = subprocess.run([sys.executable, "-c", chosen + told], env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(tmp_path / "mine")
 
 
 SWIM = """

@@ -212,6 +212,7 @@ class TrainingRun:
 
     command: as it was typed, for the header of the policy; a run that goes on keeps its first one. None: called from Python.
     begin: policy whose network a fresh run begins with, `settings` as `begin.begin_with` makes them.
+    stop_when: predicate on the figures of an `Assessment`; the run ends at the first best assessment that satisfies it.
     """
 
     def __init__(
@@ -224,9 +225,11 @@ class TrainingRun:
         learner=None,
         command: str | None = None,
         begin: Policy | None = None,
+        stop_when: Callable[[dict], bool] = lambda figures: False,
     ):
         self.settings, self.folder, self.quiet, self.command = settled(settings), Path(folder), quiet, command
         self.env, self.algorithm, self.assess = learner or learner_of(settings)
+        self.stop_when = stop_when
         self.checkpoints = store.Checkpoints(self.folder / "checkpoints", keep=2)
         self.done, self.seconds = 0, 0.0
         self.assessed = 0  # the step of the newest assessment
@@ -252,7 +255,7 @@ class TrainingRun:
         store.write_json(self.folder / FILE, as_dict(settings))
 
     def go(self) -> dict:
-        """Train to the end, or to Ctrl-C; the summary says which."""
+        """Train to the end, until `stop_when` holds, or to Ctrl-C; the summary says whether Ctrl-C ended it."""
         s = self.settings
         start, saved = time.monotonic() - self.seconds, time.monotonic()
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
@@ -262,7 +265,7 @@ class TrainingRun:
             write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)
             if self._assessment_is_due():
                 self._judge(board, write)
-            while self.done < s.steps and not asked:
+            while self.done < s.steps and not asked and not self._is_good():
                 figures = self._iterate()
                 self.done += self.algorithm.steps_per_iteration
                 self.seconds = time.monotonic() - start
@@ -279,6 +282,9 @@ class TrainingRun:
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
         return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked))
+
+    def _is_good(self) -> bool:
+        return self.best is not None and self.stop_when(self.best)
 
     def _assessment_is_due(self) -> bool:
         """At the first iteration past a multiple of `assess_every`, and at the end; also where an interrupt came before it."""
