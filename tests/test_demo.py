@@ -26,6 +26,15 @@ def test_the_demo_trains_judges_reports_and_replays(tmp_path, capsys):
     assert told[:3] == ["fishmj", "evaluate", str(tmp_path / "training")] and again.log and again.out == tmp_path / "report"
 
 
+def test_training_stops_when_fish_holds():
+    assert demo.holds({"within": demo.ENOUGH}) and not demo.holds({"within": demo.ENOUGH - 0.01})
+
+
+def test_plan_tells_time_from_measured_rate():
+    told = demo.plan(10_000.0, 2_500_000)
+    assert told.startswith("this machine trains 10,000 control steps/s: about 3 min 00 s to go, 4 min 40 s if")
+
+
 @pytest.mark.parametrize(("asked", "there"), [(False, True), (True, True), (True, False)])
 def test_the_demo_names_its_page_and_opens_it_only_when_asked(tmp_path, capsys, monkeypatch, asked, there):
     import webbrowser

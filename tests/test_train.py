@@ -67,6 +67,16 @@ def test_ppo_learns_to_reach_the_target_in_a_million_steps(learner, tmp_path):
 
 
 @pytest.mark.slow
+def test_training_stops_at_first_good_assessment(learner, tmp_path):
+    settings, n = calm_run(assess_every=2 * 8192), learner[1].steps_per_iteration
+    good = lambda figures: figures["within"] >= 0.0
+    made = TrainingRun(settings, tmp_path, learner=learner, quiet=True, stop_when=good).go()
+    assert made["steps"] == 2 * n and not made["stopped"] and "tune_within" in made
+    again = TrainingRun(settings, tmp_path, learner=learner, quiet=True, resume=True, stop_when=good).go()
+    assert again["steps"] == 2 * n, "a resumed run that is good enough trains no more"
+
+
+@pytest.mark.slow
 def test_an_assessment_is_finite_and_the_same_each_time(learner):
     actor = learner[1].init(jax.random.key(3)).actor
     first, again = (learner[2](actor, jax.random.key(7)) for _ in range(2))
