@@ -286,3 +286,20 @@ def test_what_is_no_journal_is_one_line(tmp_path):
     (tmp_path / "swim" / "journal" / "layout.json").write_text('{"zero": 1}', encoding="utf-8")
     with pytest.raises(StoreError, match="no layout of a journal"):
         recovered(tmp_path / "swim")
+
+
+def test_discarded_swim_leaves_no_folder(tmp_path):
+    log = TrialLog(tmp_path / "swim", META, 3)
+    log.heard(0.0, Telemetry((0.0, 0.0, 0.0)))
+    log.flush()
+    assert (tmp_path / "swim" / "journal").is_dir()
+    log.discard()
+    log.close()
+    assert not (tmp_path / "swim").exists()
+    TrialLog(tmp_path / "swim", META, 3)  # the next swim may have the name
+
+
+def test_swim_that_never_arms_leaves_no_folder(tmp_path):
+    bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
+    bench.eyes.blind = True
+    assert not bench.swim().cause and not (tmp_path / "swim").exists()

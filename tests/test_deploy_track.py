@@ -41,6 +41,20 @@ def test_a_film_becomes_a_trial_with_the_poses_that_were_filmed(tmp_path, capsys
     assert np.abs(pose["yaw"] - truth[2]).max() < np.radians(2)
 
 
+def test_film_without_fish_is_told_early(tmp_path, capsys, monkeypatch):
+    from fishmj.deploy import track_command
+
+    monkeypatch.setattr(track_command, "EARLY", 5)
+    calibration = overhead(SIZE, 2.8e-3, 3.0)
+    calibration.write(tmp_path / "tank.toml")
+    film(tmp_path / "swim.avi", calibration, np.tile([0.0, 0.0, 0.0], (10, 1)))
+    words = ["track", str(tmp_path / "swim.avi"), "--calibration", str(tmp_path / "tank.toml"), "--out", str(tmp_path / "swim")]
+    assert console.run(main, [*words, "--tag-number", "7"]) == console.BAD_INPUT
+    lines = capsys.readouterr().err.splitlines()
+    early = next(k for k, line in enumerate(lines) if "no fix in the first 5 frames" in line)
+    assert "no fix in 10 frames" in lines[-1] and early < len(lines) - 1
+
+
 def board_pictures(folder, count=8):
     """Pictures of a chessboard of 9 x 6 inner corners under a pinhole camera of 700 px; returns the camera's matrix."""
     folder.mkdir()

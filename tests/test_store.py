@@ -3,6 +3,8 @@
 import errno
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 from fishmj import store
 from fishmj.errors import StoreError
 from fishmj.store import left_out, shipped
+from fishmj.store.temporary import HOST
 
 
 @pytest.fixture
@@ -112,10 +115,46 @@ def test_a_manifest_may_not_leave_its_folder(tmp_path, name):
         store.Manifest.read(tmp_path)
 
 
+def dead_process() -> int:
+    """Number of a process that has ended."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    return process.pid
+
+
+def left_by(pid: int, target: str, ending: str = "") -> str:
+    """The name of a temporary file that a process of this machine left."""
+    return f".{target}.{HOST}-{pid}-0123abcd{ending}.tmp"
+
+
+def test_temporaries_of_killed_process_are_removed(tmp_path):
+    pid = dead_process()
+    (tmp_path / left_by(pid, "set")).mkdir()
+    (tmp_path / left_by(pid, "set") / "half.npz").write_bytes(b"half")
+    (tmp_path / left_by(pid, "a.toml")).write_text("half")
+    kept = {left_by(os.getpid(), "b.toml"), ".c.toml.ffffffff-1-0123abcd.tmp", ".d.tmp", "e.tmp"}  # running, elsewhere, not ours
+    for name in kept:
+        (tmp_path / name).write_text("whole")
+    store.write_text(tmp_path / "new.txt", "x")
+    assert {p.name for p in tmp_path.iterdir()} == kept | {"new.txt"}
+
+
+def test_data_moved_aside_by_killed_process_return(tmp_path):
+    pid = dead_process()
+    for target in ("gone", "there"):
+        (tmp_path / left_by(pid, target, ".old")).mkdir()
+        (tmp_path / left_by(pid, target, ".old") / "data").write_text("old")
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "data").write_text("new")
+    store.write_text(tmp_path / "new.txt", "x")
+    assert (tmp_path / "gone" / "data").read_text() == "old" and (tmp_path / "there" / "data").read_text() == "new"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["gone", "new.txt", "there"]
+
+
 def test_checkpoints_keep_the_newest_and_clean_up_after_a_killed_writer(tmp_path):
     checkpoints = store.Checkpoints(tmp_path, keep=2)
     assert checkpoints.latest() is None
-    (tmp_path / ".step_000000000009.safetensors.dead.tmp").write_bytes(b"half")
+    (tmp_path / left_by(dead_process(), "step_000000000009.safetensors")).write_bytes(b"half")
     for step in (1, 2, 10):
         checkpoints.save(step, {"w": np.full(3, step)}, {"seed": 1})
     assert sorted(p.name for p in tmp_path.iterdir()) == ["step_000000000002.safetensors", "step_000000000010.safetensors"]

@@ -158,7 +158,10 @@ class Swim:
         self._person = person
 
     def run(self) -> Outcome:
-        """Swim to the end; the robot is without torque afterwards where it can be told so."""
+        """Swim to the end; the robot is without torque afterwards where it can be told so.
+
+        A swim that never armed leaves no trial.
+        """
         link, clock = self.rig.link, self.rig.clock
         ticker, begun, used = Ticker(clock, self.dt), time.perf_counter(), time.process_time()
         self.start = clock.now()
@@ -179,7 +182,10 @@ class Swim:
             link.disarm(clock.now())
             self.status.close()
         share = (time.process_time() - used) / max(time.perf_counter() - begun, 1e-9)
-        return self._outcome(ticker, share)
+        outcome = self._outcome(ticker, share)
+        if not outcome.cause:
+            self.log.discard()
+        return outcome
 
     def _let_go_blindly(self) -> None:
         """Where the loop is broken: no way to zero, and nobody hears an answer; one datagram may be lost, ten are not."""

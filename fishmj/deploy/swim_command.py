@@ -90,8 +90,8 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
         outcome = _swum(args, robot, controller, out, wire or wiring.wire, watched)
     if not outcome.cause and outcome.refused:
         raise ConfigError(f"swim: {outcome.words}")
-    mcap = _mcap(out, robot) if args.mcap else None
-    console.say(f"{outcome.words}; log in {out}" + (f", {mcap}" if mcap else ""))
+    mcap = _mcap(out, robot) if args.mcap and outcome.cause else None
+    console.say(f"{outcome.words}; log in {out}" + (f", {mcap}" if mcap else "") if outcome.cause else outcome.words)
     if args.json:
         told: dict[str, Any] = {
             "complete": outcome.complete,

@@ -9,6 +9,7 @@ from fishmj.tracker.video import track_video
 EXAMPLES = """examples:
   fishmj deploy track swim.mp4 --calibration tank.toml --out runs/swim --overlay swim.overlay.mp4
   fishmj deploy track swim.mp4 --calibration tank.toml --tracker colour --out runs/swim"""
+EARLY = 100  # frames without a fix after which a person is told
 LEAST = 0.9  # share of the frames with a fix below which the exit code says so
 
 
@@ -31,9 +32,14 @@ def main(argv: list[str]) -> int:
     tracker = wiring.make_tracker(args, wiring.calibration_of(args, None))
     with console.Progress(1, "track", "frames") as bar:
 
-        def progress(done: int, total: int) -> None:
+        def progress(done: int, total: int, fixes: int) -> None:
             bar.total = max(total, done)
-            bar.update(done)
+            bar.update(done, fixes=fixes)
+            if done == EARLY and not fixes:
+                console.warn(
+                    f"no fix in the first {EARLY} frames; if the fish is in them, stop and check the calibration, the "
+                    "light, and the tag's number and size or the paint"
+                )
 
         meta = {"robot": args.robot, "medium": "water"}
         found = track_video(

@@ -17,6 +17,7 @@ Every few seconds a thread appends what came to a journal on disk (`journal`), w
 takes no more memory and time a second than a short one, and a killed process loses what came since the last time.
 """
 
+import shutil
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
@@ -105,7 +106,7 @@ class TrialLog:
         }
         self.events: list[str] = []
         self.listeners: list[Listener] = []
-        self.dropped, self.failed, self.closed = 0, "", False
+        self.dropped, self.failed, self.closed, self.discarded = 0, "", False, False
         self._zero: float | None = None
         self._journal: Journal | None = None
         self._lock, self._closing = threading.Lock(), threading.Lock()
@@ -210,8 +211,16 @@ class TrialLog:
                 with self._lock:
                     rows.drop(len(waiting))
 
+    def discard(self) -> None:
+        """Leave no trial: the robot was never armed, and the next swim may take the folder."""
+        self.discarded = True
+
     def write(self) -> None:
         """Write the trial folder in one step; the journal goes."""
+        if self.discarded:
+            if self._journal is not None:
+                shutil.rmtree(self.folder, ignore_errors=True)
+            return
         trial = self.trial()
         if trial.tables:
             write_whole(self.folder, trial)

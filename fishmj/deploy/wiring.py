@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -29,6 +30,7 @@ from fishmj.deploy.transports import UdpTransport, open_serial
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
 from fishmj.protocols import mish
+from fishmj.store import temporary_beside
 from fishmj.tracker.calibration import Calibration
 from fishmj.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
 from fishmj.tracker.fix import Tracker
@@ -211,7 +213,9 @@ def make_tracker(args: Any, calibration: Calibration) -> Tracker:
 
 def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
     """Start the loopback robot; it ends with the stack, or with this process."""
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fishmj-")))
+    folder = temporary_beside(Path(tempfile.gettempdir()) / "fishmj-loopback")
+    folder.mkdir(mode=0o700)
+    stack.callback(shutil.rmtree, folder, ignore_errors=True)
     calibration, errors = folder / "camera.toml", folder / "errors.txt"
     words = [sys.executable, "-m", "fishmj.deploy", "loopback", "--protocol", args.protocol, "--model", args.robot]
     words += ["--parent", str(os.getpid()), "--write-calibration", str(calibration), "--marks", args.tracker]

@@ -17,7 +17,6 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
 from fishmj.log.table_files import row_place
 from fishmj.log.trial import SCHEMA, TABLES, Trial, stacked, table_spec, unit
-from fishmj.store import put_in_place, write_text
+from fishmj.store import put_in_place, temporary_beside, write_text
 from fishmj.store.manifest import MANIFEST, Manifest
 
 FORMS = ("mcap", "csv", "parquet")
@@ -75,7 +74,7 @@ def export(
         raise MissingExtra(NEEDS[to], "logs", f"log export --to {to}")
     many = _is_many(source)
     check_place(source, out, folder=many or to != "mcap", force=force)
-    temporary = out.with_name(f".{out.name}.{uuid4().hex[:8]}.tmp")
+    temporary = temporary_beside(out)
     try:
         if not many:
             trial = read_trial(source)

@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from fishmj.log.table_files import read_archive, read_csv, read_text, row_place,
 from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
 from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.plain_file import trouble
-from fishmj.store import put_in_place, write_text
+from fishmj.store import put_in_place, temporary_beside, write_text
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
 JOURNAL = "journal"  # folder of rows that the robot's host appends while the fish swims
@@ -126,7 +125,7 @@ def write_trial(
         raise StoreError(f"{folder}: exists; choose another name or pass overwrite=True")
     if folder.exists() and not (folder / META_FILE).is_file():
         raise StoreError(f"{folder}: exists and is no trial (no {META_FILE}); not overwritten. Choose another name")
-    temporary = folder.with_name(f".{folder.name}.{uuid4().hex[:8]}.tmp")
+    temporary = temporary_beside(folder)
     try:
         for name, table in tables.items():
             if binary:

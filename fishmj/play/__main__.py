@@ -155,7 +155,9 @@ def main(argv: list[str] | None = None) -> int:
     water = choice.chosen(load_robot(args.robot), args.water)
     robot = water.within((*choice.SELF_MADE, choice.HYBRID), "play").robot
     controller = controller_of(args, robot)
-    console.say(f"water: {water.said}")
+    console.say(
+        f"water: {water.said}", f"building {robot.name} and its water; the first start on a machine compiles for up to a minute"
+    )
     say_notes(controller)
     engine = args.engine
     if water.kind == choice.HYBRID:

@@ -10,7 +10,7 @@ from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.from_above import FromAbove, coarse_skin, opencv
 from fishmj.replay.scene import ARRIVAL, TRACKS, Track, Wake, colours, read_wake, robot_of, tracks_of
-from fishmj.store import write_bytes
+from fishmj.store import temporary_beside, write_bytes
 
 INK = (250, 244, 236)  # BGR
 WORDS = 120  # characters of a line
@@ -44,7 +44,7 @@ def write_mp4(
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(f"{out}: its folder cannot be made ({error.strerror or error}); choose another place") from error
-    temporary = out.with_name(f".{out.stem}.tmp.mp4")
+    temporary = temporary_beside(out, ".mp4")
     film = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
     if not film.isOpened():
         raise StoreError(f"{out}: OpenCV cannot write mp4 here; check the folder, or install opencv-python-headless again")

@@ -3,6 +3,7 @@
 from fishmj.store.arrays import Checkpoint, Checkpoints, read_npz, read_tensors, write_npz, write_tensors
 from fishmj.store.atomic import plain, put_in_place, read_json, sync_folder, write_bytes, write_json, write_text
 from fishmj.store.manifest import Change, Manifest, left_out, sha256, shipped
+from fishmj.store.temporary import temporary_beside
 
 __all__ = [
     "Change",
@@ -18,6 +19,7 @@ __all__ = [
     "put_in_place",
     "shipped",
     "sync_folder",
+    "temporary_beside",
     "write_bytes",
     "write_json",
     "write_npz",

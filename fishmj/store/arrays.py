@@ -220,9 +220,9 @@ class Checkpoints:
         return sorted(found, key=lambda p: int(p.stem[5:]), reverse=True)
 
     def save(self, step: int, arrays: dict[str, np.ndarray], meta: dict) -> Path:
-        """Write step `step`, then drop the oldest beyond `keep` and what a killed writer left behind."""
+        """Write step `step`, then drop the oldest beyond `keep`."""
         path = write_tensors(self.folder / f"step_{int(step):012d}.safetensors", arrays, {**meta, "step": int(step)})
-        for old in [*self.paths()[self.keep :], *self.folder.glob(".step_*.tmp")]:
+        for old in self.paths()[self.keep :]:
             old.unlink(missing_ok=True)
         return path
 

@@ -12,13 +12,13 @@ import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 
 from fishmj import interrupt
 from fishmj.errors import StoreError
 from fishmj.plain_file import trouble
+from fishmj.store.temporary import temporary_beside
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -30,7 +30,7 @@ def write_bytes(path: str | Path, data: bytes) -> Path:
         StoreError: could not be written; `errno` is kept, the old file is untouched, no temporary file stays.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{uuid4().hex[:8]}.tmp")
+    temporary = temporary_beside(path)
     with interrupt.writing:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,7 +63,7 @@ def write_json(path: str | Path, value) -> Path:
 
 def put_in_place(temporary: Path, place: Path) -> None:
     """Rename a finished file or folder to `place`; a folder that stands there is moved aside, and put back when that fails."""
-    old = place.with_name(f".{place.name}.{uuid4().hex[:8]}.old.tmp")
+    old = temporary_beside(place, ".old")
     if place.is_dir():
         os.rename(place, old)
     try:

@@ -1,12 +1,11 @@
 """Poses of a video file into a trial folder, with an overlay video to look at.
 
-track_video("swim.mp4", tracker, "runs/swim", overlay="runs/swim.overlay.mp4", progress=lambda done, total: ...)
+track_video("swim.mp4", tracker, "runs/swim", overlay="runs/swim.overlay.mp4", progress=lambda done, total, fixes: ...)
 """
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
-from uuid import uuid4
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from fishmj.errors import LogError, StoreError
 from fishmj.log import Trial, write_trial
 from fishmj.mjcf.from_above import opencv
 from fishmj.plain_file import trouble
-from fishmj.store import put_in_place
+from fishmj.store import put_in_place, temporary_beside
 from fishmj.tracker.fix import Fix, Tracker
 
 AXIS = 0.1  # m, length of the drawn heading
@@ -40,7 +39,7 @@ def track_video(
     overlay: str | Path | None = None,
     meta: dict[str, Any] | None = None,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int, int], None] | None = None,
 ) -> Tracked:
     """Track a fish through a video file and write the trial: table `pose` (t, x, y, yaw, quality), a row for every fix.
 
@@ -48,7 +47,7 @@ def track_video(
 
     Args:
         folder: of the trial; with `overwrite` one that is there is replaced. overlay: file.mp4 of the frames with what was found.
-        meta: entries of meta.toml besides those that the video gives. progress: is told (frames done, frames in all or 0).
+        meta: entries of meta.toml besides those that the video gives. progress: is told (frames done, frames in all or 0, fixes).
 
     Raises:
         LogError: no video, a damaged one, or one in which the fish is never found. ConfigError: frames of another size than the
@@ -61,7 +60,7 @@ def track_video(
         raise StoreError(f"{shown_path(folder)}: exists; choose another name or pass overwrite=True")
     video = cv2.VideoCapture(str(path))
     writer, rows, done, rate = None, [], 0, 0.0
-    hidden = None if overlay is None else Path(overlay).with_name(f".{Path(overlay).stem}.{uuid4().hex[:8]}.tmp.mp4")
+    hidden = None if overlay is None else temporary_beside(Path(overlay), ".mp4")
     try:
         if not video.isOpened():
             raise LogError(f"{shown_path(path)}: OpenCV cannot read it as a video; convert it to MP4 (H.264) and try again")
@@ -81,7 +80,7 @@ def track_video(
                     writer = _writer(cv2, hidden, told, frame)
                 writer.write(drawn(frame, fix, tracker))
             if progress is not None:
-                progress(done, total)
+                progress(done, total, len(rows))
         if not done:
             raise LogError(f"{shown_path(path)}: not one frame could be read; the file is damaged or cut short")
         if not rows:
