@@ -40,7 +40,7 @@ def test_a_video_becomes_a_trial_with_its_own_stamps(video, tmp_path):
     told = []
     done = track_video(video, tracker(), tmp_path / "trial", overlay=tmp_path / "seen.mp4", progress=lambda *n: told.append(n))
     assert (done.frames, done.fixes) == (FRAMES, FRAMES - 2) and done.rate == pytest.approx(RATE)
-    assert told[-1] == (FRAMES, FRAMES)
+    assert told[-1] == (FRAMES, FRAMES, FRAMES - 2)
     table = read_trial(tmp_path / "trial").table("pose")
     kept = [k for k in range(FRAMES) if k not in (3, 4)]
     assert table["t"] == pytest.approx(np.array(kept) / RATE, abs=1e-6)
