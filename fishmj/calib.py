@@ -13,6 +13,7 @@ from fishmj.toml_errors import explained
 
 LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB
 DEEPEST = 24  # tables and lists inside one another; ours have 5
+MODELS = {".xml": "a MuJoCo model"} | dict.fromkeys((".urdf", ".xacro"), "a URDF") | {".sdf": "an SDF model"}
 _ROOT = Path(__file__).resolve().parent
 ROOTS = (_ROOT.parent / "data", _ROOT / "_data")  # what comes with fishmj: checkout first, then the installed wheel
 FOLDERS = tuple(root / "calib" for root in ROOTS)
@@ -115,10 +116,10 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
         raise ConfigError(f"got {name!r:.80}, expected the path of a TOML file or a shipped name: {', '.join(known)}")
     path = Path(name)
     shown = shown_path(path)
-    if path.suffix == ".xml":
+    if model := MODELS.get(path.suffix.lower()):
         raise ConfigError(
-            f"{shown}: a MuJoCo model does not say what the water needs;"
-            " describe the fish in a .toml (docs/guide/your_own_fish.md)"
+            f"{shown}: {model} does not say what the water needs; describe the fish in a .toml, which fishmj new writes "
+            "(docs/guide/your_own_fish.md)"
         )
     if path.suffix == ".toml":
         wrong = trouble(path, "a TOML file")

@@ -21,6 +21,7 @@ from fishmj.errors import ConfigError
 from fishmj.mjcf.from_above import opencv
 from fishmj.names import nearest
 from fishmj.new.shape import Outline, root_of_fin, typical_width
+from fishmj.plain_file import trouble
 
 BYTES = 50_000_000  # of the file
 PIXELS = 50_000_000  # of the picture; looked up before it is decoded
@@ -173,8 +174,8 @@ def size_of(data: bytes) -> tuple[int, int] | None:
 def _decoded(cv2, path: Path) -> np.ndarray:
     """The picture (H, W, 3) BGR, after its header was found harmless."""
     try:
-        if not path.is_file():
-            raise ConfigError(f"{path}: no such file; expected a side view as PNG or JPG")
+        if wrong := trouble(path, ""):
+            raise ConfigError(f"{path}: {wrong}; expected a side view as PNG or JPG")
         if path.stat().st_size > BYTES:
             raise ConfigError(f"{path}: {path.stat().st_size / 1e6:.0f} MB; a photo may have {BYTES / 1e6:.0f} MB")
         data = path.read_bytes()

@@ -17,6 +17,7 @@ from fishmj.mjcf.drawing import PALETTE
 from fishmj.mjcf.priors import displaced
 from fishmj.names import nearest
 from fishmj.new.quantity import KINDS
+from fishmj.plain_file import trouble
 
 HEAD, TAIL = 0.40, 0.68  # shares of the length at which the head ends and the tail begins, as in the default fish
 ALONE = 0.60  # share of a head with no body behind it
@@ -177,6 +178,8 @@ def read_sections(path: Path, unit: str | None = None) -> Outline:
 
 
 def _text(path: Path) -> str:
+    if (wrong := trouble(path, "a table of sections")).startswith("is "):
+        raise ConfigError(f"{path}: {wrong}")
     try:
         if path.stat().st_size > LARGEST:
             raise ConfigError(f"{path}: {path.stat().st_size} bytes; a table of sections has at most {LARGEST}")
