@@ -128,7 +128,7 @@ def _messages(rows: int):
         angles = np.radians([s[f"servo{k}_deg"][i] for k in (1, 2, 3)])
         none = np.zeros(0)
         state = kinds["sensor_msgs/msg/JointState"](
-            header=header, name=["a", "b", "c"], position=angles, velocity=0 * angles, effort=none
+            header=header, name=["joint_1", "joint_2", "joint_3"], position=angles, velocity=0 * angles, effort=none
         )
         layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
         command = kinds["std_msgs/msg/Float64MultiArray"](layout=layout, data=angles)

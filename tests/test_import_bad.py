@@ -183,7 +183,7 @@ BAD = {
     "5000 columns": ("a.csv", ",".join(f"c{k}" for k in range(5000)) + "\n", "5000 columns; at most 4096"),
     "formulas": ("a.csv", table(row=lambda i: f"=1+{i},@SUM(A1),-cmd|x"), "no number in any column"),
     "escape codes": ("a.csv", table("time_ms,\x1b[31mred\x1b[0m,\x07bell"), "no column was recognised"),
-    "spreadsheet": ("a.xlsx", b"PK\x03\x04", "are not read; export it as CSV"),
+    "spreadsheet": ("a.xlsx", b"PK\x03\x04", "a workbook of a spreadsheet, which is not read; save each sheet as CSV"),
     "truncated parquet": (
         "a.parquet",
         lambda p: (lab_files.parquet(p), p.write_bytes(p.read_bytes()[:-200])),

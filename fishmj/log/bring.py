@@ -79,7 +79,7 @@ def options() -> console.Parser:
         action="append",
         default=[],
         metavar="COLUMN=TABLE.COLUMN:UNIT",
-        help="decide one column, or COLUMN=skip; may be repeated; default: none",
+        help="decide one column, or COLUMN=skip; FILE=skip or TOPIC=skip; may be repeated; default: none",
     )
     add("--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed")
     formats = f"{', '.join(sorted([*importers.FORMATS, TABLE]))}, or your own as module:function; default: found out"
@@ -265,8 +265,8 @@ def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, fou
     """One guess for every layout of files."""
     said = guess.overrides(args.set)
     for group in gather.layouts(items, shelf).values():
-        kinds = guess.kinds(sheet for item in group for file in item.files for sheet in shelf.sheets(file))
-        here = {name: value for name, value in said.items() if any(name in kind.columns for kind in kinds)}
+        kinds = guess.kinds(sheet for item in group for sheet in shelf.sheets_of(item))
+        here = {name: value for name, value in said.items() if any(kind.called(name) for kind in kinds)}
         made = guess.guess(kinds, here)
         where = ", ".join(item.name for item in group[:3]) + (", .." if len(group) > 3 else "")
         try:
@@ -281,7 +281,7 @@ def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, fou
         found.maps.append(wanted)
         for item in group:
             found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
-    if unknown := [name for name in said if not any(name in kind.columns for kinds, _ in found.guesses for kind in kinds)]:
+    if unknown := [name for name in said if not any(kind.called(name) for kinds, _ in found.guesses for kind in kinds)]:
         guess.guess(
             [kind for kinds, _ in found.guesses for kind in kinds], {name: said[name] for name in unknown}
         )  # names the nearest
@@ -324,7 +324,7 @@ def _mapped(item: gather.Item, topics: Path | None) -> Trial:
 
 
 def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial:
-    sheets = [sheet for file in item.files for sheet in shelf.sheets(file)]
+    sheets = shelf.sheets_of(item)
     clock = {table: f"{entry.t.column} of the file" for table, entry in wanted.tables.items()}
     meta = {"source": ", ".join(file.name for file in item.files)[:200], "clock": clock, **wanted.meta}
     made = convert(item.name, sheets, wanted, meta)

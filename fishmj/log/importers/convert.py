@@ -130,7 +130,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     if not keep.any():
         raise LogError(
             f"{sheet.where}: [tables.{table}]: no row has a number in all of "
-            f"{', '.join(map(quoted, names.values()))}; map them to tables of their own"
+            f"{', '.join(map(quoted, names.values()))}; leave one out, or map them to tables of their own"
         )
     if not keep.all():
         notes.append(f"{table}: {int((~keep).sum())} of {len(keep)} rows of {sheet.name} left out, blank in one of its columns")

@@ -7,6 +7,7 @@ text. Line numbers are those of the file.
 import codecs
 import csv
 import re
+import sys
 from array import array
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -16,6 +17,7 @@ import numpy as np
 
 from fishmj import console
 from fishmj.errors import LogError
+from fishmj.log.importers import joint_names
 from fishmj.log.importers.column_units import unit_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.limits import COLUMNS, LINE, bare, check_size, quoted, regular
@@ -110,7 +112,7 @@ def _table(path: Path, lines: Iterator[tuple[int, str]], notes: list[str]) -> Sh
         notes.append(f"{path.name}: {titles} row(s) of titles above the names of the columns left out")
         head = head[titles:]
     names = [name.strip() for name in _split(head[0][1], mark)]
-    if all(_is_number(name) for name in names):
+    if 2 * sum(map(_is_number, names)) >= sum(map(bool, names)):
         named = [name.strip() for name in _split(comment, mark)] if comment else []
         if len(named) != len(names) or all(_is_number(name) for name in named):
             raise LogError(
@@ -142,6 +144,7 @@ class _Reader:
         self.values, self.lines = array("d"), array("q")
         self.odd: list[tuple[int, int]] = []  # (line, fields) of rows of another length
         self.text: dict[str, str] = {}
+        self.joints: dict[str, list[str]] = {name: [] for name in names if joint_names.holds_names(name)}
         self.counts = dict.fromkeys(names, 0)  # of cells that are text
         self.dates: dict[str, None] = {}
         self.commas = False
@@ -163,6 +166,10 @@ class _Reader:
             row = [self._cell(text.strip(), name) for text, name in zip(fields, self.names, strict=True)]
         self.values.extend(row)
         self.lines.append(number)
+        if self.joints:
+            told = dict(zip(self.names, fields, strict=True))
+            for column, cells in self.joints.items():
+                cells.append(sys.intern(told[column].strip()))
         if not len(self.lines) % 100_000:
             check_size(self.path, 8 * len(self.values), "as numbers is more than")
 
@@ -203,13 +210,15 @@ class _Reader:
             notes.append(f"{name}: decimal commas read as points")
         values = np.array(self.values, float).reshape(len(self.lines), len(self.names))
         columns = {column: values[:, k].copy() for k, column in enumerate(self.names)}
+        named = {column: cells for column, cells in self.joints.items() if self.counts[column] or column.lower().endswith("id")}
+        columns = joint_names.by_name(str(self.path), columns, named)
         for column, count in self.counts.items():
-            if count and np.isfinite(columns[column]).any():
+            if column in columns and count and np.isfinite(columns[column]).any():
                 notes.append(
                     f"{name}: column {quoted(column)}: {count} cell(s) of text, such as "
                     f"{quoted(self.text[column])}, taken for blanks"
                 )
-        units = {**units, **dict.fromkeys(self.dates, DATE)}
+        units = {column: unit for column, unit in {**units, **dict.fromkeys(self.dates, DATE)}.items() if column in columns}
         return checked(Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes)))
 
 

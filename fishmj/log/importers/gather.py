@@ -8,16 +8,16 @@
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fishmj import console, names
 from fishmj.errors import FishmjError, LogError
 from fishmj.log.folder import FLAT_FILE, META_FILE
-from fishmj.log.importers import delimited, guess, mcap, messages, rosbag2
+from fishmj.log.importers import delimited, guess, mcap, messages, other_files, rosbag2
+from fishmj.log.importers.quaternion import with_headings
 from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_table
-from fishmj.log.importers.topics import by_name
-from fishmj.log.limits import bare, most_bytes, quoted
+from fishmj.log.limits import bare, most_bytes, quoted, regular
 from fishmj.log.trial import TABLES
 
 SOON = 5.0  # s before progress shows
@@ -33,6 +33,7 @@ class Item:
     name: str
     files: tuple[Path, ...]
     own: bool = False
+    episode: int | None = None  # of a file that holds several trials
 
 
 @dataclass
@@ -53,11 +54,15 @@ class Shelf:
         """
         if path in self._kept:
             return self._kept[path]
-        found = read_sheets(path)
+        found = [with_headings(sheet) for sheet in read_sheets(path)]
         self._size += sum(8.0 * len(sheet) * len(sheet.columns) for sheet in found)
         if self._size < most_bytes() / 2:
             self._kept[path] = found
         return found
+
+    def sheets_of(self, item: Item) -> list[Sheet]:
+        """The sheets of one trial."""
+        return [s for file in item.files for s in self.sheets(file) if item.episode is None or s.episode == item.episode]
 
     def mapped(self, path: Path) -> bool:
         """Whether it is a recording with a mapping: given, beside it, or by topics that are named like tables."""
@@ -67,7 +72,7 @@ class Shelf:
             return True
         if path not in self._mapped:
             found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
-            self._mapped[path] = bool(by_name({t for t, channel in found.items() if channel.encoding == "json"}).tables)
+            self._mapped[path] = bool(messages.named_like_tables(found).tables)
         return self._mapped[path]
 
     def readable(self, files: Sequence[Path]) -> list[Path]:
@@ -90,23 +95,28 @@ class Shelf:
 def read_sheets(path: Path) -> list[Sheet]:
     """The sheets of one foreign file: one of a table, one a topic of a recording."""
     if is_recording(path):
-        return messages.sheets(path, rosbag2.channels(path) if rosbag2.sniff(path) else mcap.channels(path))
+        found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
+        return messages.sheets(path, found, rosbag2.lost(path, found))
     suffix = path.suffix.lower()
+    text = suffix in delimited.SUFFIXES or not suffix
+    regular(path)
+    if suffix not in (*PARQUET, *NPZ) and (kind := other_files.kind_of(path, text=text)):
+        raise LogError(f"{path}: {other_files.advice(path, kind)}")
     if suffix in PARQUET:
-        return [read_parquet(path)]
+        return read_parquet(path)
     if suffix in NPZ:
         return [read_table(path)]
-    if suffix in delimited.SUFFIXES or not suffix:
+    if text:
         return [delimited.read(path)]
     raise LogError(
         f"{path}: files of type {quoted(suffix)} are not read; export it as CSV. Known: "
-        f"{', '.join((*TABLE_FILES, '.mcap', '.db3'))}"
+        f"{', '.join((*TABLE_FILES, *rosbag2.STORED))}"
     )
 
 
 def is_recording(path: Path) -> bool:
     """Whether it holds messages and no table."""
-    return path.suffix.lower() in (mcap.SUFFIX, rosbag2.SUFFIX) or (path.is_dir() and rosbag2.sniff(path))
+    return path.name.lower().endswith(rosbag2.STORED) or (path.is_dir() and rosbag2.sniff(path))
 
 
 def is_own(folder: Path) -> bool:
@@ -142,22 +152,29 @@ def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None)
 
 def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: list[str], prefix: str, depth: int) -> list[Item]:
     here = f"{prefix}_{folder.name}".strip("_") if depth else folder.resolve().name
-    whole = is_own(folder) or rosbag2.sniff(folder)
+    whole = is_own(folder) or (rosbag2.sniff(folder) and (together is not False or (folder / rosbag2.METADATA).is_file()))
     if whole and (outside := leading_outside(folder)):
         notes.append(f"{folder}: passed over: {outside[0].name} is a link that leads outside")
         return []
     if is_own(folder):
         return [Item(here, (folder,), own=True)]
     if whole:
+        beside = [p.name for p in _inside(folder, root, notes) if p.suffix.lower() in TABLE_FILES or p.is_dir()]
+        if beside:
+            notes.append(f"{folder}: a bag; passed over beside it: {', '.join(map(bare, beside[:6]))}; import them by themselves")
         return [Item(here, tuple(shelf.readable([folder])))]
     if depth > DEEP:
         raise LogError(f"{folder}: folders in folders, {DEEP} deep; name the folder that holds the trials")
     files, folders, other = [], [], []
     for entry in _inside(folder, root, notes):
-        if entry.is_dir():
+        if entry.is_dir() and not (entry.name == "meta" and (entry / "info.json").is_file()):  # of a LeRobot data set
             folders.append(entry)
+        elif entry.is_dir():
+            other.append(entry.name)
         elif entry.suffix.lower() in TABLE_FILES or is_recording(entry):
             files.append(entry)
+        elif (kind := other_files.kind_of(entry)) in other_files.RECORDINGS:
+            shelf.skipped[str(entry)] = f"{entry}: {other_files.advice(entry, kind)}"
         elif entry.name not in ("manifest.json", "measurements.toml"):
             other.append(entry.name)
     if other and not depth:
@@ -215,11 +232,21 @@ def _heap(files: Sequence[Path], shelf: Shelf, together: bool | None, *, name: s
     if not tables:
         return out
     if len(tables) == 1 and not (together and len(files) > 1):
-        return [*out, Item(name if not top and len(files) == 1 else _joined("" if top else name, tables[0].stem), (tables[0],))]
+        only = Item(name if not top and len(files) == 1 else _joined("" if top else name, tables[0].stem), (tables[0],))
+        return [*out, *_by_episode(only, shelf)]
     different = len(guess.kinds(sheet for file in tables for sheet in shelf.sheets(file)))
     if together if together is not None else _is_one(tables, different):
         return [*out, Item(name or tables[0].parent.resolve().name or "trial", tuple(tables))]
-    return [*out, *(Item(_joined("" if top else name, file.stem), (file,)) for file in tables)]
+    each = (Item(_joined("" if top else name, file.stem), (file,)) for file in tables)
+    return [*out, *(part for item in each for part in _by_episode(item, shelf))]
+
+
+def _by_episode(item: Item, shelf: Shelf) -> list[Item]:
+    """The item, or one for each episode that its file holds."""
+    episodes = [sheet.episode for sheet in shelf.sheets(item.files[0]) if sheet.episode is not None]
+    if len(episodes) < 2:
+        return [item]
+    return [replace(item, name=f"{item.name}_episode_{episode}", episode=episode) for episode in episodes]
 
 
 def _is_one(tables: Sequence[Path], different: int) -> bool:
@@ -250,7 +277,7 @@ def renamed(items: Sequence[Item]) -> list[Item]:
             n += 1
             name = f"{base[:58]}_{n}"
         taken.add(name.lower())
-        out.append(Item(name, item.files, item.own))
+        out.append(replace(item, name=name))
     return out
 
 
@@ -260,6 +287,6 @@ def layouts(items: Sequence[Item], shelf: Shelf) -> dict[tuple, list[Item]]:
     for item in items:
         if item.own or not item.files:
             continue
-        made = guess.kinds(sheet for file in item.files for sheet in shelf.sheets(file))
+        made = guess.kinds(shelf.sheets_of(item))
         out.setdefault(tuple(sorted(repr(guess.flavour(kind.sheets[0])) for kind in made)), []).append(item)
     return out

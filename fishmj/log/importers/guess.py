@@ -13,6 +13,7 @@ from fishmj.log.importers import column_units, header
 from fishmj.log.importers.column_map import is_column, measured
 from fishmj.log.importers.column_units import SI, measures, unit_of
 from fishmj.log.importers.header import Role, role
+from fishmj.log.importers.joint_names import STATE
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted
 from fishmj.log.trial import TABLES, table_spec
@@ -65,6 +66,14 @@ class FileKind:
     def columns(self) -> tuple[str, ...]:
         return tuple(self.sheets[0].columns)
 
+    def called(self, name: str) -> bool:
+        """True where `name` is one of its columns, or a file or topic of it."""
+        return name in self.sheets[0].columns or any(name == sheet.name for sheet in self.sheets)
+
+    def doubt(self, column: str) -> str:
+        """Why the user decides on a column, as its file tells; "" where nothing does."""
+        return next((sheet.doubts[column] for sheet in self.sheets if column in sheet.doubts), "")
+
     def values(self, column: str) -> np.ndarray:
         """Of all files one after the other."""
         return np.concatenate([sheet.columns[column][:ROWS] for sheet in self.sheets[:16]])
@@ -111,7 +120,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     out: list[Guess] = []
     for k, kind in enumerate(found):
         out += _roles(k, kind, said)
-    if unknown := [name for name in said if name not in {g.column for g in out}]:
+    if unknown := [name for name in said if not any(kind.called(name) for kind in found)]:
         raise UnknownName("column in --set", bare(unknown[0]), {bare(g.column) for g in out})
     out = _commanded_or_measured(out)
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
@@ -156,10 +165,15 @@ def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
 
 def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
     out = []
+    whole = next((said[sheet.name] for sheet in kind.sheets if sheet.name in said), None)
+    if whole and whole[0] != "skip":
+        raise LogError(
+            f"--set {quoted(kind.sheets[0].name)}: is a file or topic, which can be left out with =skip; name a column"
+        )
     for column in kind.columns:
         name = header.parse(column)
-        if column in said:
-            place, unit, scale = said[column]
+        if answer := whole or said.get(column) or _of_its_joint(column, said):
+            place, unit, scale = answer
             state, where = (LEFT, ()) if place == "skip" else (TAKEN, (place,))
             out.append(Guess(k, column, state, where, unit or name.unit, scale, "said with --set", said=True))
             continue
@@ -171,9 +185,18 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         if found.places and not np.isfinite(kind.values(column)).any() and not _of_a_joint(found.places):
             found = Role(why="holds no number")
         places = tuple(place.replace("#", str(name.number)) if name.number is not None else place for place in found.places)
-        state = LEFT if not places else TAKEN if len(places) == 1 else UNCLEAR
-        out.append(Guess(k, column, state, places, told or name.unit, why=found.why))
+        doubt = kind.doubt(column)
+        state = LEFT if not places else TAKEN if len(places) == 1 and not doubt else UNCLEAR
+        out.append(Guess(k, column, state, places, told or name.unit, why=doubt or found.why))
     return out
+
+
+def _of_its_joint(column: str, said: dict) -> tuple[str, str, float] | None:
+    """Where the rate of a message's joint goes, by what was said of its angle; None where nothing was."""
+    angle = said.get(column.removesuffix(STATE["velocity"]))
+    if angle is None or not column.endswith(STATE["velocity"]):
+        return None
+    return (angle[0].replace("joint.j", "joint.w"), "", 1.0) if angle[0].startswith(("joint.j", "skip")) else None
 
 
 def _of_a_joint(places: Sequence[str]) -> bool:
@@ -238,11 +261,17 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
             if g.state == TAKEN and not g.said and re.fullmatch(re.escape(template) + r"(#|\d+)", g.place)
         ]
         bare = [i for i in mine if out[i].place.endswith("#")]
-        if len(bare) == 1 and len(mine) == 1:
+        order = header.nose_to_tail([header.parse(out[i].column) for i in mine]) if bare else None
+        if order:
+            for i, n in zip(mine, order, strict=True):
+                out[i] = replace(out[i], places=(f"{template}{n}",), why=f"{out[i].why}; number {n} from the nose by its part")
+            bare = []
+        elif len(bare) == 1 and len(mine) == 1:
             out[bare[0]] = replace(out[bare[0]], places=(template + "1",), why=out[bare[0]].why + "; the only one")
         elif bare:
-            for n, i in enumerate(bare, start=1):
-                out[i] = out[i].unclear("which joint is it, counted from the nose?", places=(f"{template}{n}",))
+            places = tuple(f"{template}{n + 1}" for n in range(len(mine)))
+            for i in bare:
+                out[i] = out[i].unclear("which joint is it, counted from the nose?", places=places)
         numbers = [int(out[i].place.removeprefix(template)) for i in mine if i not in bare]
         if (
             numbers
@@ -345,6 +374,14 @@ def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tup
     return (whole, part) if 0 <= low and high < 1e9 else None
 
 
+def _of_header(tied: list[int], guesses: list[Guess], kind: FileKind) -> list[int]:
+    """Stamps that every row has, and of these the one of the message's header, which is when it was measured."""
+    values = {i: kind.values(guesses[i].column) for i in tied}
+    whole = [i for i in tied if np.isfinite(values[i]).all()] or tied
+    header_ = [i for i in whole if header.parse(guesses[i].column).words[-2:] == ("header", "stamp") and (values[i] > 0).all()]
+    return header_ if len(header_) == 1 else whole
+
+
 def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     """Two columns for one place are both unclear, but a stamp a file is enough: said with its unit, or a date."""
     out = list(guesses)
@@ -356,7 +393,8 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
         if len(stamps) > 1:
             rank = [(not out[i].said, out[i].state != TAKEN, header.parse(out[i].column).unit == "", i) for i in stamps]
             best = min(rank)
-            tied = [r[-1] for r in rank if r[:-1] == best[:-1]]
+            tied = _of_header([r[-1] for r in rank if r[:-1] == best[:-1]], out, found[k])
+            best = next((r for r in rank if tied == [r[-1]]), best)
             for i in stamps:
                 if len(tied) > 1 and i in tied:
                     out[i] = out[i].unclear(f"{len(tied)} columns of time: which stamps the row?")
@@ -373,7 +411,9 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
                 out[i] = out[i].left(f"another column was said to be {place}")
             elif not said or len(said) > 1:
                 others = ", ".join(quoted(out[o].column) for o in mine if o != i)
-                out[i] = out[i].unclear(f"{place} is also {others}: which?")
+                there = next((bare(found[out[o].kind].sheets[0].name) for o in mine if out[o].kind != out[i].kind), "")
+                way = f" Leave a whole file or topic out with --set {there}=skip" if there else ""
+                out[i] = out[i].unclear(f"{place} is also {others}{f' of {there}' if there else ''}: which?{way}")
     return out
 
 

@@ -1,6 +1,7 @@
 """What the name of a column says: its words, its number, its unit; and what the column may be by its name alone."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,12 +11,15 @@ from fishmj.log.importers.column_units import UNITS, measures, unit_of
 # and `cap` (a capacity) are left to the user.
 TIME = set("time t ts stamp timestamp tstamp clock elapsed utc epoch date datetime uptime".split())
 TIME |= set("zeit stempel uhrzeit datum temps tiempo tempo".split())
-COMMAND = set("cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted".split())
+COMMAND = set("action cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted".split())
 COMMAND |= set("soll stell vorgabe consigne comando mandado".split())
 MEASURED = set("meas measured measurement measurements pos position actual act present fb feedback enc encoder real".split())
 MEASURED |= set("state states sensor sensed read ist gemessen mesure medido".split())
 SERVO = set("servo servos motor motors servomotor".split())
 JOINT = set("joint joints angle angles ang theta q dof hinge phi winkel gelenk articulation".split())
+ALONG = {"head": 0, "kopf": 0, "body": 1, "trunk": 1, "torso": 1, "rumpf": 1, "peduncle": 2, "tail": 3, "schwanz": 3}
+ALONG |= {"caudal": 4, "fin": 4, "flosse": 4, "fluke": 4}  # parts of a fish's body in their order from the nose
+BESIDE = set("left right pectoral pelvic dorsal anal ventral side links rechts".split())  # fins that are in no chain
 PART = set("tail fin hinge schwanz flosse".split())  # what a joint may be called after
 RATE = set("vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())
 CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body kamera".split())
@@ -74,7 +78,7 @@ def words(text: str) -> list[str]:
 def parse(raw: str) -> Header:
     """Words, number and unit of one column's name."""
     unit, name = "", raw
-    if found := _BRACKET.match(raw[:200]):
+    if (found := _BRACKET.match(raw[:200])) and not found[2].strip().isdecimal():  # data[0]: a number, no unit
         name, unit = found[1], unit_of(found[2])
     said = words(name) or words(raw)
     rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
@@ -89,6 +93,15 @@ def parse(raw: str) -> Header:
     numbers = [int(word) for word in said if word.isdecimal() and len(word) < 4]
     plain = tuple(word for word in said if not word.isdecimal())
     return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "")
+
+
+def nose_to_tail(names: Sequence[Header]) -> list[int] | None:
+    """Places 1, 2, .. of joints that are called after parts of the body; None where their names do not tell an order."""
+    parts = [max((ALONG[word] for word in name.words if word in ALONG), default=None) for name in names]
+    if None in parts or len(set(parts)) < 2 or any(name.has(BESIDE) for name in names):
+        return None
+    keys = [(part, name.number or 0) for part, name in zip(parts, names, strict=True)]
+    return [sorted(keys).index(key) + 1 for key in keys] if len(set(keys)) == len(keys) else None
 
 
 class Role(NamedTuple):
@@ -211,7 +224,7 @@ def _heading(name: Header, context: set[str]) -> Role | None:
 
 def _joint(name: Header, context: set[str]) -> Role | None:
     said = measures(name.unit)
-    known = name.has(SERVO | JOINT | PART)
+    known = name.has(SERVO | JOINT | PART) or name.words[:1] == ("action",) or name.words[:2] == ("observation", "state")
     if name.number is not None and name.words in (("value",), ("data",), ("values",)):  # an array on a topic of angles
         known = bool(context & (SERVO | JOINT))
     numbered = name.number is not None and (name.has(COMMAND | MEASURED) or said == "angle")

@@ -14,7 +14,7 @@ from fishmj.errors import LogError, MissingExtra
 from fishmj.log.folder import META_FILE
 from fishmj.log.importers import messages
 from fishmj.log.importers.messages import Found, TopicChannel
-from fishmj.log.importers.topics import by_name, read_topics
+from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, most_bytes, quoted, regular
 from fishmj.log.trial import SCHEMA, Trial
 from fishmj.log.trial_check import check_meta
@@ -43,7 +43,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
     if wanted is None:
-        wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json"})
+        wanted = messages.named_like_tables(found)
         if not wanted.tables:
             raise LogError(
                 f"{path}: no topic is named like a table; it has {messages.listed(found)}. Say which is which in {beside.name}"

@@ -6,27 +6,38 @@ to generate code from the file.
 
 import json
 import math
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
 from fishmj.log.importers import header
+from fishmj.log.importers.column_map import is_column
+from fishmj.log.importers.joint_names import STATE, column_of
+from fishmj.log.importers.quaternion import heading
 from fishmj.log.importers.registry import trial_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
-from fishmj.log.importers.topics import UNITS, Field, Topic, Topics
+from fishmj.log.importers.topics import UNITS, Field, Topic, Topics, by_name
 from fishmj.log.limits import DAMAGE, bare, quoted
-from fishmj.log.trial import Table, Trial
+from fishmj.log.trial import Table, Trial, table_spec
 
 DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different clocks
 DEPTH, WIDTH = 8, 64  # of a message that is spread over columns
+NAMES = ("name", "names", "joint_names")  # keys of lists of names beside lists of values
+NAMED = ("name", "joint_name", "child_frame_id")  # keys of the name of one object in a list of objects
+OVERTAKEN, OVERTAKES = 3, 10**9  # messages at least, and ns at most, by which one publisher's stamps fall behind another's
+ABSENT = object()  # the value of a joint that a message does not name
 SEQUENCE = 4096  # longest array of a CDR message that is decoded; pictures and clouds are not
 KEPT = {  # types that are spread over sheets without a mapping; any other standard type can be mapped
     *("sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"),
     *("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Pose", "geometry_msgs/msg/Pose2D"),
     *("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/Vector3Stamped"),
+    "geometry_msgs/msg/TransformStamped",
     *("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/TwistStamped"),
     *("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64", "std_msgs/msg/Float32"),
 }
@@ -45,21 +56,23 @@ Found = dict[str, TopicChannel]
 
 
 # ---------------------------------------------------------------------------------------------------- with a mapping
-def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None) -> dict[str, Trial]:
+def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, notes: Sequence[str] = ()) -> dict[str, Trial]:
     """One trial, named after the file.
 
     Args:
         own: meta data that the file carries as an export of ours: its stamps are on the trial's own clock.
+        notes: what the reader of the file has to say.
 
     Raises:
         LogError: a topic, field or value is not as the mapping says; file:topic[message]:field.
     """
-    stamps, columns = {}, {}
+    stamps, columns, told = {}, {}, []
     for name, entry in wanted.tables.items():
         if entry.topic not in found:
             raise LogError(f"{path}: no topic {entry.topic!r} for table {name!r}; it has {listed(found)}")
-        stamps[name], columns[name] = _columns(path, entry, found[entry.topic])
-    times, notes = _seconds(stamps) if own is None else ({name: np.array(ns, float) / 1e9 for name, ns in stamps.items()}, [])
+        stamps[name], columns[name], left_out = _columns(path, entry, found[entry.topic])
+        told += left_out
+    times, moved = _seconds(stamps) if own is None else ({name: np.array(ns, float) / 1e9 for name, ns in stamps.items()}, [])
     tables = {}
     for name, entry in wanted.tables.items():
         order = np.argsort(times[name], kind="stable")
@@ -67,7 +80,14 @@ def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None) ->
         tables[name] = (table, _place(path, entry.topic, order))
     clocks = {name: str(entry.clock) for name, entry in wanted.tables.items()}
     meta = {"clock": clocks, "source": path.name, **wanted.meta} if own is None else own
-    return {path.stem: trial_of(path.stem, meta, tables, notes)}
+    return {path.stem: trial_of(path.stem, meta, tables, [*notes, *moved, *told])}
+
+
+def named_like_tables(found: Found) -> Topics:
+    """The mapping of JSON topics that are named like tables and whose first message has columns of that table."""
+    wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json" and channel.messages})
+    first = {topic: _json(topic, found[topic].messages[0][2]) for topic in {entry.topic for entry in wanted.tables.values()}}
+    return Topics({n: e for n, e in wanted.tables.items() if any(is_column(table_spec(n), key) for key in first[e.topic])})
 
 
 def listed(found: Found) -> str:
@@ -78,8 +98,8 @@ def _place(path: Path, topic: str, order: np.ndarray):
     return lambda row, column: f"{path}:{topic}[{order[row] if 0 <= row < len(order) else 0}]:{column or 't'}"
 
 
-def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int], Table]:
-    """Stamps [ns] and columns of one topic."""
+def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int], Table, list[str]]:
+    """Stamps [ns], columns and notes of one topic. A message that names other joints only is left out."""
     if not channel.messages:
         raise LogError(f"{path}: topic {entry.topic!r} has no message; leave its table out")
     decode = _decoder(path, entry.topic, channel)
@@ -88,28 +108,79 @@ def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int]
     clock = entry.clock
     if entry.columns is None and clock == "log_time" and "t" in first:
         clock = Field(("t",), "s")
-    stamps, rows = [], []
+    stamps, rows, joints, others = [], [], {}, 0
     for i, (log_time, publish_time, _) in enumerate(channel.messages):
         where, content = f"{path}:{entry.topic}[{i}]", decode(i)
+        found = [_dig(where, content, f) for f in fields.values()]
+        if any(value is ABSENT for value, _ in found):
+            others += 1
+            continue
+        for f, (_, joint) in zip(fields.values(), found, strict=True):
+            if joints.setdefault(f, joint) != joint:
+                raise LogError(
+                    f"{where}: {f} is of joint {quoted(joint)}, in messages before it of {quoted(joints[f])}: the order of its "
+                    f"names changes; name the joint in the mapping: {'.'.join((*f.path[:-1], joints[f] or joint))}"
+                )
         if isinstance(clock, Field):
-            stamps.append(_stamp(f"{where}:{clock}", clock, _dig(where, content, clock)))
+            stamps.append(_stamp(f"{where}:{clock}", clock, _dig(where, content, clock)[0]))
         else:
             stamps.append(log_time if clock == "log_time" else publish_time)
-        rows.append([_number(f"{where}:{f}", _dig(where, content, f)) * f.factor for f in fields.values()])
-    return stamps, dict(zip(fields, np.array(rows, float).reshape(len(rows), len(fields)).T.copy(), strict=True))
+        rows.append([_number(f"{where}:{f}", value) * f.factor for f, (value, _) in zip(fields.values(), found, strict=True)])
+    if not rows:
+        names = ", ".join(map(quoted, _names(first) or ()))
+        raise LogError(f"{path}: no message of topic {entry.topic!r} names all joints of the mapping; the first has {names}")
+    notes = (
+        [f"{entry.topic}: {others} of {len(channel.messages)} messages left out: not all of its joints are named"]
+        if others
+        else []
+    )
+    return stamps, dict(zip(fields, np.array(rows, float).reshape(len(rows), len(fields)).T.copy(), strict=True)), notes
 
 
-def _dig(where: str, content, wanted: Field):
-    value = content
-    for part in wanted.path:
+def _dig(where: str, content, wanted: Field) -> tuple[Any, str]:
+    """The value at a path, and the joint that the message names for it; (ABSENT, joint) where the message lacks that joint.
+
+    `position.tail_joint` is the value whose place in the message's own list of names is that of `tail_joint`.
+    """
+    value, names, joint = content, None, ""
+    for k, part in enumerate(wanted.path):
+        if isinstance(value, dict):
+            names = _names(value) or names
         if isinstance(value, dict) and part in value:
             value = value[part]
+        elif isinstance(value, dict) and part == "yaw" and set(value) == set("xyzw"):
+            value = _yaw(f"{where}:{wanted}", value)
         elif isinstance(value, list) and part.isdecimal() and len(part) < 9 and int(part) < len(value):
+            joint = names[int(part)] if names and len(names) == len(value) else joint
             value = value[int(part)]
+        elif isinstance(value, list) and names and not part.isdecimal():
+            joint = ".".join(wanted.path[k:])  # a name may hold dots itself
+            if joint not in names:
+                return ABSENT, joint
+            if len(value) != len(names) or names.count(joint) > 1:
+                raise LogError(f"{where}: {len(value)} values for the names {', '.join(map(quoted, names))}; record it again")
+            return value[names.index(joint)], joint
         else:
             has = ", ".join(map(str, value))[:200] if isinstance(value, dict) else type(value).__name__
             raise LogError(f"{where}: no field {str(wanted)!r}; at {part!r} there is {has}. Name the field in the mapping")
-    return value
+    return value, joint
+
+
+def _yaw(where: str, value: dict) -> float:
+    """Heading [rad] of one quaternion."""
+    yaw, doubt = heading(np.array([[_number(f"{where}:{part}", value[part]) for part in "xyzw"]]), where)
+    if doubt or not np.isfinite(yaw[0]):
+        raise LogError(f"{where}: {doubt or 'the quaternion is 0, 0, 0, 0: it was not set'}; leave yaw out of the mapping")
+    return float(yaw[0])
+
+
+def _names(value: dict) -> list[str] | None:
+    """Names of joints that a message carries beside lists of their values; None where it carries none."""
+    for key in NAMES:
+        names = value.get(key)
+        if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
+            return names
+    return None
 
 
 def _number(where: str, value) -> float:
@@ -154,13 +225,14 @@ def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[
 
 
 # -------------------------------------------------------------------------------------------------------- as sheets
-def sheets(path: Path, found: Found) -> list[Sheet]:
+def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
     """Every topic whose messages hold numbers, spread over columns: `pose.position.x`; stamps as s since 1970.
 
     Raises:
         LogError: no such topic, or a message that does not decode.
     """
-    out, notes = [], []
+    rows: dict[str, _Rows] = {}
+    notes = list(notes)
     for topic, channel in sorted(found.items()):
         if not channel.messages:
             continue
@@ -170,37 +242,99 @@ def sheets(path: Path, found: Found) -> list[Sheet]:
         if channel.encoding != "json" and channel.type not in KEPT:
             notes.append(f"{topic}: messages of {quoted(channel.type or channel.encoding)} need a mapping (--topics); left out")
             continue
-        sheet = _spread(path, topic, channel)
-        if sheet is not None:
-            out.append(sheet)
-    if not out:
+        if (read := _rows(path, topic, channel)) is not None:
+            rows[topic] = read
+        else:
+            notes.append(f"{topic}: no number in its {len(channel.messages)} messages; left out")
+    if not rows:
         said = f" ({'; '.join(notes)[:300]})" if notes else ""
         raise LogError(f"{path}: no topic with numbers; it has {listed(found)}{said}")
-    out[0] = out[0].noted(*notes)
-    return out
+    foreign = {topic for topic, read in rows.items() if abs(read.ahead) > DAY}
+    for topic in sorted(foreign) if foreign < set(rows) else ():
+        notes.append(f"{topic}: the stamps of its headers are on another clock; stamped by its receipt, as other topics are")
+        rows[topic].stamps = rows[topic].receipts
+    out = [read.sheet(path, topic, found[topic].type) for topic, read in rows.items()]
+    return [out[0].noted(*notes), *out[1:]]
 
 
-def _spread(path: Path, topic: str, channel: TopicChannel) -> Sheet | None:
+@dataclass
+class _Rows:
+    """Messages of one topic as rows: their stamps [ns] by header or receipt, and the numbers of each."""
+
+    receipts: list[int]
+    stamps: list[int]
+    values: list[dict[str, float]]
+    notes: Counter[str]
+
+    @property
+    def ahead(self) -> float:
+        """Median time from a message's stamp to its receipt [ns]."""
+        return float(np.median([receipt - stamp for receipt, stamp in zip(self.receipts, self.stamps, strict=True)]))
+
+    def sheet(self, path: Path, topic: str, kind: str) -> Sheet:
+        """The rows as columns; messages of one instant that tell different things are one row."""
+        stamps: list[int] = []
+        rows: list[dict[str, float]] = []
+        for stamp, row in self._in_order():
+            if stamps and stamps[-1] == stamp and rows[-1].keys().isdisjoint(row):
+                rows[-1] |= row
+            else:
+                stamps.append(stamp)
+                rows.append(dict(row))
+        columns = {key: np.array([row.get(key, math.nan) for row in rows], float) for key in dict.fromkeys(chain(*rows))}
+        units = dict(_UNITS.get(kind, {}))
+        if kind.startswith("sensor_msgs/") and kind.endswith("/JointState"):
+            units |= {f"joint.{key}": "rad" for key in _joints_of(columns)}
+            units |= {f"joint.{key}.velocity": "rad/s" for key in _joints_of(columns)}
+        if not any(header.parse(key).words in (("t",), ("time",), ("timestamp",)) for key in columns):
+            columns = {"stamp": np.array(stamps, float) * 1e-9, **columns}
+            units["stamp"] = DATE
+        units = {key: unit for key, unit in units.items() if key in columns}
+        told = tuple(f"{topic}: {note}, in {n} of {len(self.values)} messages" for note, n in self.notes.items())
+        return checked(Sheet(path, topic, columns, units, notes=told, doubts=_unnamed(columns)))
+
+    def _in_order(self) -> list[tuple[int, dict[str, float]]]:
+        """Stamps and values; sorted where publishers overtake one another, as left where the clock was set back once."""
+        pairs = list(zip(self.stamps, self.values, strict=True))
+        back = [a - b for a, b in pairwise(self.stamps) if a > b]
+        if len(back) >= OVERTAKEN and max(back) < OVERTAKES:
+            self.notes["stamped before a message that came earlier, sorted by stamp"] = len(back)
+            pairs.sort(key=lambda pair: pair[0])
+        return pairs
+
+
+def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
+    """The messages of a topic as rows; None where they hold no number."""
     decode = _decoder(path, topic, channel)
-    stamps, rows, order = [], [], {}
+    out, keys = _Rows([], [], [], Counter()), set()
+    own = []
     for i, (log_time, _, _) in enumerate(channel.messages):
-        content = decode(i)
-        stamp = _own_stamp(content)
-        stamps.append(stamp if stamp else log_time)
-        row = _TYPED.get(channel.type, _flat)(content)
-        for key in row:
-            if len(order) > WIDTH * WIDTH:
-                raise LogError(f"{path}:{topic}[{i}]: over {WIDTH * WIDTH} different fields; map the ones you need with --topics")
-            order.setdefault(key, len(order))
-        rows.append(row)
-    if not order:
-        return None
-    columns = {key: np.array([row.get(key, math.nan) for row in rows], float) for key in order}
-    units = {}
-    if not any(header.parse(key).words in (("t",), ("time",), ("timestamp",)) for key in columns):
-        columns = {"stamp": np.array(stamps, float) * 1e-9, **columns}
-        units["stamp"] = DATE
-    return checked(Sheet(path, topic, columns, units | {k: v for k, v in _UNITS.get(channel.type, {}).items() if k in columns}))
+        where, content = f"{path}:{topic}[{i}]", decode(i)
+        own.append(_own_stamp(content))
+        row = _joints(where, content, out.notes) if _is_joint_state(content) else _TYPED.get(channel.type, _flat)(content)
+        keys |= row.keys()
+        if len(keys) > WIDTH * WIDTH:
+            raise LogError(f"{where}: over {WIDTH * WIDTH} different fields; map the ones you need with --topics")
+        out.receipts.append(log_time)
+        out.values.append(row)
+    if any(own) and not all(own):
+        out.notes["no stamp in its header, so that all are stamped by their receipt"] = sum(not stamp for stamp in own)
+    out.stamps = [stamp for stamp in own if stamp] if all(own) else out.receipts
+    return out if keys else None
+
+
+def _joints_of(columns: Iterable[str]) -> list[str]:
+    """Names of the joints in the columns of a JointState."""
+    ends = tuple(end for end in STATE.values() if end)
+    return [key.removeprefix("joint.") for key in columns if key.startswith("joint.") and not key.endswith(ends)]
+
+
+def _unnamed(columns: Iterable[str]) -> dict[str, str]:
+    """Doubts about joints by their place in the list where other messages of the topic name theirs."""
+    joints = _joints_of(columns)
+    placed = [name for name in joints if name.isdecimal()]
+    why = "messages without names beside messages that name their joints: which joint is it?"
+    return {f"joint.{name}": why for name in placed} if len(placed) < len(joints) else {}
 
 
 def _own_stamp(content: dict) -> int | None:
@@ -209,38 +343,62 @@ def _own_stamp(content: dict) -> int | None:
     return _sec_nanosec(stamp) if isinstance(stamp, dict) else None
 
 
-def _flat(value, prefix: str = "", depth: int = 0) -> dict[str, float]:
-    """Numbers by their path; the heading of a quaternion as `<path>.yaw`."""
+def _flat(value, prefix: str = "", depth: int = 0, names: list[str] | None = None) -> dict[str, float]:
+    """Numbers by their path; a list beside a list of as many names by these names."""
     out: dict[str, float] = {}
     if depth > DEPTH:
         return out
     if isinstance(value, dict):
-        if set(value) == {"x", "y", "z", "w"} and all(isinstance(v, int | float) for v in value.values()):
-            return {f"{prefix}.yaw".lstrip("."): _yaw(value)}
+        names = _names(value) or names
         for key, item in list(value.items())[: WIDTH * 4]:
             if key not in ("header", "stamp", "covariance"):
-                out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1)
+                out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1, names)
     elif isinstance(value, list):
-        for i, item in enumerate(value[:WIDTH]):
-            out |= _flat(item, f"{prefix}.{i}".lstrip("."), depth + 1)
+        names = names if names and len(names) == len(value) else _names_of(value)
+        keys = names or range(len(value))
+        for key, item in list(zip(keys, value, strict=True))[:WIDTH]:
+            out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1)
     elif isinstance(value, bool | int | float) and abs(value) < 1e300:
         out[prefix or "value"] = float(value)
     return out
 
 
-def _yaw(q: dict) -> float:
-    """Heading of a quaternion [rad]."""
-    x, y, z, w = (float(q[k]) if abs(q[k]) < 1e6 else math.nan for k in "xyzw")
-    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+def _names_of(items: list) -> list[str]:
+    """Names of the objects in a list, where each has one of its own; else none."""
+    for key in NAMED:
+        names = [item[key] for item in items if isinstance(item, dict) and isinstance(item.get(key), str)]
+        if len(names) == len(items) == len(set(names)):
+            return names
+    return []
 
 
-def _joints(content: dict) -> dict[str, float]:
+def _is_joint_state(content: dict) -> bool:
+    """True for a message of names beside positions, velocities or efforts, in whatever encoding."""
+    return isinstance(content.get("name"), list) and any(isinstance(content.get(key), list) for key in STATE)
+
+
+def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
+    """Columns `joint.NAME`, `joint.NAME.velocity`, `joint.NAME.effort` by the message's own names, by place where it has none.
+
+    Raises:
+        LogError: a name appears twice, or there are positions for some of the names only.
+    """
+    names = _names(content) or []
+    if len(set(names)) < len(names):
+        raise LogError(f"{where}: joint {quoted(max(names, key=names.count))} is named twice; record it again")
     out = {}
-    for ours, theirs in (("joint.{}", "position"), ("joint.{}.velocity", "velocity"), ("joint.{}.effort", "effort")):
-        values = content.get(theirs)
-        for i, value in enumerate(values[:WIDTH] if isinstance(values, list) else (), start=1):
-            if isinstance(value, int | float):
-                out[ours.format(i)] = float(value)
+    for key in STATE:
+        values = content.get(key)
+        if not isinstance(values, list) or not values:
+            continue
+        if names and len(values) != len(names):
+            if key == "position":
+                raise LogError(f"{where}: {len(values)} positions for {len(names)} names: which joint is which? Record it again")
+            notes[f"{key} not read, its list is not as long as that of the names"] += 1
+            continue
+        for name, value in zip(names or map(str, range(1, len(values) + 1)), values, strict=True):
+            if isinstance(value, int | float) and abs(value) < 1e300:
+                out[column_of(name[:80], key)] = float(value)
     return out
 
 
@@ -273,27 +431,24 @@ def _array(content: dict) -> dict[str, float]:
 
 
 _TYPED: dict[str, Callable[[dict], dict[str, float]]] = {
-    "sensor_msgs/msg/JointState": _joints,
     "sensor_msgs/msg/BatteryState": _battery,
     "sensor_msgs/msg/Imu": _imu,
     "nav_msgs/msg/Odometry": _odometry,
     "std_msgs/msg/Float64MultiArray": _array,
     "std_msgs/msg/Float32MultiArray": _array,
 }
-_SPACE = {f"{p}{axis}": "m" for p in ("pose.position.", "pose.pose.position.", "position.", "point.") for axis in "xyz"}
-_TURN = {f"{p}orientation.yaw": "rad" for p in ("pose.", "pose.pose.", "")}
+_PLACES = ("pose.position.", "pose.pose.position.", "transform.translation.")
+_SPACE = {f"{p}{axis}": "m" for p in (*_PLACES, "position.", "point.") for axis in "xyz"}
 _UNITS: dict[str, dict[str, str]] = {  # ROS's own: REP 103
-    "sensor_msgs/msg/JointState": {
-        f"joint.{i}{end}": unit for i in range(1, WIDTH + 1) for end, unit in (("", "rad"), (".velocity", "rad/s"))
-    },
     "sensor_msgs/msg/BatteryState": {"voltage": "V", "current_drawn": "A"},
     "sensor_msgs/msg/Imu": {f"{k}.{axis}": unit for axis in "xyz" for k, unit in (("acc", "m/s^2"), ("gyro", "rad/s"))},
-    "nav_msgs/msg/Odometry": {**_SPACE, **_TURN, "surge": "m/s", "sway": "m/s", "yaw_rate": "rad/s"},
+    "nav_msgs/msg/Odometry": {**_SPACE, "surge": "m/s", "sway": "m/s", "yaw_rate": "rad/s"},
     "geometry_msgs/msg/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
-    "geometry_msgs/msg/Pose": {**_SPACE, **_TURN},
-    "geometry_msgs/msg/PoseStamped": {**_SPACE, **_TURN},
-    "geometry_msgs/msg/PoseWithCovarianceStamped": {**_SPACE, **_TURN},
+    "geometry_msgs/msg/Pose": _SPACE,
+    "geometry_msgs/msg/PoseStamped": _SPACE,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _SPACE,
     "geometry_msgs/msg/PointStamped": _SPACE,
+    "geometry_msgs/msg/TransformStamped": _SPACE,
 }
 
 

@@ -1,72 +1,257 @@
-"""rosbag2: a folder with metadata.yaml and `.db3` (SQLite) or `.mcap` files, or one `.db3` alone. Needs the extra `logs`.
+"""rosbag2: a folder with metadata.yaml and `.db3` (SQLite) or `.mcap` files, or one file alone, packed with zstd or not.
 
-The database is opened read only, from tables and never from views, with a limit on what one query may cost; messages are CDR of
-ROS 2's standard types. Packed storage (`.db3.zstd`) is refused: unpack it first, with `ros2 bag convert`.
+Needs the extra `logs`. The database is opened read only, from tables and never from views, with a limit on what one query may
+cost; messages are CDR of ROS 2's standard types. A database whose recorder left a write-ahead log is copied, and the copy is
+completed from the log: nothing in the bag's own folder changes.
 """
 
+import io
+import re
+import shutil
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
-from fishmj.errors import LogError
+from fishmj.errors import LogError, MissingExtra
 from fishmj.log.importers import mcap, messages
 from fishmj.log.importers.messages import Found, TopicChannel
-from fishmj.log.importers.topics import by_name, read_topics
-from fishmj.log.limits import bare, check_size, quoted, regular
+from fishmj.log.importers.topics import read_topics
+from fishmj.log.limits import DAMAGE, bare, check_size, quoted, regular
 from fishmj.log.trial import Trial
 
-SUFFIX = ".db3"
-MAGIC = b"SQLite format 3\0"
+SUFFIX, PACKED = ".db3", ".zstd"
+STORED = (SUFFIX, mcap.SUFFIX, SUFFIX + PACKED, mcap.SUFFIX + PACKED)  # how the names of a bag's files end
+ZSTD = b"\x28\xb5\x2f\xfd"
 METADATA = "metadata.yaml"
+PART = re.compile(r"(.+)_(\d+)\.(?:db3|mcap)(?:\.zstd)?")  # of a bag that was split: its name and number
+PAUSE = 60 * 10**9  # ns between two numbered files, beyond which they are no parts of one recording
 LONGEST = 64 << 20  # bytes of one message
 STEPS = 10_000  # of SQLite's machine between two looks at what a query has cost
 LOOKS = 500_000
 
 
 def sniff(path: Path) -> bool:
-    """A bag's folder, or one of its databases."""
-    if path.is_dir():
-        return (path / METADATA).is_file() and bool(_files(path))
-    if not path.is_file() or path.suffix != SUFFIX:
-        return False
-    with open(path, "rb") as file:
-        return file.read(16) == MAGIC
+    """A bag's folder, with or without metadata.yaml, or one of its files that is no plain MCAP file."""
+    if not path.is_dir():
+        return path.is_file() and path.name.endswith(STORED) and path.suffix != mcap.SUFFIX
+    files = _files(path)
+    return bool(files) and ((path / METADATA).is_file() or _is_split(files))
 
 
 def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """One trial, named after the bag, by a topic mapping or by topics named like tables.
 
     Raises:
-        LogError: damaged, packed, no such topic, or values that are not as the mapping says. MissingExtra: rosbags is absent.
+        LogError: damaged, no such topic, or values that are not as the mapping says. MissingExtra: rosbags is absent.
     """
     wanted = read_topics(topics) if topics else None
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
-    wanted = wanted or by_name(set(found))
+    wanted = wanted or messages.named_like_tables(found)
     if not wanted.tables:
         raise LogError(
             f"{path}: no topic is named like a table; it has {messages.listed(found)}. Say which is which with --topics"
         )
-    return messages.mapped(path, found, wanted)
+    return messages.mapped(path, found, wanted, notes=lost(path, found))
 
 
 def channels(path: Path, needed: set[str] | None = None) -> Found:
-    """The messages of every topic that is needed (all when None), files in the order of their names."""
+    """The messages of every topic that is needed (all when None), in the order of their receipt.
+
+    Raises:
+        LogError: a part is absent, damaged or of another recording; or a topic changes its type.
+    """
     found: Found = {}
-    for file in _files(path) if path.is_dir() else [path]:
-        part = mcap.channels(file, needed) if file.suffix == mcap.SUFFIX else _database(file, needed)
+    end = None
+    for file in _parts(path) if path.is_dir() else [path]:
+        part = _channels(file, needed)
+        stamps = [message[0] for channel in part.values() for message in channel.messages]
+        if stamps and end is not None and min(stamps) - end > PAUSE and not (path / METADATA).is_file():
+            raise LogError(
+                f"{file}: begins {(min(stamps) - end) / 1e9:.0f} s after the file before it ends; is it a part of the same "
+                "recording? Put each recording into a folder of its own, or say --trial-each"
+            )
+        end = max([*stamps, *([] if end is None else [end])], default=None)
         for topic, channel in part.items():
             there = found.setdefault(topic, TopicChannel(channel.encoding, channel.type))
             if (there.encoding, there.type) != (channel.encoding, channel.type):
                 raise LogError(f"{file}: topic {quoted(topic)} changes its type within the bag; record it again with one")
             there.messages += channel.messages
     if not found:
-        packed = ", ".join(p.name for p in path.glob("*.zstd")) if path.is_dir() else ""
-        told = f" that are not packed ({packed}); unpack them with ros2 bag convert" if packed else ""
-        raise LogError(f"{path}: no messages{told}")
+        raise LogError(f"{path}: no messages")
+    for channel in found.values():
+        channel.messages.sort(key=lambda message: message[0])
     return found
 
 
+def lost(path: Path, found: Found) -> list[str]:
+    """A note for each topic of which metadata.yaml counts more messages than were found, and for one part of several."""
+    out = []
+    if path.is_file() and (path.parent / METADATA).is_file() and len(files := _files(path.parent)) > 1:
+        out.append(f"{path.name}: one of {len(files)} files of a bag; import the folder {path.parent.name} for all of it")
+    for entry in _metadata(path).get("topics_with_message_count") or ():
+        topic, count = entry["topic_metadata"]["name"], entry["message_count"]
+        have = len(found[topic].messages) if topic in found else 0
+        if topic in found and isinstance(count, int) and count > have:
+            out.append(f"{topic}: metadata.yaml counts {count} messages, the bag holds {have}: is it cut off?")
+    return out
+
+
+def _metadata(path: Path) -> dict:
+    """What metadata.yaml says of the bag; nothing where there is none.
+
+    Raises:
+        LogError: it is no YAML of a bag. MissingExtra: the package rosbags is not installed.
+    """
+    file = path / METADATA
+    if not file.is_file():
+        return {}
+    try:
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
+    except ImportError as error:
+        raise MissingExtra("rosbags", "logs", "Reading rosbag2") from error
+    regular(file)
+    check_size(file, 1000 * file.stat().st_size)
+    try:
+        told = YAML(typ="safe", pure=True).load(file.read_bytes())["rosbag2_bagfile_information"]
+        [str(name) for name in told.get("relative_file_paths") or ()]
+        [(entry["topic_metadata"]["name"], entry["message_count"]) for entry in told.get("topics_with_message_count") or ()]
+    except (YAMLError, RecursionError, *DAMAGE) as error:
+        raise LogError(f"{file}: damaged, or not of a bag ({bare(error, 100)}); write it again with ros2 bag reindex") from error
+    return told
+
+
 def _files(path: Path) -> list[Path]:
-    return sorted(p for p in path.iterdir() if p.suffix in (SUFFIX, mcap.SUFFIX) and p.is_file() and not p.name.startswith("."))
+    """Files of a bag's folder in the order of their numbers; a packed one only where it is not unpacked beside it."""
+    files = [p for p in path.iterdir() if p.name.endswith(STORED) and p.is_file() and not p.name.startswith(".")]
+    files = [p for p in files if p.suffix != PACKED or p.with_suffix("") not in files]
+    return sorted(files, key=lambda p: (m[1], int(m[2]), "") if (m := PART.fullmatch(p.name)) else ("", 0, p.name))
+
+
+def _is_split(files: list[Path]) -> bool:
+    """True for two or more files of one name that are numbered from 0 on."""
+    found = [m for file in files if (m := PART.fullmatch(file.name))]
+    return len(found) == len(files) > 1 and [(m[1], int(m[2])) for m in found] == [(found[0][1], k) for k in range(len(files))]
+
+
+def _parts(path: Path) -> list[Path]:
+    """The files of a bag.
+
+    Raises:
+        LogError: they are not those that its metadata.yaml lists.
+    """
+    files = _files(path)
+    listed = {str(name).replace("\\", "/").rpartition("/")[2].removesuffix(PACKED) for name in _listed(path)}
+    names = {file.name.removesuffix(PACKED) for file in files}
+    if listed and (absent := sorted(listed - names)):
+        raise LogError(f"{path}: no file {quoted(absent[0])}, which metadata.yaml lists; copy it there, or run ros2 bag reindex")
+    if listed and (other := sorted(names - listed)):
+        raise LogError(f"{path}: file {quoted(other[0])} is not in metadata.yaml; move it away, or run ros2 bag reindex")
+    return files
+
+
+def _listed(path: Path) -> list:
+    return _metadata(path).get("relative_file_paths") or []
+
+
+def _channels(path: Path, needed: set[str] | None) -> Found:
+    """The messages of one file."""
+    with _whole(path) as file:
+        try:
+            found = mcap.channels(file, needed) if file.suffix == mcap.SUFFIX else _database(file, needed)
+        except LogError as error:
+            raise LogError(str(error).replace(str(file), str(path))) from error
+    size = 0
+    for topic, channel in found.items():
+        for i, (log_time, publish_time, data) in enumerate(channel.messages):
+            if channel.encoding == "cdr" and data[:4] == ZSTD:  # packed one by one
+                blocks = []
+                for block in _unpacked(f"{path}:{topic}[{i}]", io.BytesIO(data)):
+                    check_size(path, size := size + len(block), "unpacks to over")
+                    blocks.append(block)
+                channel.messages[i] = (log_time, publish_time, b"".join(blocks))
+    return found
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """The file itself; or a copy that is unpacked, or that holds what its recorder had not yet moved into it.
+
+    Raises:
+        LogError: a file beside it, which holds a part of the database, is not finished or absent.
+    """
+    log, shared, journal = (path.with_name(path.name + end) for end in ("-wal", "-shm", "-journal"))
+    packed, logged = path.suffix == PACKED, path.suffix == SUFFIX and log.is_file() and log.stat().st_size > 0
+    if path.suffix == SUFFIX and _first(journal).strip(b"\0"):
+        raise LogError(
+            f"{journal}: a write that its recorder did not finish; copy the bag, run sqlite3 {bare(path.name)} .schema there, "
+            "which takes it back, and import the copy"
+        )
+    if path.suffix == SUFFIX and shared.is_file() and not log.is_file():
+        raise LogError(
+            f"{path}: its write-ahead log {bare(log.name)} is absent, which holds the last messages; copy it there, or remove "
+            f"{bare(shared.name)} if there is none"
+        )
+    if not packed and not logged:
+        yield path
+        return
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name.removesuffix(PACKED)
+        if packed:
+            _unpack(path, copy)
+        else:
+            regular(path, empty=True)
+            regular(log)
+            shutil.copyfile(path, copy)
+            shutil.copyfile(log, copy.with_name(log.name))
+            _complete(path, copy)
+        yield copy
+
+
+def _first(path: Path) -> bytes:
+    """The first byte of a file; none where it is empty or absent."""
+    if not path.is_file():
+        return b""
+    with open(path, "rb") as file:
+        return file.read(1)
+
+
+def _complete(path: Path, copy: Path) -> None:
+    """Move the messages of the write-ahead log into the copy of the database."""
+    try:
+        database = sqlite3.connect(copy)
+        try:
+            database.execute("PRAGMA trusted_schema = OFF")
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        finally:
+            database.close()
+    except (sqlite3.Error, sqlite3.Warning) as error:
+        raise LogError(
+            f"{path}: damaged, or not of the write-ahead log beside it ({bare(error, 120)}); record it again"
+        ) from error
+
+
+def _unpack(path: Path, copy: Path) -> None:
+    """Unpack a file, up to the limit on size."""
+    regular(path)
+    with open(path, "rb") as packed, open(copy, "wb") as plain:
+        for block in _unpacked(str(path), packed):
+            check_size(path, plain.tell() + len(block), "unpacks to over")
+            plain.write(block)
+
+
+def _unpacked(where: str, packed: BinaryIO) -> Iterator[bytes]:
+    """Blocks of what zstd packed."""
+    import zstandard
+
+    try:
+        yield from iter(partial(zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(packed).read, 1 << 20), b"")
+    except zstandard.ZstdError as error:
+        raise LogError(f"{where}: damaged, or not packed with zstd ({bare(error, 100)}); copy it again") from error
 
 
 def _database(path: Path, needed: set[str] | None) -> Found:
@@ -109,6 +294,4 @@ def _database(path: Path, needed: set[str] | None) -> Found:
         if isinstance(error, LogError):
             raise
         raise LogError(f"{path}: damaged or no rosbag2 database ({bare(error, 120)}); record it again") from error
-    for channel in found.values():
-        channel.messages.sort(key=lambda message: message[0])
     return found

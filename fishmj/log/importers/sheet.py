@@ -4,13 +4,14 @@ Binary tables are read here: Parquet (extra `logs`) and `.npz` archives of one a
 measured first.
 """
 
+import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from fishmj.errors import LogError, MissingExtra
-from fishmj.log.limits import COLUMNS, DAMAGE, bare, check_size, quoted, regular
+from fishmj.log.limits import COLUMNS, DAMAGE, bare, check_size, listed, quoted, regular
 from fishmj.log.trial import Table
 from fishmj.store import read_npz
 
@@ -29,6 +30,8 @@ class Sheet:
     lines: np.ndarray | None = None  # (T,) line of each row, from 1
     text: dict[str, str] = field(default_factory=dict)  # column -> a cell of it that is no number
     notes: tuple[str, ...] = ()
+    doubts: dict[str, str] = field(default_factory=dict)  # column -> why the user decides on it
+    episode: int | None = None  # of a file that holds several trials
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -70,8 +73,11 @@ PARQUET = (".parquet", ".pq")
 NPZ = (".npz",)
 
 
-def read_parquet(path: Path) -> Sheet:
-    """Every column of numbers, truth values or time stamps; others (text, lists, records) are noted.
+def read_parquet(path: Path) -> list[Sheet]:
+    """Every column of numbers, truth values, time stamps, or lists of one length of numbers; others are noted.
+
+    A list becomes a column for each of its elements, by the names that the meta/info.json of a LeRobot data set gives them. A
+    file with a column `episode_index` becomes a sheet for each episode.
 
     Raises:
         LogError: damaged, no rows, too many columns, or larger unpacked than the limit. MissingExtra: pyarrow is absent.
@@ -97,6 +103,13 @@ def read_parquet(path: Path) -> Sheet:
                 raise LogError(f"{path}: column {quoted(twice)} appears twice; rename or remove one of them")
             for name, column in zip(names, schema, strict=True):
                 kind = column.type
+                if _is_list(pa, kind):
+                    batches = file.iter_batches(columns=[column.name], batch_size=1 << 16)
+                    matrix = _matrix(pa, path, name, [batch.column(0) for batch in batches])
+                    elements = _element_names(path, name, matrix.shape[1])
+                    columns |= {element: matrix[:, k].copy() for k, element in enumerate(elements)}
+                    notes.append(f"{path.name}: list column {quoted(name)} read as {listed(elements)}")
+                    continue
                 if not (
                     pa.types.is_integer(kind) or pa.types.is_floating(kind) or _is_stamp(pa, kind) or pa.types.is_boolean(kind)
                 ):
@@ -117,7 +130,67 @@ def read_parquet(path: Path) -> Sheet:
         raise LogError(f"{path}: no column of numbers; it has {', '.join(map(quoted, names[:8])) or 'none'}")
     if len({len(values) for values in columns.values()}) > 1:
         raise LogError(f"{path}: its columns differ in length; write it again")
-    return checked(Sheet(path, path.name, columns, units, notes=tuple(notes)))
+    return _episodes(checked(Sheet(path, path.name, columns, units, notes=tuple(notes))))
+
+
+def _episodes(sheet: Sheet) -> list[Sheet]:
+    """The sheet, or one for each number in its column of episodes."""
+    number = sheet.columns.get("episode_index")
+    if number is None or not np.isfinite(number).all():
+        return [sheet]
+    out, episodes = [], np.unique(number)
+    if len(episodes) > COLUMNS:
+        raise LogError(f"{sheet.where}: {len(episodes)} episodes; at most {COLUMNS} are read from one file")
+    for episode in episodes:
+        columns = {name: values[number == episode] for name, values in sheet.columns.items() if name != "episode_index"}
+        out.append(replace(sheet, columns=columns, episode=int(episode)))
+    return out
+
+
+def _is_list(pa, kind) -> bool:
+    """True for lists of numbers."""
+    if not (pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)):
+        return False
+    return pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type)
+
+
+def _matrix(pa, path: Path, name: str, batches: list) -> np.ndarray:
+    """Lists of one length (T, K), NaN for null.
+
+    Raises:
+        LogError: the lists differ in length, or one is absent.
+    """
+    from pyarrow import compute
+
+    told = [compute.fill_null(compute.list_value_length(batch), 0) for batch in batches]
+    lengths = {int(length) for part in told for length in compute.unique(part).to_pylist()}
+    if len(lengths) != 1 or not 0 < min(lengths) <= COLUMNS:
+        span = f"{min(lengths, default=0)} to {max(lengths, default=0)}"
+        raise LogError(f"{path}: column {quoted(name)} holds lists of {span} numbers; expected one length, up to {COLUMNS}")
+    return np.concatenate([_numbers(pa, batch.flatten()) for batch in batches]).reshape(-1, min(lengths))
+
+
+def _element_names(path: Path, column: str, count: int) -> list[str]:
+    """Names of the elements of a list column: `action.tail` by the data set's meta/info.json, else `action.1`, .."""
+    for folder in path.resolve().parents[:4]:
+        info = folder / "meta" / "info.json"
+        if info.is_file() and info.stat().st_size < 1 << 20:
+            names = _names_in(info, column)
+            if len(names) == count == len(set(names)):
+                return [f"{column}.{name}" for name in names]
+            break
+    return [f"{column}.{k + 1}" for k in range(count)]
+
+
+def _names_in(info: Path, column: str) -> list[str]:
+    """Names that info.json gives the elements of a feature; none where it gives none."""
+    try:
+        names = json.loads(info.read_text("utf-8"))["features"][column]["names"]
+    except (*DAMAGE, RecursionError):
+        return []
+    while isinstance(names, dict):  # {"motors": [...]}
+        names = next(iter(names.values()), [])
+    return [str(name)[:80] for name in names] if isinstance(names, list) else []
 
 
 def _is_stamp(pa, kind) -> bool:

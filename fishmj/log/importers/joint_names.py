@@ -1,0 +1,72 @@
+"""Joints by their names in text tables: `rostopic echo -p` writes a column of names beside each column of values.
+
+`field.name0, field.name1, .., field.position0, field.position1, ..`: each value goes to the joint that its own row names, as in a
+recording of the same messages (`messages.py`).
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fishmj.errors import LogError
+from fishmj.log.limits import quoted
+from fishmj.log.trial import Table
+
+ROW = re.compile(
+    r"(joint|servo|motor|actuator)s?([ _.-]?(name|id))?|name", re.IGNORECASE
+)  # a column that names the joint of its row
+STATE = {"position": "", "velocity": ".velocity", "effort": ".effort"}  # lists of a JointState -> ends of their columns
+NAME = re.compile(r"(?P<before>.*?)(?P<key>(?:joint_)?names?)(?P<mark>[._\[]?)(?P<number>\d{1,3})\]?", re.IGNORECASE)
+
+
+def column_of(name: str, key: str) -> str:
+    """`joint.NAME` for a position, `joint.NAME.velocity`, `joint.NAME.effort`; `KEY.NAME` for values of another key."""
+    return f"joint.{name}{STATE[key]}" if key in STATE else f"{key}.{name}"
+
+
+def holds_names(column: str) -> bool:
+    """True for a column that may hold names of joints: `name0`, `joint_name`."""
+    return bool(NAME.fullmatch(column) or ROW.fullmatch(column))
+
+
+def _refuse_long(where: str, column: str, cells: Sequence[str]) -> None:
+    """Refuse a table with a row for each joint: its angles would be taken for those of one."""
+    names = list(dict.fromkeys(cells))
+    if 1 < len(names) <= 64 and len(cells) >= 3 * len(names) and "" not in names:
+        raise LogError(
+            f"{where}: column {quoted(column)} names the joint of each row ({', '.join(map(quoted, names[:4]))}); "
+            f"expected a column for each joint: table.pivot(index=TIME, columns={quoted(column)}, values=ANGLE) in pandas"
+        )
+
+
+def by_name(where: str, columns: Table, names: Mapping[str, Sequence[str]]) -> Table:
+    """The columns, those beside columns of names replaced by one for each joint that is named.
+
+    Args:
+        names: column of names -> name in each row, "" where the cell is blank.
+    Raises:
+        LogError: a value stands beside a blank name.
+    """
+    out = dict(columns)
+    for column, cells in names.items():
+        found = NAME.fullmatch(column)
+        if not found:
+            _refuse_long(where, column, cells)
+            continue
+        out.pop(column, None)
+        cell = np.array(cells, dtype=object)
+        ending = re.compile(re.escape(found["before"]) + r"(\w+?)" + re.escape(column[found.end("key") :]))
+        for other in [name for name in out if name not in names]:
+            if not (value := ending.fullmatch(other)):
+                continue
+            values = out.pop(other)
+            if (lost := np.flatnonzero(np.isfinite(values) & (cell == ""))).size:
+                raise LogError(
+                    f"{where}: row {lost[0] + 1}: {quoted(other)} has a value and {quoted(column)} is blank: which joint is it?"
+                )
+            for name in dict.fromkeys(cells):
+                if name:
+                    mine = out.setdefault(column_of(name, re.sub(r"s\Z", "", value[1].lower())), np.full(len(values), np.nan))
+                    mine[cell == name] = values[cell == name]
+    return out
