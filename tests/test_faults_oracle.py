@@ -11,6 +11,7 @@ from fishmj import console, controllers
 from fishmj.engines import lbm
 from fishmj.evaluate import run_trials, trials
 from fishmj.evaluate.metrics import figures
+from fishmj.lbm_oracle.fluid import guard
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.run import stability, swim
@@ -63,13 +64,13 @@ def test_fault_9_a_run_whose_water_blows_up_stops_keeps_its_rows_and_its_last_go
     assert found["stopped"].startswith("diverged: ") and "m/s" in found["stopped"]
     kept = read_trial(out)
     t = kept.table("truth")["t"]
-    assert Spoiled.step * 0.004 - 0.021 <= t[-1] <= (Spoiled.step + stability.EVERY) * 0.004 + 1e-9  # found within 50 steps
+    assert Spoiled.step * 0.004 - 0.021 <= t[-1] <= (Spoiled.step + guard.EVERY) * 0.004 + 1e-9  # found within 50 steps
     assert kept.value("oracle.stopped") == found["stopped"]
     assert all(np.isfinite(column).all() for table in kept.tables.values() for column in table.values())
     again = SwimSetup(domain=TINY, device="cpu").run()
     notes = snapshot.load(found["last_good"], again.coupled)
     assert notes["last_good"] and notes["stopped"] == found["stopped"]
-    assert Spoiled.step - 2 * stability.EVERY - 5 <= again.coupled.steps < Spoiled.step  # before the fault, two looks at most
+    assert Spoiled.step - 2 * guard.EVERY - 5 <= again.coupled.steps < Spoiled.step  # before the fault, two looks at most
     again.begin()
     for _ in range(20):  # past the step that failed
         again.tick(np.zeros(3))

@@ -2,6 +2,7 @@
 
 import os
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,13 +12,17 @@ wp = pytest.importorskip("warp")
 
 from fishmj import console
 from fishmj.errors import ConfigError, OracleUnstable, UnknownName
+from fishmj.flow import Flow
 from fishmj.lbm_oracle import __main__ as verbs
 from fishmj.lbm_oracle import cases
-from fishmj.lbm_oracle.fluid import device
+from fishmj.lbm_oracle.cases.sphere import ball
+from fishmj.lbm_oracle.fluid import device, guard
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.immersed.markers import sphere_markers
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.studies.solver_grid import converge
@@ -41,21 +46,109 @@ def test_fault_8_an_unstable_oracle_is_refused_with_the_set_up_that_would_pass()
     assert stability.check(domain, speed=0.3) == [] and "Mach 0.17" in stability.check(domain, speed=0.5)[0]
 
 
-@pytest.mark.parametrize("spoil, limit", [(np.nan, "lost"), (0.5, "speed")])
-def test_fault_9_the_watch_stops_a_fluid_that_blows_up(spoil, limit):
-    water, watch = Fluid(ONE, (12, 10, 8), subgrid="none"), stability.Watch()
+@pytest.mark.parametrize(("along", "rest", "limit"), [(np.nan, 0.0, "lost"), (0.45, 0.0, "speed"), (0.0, 0.4, "density")])
+def test_fault_9_the_watch_stops_a_fluid_that_blows_up(along, rest, limit):
+    water = Fluid(ONE, (12, 10, 8), subgrid="none")
     water.impose(np.full((12, 10, 8, 3), 0.01))
     water.run(50)
-    assert watch.after_step(water) and watch.fastest > 0
-    u = water.velocity()
-    u[3, 3, 3] = spoil
-    water.impose(u)
-    with pytest.raises(OracleUnstable, match="at step 50") as error:
-        for _ in range(50):
-            watch.look(water)
-            water.run(1)
-            watch.after_step(water)
+    assert water.watch.looks == 1 and water.watch.fastest > 0
+    f = water.f.numpy()
+    f[:3, 3, 3, 3] += rest, along, -along
+    water.f.assign(f)
+    water.run(1)
+    with pytest.raises(OracleUnstable, match="at step 51") as error:
+        water.watch.look(water)
     assert error.value.limit == limit
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_water_that_blows_up_stops_whoever_steps_it_from_python(alone):
+    """`Fluid.run`, `Fluid.step` and `FluidStructure.step` look every 50 steps; sooner it is not found."""
+    lattice = replace(ONE, nu=0.0004)
+    shape = (16, 16, 16)
+    water = Fluid(lattice, shape, subgrid="none")
+    rng = np.random.default_rng(1)
+    water.impose(np.clip(0.12 * rng.normal(size=(*shape, 3)), -0.09, 0.09))
+    f = water.f.numpy()
+    f[:, 3:6, 3:6, 3:6] *= 6.0
+    water.f.assign(f)
+    body = FluidStructure(water, ball(3.0, lattice, at=(8.1, 8.2, 7.9)), sphere_markers(3.0, 1.0), slip=0.0)
+    with pytest.raises(OracleUnstable, match="fluid: at step [0-9]+, .* would halve every Mach number") as error:
+        if alone:
+            water.run(200)
+        for _ in range(200):
+            body.step(np.ones(3), np.zeros(3))
+    assert error.value.step == 50 or not alone
+
+
+def test_water_and_bodies_beyond_the_mach_limit_are_refused_where_they_are_made():
+    half = 0.5 * 3**-0.5  # cells a step: Mach 0.5
+    for make, said in (
+        (lambda: Fluid(ONE, (8, 8, 8), flow=Flow(speed=half)), "fluid: background flow: Mach 0.50"),
+        (lambda: Fluid(ONE, (8, 8, 8)).set_flow(Flow(speed=half)), "fluid: background flow: Mach 0.50"),
+        (lambda: Fluid(ONE, (8, 8, 8)).impose(np.full((8, 8, 8, 3), half)), "fluid: velocity: Mach 0.87"),
+    ):
+        with pytest.raises(OracleUnstable, match=said) as error:
+            make()
+        assert error.value.limit == "mach"
+    lid = Boundaries(z=Axis("wall", "moving"), wall_velocity_lu=(half, 0, 0))
+    with pytest.raises(OracleUnstable, match="moving wall: Mach 0.50 .* would give 0.30"):
+        Fluid(ONE, (8, 8, 8), boundaries=lid, subgrid="none")
+    with pytest.raises(OracleUnstable, match="tau = 0.50030 .* no subgrid model; at least 0.5005") as error:
+        Fluid(replace(ONE, nu=1e-4), (8, 8, 8), subgrid="none")
+    assert error.value.limit == "tau"
+    towed = FluidStructure(Fluid(ONE, (16, 16, 16)), ball(3.0, ONE, at=(8.1, 8.2, 7.9)), sphere_markers(3.0, 1.0))
+    with pytest.raises(OracleUnstable, match="coupled: a marker at t = 1 s: Mach 0.50 at 0.2886"):
+        towed.step(np.ones(3), [half, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"blend": 1.5}, "fluid: blend = 1.5; expected a finite number from 0 to 1"),
+        ({"blend": np.nan}, "fluid: blend = nan"),
+        ({"cw": -0.1}, "fluid: cw = -0.1"),
+        ({"omega_bulk": 2.1}, "fluid: omega_bulk = 2.1"),
+        ({"body_acceleration": (0.0, np.nan, 0.0)}, r"fluid: body_acceleration\[1\] = nan"),
+        ({"body_acceleration": 0.1}, r"fluid: body_acceleration has the shape \(\); expected \(3,\)"),
+        ({"threads": 0}, "fluid: threads = 0"),
+        ({"shape": (8, 8)}, r"fluid: shape has the shape \(2,\); expected \(3,\)"),
+        ({"shape": (8, 8.0, 8)}, "fluid: shape has the type float64; expected whole numbers"),
+        ({"shape": "8x8"}, "fluid: shape = '8x8'; expected numbers"),
+    ],
+)
+def test_numbers_of_a_fluid_are_checked_where_it_is_made(options, said):
+    with pytest.raises(ConfigError, match=said):
+        Fluid(ONE, **({"shape": (8, 8, 8)} | options))
+
+
+def test_fields_prescribed_motions_and_steps_are_checked():
+    water = Fluid(ONE, (16, 16, 16))
+    for u, said in ((np.zeros((16, 16, 16)), "velocity has the shape"), (np.full((16, 16, 16, 3), np.nan), "= nan")):
+        with pytest.raises(ConfigError, match=said):
+            water.impose(u)
+    with pytest.raises(ConfigError, match="pressure has the shape"):
+        water.impose(np.zeros((16, 16, 16, 3)), np.zeros(3))
+    for steps in (-1, 2.5):
+        with pytest.raises(ConfigError, match="fluid: steps"):
+            water.run(steps)
+    with pytest.raises(ConfigError, match="fluid: box has the shape"):
+        water.step((0, 0, 0))
+    with pytest.raises(ConfigError, match="lattice: corner"):
+        replace(ONE, corner=(0.0, np.inf, 0.0))
+    with pytest.raises(ConfigError, match="wall_velocity_lu"):
+        Boundaries(z=Axis("wall", "moving"), wall_velocity_lu=(np.nan, 0.0, 0.0))
+    held = FluidStructure(water, ball(3.0, ONE, at=(8.1, 8.2, 7.9)), sphere_markers(3.0, 1.0))
+    for fixed, value, said in (
+        (1.0, None, r"fixed has the shape \(\); expected \(3,\)"),
+        ([1, 1, 2], None, r"fixed\[2\] = 2"),
+        (np.ones(3), [0, np.nan, 0], r"value\[1\] = nan"),
+        (None, np.zeros(3), "a value and no `fixed`"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            held.step(fixed, value)
+    with pytest.raises(ConfigError, match="passes has the type float64"):
+        FluidStructure(water, ball(3.0, ONE), sphere_markers(3.0, 1.0), passes=2.5)
 
 
 def test_fault_11_an_accelerator_that_is_too_small_is_named_with_both_figures(monkeypatch, capsys):
@@ -81,7 +174,7 @@ def test_an_accelerator_has_a_queue_for_every_tank_unless_somebody_said_how_many
 
 @pytest.mark.parametrize(("levels", "steps"), [(1, 50), (2, 100), (3, 200)])
 def test_the_watch_looks_every_fifty_steps_of_the_coarsest_water(levels, steps):
-    seen = [n for n in range(1, 401) if stability.Watch().due(SimpleNamespace(steps=n, levels=[None] * levels))]
+    seen = [n for n in range(1, 401) if guard.Watch().due(SimpleNamespace(steps=n, levels=[None] * levels))]
     assert seen == list(range(steps, 401, steps))
 
 

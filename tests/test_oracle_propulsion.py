@@ -84,7 +84,7 @@ def fin(phase: float, psi: float, place: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("psi", [90.0, 110.0])
 def test_the_fin_rolls_and_pitches_as_in_the_source(psi):
-    lag, hinge, steps = np.radians(psi), np.array([7.2, 7.7, 6.6]), 40
+    lag, hinge, steps = np.radians(psi), np.array([7.2, 7.7, 6.6]), 90
     body = flapping.moved_body({"roll": "hinge x", "pitch": "hinge z"}, hinge, 1.0)
     water = Fluid(Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.01), (16, 16, 20), "cpu", subgrid="none")
     markers = rolling_fin.fin_markers(5)
@@ -92,11 +92,11 @@ def test_the_fin_rolls_and_pitches_as_in_the_source(psi):
     path = rolling_fin.angles(np.arange(steps + 1) / steps, lag)
     rate = np.diff(path, axis=0)
     body.place(path[0], rate[0])
-    for n in range(7):
+    for n in range(10):
         driven.step(np.ones(2), rate[n])
     driven.place_markers()
     driven.assemble_response()
-    assert driven.boundary.world.numpy() == pytest.approx(hinge + fin(7 / steps, lag, markers.rest), abs=1e-9)
+    assert driven.boundary.world.numpy() == pytest.approx(hinge + fin(10 / steps, lag, markers.rest), abs=1e-9)
 
 
 def test_the_fastest_part_of_the_fin_sets_the_time_step():

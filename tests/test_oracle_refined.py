@@ -239,7 +239,7 @@ def test_a_box_that_does_not_fit_is_refused():
     with pytest.raises(ConfigError, match="fills axis z, which must be periodic"):
         RefinedFluid(water, (4, 4, 0), (6, 4, 12))
     with pytest.raises(ConfigError, match="float16"):
-        RefinedFluid(Fluid(water.lattice, (16, 14, 12), subgrid="none", dtype="float16"), (4, 4, 4), (6, 4, 4))
+        RefinedFluid(Fluid(water.lattice, (16, 14, 12), dtype="float16"), (4, 4, 4), (6, 4, 4))
 
 
 def test_what_a_refined_box_cannot_do_is_refused():

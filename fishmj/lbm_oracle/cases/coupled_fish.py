@@ -7,8 +7,10 @@ trails makes thrust either way, so that swimming forwards proves little.
     grid + solid - displaced = constant            in a periodic box, nothing else pushing
 
 grid = sum rho u over all cells, the inside of the hull too; solid = sum m_l u_l of the links; displaced = sum of the h_l of the
-interior water (`immersed/__init__.py`): the grid has it inside the hull, a real fish does not. A coupling that loses I, its
-Coriolis part or a sign drifts by the whole momentum of the fish within a few beats (docs/methods/oracle_coupling.md).
+interior water (`immersed/__init__.py`): the grid has it inside the hull, a real fish does not. It is that of the step before,
+`ImmersedBody.momentum`: so much have the links been given back when a step has ended. With the present one the balance would be
+off by what the interior water gained in one step. A coupling that loses I, its Coriolis part or a sign drifts by the whole
+momentum of the fish within a few beats (docs/methods/oracle_coupling.md).
 
 `fish_headings` swims in a window that follows and in a tank that stands, along the grid and across it: velocities are those of
 the world in a window that moves by whole cells, so that nothing may change but what the faces and the grid's axes do.
@@ -20,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.errors import SimDiverged
+from fishmj.errors import OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.cases import about, below, register, reported
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
@@ -28,6 +30,7 @@ from fishmj.lbm_oracle.immersed import kernels
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run.domain import Domain, preset, tank
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 
@@ -49,11 +52,14 @@ class Momentum(NamedTuple):
 
 
 def momentum(coupled: FluidStructure) -> Momentum:
-    """Now."""
-    lattice, body = coupled.fluid.lattice, coupled.body
-    f = coupled.fluid.f.numpy().reshape(len(VELOCITIES), -1).sum(1, dtype=float)
-    grid = f @ VELOCITIES * lattice.mass * lattice.velocity
-    return Momentum(grid, body.solid_momentum()[:, :3].sum(0), body.water_momentum()[:, :3].sum(0))
+    """The balance after a step, of water on one level or on several."""
+    fluid, body = coupled.fluid, coupled.body
+    if isinstance(fluid, RefinedFluid):
+        grid = fluid.totals()[1:]
+    else:
+        f = fluid.f.numpy().reshape(len(VELOCITIES), -1).sum(1, dtype=float)
+        grid = f @ VELOCITIES * fluid.lattice.mass * fluid.lattice.velocity
+    return Momentum(grid, body.solid_momentum()[:, :3].sum(0), body.momentum[:, :3].sum(0))
 
 
 def drift(history: list[Momentum]) -> float:
@@ -104,7 +110,7 @@ def lasts(device: str, scheme: str, seconds: float) -> float:
     coupled = pond(device, scheme=scheme)
     try:
         beat(coupled, seconds)
-    except SimDiverged:
+    except (SimDiverged, OracleUnstable):
         return coupled.time
     return seconds
 

@@ -25,7 +25,6 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import below, register, reported
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
-from fishmj.lbm_oracle.run.stability import Watch
 
 SOURCE = "symmetry; Galileo"
 SLIP = 1.0
@@ -106,7 +105,7 @@ def load(
     domain = replace(plan.domain, follows=True)  # held, too: one place of the fish in its box
     heading = course - radians(aoa)
     held = SwimSetup(domain=domain, flow=flow, slip=SLIP, pose=(*at, heading), device=device).coupled()
-    edge, watch = DomainWatch(domain, heading), Watch()
+    edge = DomainWatch(domain, heading)
     fixed, value = np.ones(held.body.dofs), np.zeros(held.body.dofs)
     if towed:
         value[:2] = speed * cos(course), speed * sin(course)
@@ -116,7 +115,6 @@ def load(
         for _ in range(steps):
             held.step(fixed, value)
             edge(held)
-            watch.after_step(held.fluid)
         record.append(_planar(held, TICK))
     x, y, yaw = np.array(record[settle:]).T
     ahead, left = cos(heading) * x + sin(heading) * y, cos(heading) * y - sin(heading) * x

@@ -15,7 +15,7 @@ import numpy as np
 
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, below, register, reported
-from fishmj.lbm_oracle.cases.coupled_fish import LAG, Momentum, drift
+from fishmj.lbm_oracle.cases.coupled_fish import LAG, drift, momentum
 from fishmj.lbm_oracle.cases.sphere import STREAM, ball, clift
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -193,7 +193,7 @@ def fish_audit(device: str, seconds: float = 3.0, slip: float = 1.0) -> tuple[fl
     edge, history = DomainWatch(domain), []
     for n in range(round(seconds / level.dt)):
         if n % 10 == 0:
-            history.append(Momentum(box.totals()[1:], body.solid_momentum()[:, :3].sum(0), body.water_momentum()[:, :3].sum(0)))
+            history.append(momentum(coupled))
         t = coupled.time
         body.data.ctrl[:] = min(1.0, t) * np.radians(30.0) * np.sin(2 * np.pi * t - LAG)
         coupled.step()

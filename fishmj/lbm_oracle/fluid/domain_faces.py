@@ -25,6 +25,7 @@ import warp as wp
 
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.lbm_oracle.fluid.guard import numbers
 from fishmj.lbm_oracle.fluid.lattice import CS, VELOCITIES, mirrored, opposite
 
 SPONGE, RATE = constant("oracle", "sponge"), constant("oracle", "sponge_rate")  # cells, 1
@@ -169,6 +170,7 @@ class Boundaries:
             raise ConfigError(
                 f"boundaries: wall_velocity_lu = {self.wall_velocity_lu} and no face is `moving`; make one of them so"
             )
+        numbers("boundaries: wall_velocity_lu", self.wall_velocity_lu, (3,))
         if self.sponge < 0 or not 0 <= self.sponge_rate <= 1:
             raise ConfigError(f"boundaries: sponge = {self.sponge} cells (>= 0), sponge_rate = {self.sponge_rate} (0 to 1)")
 

@@ -21,6 +21,7 @@ from fishmj.lbm_oracle.fluid import fields
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey, Surveyor
+from fishmj.lbm_oracle.fluid.guard import Watch, check_speed, check_tau, numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
 from fishmj.lbm_oracle.fluid.lattice import Lattice, Q, vec19i
 from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
@@ -39,6 +40,14 @@ STRIDES = (20, 2)  # steps in a captured graph: between two of them the device p
 BYTES_PER_CELL = 2 * 4 * Q + 2 * 12 + 12  # populations and velocity twice, force, without eddy viscosity
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present window, low inclusive, high exclusive
+
+
+def blend_at(lattice: Lattice) -> float:
+    """Blend of a swim in metres and seconds: the paper's at the paper's dt / dx, elsewhere in proportion to it.
+
+    A shorter step so loses no more stress in a second.
+    """
+    return min(1.0, BLEND * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity)
 
 
 def slabs_for(device, planes: int, wanted: int | None = None) -> int:
@@ -108,10 +117,15 @@ class Fluid:
     Args:
         boundaries: of the six faces. subgrid: eddy viscosity, `wale` or `none`. flow: background, through open faces and at rest
             else. body_acceleration: (3,) m/s2, everywhere. cw: WALE's constant. omega_bulk: rate at which the trace of the stress
-            relaxes. blend: share of the stress that the velocity gradient gives in a step (collide.py), at the paper's grid;
-            0 is kept to show that it fails. dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
+            relaxes. blend: share of the stress that the velocity gradient gives in a step of this grid (collide.py), 0 to 1 in
+            any units; 0 is kept to show that it fails. `blend_at` keeps the loss in a second where the step is another.
+            dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
 
-    Arrays are indexed by world node modulo shape. Raises ConfigError and UnknownName for what cannot be.
+    Arrays are indexed by world node modulo shape. `step` and `run` look at the water every 50 steps (`watch`).
+
+    Raises:
+        ConfigError, UnknownName: what cannot be. OracleUnstable: what would not stay stable: a flow or a wall beyond Mach 0.3,
+            tau below 0.5005 without an eddy viscosity; and `step` and `run`, when the water has left what is sound.
     """
 
     def __init__(
@@ -142,8 +156,16 @@ class Fluid:
                 "fluid: a moving wall with an eddy viscosity: its node would stand in for the wall in the velocity gradient, and"
                 " the shear would be wrong; take subgrid = 'none'"
             )
-        if len(shape) != 3 or min(shape) < 1 or Q * np.prod(shape, dtype=float) >= 2**31:
-            raise ConfigError(f"fluid: shape = {shape}; expected three sizes of at least 1, in all under {2**31 // Q} cells")
+        whole_numbers("fluid: shape", shape, (3,), low=1)
+        if Q * np.prod(shape, dtype=float) >= 2**31:
+            raise ConfigError(f"fluid: shape = {shape}; expected three sizes with under {2**31 // Q} cells in all")
+        numbers("fluid: body_acceleration", body_acceleration, (3,))
+        for name, value, most in (("cw", cw, np.inf), ("omega_bulk", omega_bulk, 2.0), ("blend", blend, 1.0)):
+            numbers(f"fluid: {name}", value, low=0.0, high=most)
+        if threads is not None:
+            whole_numbers("fluid: threads", threads, low=1)
+        check_tau(lattice, subgrid, "fluid")
+        check_speed(lattice, float(np.linalg.norm(boundaries.wall_velocity_lu)) * lattice.velocity, "fluid: moving wall")
         self.lattice, self.boundaries, self.subgrid = lattice, boundaries, subgrid
         self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
         self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
@@ -166,7 +188,7 @@ class Fluid:
         self._launches: list[list[Any]] | None = None
         self._parts: dict[tuple[int, int, int], Any] = {}
         self._graphs: dict[int, wp.Graph] = {}
-        self._surveyor = Surveyor(shape, self.device)
+        self._surveyor, self.watch = Surveyor(shape, self.device), Watch()
         self.set_flow(self.flow)
         self.settle()
 
@@ -228,7 +250,12 @@ class Fluid:
         self.parity, self.steps = (self.parity + steps) % 2, self.steps + steps
 
     def set_flow(self, flow: Flow) -> None:
-        """Change the background flow from now on; the water inside follows through the sponge."""
+        """Change the background flow from now on; the water inside follows through the sponge.
+
+        Raises:
+            OracleUnstable: it is faster than the Mach limit of this grid.
+        """
+        check_speed(self.lattice, flow.speed, "fluid: background flow")
         self.flow = flow
         self._inflow = inflow_of(flow, self.lattice, self.device)
         self._launches, self._graphs, self._parts = None, {}, {}
@@ -247,9 +274,16 @@ class Fluid:
         wp.launch(fields.settle, dim=tuple(map(int, size)), inputs=inputs, device=self.device)
 
     def impose(self, u: np.ndarray, pressure: np.ndarray | None = None) -> None:
-        """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them."""
+        """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them.
+
+        Raises:
+            ConfigError: another shape, or not finite. OracleUnstable: a speed beyond the Mach limit.
+        """
+        u = numbers("fluid: velocity", u, (*self.shape, 3))
+        check_speed(self.lattice, float(np.sqrt((u * u).sum(-1).max())), "fluid: velocity")
+        pressure = None if pressure is None else numbers("fluid: pressure", pressure, self.shape)
         u_lu = np.asarray(u, np.float32) / self.lattice.velocity
-        drho = np.zeros(self.shape, np.float32) if pressure is None else np.asarray(pressure) * 3 / self.lattice.pressure
+        drho = np.zeros(self.shape, np.float32) if pressure is None else pressure * 3 / self.lattice.pressure
         rolled = np.roll(u_lu, self.origin_lu, (0, 1, 2))
         self._keep(rolled)
         u_exact = wp.array(rolled, dtype=wp.vec3, device=self.device)
@@ -265,10 +299,12 @@ class Fluid:
         """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
         self.set_box(box or NOWHERE)
         self.stream_collide()
+        self.watch.after_step(self)
 
     def set_box(self, box: Box) -> None:
         """The world nodes where `force` acts, until told otherwise."""
         if box != self._box:
+            whole_numbers("fluid: box", box, (2, 3))
             self.box.assign(np.ravel(box).astype(np.int32))
             self._box = box
 
@@ -314,6 +350,7 @@ class Fluid:
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
         """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""
+        whole_numbers("fluid: steps", steps, low=0)
         self.set_box(NOWHERE)
         if before is None and self.device.is_cuda and steps >= 4:
             if self.parity:
@@ -322,12 +359,14 @@ class Fluid:
             for stride in STRIDES:
                 for _ in range(steps // stride):
                     wp.capture_launch(self._captured(stride))
-                self.steps += steps // stride * stride
+                    self.steps += stride
+                    self.watch.after_step(self, stride)
                 steps %= stride
         for _ in range(steps):
             if before is not None:
                 before()
             self.stream_collide()
+            self.watch.after_step(self)
 
     def _captured(self, stride: int) -> wp.Graph:
         """A graph of an even number of steps from even parity; capturing does not run them."""
@@ -405,7 +444,8 @@ class Fluid:
         x, y, z = self.boundaries.wall_velocity_lu  # in lattice units a wall of the same m/s is slower
         faces = replace(self.boundaries, wall_velocity_lu=(x / factor, y / factor, z / factor))
         more: dict[str, Any] = {"boundaries": faces, "subgrid": self.subgrid, "flow": self.flow, "threads": self.threads}
-        return Fluid(lattice, self.shape, self.device, keep_velocity=self._keeps, **more, **self._options)
+        more["blend"] = self._options["blend"] / factor  # the same loss in a second
+        return Fluid(lattice, self.shape, self.device, keep_velocity=self._keeps, **(self._options | more))
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
@@ -432,8 +472,7 @@ def _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend
     made.planes = vec19i(*(i * int(np.prod(shape)) for i in range(Q)))
     made.by_ny, made.by_nz = wp.vec2i(*split_by(shape[1])), wp.vec2i(*split_by(shape[2]))
     made.nu, made.omega_bulk, made.cw2 = lattice.nu_lu, omega_bulk, cw * cw
-    share = blend * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity  # the same loss in a second
-    made.hybrid_share, made.hybrid_share_layer = min(1.0, share), min(1.0, LAYER * share)
+    made.hybrid_share, made.hybrid_share_layer = blend, LAYER * blend
     made.body_acceleration = wp.vec3(*(np.asarray(body_acceleration, float) / lattice.acceleration))
     made.wall_velocity = wp.vec3(*boundaries.wall_velocity_lu)
     made.sponge, made.sponge_rate = max(boundaries.sponge, 1), boundaries.sponge_rate

@@ -21,6 +21,7 @@ from fishmj.errors import ConfigError
 from fishmj.units import WATER_DENSITY, WATER_VISCOSITY
 
 Q = 19
+RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one, from one level of water to the next
 _HALF = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)]
 C = ((0, 0, 0), *(tuple(sign * a for a in c) for c in _HALF for sign in (1, -1)))
 W = (1 / 3, *(1 / 18,) * 6, *(1 / 36,) * 12)
@@ -66,7 +67,7 @@ class Lattice:
     """dx m, dt s, rho kg/m3, nu m2/s (kinematic), corner (3,) m: the position of node (0, 0, 0).
 
     Raises:
-        ConfigError: a size that is not positive and finite.
+        ConfigError: a size that is not positive and finite, or a corner that is no place.
     """
 
     dx: float
@@ -80,6 +81,8 @@ class Lattice:
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise ConfigError(f"lattice: {name} = {value}; expected a positive number in SI units")
+        if np.shape(self.corner) != (3,) or not np.isfinite(self.corner).all():
+            raise ConfigError(f"lattice: corner = {self.corner}; expected three finite numbers, m")
 
     @property
     def velocity(self) -> float:

@@ -20,11 +20,16 @@ import mujoco
 import numpy as np
 
 from fishmj.errors import ConfigError, SimDiverged
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed import link_dynamics
 from fishmj.lbm_oracle.immersed.kernels import Points
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.mjcf import build, geometry_of, load_robot, passive_slot
 
+FREE, BALL, SLIDE, HINGE = (
+    int(kind)
+    for kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+)
 RUNAWAY = 1e3  # m/s or rad/s: no step of MuJoCo from there
 EXACT = 1e-9  # MuJoCo's velocity against the one found, relative to 1 + |v|
 
@@ -37,6 +42,18 @@ class DisplacedWater:
     centre: np.ndarray  # (L, 3) m
     inertia: np.ndarray  # (L, 3, 3) about the centre, kg m2
     points: Points | None = None  # where it may slide along the links; None: it moves with them
+
+    def __post_init__(self):
+        """Raises ConfigError for arrays of other shapes, and for masses and moments of inertia below zero."""
+        for name, rest, low in (("mass", (), 0.0), ("centre", (3,), -np.inf), ("inertia", (3, 3), -np.inf)):
+            shape = (None if name == "mass" else len(self.mass), *rest)
+            object.__setattr__(self, name, numbers(f"displaced water: {name}", getattr(self, name), shape, low=low))
+        turned = self.inertia.transpose(0, 2, 1)
+        room = 1e-9 * np.abs(self.inertia).max(initial=0.0)
+        if np.abs(self.inertia - turned).max(initial=0.0) > room or (np.linalg.eigvalsh(self.inertia) < -room).any():
+            raise ConfigError("displaced water: inertia is no symmetric matrix without negative moments, for each link")
+        if self.points is not None:
+            _check_points(self.points, len(self.mass))
 
     @classmethod
     def of(cls, robot) -> "DisplacedWater":
@@ -56,14 +73,20 @@ class ImmersedBody:
     """One articulated body: every moving MuJoCo body is a link, numbered as in the model.
 
     Args:
-        model: constraints off, Euler integrator, one hinge about z per link behind the first (for markers that bend).
+        model: trees of any shape and number, with hinges, slides, ball and free joints; Euler integrator. Markers that bend
+            ask for one hinge about z between their two links.
         water: displaced water of each link.
         dt: step of the fluid, s; becomes the model's own.
+
+    Raises:
+        ConfigError: the model has something that the coupled step leaves out, such as an active contact or limit, or the water
+            is not that of its links.
     """
 
     def __init__(self, model: mujoco.MjModel, water: DisplacedWater, dt: float):
         self.model, self.data, self.water = model, mujoco.MjData(model), water
         self.links, self.dofs = model.nbody - 1, model.nv
+        _refuse_what_is_left_out(model)
         if len(water.mass) != self.links:
             raise ConfigError(f"body: {self.links} moving bodies in the model, displaced water for {len(water.mass)}")
         n, count = self.dofs, self.links
@@ -98,7 +121,16 @@ class ImmersedBody:
 
     @classmethod
     def on_slides(cls, axes: str, mass: float, inertia, displaced: float, inertia_displaced, dt: float) -> "ImmersedBody":
-        """The smallest body: one link on slides along some of `xyz`, no gravity. Masses kg, moments of inertia (3,) kg m2."""
+        """The smallest body: one link on slides along some of `xyz`, no gravity. Masses kg, moments of inertia (3,) kg m2.
+
+        Raises:
+            ConfigError: axes that are none of `xyz` or stand there twice; masses or moments that cannot be.
+        """
+        if not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
+            raise ConfigError(f"body: axes = {axes!r}; expected one to three of 'xyz', each once")
+        mass = float(numbers("body: mass", mass, low=1e-300))
+        inertia = numbers("body: inertia", inertia, (3,), low=1e-300)
+        inside = np.diag(numbers("body: inertia_displaced", inertia_displaced, (3,), low=0.0))[None]
         spec = mujoco.MjSpec()
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.gravity = [0, 0, 0]
@@ -106,19 +138,27 @@ class ImmersedBody:
         link.mass, link.inertia, link.ipos, link.explicitinertial = mass, inertia, [0, 0, 0], True
         for name in axes:
             link.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)["xyz".index(name)])
-        inside = np.diag(inertia_displaced)[None]
         water = DisplacedWater(mass=np.array([displaced]), centre=np.zeros((1, 3)), inertia=inside)
         return cls(passive_slot.compiled(spec), water, dt)
 
     def set_step(self, dt: float) -> None:
         """Change the time step, s."""
+        numbers("body: dt", dt, low=1e-300)
         self.dt = self.model.opt.timestep = self._dt[0] = float(dt)
         self._weigh()
 
     def place(self, qpos, qvel=None, interior_speed=np.nan) -> None:
-        """Put the body into a state; its water moves with it, along the links at `interior_speed` (L,) m/s, and gains nothing."""
+        """Put the body into a state; its water moves with it, along the links at `interior_speed` (L,) m/s, and gains nothing.
+
+        Args:
+            qpos: (nq,) m, rad and quaternions. qvel: (n,) m/s and rad/s; None: at rest.
+
+        Raises:
+            ConfigError: another shape, or not finite.
+        """
+        qpos = numbers("body: qpos", qpos, (self.model.nq,))
+        self.data.qvel[:] = 0.0 if qvel is None else numbers("body: qvel", qvel, (self.dofs,))
         self.data.qpos[:] = qpos
-        self.data.qvel[:] = 0.0 if qvel is None else qvel
         self.interior_speed[:] = interior_speed
         self._weigh()
         self.forward()
@@ -138,12 +178,23 @@ class ImmersedBody:
 
     def forward(self) -> None:
         """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the interior water."""
-        mujoco.mj_step1(self.model, self.data)
+        d = self.data
+        for name, values in (("qpos", d.qpos), ("qvel", d.qvel)):
+            if not np.isfinite(values).all():  # MuJoCo would put the model back to where it began
+                raise ConfigError(f"body: {name} = {values.tolist()} at t = {d.time:.4g} s; expected finite numbers")
+        mujoco.mj_step1(self.model, d)
+        if d.nefc:
+            raise ConfigError(
+                f"body: {_active(self.model, d)} at t = {d.time:.4g} s; the coupled step leaves MuJoCo's"
+                " constraints out. Switch them off: option.disableflags |= mjDSBL_CONSTRAINT"
+            )
         self._move.launch()
         self._boxes = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
+        if not np.isfinite(self.data.ctrl).all():  # MuJoCo would take 0 for it, with a line in a log file
+            raise ConfigError(f"body: ctrl = {self.data.ctrl.tolist()} at t = {self.data.time:.4g} s; expected finite numbers")
         mujoco.mj_fwdActuation(self.model, self.data)  # ctrl may be newer than the state
         mujoco.mj_fullM(self.model, self.data, self.system)
         self._balance[interior].launch()
@@ -173,13 +224,14 @@ class ImmersedBody:
         s.links, s.dofs = self.links, n
         s.place, s.turn = share(d.xpos[1:]), share(d.xmat[1:])
         s.mujoco_axis, s.mujoco_anchor, s.qpos, s.qvel = (share(a) for a in (d.xaxis, d.xanchor, d.qpos, d.qvel))
-        root = next((j for j in range(m.njnt) if m.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE), None)
-        s.root = 0 if root is None else int(m.jnt_bodyid[root]) - 1
         kind = np.full(n, link_dynamics.HINGE, np.int32)
-        if root is not None:
-            first = m.jnt_dofadr[root]
-            kind[first : first + 6] = *(link_dynamics.FIXED - np.arange(3)), 0, 1, 2  # a free joint spins about its body's axes
+        for first, what in zip(m.jnt_dofadr, m.jnt_type, strict=True):
+            if what == FREE:
+                kind[first : first + 6] = *(link_dynamics.FIXED - np.arange(3)), 0, 1, 2
+            elif what == BALL:  # it and a free joint spin about their body's axes
+                kind[first : first + 3] = 0, 1, 2
         s.joint, s.kind = share(m.dof_jntid.astype(np.int32), int), share(kind, int)
+        s.carrier = share((m.dof_bodyid - 1).astype(np.int32), int)
         s.slides, s.reach = share(self.slides, int), share(self.reach)
         s.hinge = share(np.array([_hinge_address(m, i + 1) for i in range(self.links)], np.int32), int)
         s.arm, s.mass, s.inertia = (share(np.array(a, float)) for a in (mass.centre, mass.mass, mass.inertia))
@@ -241,16 +293,95 @@ class ImmersedBody:
         return self._boxes[1]
 
     def largest_extent(self, corners: Corners) -> np.ndarray:
-        """Size (3,) m that such a box cannot exceed, whatever the pose: the stretched chain from end to end."""
+        """Size (3,) m that such a box cannot exceed in any pose; infinite along an axis on which links can part."""
+        m, d = self.model, self.data
         far = np.linalg.norm(corners.at, axis=-1).max(-1)  # (L,) from each link's origin
-        chain = np.zeros(self.links)  # distance from the first link's origin along the chain
-        for i in range(1, self.links):
-            parent = self.model.body_parentid[i + 1] - 1
-            chain[i] = (chain[parent] if parent >= 0 else 0.0) + np.linalg.norm(self.model.body_pos[i + 1])
-        length = far[0] + (chain + far).max() if self.links > 1 else 2 * far[0]
-        upright = all(self.data.xaxis[j][2] in (0.0, 1.0) for j in range(self.model.njnt)) and self.model.nq == self.model.nv
-        height = np.abs(corners.at[..., 2]).max() * 2 if upright else length
-        return np.array([length, length, height])
+        length = float((far[:, None] + farthest_apart(m) + far).max())
+        if not self._upright():
+            return np.full(3, length)
+        # no joint lifts a link against another one: every corner keeps its height over the first link
+        above = (
+            d.xpos[1:, 2, None]
+            - d.xpos[1, 2]
+            + np.where(d.xmat[1:, 8, None] == 1.0, corners.at[..., 2], np.einsum("lc,lkc->lk", d.xmat[1:, 6:], corners.at))
+        )
+        return np.array([length, length, 2 * np.abs(above).max()])
+
+    def bends(self, before: int, after: int) -> bool:
+        """True where link `after` hangs on link `before` by one hinge about its z axis, as a skin between the two needs."""
+        m, joint = self.model, self.model.body_jntadr[after + 1]
+        hung = m.body_parentid[after + 1] == before + 1 and _hinge_address(m, after + 1) >= 0
+        return bool(hung and m.qpos0[m.jnt_qposadr[joint]] == 0.0 and m.jnt_axis[joint][2] == 1.0)
+
+    def _upright(self) -> bool:
+        """True where all rotations are about vertical axes, and vertical slides move all links at once."""
+        for j, kind in enumerate(self.model.jnt_type):
+            rise = abs(self.data.xaxis[j][2])
+            alone = not self.reach[:, self.model.jnt_dofadr[j]].all()
+            if kind in (FREE, BALL) or (kind == HINGE and rise < 1 - 1e-9) or (kind == SLIDE and alone and rise > 1e-9):
+                return False
+        return True
+
+
+def farthest_apart(model) -> np.ndarray:
+    """Greatest distance (L, L) m between the origins of two links in any pose; infinite where one slides against the other."""
+    count, parent = model.nbody - 1, model.body_parentid[1:] - 1
+    room = np.zeros(count)  # that a link's joints leave its origin round its place in the parent's frame
+    for body, kind, anchor in zip(model.jnt_bodyid - 1, model.jnt_type, model.jnt_pos, strict=True):
+        room[body] += np.inf if kind in (SLIDE, FREE) else 2 * np.linalg.norm(anchor)
+    step = np.linalg.norm(model.body_pos[1:], axis=1) + room
+    above: list[list[int]] = []  # of each link: itself, its parent and so on
+    for i in range(count):
+        above.append([i, *(above[parent[i]] if parent[i] >= 0 else [])])
+    apart = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i):
+            one, other = ([k for k in above[a] if k not in above[b]] for a, b in ((i, j), (j, i)))
+            total = step[one[:-1]].sum() + step[other[:-1]].sum()
+            if one and other:  # two branches of one link, or of the world
+                a, b = one[-1], other[-1]
+                total += np.linalg.norm(model.body_pos[a + 1] - model.body_pos[b + 1]) + room[a] + room[b]
+            else:
+                total += step[(one or other)[-1]]
+            apart[i, j] = apart[j, i] = total
+    return apart
+
+
+def _refuse_what_is_left_out(m: mujoco.MjModel) -> None:
+    """Raise ConfigError for a model with more in it than the coupled step holds."""
+    turns = np.isin(m.jnt_type, (HINGE, BALL))
+    crowded = [b for b in m.jnt_bodyid[m.jnt_type == BALL] if turns[m.jnt_bodyid == b].sum() > 1]
+    left_out = {
+        "no degree of freedom": m.nv == 0,
+        "an integrator other than Euler": m.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER,
+        "the implicit damping of the Euler integrator switched off": m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP,
+        f"a ball joint beside another rotation in body {m.body(crowded[0]).name!r}" if crowded else "": crowded,
+    }
+    found = [name for name, there in left_out.items() if there]
+    if found:
+        raise ConfigError(f"body: the model has {', '.join(found)}; the coupled step computes none of these")
+
+
+def _active(m: mujoco.MjModel, d: mujoco.MjData) -> str:
+    """MuJoCo's constraints that act now, in words."""
+    if d.ncon:
+        names = [m.body(m.geom_bodyid[geom]).name for geom in d.contact[0].geom]
+        return f"contact between bodies {names[0]!r} and {names[1]!r}"
+    kinds = {int(kind) for kind in d.efc_type[: d.nefc]}
+    return (
+        " and ".join(mujoco.mjtConstraint(kind).name.removeprefix("mjCNSTR_").lower() for kind in sorted(kinds)) + " constraint"
+    )
+
+
+def _check_points(points: Points, links: int) -> None:
+    """Raise ConfigError for points in no link, or whose shares are not 1 in all for each."""
+    place = numbers("displaced water: place of points", points.place, (None, 3))
+    link = whole_numbers("displaced water: link of points", points.link, (len(place),), low=0, high=links - 1)
+    share = numbers("displaced water: share of points", points.share, (len(place),), low=0.0)
+    total = np.bincount(link, share, links)
+    if not np.allclose(total, 1.0, atol=1e-6):
+        at = int(np.argmax(np.abs(total - 1.0)))
+        raise ConfigError(f"displaced water: shares of the points of link {at} add up to {total[at]:g}; expected 1")
 
 
 def _moves(model, body: int, dof: int) -> bool:

@@ -11,14 +11,17 @@ come back.
 """
 
 from contextlib import nullcontext
+from math import isfinite
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.guard import check_spacing, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import fsi_solve, kernels
 from fishmj.lbm_oracle.immersed.kernels import check_width
@@ -26,6 +29,7 @@ from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 MARKERS_A_CHUNK, CHUNKS = 24, (16, 256)  # of a partial sum over the markers; how many of these at least and at most on a GPU
+ROOM = 1.1  # rounding to whole numbers of markers: a median distance so far over a limit is still allowed
 MARGIN = 4  # cells of the scratch box round the markers: half a kernel, rounding, the bend of the skin
 
 
@@ -60,25 +64,39 @@ class Boundary:
     Args:
         markers: in the frames of the body's links. body: its degrees of freedom and motion axes.
         width: of the kernel, 3 or 4. passes: of the direct forcing. slip: quoted at the paper's grid.
+
+    Where links can part without bounds, as two free bodies can, the scratch box spans all of the water on those axes (`whole`).
+
+    Raises:
+        ConfigError: a marker of a link that the body does not have, or that bends where no hinge is; numbers that cannot be.
+        OracleUnstable: the markers are of another grid: as a rule further apart, or closer, than its cells allow.
     """
 
     def __init__(self, markers: Markers, body, fluid: Fluid, *, width: int = 3, passes: int = 2, slip: float = 1.0):
         lattice, device = fluid.lattice, fluid.device
         self.markers, self.lattice, self.shape, self.device = markers, lattice, fluid.shape, device
-        self.width, self.passes, self.slip = check_width(width), int(passes), slip_here(slip, lattice)
-        if self.passes < 1:
-            raise ConfigError(f"immersed boundary: passes = {passes}; expected 1 or more, 2 by default")
+        self.passes = int(whole_numbers("immersed boundary: passes", passes, low=1))
+        self.width, self.slip = check_width(width), slip_here(slip, lattice)
         self.body_acceleration = fluid.params.body_acceleration
         wraps = [FACES[axis.low].wraps for axis in fluid.boundaries.axes]
         self.wraps, self._bounded = wp.vec3i(*map(int, wraps)), [a for a in range(3) if not wraps[a]]
         n, self.dofs, self.links = len(markers), body.dofs, body.links
         if n == 0:
             raise ConfigError("immersed boundary: no markers")
+        _check_links(markers, body)
+        apart = float(np.sqrt(np.median(markers.area)))
+        check_spacing(lattice, apart / ROOM if apart > lattice.dx else apart * ROOM, "immersed boundary")
         self.count, self.rhs = n, self.dofs + 1
         self.layout = _layout(self.links, self.dofs)
         self.corners = Corners.of(markers, body.water.centre)
         size = body.largest_extent(self.corners)
-        self.box_shape = tuple(int(np.ceil(s / lattice.dx)) + 2 * MARGIN for s in size)
+        self.whole = [a for a in range(3) if not isfinite(size[a])]
+        cells = (n if a in self.whole else int(np.ceil(size[a] / lattice.dx)) for a, n in enumerate(fluid.shape))
+        self.box_shape = tuple(n + 2 * MARGIN for n in cells)
+        if self.whole:
+            device_of(str(device), int(np.prod(self.box_shape)) * (12 * self.rhs + 16))
+        folded = [MARGIN if a in self.whole and wraps[a] else 0 for a in range(3)]
+        self._folded = wp.vec3i(*folded)  # cells before the first of the water, on axes where the scratch box wraps round
         self.corners.set_grid(lattice.dx, lattice.corner, self.box_shape)
         make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)
         self.rest = make(markers.rest, wp.vec3d)
@@ -138,9 +156,17 @@ class Boundary:
             ConfigError: a marker is nearer to a face than half a kernel: it would read, and push, water of the other side.
         """
         self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
-        if not self._bounded:
-            return
         found, first, dx = body.corner_box(self.corners).tolist(), origin.tolist(), self.lattice.dx
+        if not np.isfinite(body.pose).all():
+            raise ConfigError("immersed boundary: the body's place is not finite; see body.data.qpos")
+        for a in range(3):
+            if a in self.whole:
+                self.view["box"][a] = first[a] - MARGIN
+            elif found[3 + a] - found[a] > (self.box_shape[a] - 2 * MARGIN + 1) * dx:  # the kernels would write beyond it
+                raise ConfigError(
+                    f"immersed boundary: the body spans {found[3 + a] - found[a]:.3g} m along {'xyz'[a]}, further than its links"
+                    " reached when it was put into the water; put a changed model into the water anew"
+                )
         for a in self._bounded:  # plain numbers: a handful is faster so than in NumPy
             corner = self.lattice.corner[a] + first[a] * dx
             room = min((found[a] - corner) / dx, self.shape[a] - 1 - (found[3 + a] - corner) / dx)
@@ -183,7 +209,7 @@ class Boundary:
             self._measure_interior(f, shape, self._interior_speed if speed is None else speed)
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
-        pose_in += [wp.vec3i(*self.box_shape), self.wraps, corner]
+        pose_in += [wp.vec3i(*self.box_shape), self.wraps, self._folded, corner]
         self._launch(kernels.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
         read_in = [f, self.body_acceleration, self.cell, self.store, w, shape]
         self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
@@ -192,6 +218,8 @@ class Boundary:
         for _ in range(self.passes - 1):
             self.scratch.zero_()
             self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
+            for a in self.whole:
+                self._fold(a)
             self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
         # float32 forces, float64 sums: K joins masses of trunk and tail in one solve
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
@@ -200,6 +228,13 @@ class Boundary:
         self._launch(fsi_solve.response_total, (*self.water.shape, self._adders), total_in, [self.water])
         if self._branch is not None:
             wp.get_stream(self.device).wait_stream(self._branch)
+
+    def _fold(self, axis: int) -> None:
+        """Queue that cells of the scratch box which are one cell of water, a period apart, hold the sum of all of them."""
+        if self._folded[axis]:
+            dim = list(self.scratch.shape)
+            dim[axis] = min(self.shape[axis], 2 * MARGIN)
+            self._launch(kernels.fold, tuple(dim), [axis, self.shape[axis]], [self.scratch])
 
     def _measure_interior(self, f: wp.array, shape: wp.vec3i, speed: wp.array) -> None:
         """Queue how fast the interior water moves along the links."""
@@ -270,6 +305,11 @@ class Boundary:
         """Queue how fast the interior water moves along the links into `speed`, (L,) m/s, for the place in `host`."""
         self._measure_interior(f, wp.vec3i(*self.shape), speed)
 
+    def fastest_marker(self, velocity: np.ndarray) -> float:
+        """Greatest speed of a marker, m/s, at the body's velocity (n,), where the markers were in the last step."""
+        speed = np.einsum("kdc,d->kc", self.jacobian.numpy(), velocity)
+        return float(np.sqrt((speed * speed).sum(1).max())) * self.lattice.velocity
+
     @property
     def response(self) -> tuple[np.ndarray, np.ndarray]:
         """K (n, n) and b0 (n,) of the last step, SI momentum units."""
@@ -288,6 +328,22 @@ class Boundary:
             args: dict[str, Any] = {"inputs": inputs, "outputs": outputs, "device": self.device, "record_cmd": True}
             self._recorded[key] = wp.launch(kernel, dim=dim, **args)
         self._recorded[key].launch()
+
+
+def _check_links(markers: Markers, body) -> None:
+    """Raise ConfigError for a marker of a link that is not there, or that bends between two which no hinge about z joins."""
+    for name in ("before", "after"):
+        whole_numbers(
+            f"immersed boundary: markers' link {name!r}", getattr(markers, name), (len(markers),), low=0, high=body.links - 1
+        )
+    bends = markers.share > 0
+    for before, after in sorted({*zip(markers.before[bends].tolist(), markers.after[bends].tolist(), strict=True)}):
+        if not body.bends(before, after):
+            at = int(np.argmax(bends & (markers.before == before) & (markers.after == after)))
+            raise ConfigError(
+                f"immersed boundary: marker {at} bends by {markers.share[at]:g} from link {before} to link {after}; expected one"
+                " that hangs on the other by one hinge about z, or share 0"
+            )
 
 
 def _identity(value: Any) -> Any:

@@ -22,6 +22,7 @@ import warp as wp
 
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.guard import MACH, Watch, check_speed, numbers
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.early_water import EarlyWater
@@ -35,7 +36,7 @@ NEXT, LAST = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])  # a x b
 
 
 class FluidStructure:
-    """One body in one fluid.
+    """One body in one fluid; a model of several bodies is one `ImmersedBody`.
 
     Args:
         slip: ratio quoted at the paper's grid; 1 lets the water slide along the hull, 0 holds it.
@@ -44,7 +45,7 @@ class FluidStructure:
         interior: add the momentum of the water inside the hull; False is kept for the same reason.
 
     Raises:
-        ConfigError: the two clocks differ, or a name is unknown.
+        ConfigError: the two clocks differ, a name is unknown, or the markers are not the body's.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class FluidStructure:
             raise ConfigError(f"coupled: the fluid steps {fluid.lattice.dt} s and the body {body.dt} s; give both the same dt")
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
-        self.steps = 0
+        self.steps, self.watch = 0, Watch()
         self.ahead = False  # steps are queued whose outcome the body has not taken, behind others (`DeviceSteps.queue_next`)
         self.together = 1  # steps between the last two times that the host saw the body
         self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`
@@ -76,15 +77,30 @@ class FluidStructure:
             fixed: (n,) 1 where the velocity is prescribed. value: (n,) that velocity, m/s or rad/s.
 
         Raises:
-            SimDiverged: the body's velocity is not finite.
+            SimDiverged: the body's velocity is not finite. OracleUnstable: a marker is faster than the grid's time step takes, or
+                the water has left what is sound; this is looked at every 50 steps, on a GPU a step later.
+            ConfigError: as of `place_markers` and `solve`.
         """
         self.place_markers()
         self.assemble_response()
         self.solve(fixed, value)
         self.push_water()
         velocity = self.advance()
+        self.watch.end()  # the look begun after the step before: its copies lie behind the velocity just waited for
+        if self.watch.due(self.fluid):
+            with self.scope():
+                self.watch.begin(self.fluid)
+            if self.graphs is None:
+                self.watch.end()
         self.join_stream()
+        self._check_speed(velocity)
         return velocity
+
+    def _check_speed(self, velocity: np.ndarray) -> None:
+        """Raise OracleUnstable where a marker is beyond the Mach limit at this velocity of the body, (n,)."""
+        lattice = self.fluid.lattice
+        if lattice.mach(self.body.fastest(self.boundary.corners)) > MACH:  # the boxes' corners: no marker is faster
+            check_speed(lattice, self.boundary.fastest_marker(velocity), f"coupled: a marker at t = {self.time:.4g} s")
 
     def place_markers(self) -> None:
         """Where the body is, into what the device reads.
@@ -99,8 +115,17 @@ class FluidStructure:
         self._queue("response")
 
     def solve(self, fixed=None, value=None) -> None:
-        """The body's side of the equation, and the launch of its solution; arguments as `step`'s."""
+        """The body's side of the equation, and the launch of its solution; arguments as `step`'s.
+
+        Raises:
+            ConfigError: `fixed` or `value` of another shape or not finite, or a value without `fixed`.
+        """
         body = self.body
+        if fixed is not None:
+            fixed = numbers("coupled: fixed", np.multiply(fixed, 1.0), (body.dofs,), low=0.0, high=1.0)
+            value = numbers("coupled: value", np.zeros(body.dofs) if value is None else value, (body.dofs,))
+        elif value is not None:
+            raise ConfigError("coupled: a value and no `fixed`; expected fixed (n,), 1 where the velocity is prescribed")
         system, right = body.equation(interior=self.interior)
         self.boundary.set_equation(system, right, body.data.qvel, fixed, value)
         self._queue("solution")

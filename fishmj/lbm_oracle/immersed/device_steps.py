@@ -61,8 +61,8 @@ class DeviceSteps:
         warps: the markers' kernels of `marker_warps.py`, which two passes ask for; by default on an accelerator.
 
     Raises:
-        ConfigError: the explicit scheme, a body with an equation of its own, or a model with more in it than the device
-            computes (`tree_of`).
+        ConfigError: the explicit scheme, a body with an equation of its own, links that can part without bounds, or a model with
+            more in it than the device computes (`tree_of`).
     """
 
     def __init__(self, coupled: FluidStructure, count: int, *, warps: bool | None = None):
@@ -71,6 +71,10 @@ class DeviceSteps:
         if type(coupled.body) is not ImmersedBody:
             raise ConfigError(f"steps on the device: the body is a {type(coupled.body).__name__}; expected a plain ImmersedBody")
         body, self.boundary, self.fluid = coupled.body, coupled.boundary, coupled.fluid
+        if self.boundary.whole:
+            raise ConfigError(
+                "steps on the device: the body's links can part without bounds; expected a chain or a tree of hinges"
+            )
         self.coupled, self.count, device = coupled, int(count), coupled.fluid.device
         self._tree, links, n, servos = tree_of(body.model, device), body.links, body.dofs, body.model.nu
         self._dof = body.model.jnt_dofadr[body.model.actuator_trnid[:, 0]]

@@ -9,6 +9,7 @@ added mass A. Everything else is explicit. The terms are those of `body.py`.
 import mujoco
 import numpy as np
 
+from fishmj.lbm_oracle.fluid.guard import numbers
 from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
 
 
@@ -30,8 +31,8 @@ class DrivenBody(ImmersedBody):
 
     def drive(self, applied: np.ndarray, damping: np.ndarray) -> None:
         """What acts in the next step: generalised forces (n,), N and N m, and the damping D of each joint (J,), N m s/rad."""
-        self.applied[:] = applied
-        self.model.dof_damping[-self.joints :] = damping
+        self.applied[:] = numbers("driven body: applied", applied, (self.dofs,))
+        self.model.dof_damping[-self.joints :] = numbers("driven body: damping", damping, (self.joints,), low=0.0)
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         mujoco.mj_passive(self.model, self.data)  # the damping is newer than the state

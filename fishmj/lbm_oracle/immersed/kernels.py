@@ -125,6 +125,7 @@ def pose(
     shape: wp.vec3i,
     box: wp.vec3i,
     wraps: wp.vec3i,
+    folded: wp.vec3i,
     corner: wp.array(dtype=int),
     acts: wp.array(dtype=int),
     world: wp.array(dtype=wp.vec3d),
@@ -152,6 +153,10 @@ def pose(
     grid = (x - point3(host, at.origin)) / dx
     low = point3(host, at.box)
     inner = grid - low
+    for e in range(3):
+        if folded[e] > 0:  # the box is all of the water: the marker's image in it, a whole number of periods away
+            period, ahead = wp.float64(shape[e]), wp.float64(folded[e])
+            inner[e] -= period * wp.floor((inner[e] - ahead) / period)
     place = wp.vec3(float(inner[0]), float(inner[1]), float(inner[2]))
     cell[k] = place
     i = wrap(first(place[0], width) + int(low[0]), shape[0])
@@ -261,6 +266,22 @@ def spread(
             w = wy * phi(p[2] - float(z + l), width)
             # over the local density, so that sum rho G = sum V F: over 1, the water would gain rho times what the markers give
             wp.atomic_add(scratch, x + i, y + j, z + l, r, (w / box_rho[x + i, y + j, z + l]) * push)
+
+
+@wp.kernel
+def fold(axis: int, period: int, scratch: wp.array4d(dtype=wp.vec3)):
+    """Cells a period apart along an axis of the box are one cell of water: each gets the sum over all of them."""
+    i, j, k, r = wp.tid()
+    at = wp.vec3i(i, j, k)
+    total, size = wp.vec3(0.0, 0.0, 0.0), scratch.shape[axis]
+    for n in range((size - at[axis] + period - 1) / period):
+        image = at
+        image[axis] = at[axis] + n * period
+        total += scratch[image[0], image[1], image[2], r]
+    for n in range((size - at[axis] + period - 1) / period):
+        image = at
+        image[axis] = at[axis] + n * period
+        scratch[image[0], image[1], image[2], r] = total
 
 
 @wp.kernel

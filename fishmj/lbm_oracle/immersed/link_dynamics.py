@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.immersed.markers import Markers
 
 wp.set_module_options({"enable_backward": False})
 
-HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; or along one of the world's (FIXED - i); or a free root's own (0, 1, 2)
+HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; one of the world's (FIXED - i); one of the link's that turns (0, 1, 2)
 
 
 @wp.struct
@@ -36,7 +36,6 @@ class LinkArrays:
 
     links: int
     dofs: int
-    root: int  # link that a free joint carries, if there is one
     place: wp.array(dtype=wp.float64)  # 3 L, p
     turn: wp.array(dtype=wp.float64)  # 9 L, R by rows
     mujoco_axis: wp.array(dtype=wp.float64)  # 3 a joint
@@ -45,6 +44,7 @@ class LinkArrays:
     qvel: wp.array(dtype=wp.float64)
     joint: wp.array(dtype=int)  # n, of every degree of freedom
     kind: wp.array(dtype=int)  # n, HINGE, FIXED - i or 0, 1, 2
+    carrier: wp.array(dtype=int)  # n, link of every degree of freedom
     slides: wp.array(dtype=int)  # n
     hinge: wp.array(dtype=int)  # L, where in qpos; -1 for none
     reach: wp.array(dtype=wp.float64)  # L n, whether the degree of freedom moves the link
@@ -99,7 +99,7 @@ def move(s: LinkArrays):
             axis = wp.vec3d()
             axis[FIXED - kind] = wp.float64(1.0)
         if kind >= 0:
-            own = matrix3(s.turn, 9 * s.root)
+            own = matrix3(s.turn, 9 * s.carrier[d])
             axis = wp.vec3d(own[0, kind], own[1, kind], own[2, kind])
         put(s.pose, axes + 3 * d, axis)
         put(s.pose, anchors + 3 * d, point3(s.mujoco_anchor, 3 * s.joint[d]))

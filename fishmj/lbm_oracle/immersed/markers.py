@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 from fishmj.mjcf.skin import bend
@@ -90,13 +91,39 @@ class Markers:
     sheet: np.ndarray  # (N,) bool, single sheet
     slip_length: np.ndarray | None = None  # (N,) cells, where the water sticks; None: 0
 
+    def __post_init__(self):
+        """Raises ConfigError for arrays of other shapes or types, and for numbers that no marker has."""
+        n = len(np.atleast_1d(np.asarray(self.area, object)))
+        checked: dict[str, np.ndarray] = {
+            "rest": numbers("markers: rest", self.rest, (n, 3)),
+            "normal": numbers("markers: normal", self.normal, (n, 3), low=-1.001, high=1.001),
+            "area": numbers("markers: area", self.area, (n,), low=0.0),
+            "pivot": numbers("markers: pivot", self.pivot, (n, 3)),
+            "share": numbers("markers: share", self.share, (n,), low=0.0, high=1.0),
+            "before": whole_numbers("markers: before", self.before, (n,), low=0),
+            "after": whole_numbers("markers: after", self.after, (n,), low=0),
+            "sheet": np.asarray(self.sheet),
+        }
+        if checked["sheet"].shape != (n,) or checked["sheet"].dtype != bool:
+            raise ConfigError(
+                f"markers: sheet is {checked['sheet'].dtype} of the shape {checked['sheet'].shape}; expected {n} bools"
+            )
+        long = np.linalg.norm(checked["normal"], axis=1)
+        if (np.abs(long - 1) > 1e-3).any():
+            at = int(np.argmax(np.abs(long - 1)))
+            raise ConfigError(f"markers: normal[{at}] has the length {long[at]:.4g}; expected unit vectors")
+        if self.slip_length is not None:
+            checked["slip_length"] = numbers("markers: slip_length", self.slip_length, (n,), low=0.0)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
     def __len__(self) -> int:
         return len(self.area)
 
     @classmethod
     def rigid(cls, rest, normal, area, *, link: int = 0, sheet=False, sharpness: Sharpness = PLAIN) -> "Markers":
         """Markers of one rigid link, already drawn in; `sharpness` gives their slip lengths."""
-        n, index = len(rest), np.full(len(rest), link, np.int32)
+        n, index = len(rest), np.full(len(rest), whole_numbers("markers: link", link, low=0), np.int32)
         sheet = np.broadcast_to(np.asarray(sheet), n).copy()
         return cls(
             rest=np.asarray(rest, float),
@@ -125,6 +152,7 @@ def sphere_markers(
     radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None, sharpness: Sharpness = PLAIN
 ) -> Markers:
     """A sphere of `radius` m about the origin of link 0: points of a golden spiral, equal areas of about dx^2."""
+    numbers("sphere: radius", radius, low=0.0), numbers("sphere: dx", dx, low=1e-300)
     r = radius - sharpness.insets(width, slip, hydro_offset)[0] * dx
     if r <= dx:
         raise ConfigError(

@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Q
+from fishmj.lbm_oracle.fluid.lattice import RATIO, VELOCITIES, Q
 from fishmj.lbm_oracle.refined.exchange import CELL_BITS
 
-RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one
 Cells = tuple[int, int, int]
 
 

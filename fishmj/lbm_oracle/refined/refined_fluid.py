@@ -22,10 +22,10 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey
 from fishmj.lbm_oracle.fluid.fluid import NOWHERE, Fluid
-from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
+from fishmj.lbm_oracle.fluid.lattice import RATIO, VELOCITIES, Lattice
 from fishmj.lbm_oracle.fluid.pairs import split_by
 from fishmj.lbm_oracle.refined import exchange
-from fishmj.lbm_oracle.refined.crossings import RATIO, Cells, lists_of
+from fishmj.lbm_oracle.refined.crossings import Cells, lists_of
 from fishmj.lbm_oracle.refined.exchange import BLOCK, GHOST, Nest
 
 ROOM = 2  # coarse cells between R and a face of the coarse water
@@ -264,12 +264,14 @@ class RefinedFluid(Fluid):
             graph, times = self._captured(self.period), steps // self.period
             for _ in range(times):
                 wp.capture_launch(graph)
-            self.skip(times * self.period)
+                self.skip(self.period)
+                self.watch.after_step(self, self.period)
             steps -= times * self.period
         for _ in range(steps):
             if before is not None:
                 before()
             self.stream_collide()
+            self.watch.after_step(self)
 
     @property
     def period(self) -> int:

@@ -19,10 +19,10 @@ import numpy as np
 
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.flow import Flow
+from fishmj.lbm_oracle.fluid.guard import MACH, Watch
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
 from fishmj.lbm_oracle.run.run_meta import about, plausible
-from fishmj.lbm_oracle.run.stability import MACH, Watch
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
 from fishmj.log import Trial, numbered
 from fishmj.mjcf import load_robot

@@ -9,7 +9,7 @@ import numpy as np
 from fishmj.calib import constant
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.fluid import Fluid, blend_at
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
@@ -51,11 +51,11 @@ class Gait:
             raise ConfigError(f"gait: frequency = {self.frequency} Hz must be positive, ramp = {self.ramp} s not negative")
 
     @classmethod
-    def of_the_paper(cls, second: bool = True) -> "Gait":
+    def of_the_paper(cls, second: bool = True, joints: int = 3) -> "Gait":
         """The calibration swim: 1 Hz, 30 deg on all joints; `second` with 60 deg lag, otherwise in phase."""
         lag = constant("calibration", "phase_lag_second_deg" if second else "phase_lag_deg")[0]
         amplitude = radians(constant("calibration", "amplitude_deg"))
-        return cls(frequency=constant("calibration", "frequency"), amplitude=amplitude, lag=radians(lag))
+        return cls(joints=joints, frequency=constant("calibration", "frequency"), amplitude=amplitude, lag=radians(lag))
 
     def __call__(self, t: float) -> np.ndarray:
         """Joint angles (J,) at time t, rad."""
@@ -94,7 +94,12 @@ class SwimSetup:
         level = domain.body_level
         if domain.fine and self.storage != "float32":
             raise ConfigError(f"oracle: storage {self.storage!r} in {domain.name}, which has finer cells; expected 'float32'")
-        water: dict[str, Any] = {"boundaries": domain.boundaries, "flow": self.flow, "dtype": self.storage}
+        water: dict[str, Any] = {
+            "boundaries": domain.boundaries,
+            "flow": self.flow,
+            "blend": blend_at(domain.lattice),
+            "dtype": self.storage,
+        }
         fluid = Fluid(domain.lattice, domain.shape, self.device, **water)
         joints = np.asarray(self.joints or np.zeros(robot.n_joints), float)
         if joints.shape != (robot.n_joints,):

@@ -50,7 +50,7 @@ def _updates(quick: bool, **options) -> Work:
     from fishmj.lbm_oracle.fluid.lattice import Lattice
 
     device, shape = _paper(quick)
-    water = Fluid(Lattice(dx=0.02, dt=0.004), shape, device, **options)
+    water = Fluid(Lattice(dx=0.02, dt=0.004, nu=2e-5), shape, device, **options)  # at water's own tau WALE must be on
     steps = 400 if device.is_cuda else 2 if quick else 6
 
     def run():
@@ -283,7 +283,7 @@ def oracle_peer_cpu(quick: bool) -> Work:
     from fishmj.lbm_oracle.fluid.fluid import Fluid
     from fishmj.lbm_oracle.fluid.lattice import Lattice
 
-    water = Fluid(Lattice(dx=0.02, dt=0.004), PEER_SHAPE, "cpu", subgrid="none", keep_velocity=False)
+    water = Fluid(Lattice(dx=0.02, dt=0.004, nu=2e-5), PEER_SHAPE, "cpu", subgrid="none", keep_velocity=False)
     steps = PEER_QUICK if quick else PEER_STEPS
 
     def run():

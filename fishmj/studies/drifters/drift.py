@@ -18,7 +18,7 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import LENGTH, PRESETS, Flow
-from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.fluid import Fluid, blend_at
 from fishmj.lbm_oracle.output.slice_plots import pyplot, save
 from fishmj.lbm_oracle.run import solver_cost, stability
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
@@ -103,13 +103,12 @@ def in_solver(domain: Domain, flow: Flow, *, settle: float, end: float, device: 
     steps = round(TICK / domain.dt)
     if steps < 1 or abs(steps * domain.dt - TICK) > 1e-9:
         raise ConfigError(f"drift: the tick of {TICK} s is no multiple of dt = {domain.dt:g} s; take another domain or dx")
-    water = Fluid(domain.lattice, domain.shape, device, boundaries=domain.boundaries, flow=flow)
-    watch = stability.Watch()
+    blend = blend_at(domain.lattice)
+    water = Fluid(domain.lattice, domain.shape, device, boundaries=domain.boundaries, flow=flow, blend=blend)
     water.run(round(settle / TICK) * steps)
     for tick in range(round(end / TICK) + 1):
         yield tick * TICK, trilinear(water.velocity(), domain.lattice, water.origin_lu)
         water.run(steps)
-        watch.after_step(water)
 
 
 def in_flow(flow: Flow, *, end: float) -> Iterator[tuple[float, Sampler]]:

@@ -1,0 +1,190 @@
+"""Checks of what a user gives the solver, limits of the scheme before a step, and a watch while it runs.
+
+    Ma = u / c_s < 0.3        the scheme is weakly compressible: errors grow with Ma^2
+    tau >= 0.5005             without an eddy viscosity; below it the collision has no damping left
+    spacing 0.5 to 1.4 dx     of the markers; measured to make no difference inside
+
+Every class that a user can build calls these itself: `Fluid`, `Markers`, `ImmersedBody`, `FluidStructure`. A refusal names the
+nearest set-up that would pass.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, inf, isnan, sqrt
+from typing import Any
+
+import numpy as np
+
+from fishmj.calib import constant
+from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.flow import TICK
+from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
+
+MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
+TAU = constant("oracle", "tau_least")
+SPACING = constant("oracle", "spacing")  # of dx
+EVERY = constant("oracle", "watch")  # steps between two looks
+RHO = constant("oracle", "density_stop")
+SPEED_LU = constant("oracle", "speed_stop")
+MEAN_DRHO = constant("oracle", "mass_stop")
+
+
+def numbers(what: str, value: Any, shape: Sequence[int | None] = (), *, low: float = -inf, high: float = inf) -> np.ndarray:
+    """`value` as float64 of `shape`, where None stands for any length.
+
+    Args:
+        what: names it in the message, as "markers: area". low, high: range of its entries, ends included.
+
+    Raises:
+        ConfigError: no numbers, another shape, or an entry that is not finite or out of range.
+    """
+    array = _array(what, value, "iuf")
+    _check_shape(what, array, shape)
+    array = array.astype(float, copy=False)
+    wrong = ~(np.isfinite(array) & (array >= low) & (array <= high))
+    if wrong.any():
+        at = np.unravel_index(int(np.argmax(wrong)), array.shape)
+        raise ConfigError(f"{what}{_place(at)} = {array[at]:g}; expected a finite number{_range(low, high)}")
+    return array
+
+
+def whole_numbers(what: str, value: Any, shape: Sequence[int | None] = (), *, low: float = -inf, high: float = inf) -> np.ndarray:
+    """`value` as int64 of `shape`; arguments and errors as of `numbers`, and a ConfigError for fractions."""
+    array = _array(what, value, "iuf")
+    if array.dtype.kind == "f" and array.size:
+        raise ConfigError(f"{what} has the type {array.dtype}; expected whole numbers")
+    return numbers(what, array, shape, low=low, high=high).astype(np.int64)
+
+
+def _array(what: str, value: Any, kinds: str) -> np.ndarray:
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        raise ConfigError(f"{what} = {value!r:.60}; expected numbers, all rows of one length") from None
+    if array.dtype.kind not in kinds:
+        raise ConfigError(f"{what} = {value!r:.60}; expected numbers, got the type {array.dtype}")
+    return array
+
+
+def _check_shape(what: str, array: np.ndarray, shape: Sequence[int | None]) -> None:
+    fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
+    if not fits:
+        expected = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ConfigError(f"{what} has the shape {array.shape}; expected ({expected}{',' * (len(shape) == 1)})")
+
+
+def _place(at: tuple[Any, ...]) -> str:
+    return f"[{', '.join(map(str, at))}]" if at else ""
+
+
+def _range(low: float, high: float) -> str:
+    return (f" from {low:g}" if low > -inf else "") + (f" to {high:g}" if high < inf else " up" if low > -inf else "")
+
+
+def check_speed(lattice: Lattice, speed: float, what: str) -> None:
+    """Raise OracleUnstable for a speed in m/s beyond the Mach limit; `what` begins the message."""
+    mach = lattice.mach(speed)
+    if not mach <= MACH:
+        dt = step_for(lattice, speed)
+        raise OracleUnstable(
+            f"{what}: Mach {mach:.2f} at {speed:g} m/s with dx = {lattice.dx:g} m, dt = {lattice.dt:g} s; at most {MACH}."
+            f" dt = {dt:.4g} s would give {mach * dt / lattice.dt:.2f}",
+            limit="mach",
+        )
+
+
+def check_tau(lattice: Lattice, subgrid: str, what: str) -> None:
+    """Raise OracleUnstable for a relaxation time below the limit, without an eddy viscosity."""
+    if subgrid == "none" and not lattice.tau >= TAU:
+        dx = 3 * lattice.nu / ((TAU - 0.5) * lattice.velocity)
+        raise OracleUnstable(
+            f"{what}: tau = {lattice.tau:.5f} with dx = {lattice.dx:g} m, dt = {lattice.dt:g} s and no subgrid model; at least"
+            f" {TAU}. Take subgrid = 'wale', or dx = {dx:.2g} m with dt = {dx / lattice.velocity:.2g} s",
+            limit="tau",
+        )
+
+
+def check_spacing(lattice: Lattice, spacing: float, what: str) -> None:
+    """Raise OracleUnstable for markers, `spacing` m apart, that leak or crowd on this grid."""
+    if not SPACING[0] * lattice.dx <= spacing <= SPACING[1] * lattice.dx:
+        raise OracleUnstable(
+            f"{what}: markers {spacing:.3g} m apart, {spacing / lattice.dx:.2f} dx; expected {SPACING[0]} to {SPACING[1]} dx."
+            f" Space them by {lattice.dx:g} m",
+            limit="spacing",
+        )
+
+
+def step_for(lattice: Lattice, speed: float) -> float:
+    """The longest time step [s] that keeps `speed` within the Mach limit; below a bus tick one that divides it."""
+    longest = MACH * lattice.dx / (speed * sqrt(3))
+    return longest if longest > TICK else TICK / ceil(TICK / longest)
+
+
+@dataclass
+class Watch:
+    """Looks at a fluid every `every` steps, of the coarsest of its levels, and stops it before nonsense is written.
+
+    `look` waits for the device; `begin` does not, and `end` judges what it saw once the device has gone on.
+
+    Raises:
+        OracleUnstable: at `look` and `end`, with `limit` one of lost, speed, density, mass.
+    """
+
+    every: int = EVERY
+    fastest: float = 0.0  # greatest speed seen, m/s
+    looks: int = 0
+    pending: tuple | None = None  # fluid and step of a look that was begun
+
+    def due(self, fluid, since: int = 1) -> bool:
+        """Whether this is a step to look after, or one of the last `since` was."""
+        return fluid.steps % (self.every * RATIO ** (len(fluid.levels) - 1)) < since
+
+    def after_step(self, fluid, since: int = 1) -> bool:
+        """To be called after each step, or after `since` of them; True when it looked and found all well."""
+        if not self.due(fluid, since):
+            return False
+        self.look(fluid)
+        return True
+
+    def look(self, fluid):
+        """One survey, judged."""
+        self.pending = None
+        return self._judged(fluid, fluid.steps, fluid.survey())
+
+    def begin(self, fluid) -> None:
+        """Queue a survey, to be judged at `end`."""
+        fluid.begin_survey()
+        self.pending = fluid, fluid.steps
+
+    def end(self):
+        """The one that was begun, judged; a step of the same fluid that was begun later has been waited for."""
+        if self.pending is not None:
+            (fluid, step), self.pending = self.pending, None
+            return self._judged(fluid, step, fluid.surveyed())
+
+    def _judged(self, fluid, step: int, found):
+        self.looks += 1
+        mean = found.mass / fluid.cells
+        speed = found.speed * fluid.lattice.velocity
+        broken = {  # in this order
+            "lost": found.lost or isnan(found.speed),
+            "speed": found.speed > SPEED_LU,
+            "density": not (found.rho_min > RHO[0] and found.rho_max < RHO[1]),
+            "mass": abs(mean) > MEAN_DRHO,
+        }
+        if limit := next((name for name, found_so in broken.items() if found_so), ""):
+            raise OracleUnstable(_said(limit, fluid, step, found, speed, mean), limit=limit, step=step, figures=found)
+        self.fastest = max(self.fastest, speed)
+        return found
+
+
+def _said(limit: str, fluid, step: int, found, speed: float, mean: float) -> str:
+    lat = fluid.lattice
+    slower = lat.dt / 2
+    what = {
+        "lost": f"{found.lost} of {fluid.cells} nodes are not finite",
+        "speed": f"{speed:.2f} m/s is Mach {lat.mach(speed):.2f}; the hard stop is {SPEED_LU * lat.velocity:.2f} m/s",
+        "density": f"density {found.rho_min:.3f} to {found.rho_max:.3f}; expected {RHO[0]} to {RHO[1]}",
+        "mass": f"mean density is off by {mean:+.4f}; expected less than {MEAN_DRHO}",
+    }[limit]
+    return f"fluid: at step {step}, t = {step * lat.dt:.3f} s: {what}. dt = {slower:.4g} s would halve every Mach number"
