@@ -1,10 +1,14 @@
 """Free swims over frequency, slip ratio and depth: what was swum is kept, and the fish swims forwards."""
 
+import json
+
 import pytest
 
 from fishmj import console
 from fishmj.errors import ConfigError
-from fishmj.studies.solver_grid import speeds
+from fishmj.lbm_oracle.immersed.markers import PLAIN
+from fishmj.lbm_oracle.run.domain import Domain
+from fishmj.studies.solver_grid import converge_fish, real_fish, speeds
 
 CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device", "cpu", "--json"]
 
@@ -27,3 +31,73 @@ def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, m
 def test_what_cannot_be_swum_is_refused():
     with pytest.raises(ConfigError, match="slip ratios in 0..1"):
         speeds.asked([1.0], [1.2], [0.6])
+
+
+MINNOW = """
+schema = "fishmj.fish/1"
+name = "minnow"
+link = [
+  { name = "head", length = 0.22, mass = 0.727, sections = [[0, 0.02, 0.015], [0.08, 0.09, 0.06], [0.22, 0.08, 0.05]] },
+  { name = "body", length = 0.12, mass = 0.259, sections = [[0, 0.08, 0.05], [0.12, 0.05, 0.025]] },
+  { name = "tail", length = 0.16, mass = 0.064, sections = [[0, 0.05, 0.025], [0.08, 0.03, 0.006], [0.16, 0.12, 0.002]] },
+]
+servo = { kp = 8.0, kd = 0.32, torque = 1.667, speed_no_load = 5.236 }
+timing = { command_latency = 0.05, camera_latency = 0.065 }
+"""
+STUDIES = {
+    "speeds": (speeds, ["--preset", "laptop", "--frequencies", "1", "--slips", "1"]),
+    "converge fish": (converge_fish, ["--domain", "laptop", "--grids", "0.02", "--parts", "1", "--slips", "1", "--what", "drag"]),
+    "real_fish": (real_fish, ["--domain", "laptop", "--beats", "5", "--swims", "1", "--slips", "0.96", "0.98", "0.99"]),
+}
+ROWS = {
+    "speeds": {"speed_m_s": 0.1, "aside_deg": 0.0, "yaw_amplitude_deg": 1.0, "power_W": 1.0, "refined_ticks": 0, "status": "ok"},
+    "real_fish": {"speed_m_s": 0.1, "gain_a_beat": 0.0, "status": "ok"},
+}
+
+
+@pytest.fixture
+def minnow(tmp_path):
+    """Path of a fish of two joints."""
+    (tmp_path / "minnow.toml").write_text(MINNOW, encoding="utf-8")
+    return str(tmp_path / "minnow.toml")
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_study_swims_another_robot_and_keeps_its_rows_apart(name, minnow, tmp_path, monkeypatch, capsys):
+    module, argv = STUDIES[name]
+    sent = []
+
+    def done(work, keys, devices, go_on=None):
+        sent.append(work)
+        for key in keys:
+            if name == "converge fish":
+                yield key, converge_fish.Result(0.1, 0.01, 1.0, "ok"), 1.0
+            else:
+                swim, *slip = key if name == "real_fish" else (key,)
+                yield (swim.beat, *slip) if slip else key, ROWS[name]
+
+    monkeypatch.setattr(module, "spread", done)
+    call = [*argv, "--device", "cpu", "--json", "--out", str(tmp_path / "out")]
+    assert module.main([*call, "--robot", minnow]) == console.OK
+    given = sent[0].keywords
+    assert given["stage"].robot == minnow if name == "real_fish" else given["robot"] == minnow
+    said, answer = capsys.readouterr(), {}
+    answer = json.loads(said.out.splitlines()[-1])
+    assert "slip" not in answer and "minnow" in said.err + said.out
+    with pytest.raises(ConfigError, match="(?i)another set-up|holds swims"):
+        module.main(call)
+
+
+def test_parts_of_a_study_drive_all_joints_of_their_robot(minnow):
+    box = Domain(name="tiny", shape=(40, 28, 18), dx=0.02, dt=0.004, sponge=4)
+    row = speeds.swum(box, 2.0, 1.0, 0.1, "cpu", minnow)
+    assert row["status"] == "ok" and row["power_W"] > 0
+    options = {"robot": minnow, "slip": 1.0, "device": "cpu", "sharpness": PLAIN}
+    assert converge_fish.cruise(box, 0.1, options).status == "ok"
+    plan = converge_fish.Plan(settle=0.04, seconds=0.2, length=0.5)
+    assert converge_fish.held("yaw", box, plan, options).value != 0
+
+
+def test_real_fish_refuses_a_robot_with_other_joints_than_were_filmed(tmp_path):
+    with pytest.raises(ConfigError, match="swift has 3 joints; the swims were filmed of tendon_fish with 2"):
+        real_fish.main(["--robot", "fish", "--domain", "laptop", "--beats", "5", "--out", str(tmp_path / "a")])

@@ -16,6 +16,7 @@ from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.immersed import markers
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import Domain, preset
+from fishmj.mjcf import Robot, load_robot
 
 BOUNDARIES = {
     "plain": markers.PLAIN,  # markers as shipped data were made with
@@ -34,6 +35,11 @@ def boundary_name(sharpness: Sharpness) -> str:
 def boundary_entry(sharpness: Sharpness) -> dict[str, str]:
     """What the set-up of a table or data set says of it: its name, and nothing where it is plain, as of those made before."""
     return {} if sharpness == markers.PLAIN else {"boundary": boundary_name(sharpness)}
+
+
+def robot_entry(robot: Robot) -> dict[str, str]:
+    """What the set-up of a table says of the swimmer: its name, and nothing for the shipped fish, as of those made before."""
+    return {} if robot == load_robot("fish") else {"robot": robot.name}
 
 
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:

@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterable, Iterator
 from functools import partial
 from io import StringIO
+from math import radians
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,11 +28,11 @@ from fishmj import console
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, StoreError
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
+from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
@@ -94,10 +95,10 @@ def box(name: str, key: Key) -> Domain:
     return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
 
 
-def cruise(domain: Domain, slip: float, beats: float, device: str, sharpness: Sharpness = PLAIN) -> Result:
-    """Servo-driven swim from rest."""
-    gait = Gait.of_the_paper()
-    run = SwimSetup(domain=domain, slip=slip, device=device, sharpness=sharpness, pose=(0.0, 0.0, 0.0)).run()
+def cruise(domain: Domain, beats: float, options: dict[str, Any]) -> Result:
+    """Servo-driven swim from rest; options: those of `SwimSetup`."""
+    run = SwimSetup(domain=domain, pose=(0.0, 0.0, 0.0), **options).run()
+    gait = Gait.of_the_paper(joints=run.robot.n_joints)
     drive(run, gait, beats / gait.frequency, quiet=True)
     if not run.rows:
         return Result(np.nan, np.nan, 0.0, " ".join(run.stopped.split()))
@@ -105,15 +106,15 @@ def cruise(domain: Domain, slip: float, beats: float, device: str, sharpness: Sh
     return Result(last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK)
 
 
-def held(what: str, domain: Domain, slip: float, plan: Plan, device: str, sharpness: Sharpness = PLAIN) -> Result:
-    """A force or moment of the held fish: straight along the stream, straight across it, bent."""
+def held(what: str, domain: Domain, plan: Plan, options: dict[str, Any]) -> Result:
+    """A force or moment of the held fish: straight along the stream, straight across it, bent; options as of `cruise`."""
     point, column = HELD[what]
-    robot = load_robot("fish")
+    robot = load_robot(options["robot"])
     rows: list[dict] = []
 
     def make(point: Point):
         joints = point.joints(robot.n_joints)
-        made = stage(domain, point, slip=slip, device=device, sharpness=sharpness)
+        made = stage(domain, point, **options)
         return made.run(tethered=True, prescribed=lambda t: joints)
 
     measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
@@ -122,16 +123,14 @@ def held(what: str, domain: Domain, slip: float, plan: Plan, device: str, sharpn
 
 
 def on_device(
-    waiting: Waiting, device: str, go_on: GoOn, *, domain: str, beats: float, plan: Plan, edge: Sharpness
+    waiting: Waiting, device: str, go_on: GoOn, *, domain: str, beats: float, plan: Plan, edge: Sharpness, robot: str
 ) -> Iterator[tuple[Key, Result, float]]:
     """Runs one after another on one device (`spread`): key, result and wall time in s of each."""
     while waiting:
         key, start = waiting.popleft(), time.perf_counter()
         grid = box(domain, key)
-        if key.what == "cruise":
-            found = cruise(grid, key.slip, beats, device, edge)
-        else:
-            found = held(key.what, grid, key.slip, plan, device, edge)
+        options = {"robot": robot, "slip": key.slip, "device": device, "sharpness": edge}
+        found = cruise(grid, beats, options) if key.what == "cruise" else held(key.what, grid, plan, options)
         yield key, found, time.perf_counter() - start
 
 
@@ -197,11 +196,16 @@ def biases(rows: Iterable[dict]) -> list[dict]:
 def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
     keys = study(args.what, args.grids, args.parts, args.slips)
-    plan = Plan(settle=args.settle, seconds=args.seconds, length=load_robot("fish").length)
+    robot = load_robot(args.robot)
+    plan = Plan(settle=args.settle, seconds=args.seconds, length=robot.length)
+    if "yaw" in args.what and radians(BENT) > robot.servo.range:
+        raise ConfigError(
+            f"converge: yaw is of joints at {BENT:g} deg, those of {robot.name} turn by less; leave it out of --what"
+        )
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
     setup = {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
     edge = BOUNDARIES[args.boundary]
-    book = ResultTable(Path(args.out), setup | boundary_entry(edge))
+    book = ResultTable(Path(args.out), setup | boundary_entry(edge) | robot_entry(robot))
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
     waters = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
@@ -210,7 +214,9 @@ def main(argv: list[str]) -> int:
     solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     devices = devices_of(args.device)
     console.say(f"{len(keys)} runs, {len(keys) - len(left)} of them done before, in {args.out}")
-    work = partial(on_device, domain=args.domain, beats=args.beats, plan=plan, edge=edge)
+    if robot_entry(robot):
+        console.say(f"{robot.name}: yaw is taken at {BENT:g} deg, where that of the shipped fish is greatest")
+    work = partial(on_device, domain=args.domain, beats=args.beats, plan=plan, edge=edge, robot=args.robot)
     with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:
         for number, (key, found, wall) in enumerate(spread(work, left, devices)):
             book.add(key, found, wall)
@@ -239,6 +245,7 @@ def _parser() -> console.Parser:
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
     add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
     boundary_option(add)
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
     settle = "before a force is averaged; by default 5 body lengths of water flow past"

@@ -10,6 +10,9 @@ set s, the other four are judged with it and have no part in it:
 
     J(s) = sum over the four of ln(u(s) / measured)^2,     ln u(s) monotone between the ratios that were swum
 
+With `--robot` another fish of two joints swims as that one was filmed. Its speeds are not compared, and no slip ratio is set: how
+fast that robot swims was not measured.
+
 `low` and `high`: the least and the greatest s when one of the four is left out. Each finished swim is a row of
 `real_fish.csv`; the same command does the missing ones, another set-up in the same folder is refused.
 """
@@ -193,7 +196,15 @@ def main(argv: list[str]) -> int:
     domain = domain if args.dx is None else domain.changed(dx=args.dx)
     if args.beats <= 2 * LAST:
         raise ConfigError(f"real_fish: --beats {args.beats:g}; expected more than {2 * LAST}: the last {LAST} count")
-    setup = {"domain": domain.name, "dx": domain.dx, "beats": args.beats, "robot": load_robot(_robot()).name}
+    robot, filmed = load_robot(args.robot or _robot()), load_robot(_robot())
+    if robot.n_joints != filmed.n_joints:
+        raise ConfigError(
+            f"real_fish: {robot.name} has {robot.n_joints} joints; the swims were filmed of {filmed.name} with {filmed.n_joints}."
+            " For another fish take lbm_oracle swim or speeds"
+        )
+    same = robot == filmed
+    setup = {"domain": domain.name, "dx": domain.dx, "beats": args.beats, "robot": robot.name}
+    setup |= {} if same or robot.name != filmed.name else {"robot": f"{robot.name}, changed"}
     setup |= boundary_entry(BOUNDARIES[args.boundary])
     book = ResultTable(Path(args.out), setup)
     left = [(swim, slip) for swim in real for slip in args.slips if (swim.beat, slip) not in book.rows]
@@ -205,7 +216,7 @@ def main(argv: list[str]) -> int:
         console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     console.say(f"{len(left)} swims to do, {water:.0f} s of water, in {args.out}")
     with console.Progress(max(water, 1e-9), "real_fish", unit="s", every=1e9 if args.json else None) as bar:
-        stage = SwimSetup(domain=domain, robot=_robot(), sharpness=BOUNDARIES[args.boundary])
+        stage = SwimSetup(domain=domain, robot=args.robot or _robot(), sharpness=BOUNDARIES[args.boundary])
         done = 0.0
 
         def told(under_way: float) -> bool:
@@ -223,7 +234,9 @@ def main(argv: list[str]) -> int:
         console.warn(f"{row['beat_hz']:g} Hz, slip {row['slip']:g}: {row['status']}")
     answer: dict[str, Any] = {"rows": rows, "csv": book.path, "domain": domain.name, "dx": domain.body_level.dx}
     answer["boundary"] = args.boundary
-    if len(args.slips) >= 3 and any(swim.sets for swim in real):
+    if not same:
+        console.say("", f"{robot.name} is not the fish that was filmed ({filmed.name}): its speeds are not compared")
+    if same and len(args.slips) >= 3 and any(swim.sets for swim in real):
         fit = fitted(real, {(row["beat_hz"], row["slip"]): row["speed_m_s"] for row in rows if row["status"] == OK})
         table = [
             {"beat_hz": w.beat, "sets s": "yes" if w.sets else "no", "measured_m_s": w.speed, "solver_m_s": fit.speeds[w.beat],
@@ -245,6 +258,7 @@ def _parser() -> console.Parser:
     add = p.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--domain", choices=EVERY, default="window_coarse_refined", help="box of water; laptop is a preview")
+    add("--robot", type=console.text, help="shipped name or TOML file with two joints; by default the fish that was filmed")
     cell = "another cell, same size, dt in proportion; by default the domain's"
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"

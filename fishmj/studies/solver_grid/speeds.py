@@ -6,7 +6,8 @@ python -m fishmj.lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.9
 
 Still water, from rest, the paper's gait (30 deg, lag 60 deg, servo-driven) at each frequency; the last two beats count.
 `aside_deg` is the direction of the path from the first heading. Each finished swim is a row of `speeds.json`; the same command
-does the missing ones, another set-up in the same folder is refused.
+does the missing ones, another set-up in the same folder is refused. With `--robot` another fish swims that gait, with as many
+joints as it has.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,8 +24,10 @@ from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import robot_entry
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
+from fishmj.mjcf import load_robot
 from fishmj.store import read_json, write_json
 
 FREQUENCIES, SLIPS = (0.5, 1.0, 1.5, 2.0), (0.0, 0.95, 0.98, 0.99, 0.995, 1.0)
@@ -32,10 +35,10 @@ KEYS = ("frequency", "slip", "depth")
 COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "refined_ticks", "status")
 
 
-def swum(domain: Domain, frequency: float, slip: float, beats: float, device: str) -> dict:
+def swum(domain: Domain, frequency: float, slip: float, beats: float, device: str, robot: str = "fish") -> dict:
     """One swim: speed m/s, path from the first heading deg, swing of the heading deg, servo power W, and how it ended."""
-    gait = replace(Gait.of_the_paper(), frequency=frequency)
-    run = SwimSetup(domain=domain, slip=slip, device=device).run()
+    gait = replace(Gait.of_the_paper(joints=load_robot(robot).n_joints), frequency=frequency)
+    run = SwimSetup(domain=domain, robot=robot, slip=slip, device=device).run()
     drive(run, gait, beats / frequency, quiet=True)
     status = " ".join(run.stopped.split()) or "ok"
     if not run.rows:
@@ -45,11 +48,13 @@ def swum(domain: Domain, frequency: float, slip: float, beats: float, device: st
     return kept | {"aside_deg": found["course_deg"], "status": status}
 
 
-def on_device(waiting: Waiting, device: str, go_on: GoOn, *, box: Domain, beats: float) -> Iterator[tuple[tuple, dict]]:
+def on_device(
+    waiting: Waiting, device: str, go_on: GoOn, *, box: Domain, beats: float, robot: str
+) -> Iterator[tuple[tuple, dict]]:
     """Swims one after another on one device (`spread`): the key and row of each."""
     while waiting:
         frequency, slip, depth = key = waiting.popleft()
-        yield key, swum(box.changed(depth=depth), frequency, slip, beats, device)
+        yield key, swum(box.changed(depth=depth), frequency, slip, beats, device, robot)
 
 
 class ResultTable:
@@ -89,24 +94,29 @@ def asked(frequencies: Sequence[float], slips: Sequence[float], depths: Sequence
 
 def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
-    box = preset(args.preset)
+    box, robot = preset(args.preset), load_robot(args.robot)
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
     keys = asked(args.frequencies, args.slips, depths)
-    book = ResultTable(Path(args.out), {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats})
+    setup = {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats} | robot_entry(robot)
+    book = ResultTable(Path(args.out), setup)
     left = [key for key in keys if key not in book.rows]
     swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, _, depth in left]
     less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"
     solver_cost.agree("lbm_oracle speeds", args.device, swims, instead=less)
     devices = devices_of(args.device)
     console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
+    if robot_entry(robot):
+        console.say(f"{robot.name} swims the gait of the shipped fish; published speeds are those of the shipped fish")
+    work = partial(on_device, box=box, beats=args.beats, robot=args.robot)
     with console.Progress(len(left), "speeds", every=1e9 if args.json else None) as bar:
-        for number, (key, found) in enumerate(spread(partial(on_device, box=box, beats=args.beats), left, devices), 1):
+        for number, (key, found) in enumerate(spread(work, left, devices), 1):
             if found["status"] == INTERRUPTED:
                 return console.INTERRUPTED
             book.add(key, found)
             bar.update(number, speed=found["speed_m_s"] or 0.0)
     rows = [book.rows[key] for key in keys]
-    picture = draw_speeds(rows, book.path.with_name("speeds.png"), f"{box.name}, {100 * box.dx:g} cm")
+    title = f"{''.join(f'{name}, ' for name in robot_entry(robot).values())}{box.name}, {100 * box.dx:g} cm"
+    picture = draw_speeds(rows, book.path.with_name("speeds.png"), title)
     console.say(console.table(rows, COLUMNS), f"wrote {book.path} and {picture}")
     lost = [row for row in rows if row["status"] != "ok"]
     if args.json:
@@ -119,6 +129,7 @@ def _parser() -> console.Parser:
     add = p.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--preset", choices=EVERY, default="window_coarse", help="box of water; laptop is a preview")
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     beat = console.number(0.05, 10)
     add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
