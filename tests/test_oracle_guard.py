@@ -22,9 +22,11 @@ from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import sphere_markers
+from fishmj.lbm_oracle.immersed.markers import Sharpness, fish_markers, sphere_markers
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.studies.solver_grid import converge
 
 pytestmark = pytest.mark.oracle
@@ -147,6 +149,19 @@ def test_fields_prescribed_motions_and_steps_are_checked():
     ):
         with pytest.raises(ConfigError, match=said):
             held.step(fixed, value)
+    for make, said in (
+        (lambda: sphere_markers(np.nan, 1.0), "sphere: radius = nan"),
+        (lambda: fish_markers("fish", 0.02, spacing=np.nan), "markers: spacing = nan"),
+        (lambda: fish_markers("fish", 0.0), "markers: dx = 0"),
+        (lambda: fish_markers("fish", 0.02, slip=1.5), "markers: slip = 1.5; expected a finite number from 0 to 1"),
+        (lambda: fish_markers("fish", 0.02, hydro_offset=np.inf), "markers: hydro_offset = inf"),
+        (lambda: Sharpness(rim=np.nan), "sharpness: rim = nan"),
+        (lambda: water.shift((0.5, 0, 0)), "fluid: shift has the type float64"),
+        (lambda: RefinedFluid(water, (4, 4, 4), (4.0, 4, 4)), "refined: size has the type float64"),
+        (lambda: SwimSetup(domain=preset("laptop"), device="cpu").run(latency=np.nan), "run: latency = nan"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            make()
     with pytest.raises(ConfigError, match="passes has the type float64"):
         FluidStructure(water, ball(3.0, ONE), sphere_markers(3.0, 1.0), passes=2.5)
 

@@ -381,6 +381,7 @@ class Fluid:
 
     def shift(self, by: tuple[int, int, int]) -> None:
         """Move the window by whole cells; the planes that it uncovers hold undisturbed background flow."""
+        whole_numbers("fluid: shift", by, (3,))
         if any(abs(b) >= n for b, n in zip(by, self.shape, strict=True)):
             raise ConfigError(f"fluid: shift by {by} cells in a window of {self.shape}; a shift is smaller than the window")
         self._place(self.origin_lu + by)

@@ -24,6 +24,7 @@ import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError, SimDiverged
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed import device_body, fsi_solve
 from fishmj.lbm_oracle.immersed.articulated_body import Motion, motion_of, tree_of
 from fishmj.lbm_oracle.immersed.body import RUNAWAY, ImmersedBody
@@ -75,7 +76,11 @@ class DeviceSteps:
             raise ConfigError(
                 "steps on the device: the body's links can part without bounds; expected a chain or a tree of hinges"
             )
-        self.coupled, self.count, device = coupled, int(count), coupled.fluid.device
+        self.coupled, self.count, device = (
+            coupled,
+            int(whole_numbers("steps on the device: count", count, low=1)),
+            coupled.fluid.device,
+        )
         self._tree, links, n, servos = tree_of(body.model, device), body.links, body.dofs, body.model.nu
         self._dof = body.model.jnt_dofadr[body.model.actuator_trnid[:, 0]]
         self._kept = {"qpos": body.model.nq, "qvel": n, "last": 6 * links, "speed": links}  # what goes on from steps to steps
@@ -188,7 +193,7 @@ class DeviceSteps:
         command, shape = np.asarray(command, float), (self.count, len(self._dof))
         if command.shape != shape:
             raise ConfigError(f"steps on the device: commands of shape {command.shape}; expected {shape}, rad, one row a step")
-        return command
+        return numbers("steps on the device: command", command, shape)
 
     def _send(self, command: np.ndarray, fixed: np.ndarray, kept: int) -> None:
         """What the host says anew of every set of steps, and their launch."""

@@ -56,6 +56,14 @@ class Sharpness:
     sheet_slip: float = 0.0
     edges: bool = False
 
+    def __post_init__(self):
+        """Raises ConfigError for a length that is none."""
+        for name in ("hull", "rim"):
+            if getattr(self, name) is not None:
+                numbers(f"sharpness: {name}", getattr(self, name))
+        for name in ("hull_slip", "sheet_slip"):
+            numbers(f"sharpness: {name}", getattr(self, name), low=0.0)
+
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
         """Cells that hulls and rims are drawn in by; a `hydro_offset` that is given holds for both."""
         plain = offset_of(width, slip, hydro_offset)
@@ -142,8 +150,9 @@ def offset_of(width: int, slip: float = 0.0, hydro_offset: float | None = None) 
     """Retraction in cells: as given, else the measured one of the kernel of that width (3 or 4) at that slip ratio."""
     if width not in HELD:
         raise UnknownName("kernel width", str(width), HELD)
+    numbers("markers: slip", slip, low=0.0, high=1.0)
     if hydro_offset is not None:
-        return float(hydro_offset)
+        return float(numbers("markers: hydro_offset", hydro_offset))
     free = min(max((slip - STICKY) / (1 - STICKY), 0.0), 1.0)
     return HELD[width] + free * (SLIDING[width] - HELD[width])
 
@@ -200,6 +209,7 @@ def chain_markers(
     sharpness: Sharpness = PLAIN,
 ) -> Markers:
     """`fish_markers` of a chain that is taken as it is: it may have more links than a description of a robot."""
+    numbers("markers: dx", dx, low=1e-300), numbers("markers: spacing", spacing, low=1e-3)
     g = geometry_of(robot)
     (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
     parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness.edges)]

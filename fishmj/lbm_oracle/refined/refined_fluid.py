@@ -22,6 +22,7 @@ from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey
 from fishmj.lbm_oracle.fluid.fluid import NOWHERE, Fluid
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import RATIO, VELOCITIES, Lattice
 from fishmj.lbm_oracle.fluid.pairs import split_by
 from fishmj.lbm_oracle.refined import exchange
@@ -69,6 +70,7 @@ class RefinedFluid(Fluid):
         threads: int | None = None,
         numbers: int | None = None,
     ):
+        whole_numbers("refined: low", low, (3,)), whole_numbers("refined: size", size, (3,), low=1)
         self._made = False
         self.outer, self.size_lu = outer, np.array(size, int)
         options = outer._options
@@ -232,6 +234,7 @@ class RefinedFluid(Fluid):
         Raises:
             ConfigError: in the middle of a coarse step, or out of the coarse water.
         """
+        whole_numbers("refined: move", by, (3,))
         if not self.whole:
             raise ConfigError("refined: the box moves between two coarse steps only, after an even number of its own")
         old = self.low_lu
@@ -413,6 +416,7 @@ def _cells(n) -> Cells:
 
 def lowest(outer: Fluid, point, size) -> Cells:
     """World node of the low corner of a box of `size` cells of `outer` round `point` (3,) m, as near as its room allows."""
+    point = numbers("refined: point", point, (3,))
     wanted = np.rint(outer.lattice.to_lu(point) - (np.array(size) - 1) / 2).astype(int)
     return _cells(np.clip(wanted, *_limits(outer, size)))
 

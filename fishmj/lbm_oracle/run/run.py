@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
 from fishmj.flow import Flow
-from fishmj.lbm_oracle.fluid.guard import MACH, Watch
+from fishmj.lbm_oracle.fluid.guard import MACH, Watch, numbers
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
 from fishmj.lbm_oracle.run.run_meta import about, plausible
@@ -111,7 +111,7 @@ class Run:
             doubles within one tick is taken to finer steps one tick later.
 
     Raises:
-        ConfigError: the fluid's step does not divide the bus tick.
+        ConfigError: the fluid's step does not divide the bus tick, or a latency that cannot be.
     """
 
     root: Callable[[float], np.ndarray] | None = None
@@ -138,7 +138,8 @@ class Run:
         if self.steps < 1 or abs(self.steps * dt - timing.bus_dt) > 1e-9:
             near = timing.bus_dt / max(1, round(timing.bus_dt / dt))
             raise ConfigError(f"run: the bus tick of {timing.bus_dt} s is no multiple of dt = {dt} s; nearest dt: {near:g} s")
-        self.delay = round((timing.command_latency if latency is None else latency) / dt)
+        late = timing.command_latency if latency is None else float(numbers("run: latency", latency, low=0.0))
+        self.delay = round(late / dt)
         self.joints = self.robot.n_joints
         self._refinement = Refinement(coupled)
         self._audited = next(_RUNS) % AUDIT  # tanks side by side do not all wait for MuJoCo in the same tick
@@ -328,7 +329,7 @@ class Run:
     def _send(self, command) -> np.ndarray:
         """Put a command on the bus, (J,) rad as it is sent."""
         wanted = np.asarray(self.prescribed(self.time) if self.prescribed else command, float)
-        if wanted.shape != (self.joints,) or np.isnan(wanted).any():
+        if wanted.shape != (self.joints,) or not np.isfinite(wanted).all():
             raise ConfigError(f"run: command {wanted.tolist()}; expected {self.joints} finite joint angles in rad")
         sent = on_the_bus(self.robot.servo, wanted)
         self.commands.append(sent)
