@@ -16,9 +16,9 @@ import numpy as np
 from fishmj import interrupt
 from fishmj.calib import calib_folder
 from fishmj.errors import LogError, StoreError
+from fishmj.gap.records.datasets import readable_trials
 from fishmj.gap.records.records import Record, Sensor, record_of
 from fishmj.log import Trial
-from fishmj.log.dataset import take
 from fishmj.log.trial import stacked
 from fishmj.source import package_sha256
 from fishmj.store import plain, read_json, write_json
@@ -91,8 +91,12 @@ def angles(record: Record) -> Sensor:
 
 
 def read(folder: "str | Path") -> Logs:
-    """All trials of a data set that can be read; what cannot be is in `broken`. Raises LogError, StoreError: none there."""
-    found = take(folder)
+    """All trials of a data set that can be read, less rows of failed reads; what cannot be is in `broken`.
+
+    Raises:
+        LogError, StoreError: none there.
+    """
+    found = readable_trials(Path(folder))
     return Logs(Path(folder), found.trials, found.broken, found.notes)
 
 

@@ -1,6 +1,7 @@
 """The five calibrations as the command line calls them: fit, tables, report, fish file. And how far off they are where the truth
 is known: the systematic part of every interval comes from there."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ from fishmj.calibrate.calibration_logs import Logs, read
 from fishmj.calibrate.least_squares import ParameterEstimate, widened
 from fishmj.calibrate.water_plant import WaterPlant
 from fishmj.errors import LogError
-from fishmj.gap.commands.admission import of_this_robot
+from fishmj.gap.commands.admission import of_this_robot, unphysical
 from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.records.records import record_of
 from fishmj.gap.watch import shown
 from fishmj.gap.workflow import compiled
+from fishmj.log import physical_checks
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.water.choice import STRUCTURED
 
@@ -38,11 +40,14 @@ def said(logs: Logs, more: str = "") -> list[str]:
     return [f"{len(logs.trials)} trials in {logs.folder}, origin {', '.join(origins)}", *([more] if more else [])]
 
 
-def opened(args, robot: Robot) -> Logs:
+def opened(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     """The trials that were asked for, of this robot; what is wrong with some of them is said.
 
+    Args:
+        only: physical checks that matter; all by default.
     Raises:
-        LogError: none can be compared, another number of joints, or another robot's name that nobody agreed to.
+        LogError: none can be compared, another number of joints, another robot's name that nobody agreed to, or what no robot
+            does (a joint against its command, a mirrored camera).
     """
     logs = read(args.data)
     broken = dict(logs.broken)
@@ -57,12 +62,14 @@ def opened(args, robot: Robot) -> Logs:
     whose = of_this_robot(trials.values(), robot, args.model, args.same_robot)
     for note in (*logs.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *whose):
         console.warn(note)
+    if wrong := unphysical(trials.values(), only):
+        raise LogError(f"{args.data}: {wrong}")
     return Logs(logs.folder, trials, broken, (*logs.notes, *whose))
 
 
 def benched(args, robot: Robot) -> tuple[Logs, ServoStand]:
     """The trials and the plant that they are compared with; what is missing is said before anything is compiled."""
-    logs, plant = opened(args, robot), ServoStand(robot)
+    logs, plant = opened(args, robot, physical_checks.JOINTS), ServoStand(robot)
     logs.bench()
     compiled(plant, console.say)
     return logs, plant

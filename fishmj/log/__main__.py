@@ -6,6 +6,7 @@ from pathlib import Path
 from fishmj import console
 from fishmj.console import Command
 from fishmj.errors import FishmjError, LogError
+from fishmj.log import physical_checks
 from fishmj.log.dataset import read_dataset
 from fishmj.log.folder import META_FILE, faults, read_trial
 from fishmj.log.importers import gather
@@ -17,12 +18,12 @@ from fishmj.store.manifest import MANIFEST
 
 def check(argv: list[str]) -> int:
     """The command `log check`. Exit 0: everything reads; 1: some trials or files are not as they should be (one line each)."""
-    parser = console.parser("log check", "Read a data set or a trial, audit its clocks; one line a problem, and exit 1.")
+    parser = console.parser("log check", "Read a data set or a trial, audit its clocks, run the physical checks; one line a problem, and exit 1.")
     parser.add_argument("data", type=console.path, help="data set, trial folder or samples.csv")
     args = parser.parse_args(argv)
     if not args.data.exists():
         raise LogError(f"{args.data}: no such file or folder; expected a data set, a trial folder or a samples.csv")
-    audits, broken = [], {}
+    audits, broken, impossible = [], {}, {}
     found, changed = _trials(args.data)
     for name, path in found.items():
         try:
@@ -34,13 +35,21 @@ def check(argv: list[str]) -> int:
             for problem in problems:
                 console.warn(f"{bare(name)}: {problem}")
             continue
-        console.say(audits[-1].text(), *(f"  note: {note}" for note in trial.notes), "")
+        found = physical_checks.examine(trial)
+        notes = [f"  ! {f.text}" for f in found if f.level == physical_checks.NOTE]
+        console.say(audits[-1].text(), *notes, *(f"  note: {note}" for note in trial.notes), "")
+        if wrong := [f.text for f in found if f.level != physical_checks.NOTE]:
+            impossible[name] = wrong
+            for text in wrong:
+                console.warn(f"{bare(name)}: {text}")
     for line in changed:
         console.warn(line)
-    console.say(f"{len(audits)} trials read, {len(broken)} refused" + (f", {len(changed)} files changed" if changed else ""))
+    more = (f", {len(impossible)} not physical" if impossible else "") + (f", {len(changed)} files changed" if changed else "")
+    console.say(f"{len(audits)} trials read, {len(broken)} refused{more}")
     if args.json:
-        console.emit_json({"trials": [one.as_dict() for one in audits], "refused": broken, "changed": changed})
-    return console.FAILED_CHECK if broken or changed else console.OK
+        told = {"trials": [one.as_dict() for one in audits], "refused": broken, "changed": changed, "not_physical": impossible}
+        console.emit_json(told)
+    return console.FAILED_CHECK if broken or changed or impossible else console.OK
 
 
 def manifest(argv: list[str]) -> int:

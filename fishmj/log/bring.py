@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from fishmj import calib, console, names
 from fishmj.errors import FishmjError, LogError, UsageError
-from fishmj.log import importers, measurements
+from fishmj.log import importers, measurements, physical_checks
 from fishmj.log.dataset import write_dataset
 from fishmj.log.folder import checked_meta, read_trial
 from fishmj.log.importers import gather, guess, guessed, registry
@@ -400,7 +400,7 @@ def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict]
         with console.Progress(len(found.trials), "import", unit="trials") as bar:
             for i, (name, load) in enumerate(found.trials):
                 try:
-                    trial = with_notes(_with_meta(load(), meta, name))
+                    trial = with_notes(_physical(_with_meta(load(), meta, name)))
                     checked_meta(args.out / name, trial.meta)
                     rows.append(_row(name, trial))
                 except FishmjError as error:
@@ -439,6 +439,19 @@ def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     if joints and has and has != joints:
         notes.append(f"the robot {said.get('robot')} has {joints} joints, the columns tell of {has}")
     return replace(trial, meta=whole, name=name, notes=tuple(_line(note) for note in notes))
+
+
+def _physical(trial: Trial) -> Trial:
+    """The trial without failed reads, and with notes on what a swimming robot hardly does.
+
+    Raises:
+        LogError: it contradicts itself: a heading, a sign or a unit is not what the map says.
+    """
+    trial, left_out = physical_checks.without_failed_reads(trial)
+    found = physical_checks.examine(trial)
+    if wrong := [finding.text for finding in found if finding.level == physical_checks.IMPORT]:
+        raise LogError(f"{trial.name}: {'; '.join(wrong)}")
+    return replace(trial, notes=tuple(_line(note) for note in (*trial.notes, *left_out, *(f.text for f in found))))
 
 
 def with_notes(trial: Trial) -> Trial:

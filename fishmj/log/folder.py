@@ -14,6 +14,7 @@ from fishmj.calib import parse_toml
 from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
 from fishmj.log import toml, trial_check
 from fishmj.log.limits import listed, quoted
+from fishmj.log.physical_checks import failed_reads
 from fishmj.log.table_files import read_archive, read_csv, read_text, row_place, write_archive, write_csv
 from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
 from fishmj.log.trial_check import Plausible, bounds_of
@@ -70,7 +71,14 @@ def _read_table(file: Path, bounds: Plausible) -> tuple[Table, list[str]]:
     """One table of a trial folder, checked, and the notes of its check."""
     _inside(file.parent, file)
     table, place = read_csv(file) if file.suffix == ".csv" else read_archive(file)
-    return table, trial_check.check_table(file.stem, table, place, bounds)
+    try:
+        return table, trial_check.check_table(file.stem, table, place, bounds)
+    except trial_check.Implausible as doubt:
+        bad, notes = failed_reads(table, bounds) if file.stem == "joint" else (np.zeros(0, bool), [])
+        if doubt.bound == "angle" and notes and np.abs(table[doubt.column][~bad]).max() <= bounds.angle:
+            told = notes[0].replace("left out", "to leave out")
+            raise LogError(f"{doubt.place}: column {doubt.column!r} is {doubt.value:g} rad in single rows; {told}") from doubt
+        raise
 
 
 def _inside(folder: Path, file: Path) -> None:

@@ -59,6 +59,12 @@ class Plausible:
     voltage_least: float
     current: float  # A, of a supply
     current_least: float
+    spike: float  # rad, of physical_checks from here on
+    still: float  # of the command's span
+    stale: float  # of the moving rows
+    against: float  # correlation
+    course: float  # rad
+    hand: float  # correlation
 
     def span(self, name: str) -> tuple[float, float]:
         """(least, largest) of a bound."""

@@ -3,7 +3,7 @@
 searchable, null_fits   the search traces the model's links into one compiled step and repeats every record with `virtual_robot`,
                         which must have equations for it
 admitted                the trials that are the model's: what goes by another name may still be the same robot, which is the
-                        user's to say
+                        user's to say; and that a robot can have swum (log/physical_checks.py)
 insufficient_data       too few     one record cannot both fit and judge
                         too short   no record lasts 2 s: less than two beats
                         too quiet   no command moves, nothing was pushed, no water flowed: every effect predicts the same rest
@@ -32,7 +32,7 @@ from fishmj.gap.records import datasets
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.wording import title
-from fishmj.log import Trial
+from fishmj.log import Trial, physical_checks
 from fishmj.log.dataset import Taken
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.virtual_robot.robot_constants import buildable
@@ -56,18 +56,43 @@ def searchable(robot: Robot, model: object) -> None:
         raise ConfigError(f"the search repeats commands every {PERIOD:g} s, a whole number of physics steps; {step}; take 0.004")
 
 
-def admitted(data: Path, robot: Robot, model: object, agreed: bool) -> tuple[Taken, tuple[str, ...]]:
-    """The trials of a data set that can be compared with the model, and notes on them.
+def admitted(
+    data: Path, robot: Robot, model: object, agreed: bool, anyway: bool = False
+) -> tuple[Taken, tuple[str, ...]]:  # fmt: skip
+    """The trials of a data set that can be compared with the model, and notes on them. anyway: take trials that are not physical.
 
     Raises:
-        LogError: no trial, another number of joints, or another robot's name that nobody agreed to.
+        LogError: no trial, another number of joints, another robot's name that nobody agreed to, or what no robot does (a mirrored
+            camera, a joint against its command).
     """
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
     notes = (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose)
     for note in notes:
         console.warn(note)
+    if not anyway and (wrong := unphysical(given.trials.values())):
+        told = f"{data}: {wrong}"
+        if not console.confirmed(f"{told}. Search all the same?"):
+            raise LogError(f"{told}. Search all the same with --anyway")
     return given, notes
+
+
+def unphysical(trials: Iterable[Trial], only: Iterable[str] = ()) -> str:
+    """Breaches of the physical checks that forbid a comparison with a model, in one line; "" where there are none.
+
+    only: names of checks; all by default.
+    """
+    found: dict[str, list[tuple[str, str]]] = {}
+    for trial in trials:
+        for finding in physical_checks.examine(trial, only):
+            if finding.level != physical_checks.NOTE:
+                found.setdefault(finding.check, []).append((trial.name, finding.text))
+    lines = []
+    for told in found.values():
+        names = list(dict.fromkeys(name for name, _ in told))
+        more = f" (and {len(names) - 1} more trials: {', '.join(names[1:4])}{', ..' if len(names) > 4 else ''})"
+        lines.append(f"trial {names[0]}: {told[0][1]}{more if len(names) > 1 else ''}")
+    return "; ".join(lines)
 
 
 def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: bool = False) -> list[str]:

@@ -64,7 +64,7 @@ def main(argv: list[str]) -> int:
     admission.searchable(robot, args.model)
     null = null_of(drawn_of(args))
     admission.null_fits(null, robot, args.model)
-    given, notes = admission.admitted(args.data, robot, args.model, args.same_robot)
+    given, notes = admission.admitted(args.data, robot, args.model, args.same_robot, args.anyway)
     healthy = swims(args, robot)
     lacking = admission.insufficient_data(given, robot)
     if lacking is not None:

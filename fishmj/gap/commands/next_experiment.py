@@ -82,7 +82,7 @@ def _opened(args, null: SimulatedNull):
         return verdict["answer"], model, normalise_weights(_reported(model, verdict)), usual
     name = args.model or "fish"
     model = _questioned(name, STRUCTURED)
-    given, _ = admission.admitted(args.source, model.robot, name, args.same_robot)
+    given, _ = admission.admitted(args.source, model.robot, name, args.same_robot, args.anyway)
     inquiry = investigate(
         model,
         list(given.trials.values()),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from fishmj.errors import FishmjError, LogError, StoreError
 from fishmj.gap.records.records import record_of
-from fishmj.log import Trial, measurements, trial_check
+from fishmj.log import Trial, measurements, physical_checks, trial_check
 from fishmj.log.dataset import Taken, read_bundle, take
 from fishmj.log.table_files import row_place
 from fishmj.store import sha256
@@ -23,14 +23,17 @@ def trials_in(data: Path) -> list[Trial]:
 
 
 def readable_trials(data: Path, dt: float | None = None) -> Taken:
-    """What can be read of a data set. dt: also leave out trials that cannot be compared at this step [s] of a model.
+    """What can be read of a data set, less rows of failed reads. dt: also leave out trials that cannot be compared at this step
+    [s] of a model.
 
     Raises:
         LogError, StoreError: nothing there that can be read.
     """
     found = _bundle(data) if data.suffix == BUNDLE else take(data)
-    trials = {name: named(name, trial) for name, trial in found.trials.items()}
-    broken = dict(found.broken)
+    trials, notes, broken = {}, list(found.notes), dict(found.broken)
+    for name, trial in found.trials.items():
+        trials[name], left_out = physical_checks.without_failed_reads(named(name, trial))
+        notes += [f"{name}: {note}" for note in left_out]
     if dt is not None:
         for name in list(trials):
             try:
@@ -40,7 +43,7 @@ def readable_trials(data: Path, dt: float | None = None) -> Taken:
                 del trials[name]
     if not trials:
         raise LogError(f"{data}: no trial can be compared; {'; '.join(f'{n}: {why}' for n, why in list(broken.items())[:3])}")
-    return found._replace(trials=trials, broken=broken)
+    return found._replace(trials=trials, broken=broken, notes=tuple(notes))
 
 
 def trials_named(data: Path, names: list) -> list[Trial]:

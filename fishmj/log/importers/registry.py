@@ -6,8 +6,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fishmj import plugins
 from fishmj.errors import FishmjError, LogError, OwnCodeError
+from fishmj.log.physical_checks import failed_reads
 from fishmj.log.trial import Table, Trial
 from fishmj.log.trial_check import Implausible, Place, bounds_of, check_counts, check_table
 from fishmj.names import is_name, nearest
@@ -162,7 +165,10 @@ def trial_of(
     Raises:
         LogError: a table breaks the schema; the message begins with the place in the source file.
     """
-    found, bounds = list(notes), bounds_of(meta, name)
+    found, bounds, tables = list(notes), bounds_of(meta, name), dict(tables)
+    if "joint" in tables:
+        bad, told = failed_reads(tables["joint"][0], bounds)
+        tables["joint"], found = (_kept(*tables["joint"], ~bad) if told else tables["joint"]), [*found, *told]
     for table, (columns, place) in tables.items():
         try:
             found += check_table(table, columns, place, bounds)
@@ -170,6 +176,12 @@ def trial_of(
             raise doubt if advised is None else LogError(advised(table, doubt)) from doubt
     kept = {table: columns for table, (columns, _) in tables.items()}
     return Trial({"origin": "measured", **meta}, kept, name=name, notes=tuple([*found, *check_counts(kept)]))
+
+
+def _kept(columns: Table, place: Place, rows: np.ndarray) -> tuple[Table, Place]:
+    """Some rows of a table, which keep their places in the source."""
+    at = np.flatnonzero(rows)
+    return {name: values[rows] for name, values in columns.items()}, lambda row, column: place(int(at[row]), column)
 
 
 def renamed(place: Place, names: Mapping[str, str]) -> Place:
