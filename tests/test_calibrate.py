@@ -14,7 +14,7 @@ pytest.importorskip("numba")
 from fishmj import console, interrupt
 from fishmj.calib import read_toml
 from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import calibrated_model, commands, mass, servo_fit
+from fishmj.calibrate import calibrated_model, calibration_logs, commands, mass, servo_fit
 from fishmj.calibrate.calibration_logs import Logs
 from fishmj.calibrate.least_squares import (
     Block,
@@ -135,7 +135,8 @@ def some_trials(folder: Path, names: str, change=lambda table, column, values: v
         ("air_sine_1 air_sine_2 water_sine_1", None, "finds 2 sine in air, 1 sine in water. Record square, impulse"),
         ("water_sine_1 water_square_1", lambda t, c, v: None if t == "joint" else v, "water_sine_1 is left out: no table joint"),
         ("air_sine_1 air_square_1", lambda t, c, v: 0.01 * v if (t, c[0]) == ("cmd", "c") else v, "commands stay within 0."),
-        ("air_sine_1 air_square_1", lambda t, c, v: 0 * v if c[0] == "j" else v, "do not tell kp "),
+        ("air_sine_1 air_square_1", lambda t, c, v: 0 * v if c[0] == "j" else v, "joint: j1 stands still (0 deg) while c1 moves"),
+        ("air_sine_1 air_square_1", lambda t, c, v: -v if c == "j2" else v, "joint: j2 runs against its command c2"),
     ],
 )
 @pytest.mark.parametrize("verb", ["servo", "latency"])
@@ -146,6 +147,113 @@ def test_too_little_to_calibrate_a_servo_is_one_line_and_nothing_is_written(tmp_
     last = capsys.readouterr().err.strip().split("\n")[-1]
     assert last.startswith("fishmj: ") and said in last
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_outliers_count_by_their_size_and_do_not_pull_a_fit():
+    rng, t = np.random.default_rng(4), np.linspace(0, 1, 400)
+    data = 2.0 * t + 0.01 * rng.standard_normal(400)
+    data[::25] = -30.0
+    fit_with = lambda outlier: fit(
+        [FreeParameter("slope", "1", 1.0, 0.1)],
+        lambda thetas: data - thetas * t,
+        [Block("t", "g", slice(0, 400), outlier=outlier)],
+    )
+    assert fit_with(0.1).theta[0] == pytest.approx(2.0, abs=0.02) and abs(fit_with(np.inf).theta[0] - 2.0) > 1.0
+
+
+def test_two_groups_tell_no_width_and_the_curvature_stands_alone():
+    data, t = np.random.default_rng(5).standard_normal(400), np.tile(np.linspace(0, 1, 100), 4)
+    made = lambda groups: fit(
+        [FreeParameter("a", "1", 0.5, 0.1)],
+        lambda thetas: data - thetas * t,
+        [Block(f"t{i % groups}", f"g{i % groups}", slice(100 * i, 100 * (i + 1))) for i in range(4)],
+    )
+    assert set(made(2).spreads) == {"curvature"} and set(made(4).spreads) == {"curvature", "trials", "signals"}
+
+
+def test_a_value_at_its_bound_is_marked_in_the_table():
+    target = np.full(50, -1.0)
+    found = fit([FreeParameter("a", "1", 0.5, 0.1, low=0.0)], lambda thetas: target - thetas, [Block("t", "g", slice(0, 50))])
+    assert commands.rows(found.estimates)[0]["at bound"] == "lower"
+    inside = fit([FreeParameter("a", "1", 0.5, 0.1, low=-9.0)], lambda thetas: target - thetas, [Block("t", "g", slice(0, 50))])
+    assert commands.rows(inside.estimates)[0]["at bound"] == ""
+
+
+def test_what_a_fit_leaves_unexplained_names_joint_and_trial(robot):
+    records = robot[1].records(0.004, robot[1].bench())[:2]
+    sizes = [r.joint.values.size for r in records]
+    left = 0.005 * np.ones(sum(sizes))
+    assert servo_fit.unexplained(records, left) == []
+    rows = len(records[1].joint.t)
+    left[sizes[0] + rows : sizes[0] + 2 * rows] = np.radians(14.0)
+    told = servo_fit.unexplained(records, left)
+    assert len(told) == 1 and told[0].startswith(f"j2 of trial {records[1].name} (14 deg RMS left of ")
+    left[sizes[0] + rows : sizes[0] + 2 * rows : 2] = 0.0
+    left[sizes[0] + rows + rows // 30 : sizes[0] + 2 * rows] = 0.0
+    assert servo_fit.unexplained(records, left) == [], "a few readings that are no angle are no bad fit"
+
+
+def test_a_fit_that_must_not_be_used_is_refused_with_its_report(robot, fitted, tmp_path, capsys, monkeypatch):
+    def bad(*_, **__):
+        raise servo_fit.BadFit("data: 3 trials do not tell kp", fitted)
+
+    monkeypatch.setattr(servo_fit, "calibrate", bad)
+    monkeypatch.setattr(commands, "compiled", lambda *_: None)
+    data = some_trials(tmp_path / "data", "air_sine_1 air_square_1")
+    out, page = tmp_path / "new.toml", tmp_path / "report" / "report.html"
+    assert console.run(command.main, ["servo", *map(str, ["--data", data, "--out", out, "--report", page.parent])]) == 2
+    said = capsys.readouterr()
+    assert said.err.strip().split("\n")[-1].endswith(f"do not tell kp. Nothing is written; the evidence is in {page}")
+    assert "RMS left [deg]" in said.out and "do not tell kp" in page.read_text() and not out.exists()
+
+
+@pytest.mark.slow
+def test_trials_in_air_alone_tell_gain_and_latency():
+    """The nine shipped trials in air; the sealed robot has 7.943 N m/rad and 94.06 ms."""
+    logs = Logs(SHIPPED, {p.name: read_trial(p) for p in sorted(SHIPPED.glob("air_*"))})
+    found = servo_fit.calibrate(logs, ServoStand()).estimates
+    assert found["kp"].value == pytest.approx(7.943, rel=0.1) and found["command_latency"].value == pytest.approx(
+        0.094, abs=0.005
+    )
+    assert found["command_latency"].high - found["command_latency"].low < 0.005
+
+
+@pytest.mark.slow
+def test_failed_reads_do_not_change_a_calibrated_servo(tmp_path):
+    def missed(table, column, values):
+        values = np.array(values, float)
+        if column == "j2":
+            values[::25] = (-1 - 500) * np.radians(0.24)
+        return values
+
+    names = " ".join(p.name for p in sorted(SHIPPED.glob("air_*")))
+    logs = calibration_logs.read(some_trials(tmp_path / "data", names, missed))
+    assert sum("failed reads of j2" in note for note in logs.notes) == 9
+    found = servo_fit.calibrate(logs, ServoStand(), alone=False).estimates
+    assert found["kp"].value == pytest.approx(8.49, rel=0.02) and found["command_latency"].value == pytest.approx(
+        0.097, abs=0.001
+    )
+
+
+def test_fitted_numbers_lose_the_words_for_a_guess():
+    text = calibrated_model.start(Path("absent.toml"), "fish")
+    for _ in range(2):
+        text = calibrated_model.put(text, "servo", {"kp": 8.1}, source="data/monday")
+        text = calibrated_model.put(text, "water", {"k": [0.8] * 4, "cf": 0.01}, source="data/monday", new=True)
+    lines = text.split("\n")
+    assert "kp = 8.1  # N m/rad, calibrated from data/monday" in lines
+    water = text[text.index("[water]") : text.index("stations")]
+    assert (
+        "Prior" not in water
+        and "literature" not in water
+        and "cf = 0.01  # tangential friction, calibrated from data/monday" in lines
+    )
+    other = calibrated_model.put(
+        calibrated_model.start(Path("absent.toml"), "tendon_fish"), "servo", {"kp": 8.1}, source="data/monday"
+    )
+    head = next(line for line in other.split("\n") if line.startswith("[servo]"))
+    assert head.startswith("[servo]                      # kp calibrated from data/monday; the rest guessed")
+    assert calibrated_model.put(other, "servo", {"kp": 8.2}, source="data/monday").count("kp calibrated from") == 1
 
 
 def test_a_page_of_weighings_that_is_absent_says_what_to_write(tmp_path: Path):

@@ -188,3 +188,32 @@ def test_pictures_without_a_board_say_so():
 def test_pictures_of_two_cameras_are_refused():
     with pytest.raises(ConfigError, match="2 sizes"):
         calibrate_intrinsics([np.zeros((480, 640), np.uint8), np.zeros((720, 1280), np.uint8)], Board(7, 5, 0.03))
+
+
+def test_a_lens_that_folds_rays_back_inside_the_picture_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"shows nothing beyond \d+ % of the way .* photograph the board in the corners"
+    ) as told:
+        overhead((1280, 720), 0.0028, 3.0, distortion=(-0.2, 0.1, 0.0, 0.0, -0.89))
+    assert "\n" not in str(told.value)
+    overhead((1280, 720), 0.0028, 3.0, distortion=(-0.28, 0.09, 0.0, 0.0, -0.01))  # a wide lens
+
+
+def test_a_third_coefficient_that_mends_nothing_is_left_out():
+    """A board in the middle of the picture alone tells k1; k3 would bend the corners at will."""
+    matrix, distortion = np.array([[620.0, 0, 325], [0, 615, 236], [0, 0, 1]]), np.array([-0.15, 0.05, 0.001, -0.001, 0])
+    found = calibrate_intrinsics(pictures(7, *chessboard(), matrix, distortion, 0.5), Board(7, 5, 0.03))
+    assert found.distortion[4] == 0.0
+
+
+def test_pictures_of_a_lens_that_cannot_be_are_refused_with_the_evidence(monkeypatch):
+    def fitted(points, pixels, size, *_, **__):
+        each = np.full(len(points), 0.3)
+        lens = np.array([[620.0, 0, 325], [0, 615, 236], [0, 0, 1]])
+        return 0.3, lens, np.array([[-0.4, 0.3, 0.0, 0.0, -0.89]]), None, None, np.ones(18), None, each
+
+    matrix = np.array([[620.0, 0, 325], [0, 615, 236], [0, 0, 1]])
+    images = pictures(5, *chessboard(), matrix, np.zeros(5), 0.4)
+    monkeypatch.setattr(cv2, "calibrateCameraExtended", fitted)
+    with pytest.raises(ConfigError, match=r"k1, k2, k3 = -0.4, 0.3, -0.89 at rms 0.30 px, the board was seen out to \d+ %"):
+        calibrate_intrinsics(images, Board(7, 5, 0.03))

@@ -87,3 +87,14 @@ def test_a_video_of_another_size_is_refused(tmp_path):
     writer.release()
     with pytest.raises(ConfigError, match="image size"):
         track_video(path, tracker(), tmp_path / "trial")
+
+
+def test_a_mirrored_picture_of_the_tag_is_named(video, tmp_path):
+    source = cv2.VideoCapture(str(video))
+    size = tuple(int(source.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    writer = cv2.VideoWriter(str(tmp_path / "flipped.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, size)
+    while (frame := source.read())[0]:
+        writer.write(cv2.flip(frame[1], 1))
+    writer.release()
+    with pytest.raises(LogError, match=r"no fix in 12 frames, and tag 0 in their mirror image: the picture is flipped"):
+        track_video(tmp_path / "flipped.avi", tracker(), tmp_path / "trial")

@@ -6,7 +6,7 @@
     mass      [[link]] mass, com;  [body] mass_total;  [[effect]] yaw_inertia where its interval leaves out zero
     slip      [calibration.slip] only: the strip water has no slip ratio, the flow solver takes it as --slip
 
-Lines are replaced one by one; comments and everything else stay.
+Lines are replaced one by one; beside a new number stands that it was calibrated, and on which logs. Everything else stays.
 """
 
 import re
@@ -18,6 +18,7 @@ from fishmj.calibrate.least_squares import ParameterEstimate
 from fishmj.effects import calibration
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.errors import ConfigError, FishmjError
+from fishmj.log.limits import bare
 from fishmj.mjcf.description import load_robot
 from fishmj.store import sha256, write_text
 
@@ -63,14 +64,16 @@ def write(
     return out
 
 
-def put(text: str, table: str, values: dict, name: str = "", *, new: bool = False) -> str:
-    """Replace numbers of one table: `[servo]`, or the `[[link]]` block called `name`. new: lines that are missing are added.
+def put(text: str, table: str, values: dict, name: str = "", *, source: str = "", new: bool = False) -> str:
+    """Replace numbers of one table: `[servo]`, or the `[[link]]` block called `name`, and what the file says of their origin.
 
+    Args:
+        source: of the new numbers, for the comments beside them. new: lines that are missing are added.
     Raises:
         ConfigError: no such table or key.
     """
     lines, inside, left = text.splitlines(), False, dict(values)
-    block, last = -1, -1
+    block, last, heads = -1, -1, []
     for i, line in enumerate(lines):
         head = line.split("#")[0].strip()
         if head.startswith("["):
@@ -80,7 +83,10 @@ def put(text: str, table: str, values: dict, name: str = "", *, new: bool = Fals
         last = i if inside and head else last
         match = re.match(r"(\w+)\s*=\s*(\[[^]]*\]|[^#\s]+)(.*)", line)
         if inside and block != i and match and match[1] in left:
-            lines[i] = f"{match[1]} = {_number(match[2], left.pop(match[1]))}{match[3]}"
+            lines[i] = f"{match[1]} = {_number(match[2], left.pop(match[1]))}{_told(match[3], source)}"
+            heads.append(block)
+    if source and heads:
+        _relabel(lines, heads[0], list(values), source, whole=new)
     if new and left:
         more = [f"{key} = {_number('', value)}" for key, value in left.items()]
         lines, last = (lines, last) if last >= 0 else ([*lines, "", f"[{table}]"], len(lines) + 1)
@@ -88,6 +94,37 @@ def put(text: str, table: str, values: dict, name: str = "", *, new: bool = Fals
     if left:
         raise ConfigError(f"[{table}] {name}: no line for {', '.join(left)}; the fish file must have one to be replaced")
     return "\n".join(lines) + "\n"
+
+
+GUESSED = re.compile(r"guess|prior|literature|not fitted|fitted to no", re.IGNORECASE)  # said of numbers that nobody measured
+
+
+def _told(comment: str, source: str) -> str:
+    """The comment of a replaced number: its unit or meaning stays, its origin is the calibration."""
+    if not source:
+        return comment
+    meaning = re.split(r"[,;(]", comment.partition("#")[2])[0].strip()
+    kept = (
+        ""
+        if not meaning or GUESSED.search(meaning) or meaning.split()[0] in ("paper", "derived", "calibrated")
+        else f"{meaning}, "
+    )
+    return f"  # {kept}calibrated from {bare(source, 120)}"
+
+
+def _relabel(lines: list[str], head: int, names: list[str], source: str, *, whole: bool) -> None:
+    """Take words for a guess off the numbers of a block that were fitted: in its header and in comments before its first key.
+
+    whole: all numbers of the block were fitted.
+    """
+    said = f"calibrated from {bare(source, 120)}"
+    for i in range(head, len(lines)):
+        text, mark, comment = lines[i].partition("#")
+        if i > head and (text.strip() or not mark):
+            break
+        if mark and GUESSED.search(comment):
+            rest = "" if whole else f"; the rest {comment.rsplit('; the rest ', 1)[-1].strip()}"
+            lines[i] = f"{text}# {'' if whole else ', '.join(names) + ' '}{said}{rest}"
 
 
 def _number(old: str, value: "float | list | str") -> str:

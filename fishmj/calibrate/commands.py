@@ -29,7 +29,10 @@ Off = dict[str, list]  # number -> [error, true value, whether the 90 % interval
 def rows(estimates: dict[str, ParameterEstimate]) -> list[dict]:
     """A table of estimates."""
     return [
-        {"parameter": e.name, "value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "width from": e.widest}
+        {
+            **{"parameter": e.name, "value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "width from": e.widest},
+            "at bound": e.bound,
+        }
         for e in estimates.values()
     ]
 
@@ -38,6 +41,11 @@ def said(logs: Logs, more: str = "") -> list[str]:
     """Where the trials come from."""
     origins = sorted({f"{t.value('origin', '?')} ({t.value('source', '?')})" for t in logs.trials.values()})
     return [f"{len(logs.trials)} trials in {logs.folder}, origin {', '.join(origins)}", *([more] if more else [])]
+
+
+def source(args) -> str:
+    """The logs of a calibration, for the lines that hold its numbers."""
+    return Path(args.data).as_posix()
 
 
 def opened(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
@@ -79,7 +87,32 @@ def run_servo(args) -> Answer:
     """Servo gain, damping, friction and command latency from sine, square and impulse."""
     robot = load_robot(args.model)
     logs, plant = benched(args, robot)
-    found = servo_fit.calibrate(logs, plant, bars=shown)
+    found = servo_of(args, logs, plant)
+    page, picture, answer = servo_report(args, logs, found)
+    estimates = {name: widened(e) for name, e in found.estimates.items()}
+    if args.out:
+        text, s = calibrated_model.start(args.out, args.model), plant.robot.servo
+        kp, kd = estimates["kp"].value, estimates["kd"].value
+        values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
+        short = {key: calibrated_model.short(value) for key, value in values.items()}
+        text = calibrated_model.put(text, "servo", short, source=source(args))
+        latency = calibrated_model.short(estimates["command_latency"].value)
+        text = calibrated_model.put(text, "timing", {"command_latency": latency}, source=source(args))
+        calibrated_model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
+    return {"estimates": plain(estimates), **answer, "report": page, "overlay": picture, "skipped": logs.broken}
+
+
+def servo_of(args, logs: Logs, plant: ServoStand, *, alone: bool = True) -> servo_fit.ServoFit:
+    """The servo's fit. Raises LogError where it must not be used, with the report that shows why."""
+    try:
+        return servo_fit.calibrate(logs, plant, alone=alone, bars=shown)
+    except servo_fit.BadFit as bad:
+        page, _, _ = servo_report(args, logs, bad.found, str(bad))
+        raise LogError(f"{bad}. Nothing is written; the evidence is in {page}") from bad
+
+
+def servo_report(args, logs: Logs, found: servo_fit.ServoFit, refusal: str = "") -> tuple[Path, Path, Answer]:
+    """Prints and writes the tables of a servo fit; (page, picture, tables by name). refusal: why the fit must not be used."""
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     apart = [
         {"medium": m, **{name: fit.estimates[name].value for name in servo_fit.FREE}, "rounds": fit.rounds}
@@ -96,31 +129,15 @@ def run_servo(args) -> Answer:
     console.say("", console.table(found.hull), *([found.words] if found.words else []))
     tables = {"Servo": rows(estimates), "Each medium alone": apart, "What is left": left, "Hull and water": found.hull}
     picture = fit_plots.draw(found, args.report / "overlay.png")
-    page = fit_plots.report(args.report, "Servo calibration", tables, picture, said(logs, found.words))
-    if args.out:
-        text, s = calibrated_model.start(args.out, args.model), plant.robot.servo
-        kp, kd = estimates["kp"].value, estimates["kd"].value
-        values = {"kp": kp, "kd": kd, "speed_no_load": s.torque / (kd - s.kv)}
-        text = calibrated_model.put(text, "servo", {key: calibrated_model.short(value) for key, value in values.items()})
-        latency = calibrated_model.short(estimates["command_latency"].value)
-        text = calibrated_model.put(text, "timing", {"command_latency": latency})
-        calibrated_model.write(args.out, text, "servo", estimates, {"coulomb_friction.torque": estimates["friction"]}, args.data)
-    return {
-        "estimates": plain(estimates),
-        "alone": apart,
-        "left": left,
-        "hull": found.hull,
-        "report": page,
-        "overlay": picture,
-        "skipped": logs.broken,
-    }
+    page = fit_plots.report(args.report, "Servo calibration", tables, picture, said(logs, f"{refusal} {found.words}".strip()))
+    return page, picture, {"alone": apart, "left": left, "hull": found.hull}
 
 
 def run_latency(args) -> Answer:
     """Command and camera latency, from the clocks and against the fitted servo."""
     robot = load_robot(args.model)
     logs, plant = benched(args, robot)
-    fitted = servo_fit.calibrate(logs, plant, alone=False, bars=shown)
+    fitted = servo_of(args, logs, plant, alone=False)
     found = servo_fit.calibrate_latency(logs, fitted)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
@@ -134,7 +151,7 @@ def run_latency(args) -> Answer:
         console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
     if args.out:
         values = {name: calibrated_model.short(e.value) for name, e in estimates.items()}
-        text = calibrated_model.put(calibrated_model.start(args.out, args.model), "timing", values)
+        text = calibrated_model.put(calibrated_model.start(args.out, args.model), "timing", values, source=source(args))
         calibrated_model.write(args.out, text, "latency", estimates, {}, args.data)
     return {"estimates": plain(estimates), "lags": lags, "findings": findings, "report": page, "skipped": logs.broken}
 
@@ -228,7 +245,7 @@ def run_water(args) -> Answer:
     )
     if args.out:
         text = calibrated_model.start(args.out, args.model)
-        text = calibrated_model.put(text, "water", found.water | {"model": STRUCTURED}, new=True)
+        text = calibrated_model.put(text, "water", found.water | {"model": STRUCTURED}, source=source(args), new=True)
         calibrated_model.write(args.out, text, "water", found.physical | {"speed_error": left}, {}, args.data)
     return {
         "estimates": plain(found.physical),
@@ -251,8 +268,10 @@ def run_mass(args) -> Answer:
     if args.out:
         text = calibrated_model.start(args.out, args.model)
         for name, (m, c) in found.links.items():
-            text = calibrated_model.put(text, "link", {"mass": calibrated_model.short(m), "com": calibrated_model.short(c)}, name)
-        text = calibrated_model.put(text, "body", {"mass_total": sum(calibrated_model.short(m) for m, _ in found.links.values())})
+            weighed = {"mass": calibrated_model.short(m), "com": calibrated_model.short(c)}
+            text = calibrated_model.put(text, "link", weighed, name, source=source(args))
+        total = sum(calibrated_model.short(m) for m, _ in found.links.values())
+        text = calibrated_model.put(text, "body", {"mass_total": total}, source=source(args))
         extra = found.estimates["yaw_inertia"]
         beyond = {"yaw_inertia.inertia": extra} if extra.low > 0 or extra.high < 0 else {}
         calibrated_model.write(args.out, text, "mass", found.estimates, beyond, args.data)

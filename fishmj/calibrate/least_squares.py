@@ -10,6 +10,10 @@ Standard deviation of a parameter, the largest of three, because a model is neve
     signals     the same over kinds of trial (signal and medium): what another experiment would have said
 
 theta_-l is one Gauss-Newton step from theta* (Efron & Stein 1981). The interval is 90 %, with Student's t of the groups' number.
+Fewer than FEW groups tell no width (t = 6.3): there the curvature stands alone.
+
+Residuals beyond a block's `outlier` count by their size instead of their square (Huber 1964, by weights between passes), so that
+a few readings that are no angle do not pull the fit.
 What a calibration is off by although its fit is good (`data/calib/calibrate.toml`) widens every interval.
 """
 
@@ -26,6 +30,8 @@ DAMPINGS = (1e-6, 1e-2, 1e-1, 1.0, 10.0)
 NORMAL = 1.645  # standard deviations of a 90 % interval
 FIELDS = ("low", "high", "start", "step", "sigma")
 ENOUGH = 1e-5  # of the cost: less is no progress
+FEW = 3  # groups, below which no jackknife is taken
+AT_BOUND = 1e-3  # of a parameter's range
 
 
 class FreeParameter(NamedTuple):
@@ -44,12 +50,14 @@ class Block(NamedTuple):
     """Where one channel of one trial lies in the residual.
 
     group: kind of trial, for the jackknife; its blocks share a weight. sigma: what the residual may be, where that is known.
+    outlier: residual from which a sample counts by its size.
     """
 
     trial: str
     group: str
     where: slice
     sigma: float | None = None
+    outlier: float = np.inf
 
 
 class ParameterEstimate(NamedTuple):
@@ -62,6 +70,7 @@ class ParameterEstimate(NamedTuple):
     high: float
     sd: float
     widest: str  # curvature, trials or signals; "model" where the systematic part is wider
+    bound: str = ""  # "lower" or "upper" where the value ended at a bound of its range
 
 
 class Spread(NamedTuple):
@@ -159,10 +168,12 @@ def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
         groups.setdefault(b.group, []).append(b)
     out = np.empty(len(r))
     for members in groups.values():
-        square = np.mean([np.mean(r[b.where] ** 2) for b in members])
-        tau = np.mean([correlation_length(r[b.where]) for b in members])
-        for b in members:
-            out[b.where] = 1.0 / np.sqrt(square * tau + 1e-18) if b.sigma is None else 1.0 / b.sigma
+        robust = [np.sqrt(np.minimum(1.0, b.outlier / np.maximum(np.abs(r[b.where]), 1e-18))) for b in members]
+        kept = [r[b.where] * share for b, share in zip(members, robust, strict=True)]
+        square = np.mean([np.mean(part**2) for part in kept])
+        tau = np.mean([correlation_length(part) for part in kept])
+        for b, share in zip(members, robust, strict=True):
+            out[b.where] = share * (1.0 / np.sqrt(square * tau + 1e-18) if b.sigma is None else 1.0 / b.sigma)
     return out
 
 
@@ -224,7 +235,7 @@ def _spreads(parameters, theta, r, jac, blocks) -> dict[str, Spread]:
     found = {"curvature": Spread(scaled(np.linalg.inv(normal + floor)), NORMAL)}
     for kind, key in (("trials", lambda b: b.trial), ("signals", lambda b: b.group)):
         groups = sorted({key(b) for b in blocks})
-        if len(groups) > 1:
+        if len(groups) >= FEW:
             quantile = float(student.ppf(0.95, len(groups) - 1))
             found[kind] = Spread(scaled(_jackknife(r, jac, blocks, curve, key, groups)), quantile)
     return found
@@ -237,8 +248,15 @@ def _estimates(parameters, theta, spreads: dict[str, Spread]) -> dict[str, Param
         widest = max(sds, key=lambda kind: sds[kind] * spreads[kind].quantile)
         sd, quantile, value = sds[widest], spreads[widest].quantile, float(theta[k])
         low, high = max(value - quantile * sd, p.low), min(value + quantile * sd, p.high)
-        out[p.name] = ParameterEstimate(p.name, p.unit, value, low, high, sd, widest)
+        out[p.name] = ParameterEstimate(p.name, p.unit, value, low, high, sd, widest, bound_of(p, value))
     return out
+
+
+def bound_of(parameter: FreeParameter, value: float) -> str:
+    """ "lower" or "upper" where a fitted value lies at that bound, else ""."""
+    width = parameter.high - parameter.low
+    near = AT_BOUND * (width if np.isfinite(width) else abs(parameter.step))
+    return "lower" if value <= parameter.low + near else "upper" if value >= parameter.high - near else ""
 
 
 def _jackknife(r, jac, blocks, curve, key, groups) -> np.ndarray:

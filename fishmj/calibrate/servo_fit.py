@@ -29,6 +29,10 @@ from fishmj.log.timebase import Audit, audit, lag_between
 FREE = ("kp", "kd", "friction", "command_latency")
 OPEN = 1.0  # width of a 90 % interval, of the number itself (friction: of the stall torque); wider is not told
 STRAINED = 3.0  # tolerances that a constant of hull or water may be off before the water is called another
+OUTLIER = 0.1  # of a joint's movement: a reading that is farther off counts by its size
+UNEXPLAINED, NOISY = 0.15, 10.0  # left of a joint's movement, and times its noise: beyond both the servo is another one
+COUNT = np.radians(0.24) / np.sqrt(12.0)  # rad, noise of a joint where none is stated: one count of a hobby servo's encoder
+TRIMMED = 0.95  # of the samples, the smallest, by which a fit is judged
 SWIMS = ("gait", "gait_slow", "gait_fast", "turn_left")
 ABRUPT = ("square", "impulse")  # the heading of a steady beat lags by the water's phase, which is the model's to get wrong
 
@@ -48,15 +52,26 @@ class ServoFit(NamedTuple):
 
     @property
     def hull(self) -> list[dict]:
-        """Constants of hull and water, factors: how many tolerances the trials pushed each of them."""
-        values = {c.name: (self.whole.estimates[c.name].value, c.sigma) for c in STAND_CONSTANTS[2:]}
-        return [{"constant": k, "factor": v, "tolerance": s, "off by": abs(v - 1.0) / s} for k, (v, s) in values.items()]
+        """Constants of hull and water, factors: how many tolerances the trials pushed each of them, and whether to a bound."""
+        found = [(self.whole.estimates[c.name], c.sigma) for c in STAND_CONSTANTS[2:]]
+        return [
+            {"constant": e.name, "factor": e.value, "tolerance": s, "off by": abs(e.value - 1.0) / s, "at bound": e.bound}
+            for e, s in found
+        ]
 
     @property
     def words(self) -> str:
         """Which of them were pushed too far; empty when none was."""
         far = [f"{row['constant']} {row['factor']:.2f}" for row in self.hull if row["off by"] > STRAINED]
         return f"the model's water is not that of the trials: {', '.join(far)} of the described values" if far else ""
+
+
+class BadFit(LogError):
+    """A fit that must not be used. found: the fit, as evidence."""
+
+    def __init__(self, message: str, found: ServoFit):
+        super().__init__(message)
+        self.found = found
 
 
 def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars = silent) -> ServoFit:
@@ -66,7 +81,8 @@ def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars =
         alone: fit air and water by themselves as well: two media that disagree are a missing effect. bars: of the fits.
 
     Raises:
-        LogError: too few trials with joint angles and moving commands, or they leave a number open.
+        LogError: too few trials with joint angles and moving commands. BadFit: they leave a number open, or the fit leaves
+            more of a joint's movement than its noise explains.
     """
     records = logs.records(plant.dt, logs.bench())
     media = [m for m in MEDIA if any(r.medium == m for r in records)] if alone else []
@@ -76,12 +92,39 @@ def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars =
         for i, (medium, part) in enumerate(sets.items()):
             fits[medium] = fitted(plant, part, bar, i)
     whole, apart = fits.pop(""), fits
-    if left := open_numbers(plant, whole.estimates):
-        raise LogError(
-            f"{logs.folder}: {len(records)} trials do not tell {'; '.join(left)}. "
-            f"Record {', '.join(SIGNALS)} in air and in water, three times each, with amplitudes that move the joints"
+    found = ServoFit(plant, records, row_of(plant, whole.theta), whole, apart)
+    if left := unexplained(records, whole.after):
+        more = f"; and {len(left) - 3} more" if left[3:] else ""
+        raise BadFit(
+            f"{logs.folder}: no servo of the model explains {'; '.join(left[:3])}{more}."
+            " Look at those readings and commands (fishmj log check), or start from the servo's own --model",
+            found,
         )
-    return ServoFit(plant, records, row_of(plant, whole.theta), whole, apart)
+    if left := open_numbers(plant, whole.estimates):
+        lacking = [m for m in MEDIA if not any(r.medium == m for r in records)]
+        more = f" in {lacking[0]} as well" if lacking else " in air and in water, three times each"
+        raise BadFit(
+            f"{logs.folder}: {len(records)} trials do not tell {'; '.join(left)}. "
+            f"Record {', '.join(SIGNALS)}{more}, with amplitudes that move the joints",
+            found,
+        )
+    return found
+
+
+def unexplained(records: list[Record], after: np.ndarray) -> list[str]:
+    """Joints and trials whose movement the fit does not explain, the worst first. after: (m,) rad, the residual of the fit."""
+    found, begin = [], 0
+    for record in records:
+        seen = angles(record)
+        for j, (column, sigma) in enumerate(zip(seen.values.T, seen.sigma, strict=True), 1):
+            off = np.sort(np.abs(after[begin : begin + len(column)]))
+            left = float(np.sqrt(np.mean(off[: max(round(TRIMMED * len(off)), 1)] ** 2)))
+            moved, noise = float(np.std(column)), float(sigma) if sigma > 0 else COUNT
+            if left > max(UNEXPLAINED * moved, NOISY * noise):
+                told = f"j{j} of trial {record.name} ({np.degrees(left):.2g} deg RMS left of {np.degrees(moved):.2g},"
+                found.append((left / moved, f"{told} {left / noise:.0f} times its noise)"))
+            begin += len(column)
+    return [text for _, text in sorted(found, reverse=True)]
 
 
 def parameters(plant: ServoStand) -> list[FreeParameter]:
@@ -91,7 +134,7 @@ def parameters(plant: ServoStand) -> list[FreeParameter]:
         FreeParameter("kp", "N m/rad", s.kp, 0.02 * s.kp, 0.1 * s.kp, 10 * s.kp),
         FreeParameter("kd", "N m s/rad", s.kb + s.kv, 0.02 * s.kb, 0.1 * s.kb, 10 * s.kb),
         FreeParameter("friction", "N m", 0.01, 0.002, 0.0, s.torque),
-        FreeParameter("command_latency", "s", late, 0.001, 0.0, late + 0.25),
+        FreeParameter("command_latency", "s", late, plant.dt, 0.0, late + 0.25),
     ]
     return free + [FreeParameter(c.name, "factor", 1.0, 0.02, 0.3, 3.0, c.sigma) for c in STAND_CONSTANTS[2:]]
 
@@ -121,9 +164,10 @@ def fitted(plant: ServoStand, records: list[Record], bar: Bar, before: int) -> L
     """The fit on some records. bar: of all fits; before: of them that are done."""
     blocks, size = [], 0
     for record in records:
-        for _ in range(angles(record).values.shape[1]):
-            where = slice(size, size + len(angles(record).t))
-            blocks.append(Block(record.name, f"{record.excitation} {record.medium}", where))
+        for column in angles(record).values.T:
+            where = slice(size, size + len(column))
+            outlier = max(OUTLIER * float(np.std(column)), NOISY * COUNT)
+            blocks.append(Block(record.name, f"{record.excitation} {record.medium}", where, outlier=outlier))
             size = where.stop
 
     def residual(thetas: np.ndarray) -> np.ndarray:

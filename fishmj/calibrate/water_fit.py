@@ -24,7 +24,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import t as student
 
 from fishmj.calibrate.calibration_logs import QUIET, Logs
-from fishmj.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, minimum
+from fishmj.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, bound_of, minimum
 from fishmj.calibrate.water_plant import PHYSICAL, WaterPlant
 from fishmj.errors import LogError
 from fishmj.gap.records.movement import pace
@@ -251,7 +251,10 @@ def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[di
             name, unit, float(value), max(float(value) - half, low), min(float(value) + half, high), half / NORMAL, widest
         )
 
-    coefficients = {p.name: estimate(p.name, p.unit, rows[:, k], p.low, p.high) for k, p in enumerate(parameters)}
+    coefficients = {
+        p.name: estimate(p.name, p.unit, rows[:, k], p.low, p.high)._replace(bound=bound_of(p, float(rows[0, k])))
+        for k, p in enumerate(parameters)
+    }
     felt = plant.physical(rows)
     least = lambda name: -np.inf if name == "thrust" else 0.0  # water takes energy, and carried water has a mass
     return coefficients, {name: estimate(name, unit, felt[name], least(name)) for name, unit in PHYSICAL.items()}

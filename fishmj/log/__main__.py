@@ -18,7 +18,9 @@ from fishmj.store.manifest import MANIFEST
 
 def check(argv: list[str]) -> int:
     """The command `log check`. Exit 0: everything reads; 1: some trials or files are not as they should be (one line each)."""
-    parser = console.parser("log check", "Read a data set or a trial, audit its clocks, run the physical checks; one line a problem, and exit 1.")
+    parser = console.parser(
+        "log check", "Read a data set or a trial, audit its clocks, run the physical checks; one line a problem, and exit 1."
+    )
     parser.add_argument("data", type=console.path, help="data set, trial folder or samples.csv")
     args = parser.parse_args(argv)
     if not args.data.exists():

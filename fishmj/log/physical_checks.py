@@ -28,9 +28,8 @@ IMPORT, USE, NOTE = "import", "use", "note"  # a finding refuses: the import and
 GRID = 0.02  # s, step of the common clock on which channels are compared
 SHORT, OFTEN = 5, 3  # rows of one failed read at most; times that the same value must come back
 DRIVEN = 0.05  # rad, span of a command that moves a joint
-FOLLOWS = np.arange(0.0, 0.42, GRID)  # s by which a joint follows its command
-SEEN = np.arange(0.0, 0.21, GRID)  # s by which a camera's heading is late behind the joints
-OBEYED = np.arange(0.0, 0.31, GRID)  # the same behind the commands
+FOLLOWS = np.arange(0.0, 0.31, GRID)  # s by which a joint follows its command
+SEEN = np.arange(0.0, 0.21, GRID)  # s by which a camera's heading is late behind the joints; behind the commands: FOLLOWS
 BEAT = 0.5  # rad/s, root mean square of the tail's rate from which a recoil is expected
 OTHER = 0.4  # correlation of the opposite sign from which the sign is not told
 PACE, APART = 1.0, 0.25  # s over which a course is taken, and between two of them
@@ -157,14 +156,15 @@ def _recurring(x: np.ndarray, bounds: Plausible) -> np.ndarray:
     large = peak > bounds.spike
     values, counts = np.unique(x[start[large]], return_counts=True)
     for value in values[np.argsort(-counts)][:3]:
-        mine = x[start] == value
-        alone, rest = peak[mine & large], x[x != value]
+        mine, others = x == value, np.flatnonzero(x != value)
+        alone, rest = peak[large & (x[start] == value)], x[others]
         if len(alone) < OFTEN or len(rest) < len(x) / 2:
             continue
-        least = max(bounds.spike, 5 * _peaks(rest)[3])
+        usual = _peaks(rest)[3]
         far = np.abs(rest - value).min() > max(0.5, np.ptp(rest))  # beyond all others: wherever it stands
-        if far or np.median(alone) > least:
-            return np.repeat(mine & (far | (peak > least)), np.diff(np.r_[start, len(x)]))
+        if far or np.median(alone) > max(bounds.spike, 5 * usual):
+            off = np.abs(value - np.interp(np.arange(len(x)), others, rest))  # a joint may pass through it
+            return mine & (far | (off > max(bounds.spike / 3, 5 * usual)))
     return np.zeros(len(x), bool)
 
 
@@ -198,20 +198,22 @@ def _joint_speed(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             i = int(rows[0])
             turns = np.abs(step[rows] - 2 * pi) < 0.3
             why = "the encoder wraps at a turn: unwrap it" if turns.all() else "are angle and time in the stated units?"
-            yield IMPORT, (
-                f"joint: {name} jumps by {step[i]:.3g} rad, {speed[i]:.3g} rad/s, at t = {t[i + 1]:.3f} s ({len(rows)} such rows);"
-                f" at most {bounds.rate:.3g} rad/s is plausible; {why}"
+            text = (
+                f"joint: {name} jumps by {step[i]:.3g} rad, {speed[i]:.3g} rad/s, at t = {t[i + 1]:.3f} s"
+                f" ({len(rows)} such rows); at most {bounds.rate:.3g} rad/s is plausible; {why}"
             )
+            yield IMPORT, text
 
 
 def _standing_still(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     for name, t, c, j in _pairs(trial):
         told, moved = float(np.ptp(c)), float(np.ptp(j))
         if told > 2 * DRIVEN and t[-1] - t[0] > 1.0 and moved < bounds.still * told:
-            yield USE, (
+            text = (
                 f"joint: {name} stands still ({np.degrees(moved):.2g} deg) while c{name[1:]} moves by {np.degrees(told):.3g} deg;"
                 " is the servo unpowered or jammed, or is it another column?"
             )
+            yield USE, text
 
 
 def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
@@ -230,10 +232,11 @@ def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         moving = (before * after > 0) & (np.minimum(np.abs(before), np.abs(after)) > max(0.01, 3 * count))
         rows = moving & same[:, k] & ~np.delete(same, k, axis=1).any(1)  # all the others were read anew
         if moving.sum() >= 20 and rows.sum() >= max(OFTEN, bounds.stale * moving.sum()):
-            yield NOTE, (
+            text = (
                 f"joint: {name} repeats its last value in {int(rows.sum())} of {int(moving.sum())} rows in which it moves"
                 " and the other joints change: a failed read that returns the last value?"
             )
+            yield NOTE, text
 
 
 def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
@@ -243,11 +246,12 @@ def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         found = [_correlation(*_late(c, j, lag)) for lag in FOLLOWS]
         worst, best = min(found), max(found)
         if worst < -bounds.against and best < OTHER:
-            yield IMPORT, (
+            text = (
                 f"joint: {name} runs against its command c{name[1:]} (correlation {worst:.2f}, at no delay up to"
                 f" {FOLLOWS[-1]:.1f} s above {best:.2f}); one of the two counts the other way: give columns.{name} or"
                 f" columns.c{name[1:]} a sign = -1 in the map"
             )
+            yield IMPORT, text
 
 
 def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
@@ -263,17 +267,19 @@ def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         if mirrored[1] < CLEAR and mirrored[1] < off[1] / 3 and bounds.course < pi:
             zero = np.degrees(mirrored[0])
             name = "a compass counts so, from north" if abs(zero - 90) < 25 else "a frame whose z points down counts so"
-            yield IMPORT, (
+            text = (
                 f"pose: yaw turns clockwise, against the course over ground (they add up to {zero:.0f} deg, scatter"
                 f" {np.degrees(mirrored[1]):.0f} deg; expected the same course, counter-clockwise from x); {name}."
                 f" In the map give columns.yaw sign = -1 and a zero of {round(zero / 90) * 90:d} deg, in the unit of the file"
             )
+            yield IMPORT, text
             return
         if scaled[1] < CLEAR and scaled[1] < off[1] / 3 and np.ptp(yaw) > 10 * turned and bounds.course < pi:
-            yield IMPORT, (
+            text = (
                 f"pose: yaw turns by {np.ptp(yaw):.3g} while the course turns by {turned:.2g} rad: it is in degrees."
                 ' In the map give columns.yaw unit = "deg"'
             )
+            yield IMPORT, text
             return
     ahead = _swims_ahead(trial)
     if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False or (turned <= TURN and not ahead):
@@ -309,13 +315,14 @@ def _handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     swing, turn = (_fast(np.gradient(_smooth(x), GRID)) for x in (tail, yaw))
     if np.std(swing) < BEAT:
         return
-    found = [_correlation(*_late(swing, turn, lag)) for lag in (SEEN if measured else OBEYED)]
+    found = [_correlation(*_late(swing, turn, lag)) for lag in (SEEN if measured else FOLLOWS)]
     if max(found) > bounds.hand and min(found) > -OTHER:
-        yield USE, (
-            f"pose: the head swings with the tail (correlation {max(found):.2f}), a swimming body recoils against it: the camera's"
-            " picture is mirrored or a frame counts z down (give columns.y and columns.yaw sign = -1 in the map), yaw alone counts"
-            " clockwise (sign = -1), or all joints count the other way (sign = -1 for each c and j)"
+        text = (
+            f"pose: the head swings with the tail (correlation {max(found):.2f}), a swimming body recoils against it: the"
+            " camera's picture is mirrored or a frame counts z down (give columns.y and columns.yaw sign = -1 in the map), yaw"
+            " alone counts clockwise (sign = -1), or all joints count the other way (sign = -1 for each c and j)"
         )
+        yield USE, text
 
 
 CHECKS = (
@@ -323,7 +330,7 @@ CHECKS = (
     PhysicalCheck("joint speed", "a step between two rows is faster than any servo", "rate", _joint_speed),
     PhysicalCheck("standing still", "the joint moves by less than this share of its command", "still", _standing_still),
     PhysicalCheck("stale reading", "share of moving rows that repeat the last value", "stale", _stale),
-    PhysicalCheck("joint sign", "correlation with the command, negative at every delay to 0.4 s", "against", _joint_sign),
+    PhysicalCheck("joint sign", "correlation with the command, negative at every delay to 0.3 s", "against", _joint_sign),
     PhysicalCheck("heading", "course over ground against yaw: sense, offset, unit", "course", _heading),
     PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", _handedness),
 )

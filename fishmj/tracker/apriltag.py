@@ -114,6 +114,15 @@ class AprilTagTracker:
         self.light = found.light
         return fix
 
+    def reads_mirrored(self, image: np.ndarray) -> bool:
+        """True where the tag shows in the mirror image of a frame (H, W, 3): a mirrored tag is no member of its family."""
+        cv2 = opencv("the tag tracker")
+        flipped = cv2.flip(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), 1)
+        zoom = float(np.clip(CELL / self.cell, 1.0, 2.0))
+        flipped = cv2.resize(flipped, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC) if zoom > 1 else flipped
+        numbers = self.reader.detectMarkers(flipped)[1]
+        return numbers is not None and self.number in numbers.ravel()
+
     def _followed(self, image: np.ndarray, pose: np.ndarray) -> Aligned | None:
         """The tag where it is expected, or turned from there by more than its cells can tell."""
         found = self._aligned(image, pose, MATCH[self.family], coarse=False, light=self.light)

@@ -68,6 +68,8 @@ class Calibration:
             value = getattr(self, name)
             if not (isfinite(value) and low <= value <= high):
                 raise ConfigError(f"calibration: {name} = {value}, expected {low:g} to {high:g}")
+        if folded := folding(self.size, self.matrix, self.distortion):
+            raise ConfigError(f"calibration: distortion = {self.distortion.tolist()}: {folded}")
         forward = np.linalg.inv(self.homography)
         object.__setattr__(self, "_forward", forward)
 
@@ -166,6 +168,28 @@ class Calibration:
             return cls(size=size, **rest, **plain, notes=str(table.get("notes", "")))  # type: ignore[arg-type]
         except ConfigError as error:
             raise ConfigError(f"{where}: {error}") from error
+
+
+def folding(size: tuple[int, int], matrix: np.ndarray, distortion: np.ndarray) -> str:
+    """Why no lens has such a distortion, "" where one may: rays farther out must be seen farther out, up to the picture's corner.
+
+    Args:
+        size: (W, H) px. matrix: (3, 3). distortion: (5,) k1, k2, p1, p2, k3.
+    """
+    corners = np.array([[x, y, 1.0] for x in (0, size[0] - 1) for y in (0, size[1] - 1)]) @ np.linalg.inv(matrix).T
+    corner = float(np.hypot(*(corners[:, :2] / corners[:, 2:]).T).max())
+    k1, k2, _, _, k3 = distortion
+    r = np.linspace(0.0, 3.0 * corner, 3001)
+    r2 = r * r
+    rises = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3)) > 0
+    last = len(r) - 1 if rises.all() else int(np.argmin(rises))
+    seen = float(r[last] * (1 + r2[last] * (k1 + r2[last] * (k2 + r2[last] * k3))))
+    if seen >= corner:
+        return ""
+    return (
+        f"such a lens shows nothing beyond {100 * seen / corner:.0f} % of the way from the middle to the corner of the picture"
+        " (rays farther out fold back); photograph the board in the corners too, flat and sharp, and calibrate again"
+    )
 
 
 class Mark(NamedTuple):

@@ -7,8 +7,10 @@ import numpy as np
 
 from fishmj.errors import ConfigError
 from fishmj.mjcf.from_above import opencv
+from fishmj.tracker.calibration import folding
 
 FEWEST = 5  # pictures
+SIMPLER = 1.02  # times the rms with k3: a fit without it that is no worse is taken
 DIFFERENT = 0.1  # of the focal length: pictures from one angle alone do not tell it
 
 
@@ -40,7 +42,7 @@ def calibrate_intrinsics(images: Sequence[np.ndarray], board: Board) -> Intrinsi
     """Fit the lens to pictures (H, W) or (H, W, 3) uint8 of a board held at different angles and places.
 
     Raises:
-        ConfigError: pictures of different sizes; the board in fewer than five of them; all from one angle.
+        ConfigError: pictures of different sizes; the board in fewer than five of them; all from one angle; a lens that cannot be.
     """
     cv2 = opencv("the camera calibration")
     if board.columns < 3 or board.rows < 3 or board.square <= 0 or not 0 <= board.marker < board.square:
@@ -64,7 +66,18 @@ def calibrate_intrinsics(images: Sequence[np.ndarray], board: Board) -> Intrinsi
             f" expected {FEWEST} at least; check the counts, the light and that the board is flat and wholly in sight"
         )
     (size,) = sizes
-    rms, matrix, distortion, _, _, sigma, _, each = cv2.calibrateCameraExtended(points, pixels, size, None, None)
+    fit = lambda flags: cv2.calibrateCameraExtended(points, pixels, size, None, None, flags=flags)
+    found, plain = fit(0), fit(cv2.CALIB_FIX_K3)
+    if plain[0] < SIMPLER * found[0]:  # a sixth power that mends nothing bends the corners, where no board was seen
+        found = plain
+    rms, matrix, distortion, _, _, sigma, _, each = found
+    if folded := folding(size, matrix, distortion.ravel()[:5]):
+        seen = np.concatenate([p.reshape(-1, 2) for p in pixels])
+        reach = np.hypot(*(seen - matrix[:2, 2]).T).max() / np.hypot(*(np.array(size) / 2))
+        raise ConfigError(
+            f"intrinsics: k1, k2, k3 = {', '.join(f'{distortion.ravel()[i]:.2g}' for i in (0, 1, 4))} at rms {rms:.2f} px, the"
+            f" board was seen out to {100 * reach:.0f} % of the half diagonal: {folded}"
+        )
     focal_sigma = float(max(sigma.ravel()[:2]))
     if not focal_sigma < DIFFERENT * matrix[0, 0]:
         raise ConfigError(

@@ -15,8 +15,10 @@ from fishmj.log import Trial, write_trial
 from fishmj.mjcf.from_above import opencv
 from fishmj.plain_file import trouble
 from fishmj.store import put_in_place, temporary_beside
+from fishmj.tracker.apriltag import AprilTagTracker
 from fishmj.tracker.fix import Fix, Tracker
 
+LOOKED = 20  # frames without a fix whose mirror image is read too
 AXIS = 0.1  # m, length of the drawn heading
 GOOD, POOR, TEXT = (80, 220, 90), (40, 140, 250), (250, 250, 250)  # BGR
 
@@ -59,7 +61,7 @@ def track_video(
     if folder.exists() and not overwrite:
         raise StoreError(f"{shown_path(folder)}: exists; choose another name or pass overwrite=True")
     video = cv2.VideoCapture(str(path))
-    writer, rows, done, rate = None, [], 0, 0.0
+    writer, rows, done, rate, mirrored = None, [], 0, 0.0, ""
     hidden = None if overlay is None else temporary_beside(Path(overlay), ".mp4")
     try:
         if not video.isOpened():
@@ -75,6 +77,8 @@ def track_video(
             fix = tracker.locate(frame, t)
             if fix is not None:
                 rows.append((fix.t, fix.x, fix.y, fix.yaw, fix.quality))
+            elif not (rows or mirrored) and done <= LOOKED and isinstance(tracker, AprilTagTracker):
+                mirrored = f"tag {tracker.number}" if tracker.reads_mirrored(frame) else ""
             if hidden is not None:
                 if writer is None:
                     writer = _writer(cv2, hidden, told, frame)
@@ -83,6 +87,11 @@ def track_video(
                 progress(done, total, len(rows))
         if not done:
             raise LogError(f"{shown_path(path)}: not one frame could be read; the file is damaged or cut short")
+        if not rows and mirrored:
+            raise LogError(
+                f"{shown_path(path)}: no fix in {done} frames, and {mirrored} in their mirror image: the picture is flipped;"
+                " switch the mirror of the camera or its driver off and film again"
+            )
         if not rows:
             raise LogError(
                 f"{shown_path(path)}: no fix in {done} frames; check the calibration, the light, and the tag's number and size"

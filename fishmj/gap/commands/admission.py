@@ -59,11 +59,13 @@ def searchable(robot: Robot, model: object) -> None:
 def admitted(
     data: Path, robot: Robot, model: object, agreed: bool, anyway: bool = False
 ) -> tuple[Taken, tuple[str, ...]]:  # fmt: skip
-    """The trials of a data set that can be compared with the model, and notes on them. anyway: take trials that are not physical.
+    """The trials of a data set that can be compared with the model, and notes on them.
 
+    Args:
+        agreed: logs of another name are meant. anyway: take what no robot does.
     Raises:
-        LogError: no trial, another number of joints, another robot's name that nobody agreed to, or what no robot does (a mirrored
-            camera, a joint against its command).
+        LogError: no trial, another number of joints, another robot's name that nobody agreed to, or what no robot does (a
+            mirrored camera, a joint against its command).
     """
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)

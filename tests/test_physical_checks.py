@@ -1,0 +1,227 @@
+"""Physical checks: what no swimming robot does is found, what every robot does passes."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fishmj import console
+from fishmj.calib import calib_folder
+from fishmj.errors import LogError
+from fishmj.gap.commands.admission import admitted, unphysical
+from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_trial, write_dataset, write_trial
+from fishmj.log.__main__ import main as log
+from fishmj.log.dataset import read_bundle
+from fishmj.log.trial_check import Plausible
+from fishmj.mjcf.description import load_robot
+
+ROOT = Path(__file__).resolve().parent.parent
+COUNT = np.radians(0.24)
+
+
+def shipped(name: str) -> Trial:
+    return read_trial(calib_folder() / "trials" / name)
+
+
+def changed(trial: Trial, table: str, **columns) -> Trial:
+    """A trial with some columns computed from the old ones."""
+    old = trial.tables[table]
+    return replace(trial, tables={**trial.tables, table: {**old, **{c: f(old[c]) for c, f in columns.items()}}})
+
+
+def turning(seconds: float = 12.0, rate: float = 0.15) -> Trial:
+    """A fish that swims ahead and turns left: commands, joints that follow, and the camera's poses."""
+    t = np.arange(0, seconds, 0.02)
+    phase = 2 * np.pi * t[:, None] - np.arange(3)
+    yaw = 2.0 + rate * t - 0.05 * np.sin(2 * np.pi * t - 1)
+    course = 2.0 + rate * t
+    x, y = 0.004 * np.cumsum(np.cos(course)), 0.004 * np.cumsum(np.sin(course))
+    tables = {
+        "cmd": {"t": t, **numbered("c#", 0.4 * np.sin(phase))},
+        "joint": {"t": t, **numbered("j#", 0.38 * np.sin(phase - 0.5))},
+        "pose": {"t": t, "x": x, "y": y, "yaw": yaw},
+    }
+    return Trial({"origin": "synthetic", "robot": "swift"}, tables, name="turning")
+
+
+def names(trial: Trial) -> dict[str, str]:
+    return {finding.check: finding.text for finding in physical_checks.examine(trial)}
+
+
+def levels(trial: Trial) -> dict[str, str]:
+    return {finding.check: finding.level for finding in physical_checks.examine(trial)}
+
+
+def test_shipped_calibration_trials_pass_every_check():
+    found = {trial.name: names(trial) for trial in read_dataset(calib_folder() / "trials")}
+    assert len(found) == 27 and not any(found.values()), found
+
+
+def test_trials_of_the_flow_solver_with_hidden_effects_pass_every_check():
+    for bundle in sorted((ROOT / "data" / "gap" / "lbm" / "planted").glob("*.npz"))[:6]:
+        for trial in read_bundle(bundle):
+            assert names(trial) == {}, (bundle.name, trial.name)
+
+
+@pytest.mark.slow
+def test_generated_trials_of_every_excitation_pass_every_check():
+    from fishmj import excitation, generators
+    from fishmj.virtual_robot import generate
+
+    runs = list(excitation.names())
+    trials = [t for family in generators.NAMES for t in generators.generate(family, {}, runs, 5)]
+    assert {t.name: names(t) for t in [*trials, *generate({}, runs, 5)] if names(t)} == {}
+
+
+def test_the_turning_fish_of_these_tests_passes():
+    assert names(turning()) == {}
+
+
+def missed(values, every: int, reading: float, rows: int = 1):
+    """Every so many rows the driver returns a number of its own."""
+    out = np.array(values, float)
+    for i in range(every, len(out) - rows, every):
+        out[i : i + rows] = reading
+    return out
+
+
+@pytest.mark.parametrize("reading", [(-1 - 500) * COUNT, -500 * COUNT, (65535 - 500) * COUNT, 0.0])
+@pytest.mark.parametrize("rows", [1, 2])
+def test_failed_reads_are_left_out_and_counted(reading, rows):
+    trial = turning()
+    bad = changed(trial, "joint", j2=lambda v: missed(v, 23, reading, rows))
+    mended, notes = physical_checks.without_failed_reads(bad)
+    kept = np.isin(trial.tables["joint"]["t"], mended.tables["joint"]["t"])
+    assert np.abs(mended.tables["joint"]["j2"] - trial.tables["joint"]["j2"][kept]).max() < 0.1
+    assert kept.mean() > 0.85 and "failed reads of j2" in notes[0] and "rad/s" in notes[0]
+    assert levels(bad)["failed read"] == physical_checks.USE and names(mended) == {}
+
+
+def test_one_spike_that_no_servo_reaches_is_a_failed_read():
+    bad = changed(turning(), "joint", j1=lambda v: np.where(np.arange(len(v)) == 100, v + 1.1, v))
+    mended, notes = physical_checks.without_failed_reads(bad)
+    assert len(mended.tables["joint"]["t"]) == len(bad.tables["joint"]["t"]) - 1 and "j1 1 times" in notes[0]
+
+
+def test_steps_of_a_servo_are_no_failed_reads():
+    """A square wave at 7 rad/s, 10 rows a second: corners stand out, and are real."""
+    t = np.arange(0, 20, 0.1)
+    q = np.interp(t % 2.0, [0.0, 0.1, 1.0, 1.1, 2.0], [-0.35, 0.35, 0.35, -0.35, -0.35])
+    trial = Trial({"origin": "measured"}, {"joint": {"t": t, "j1": np.round(q / COUNT) * COUNT}}, name="square")
+    assert physical_checks.without_failed_reads(trial)[1] == [] and names(trial) == {}
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "level", "said"),
+    [
+        (("pose", {"yaw": lambda v: np.pi / 2 - v}), "heading", "import", "sign = -1 and a zero of 90 deg"),
+        (("pose", {"yaw": lambda v: -v}), "heading", "import", "sign = -1 and a zero of 0 deg"),
+        (("pose", {"yaw": lambda v: v + np.pi / 2}), "heading", "import", "a zero that is 90 deg more"),
+        (("pose", {"yaw": lambda v: v + np.pi}), "heading", "import", "a zero that is"),
+        (("pose", {"yaw": np.degrees}), "heading", "import", 'unit = "deg"'),
+        (("pose", {"yaw": lambda v: -v, "y": lambda v: -v}), "handedness", "use", "picture is mirrored"),
+        (("joint", {"j2": lambda v: -v}), "joint sign", "import", "columns.j2"),
+        (("joint", {"j3": lambda v: 0 * v + 0.01}), "standing still", "use", "j3 stands still"),
+        (("joint", {"j1": lambda v: np.where(np.arange(len(v)) > 300, v + 2 * np.pi, v)}), "joint speed", "import", "unwrap"),
+        (("joint", {"j2": lambda v: np.where(np.arange(len(v)) % 20 == 7, np.roll(v, 1), v)}), "stale reading", "note", "j2"),
+    ],
+)
+def test_what_no_swimming_robot_does_is_told_with_its_remedy(change, check, level, said):
+    table, columns = change
+    bad = changed(turning(), table, **columns)
+    assert levels(bad).get(check) == level and said in names(bad)[check], names(bad)
+
+
+@pytest.mark.parametrize("name", ["swim_gait_1", "water_square_1", "swim_gait_slow_2"])
+def test_a_mirrored_camera_shows_in_straight_swims(name):
+    mirrored = changed(shipped(name), "pose", y=lambda v: -v, yaw=lambda v: -v)
+    assert levels(mirrored) == {"handedness": physical_checks.USE}
+    without = replace(mirrored, tables={k: v for k, v in mirrored.tables.items() if k != "joint"})
+    assert levels(without) == {"handedness": physical_checks.USE}, "commands alone tell it as well"
+
+
+def test_a_straight_swim_beside_its_heading_is_noted_not_refused():
+    off = changed(turning(rate=0.0), "pose", yaw=lambda v: v + np.pi / 2)
+    assert levels(off)["heading"] == physical_checks.NOTE and "or a current carries it" in names(off)["heading"]
+
+
+def test_a_fish_that_lies_still_tells_nothing():
+    still = changed(turning(), "pose", x=lambda v: 0 * v, y=lambda v: 0 * v, yaw=lambda v: 0 * v)
+    assert names(still) == {}
+    drifting = changed(turning(), "joint", **{f"j{k}": lambda v: 0 * v for k in (1, 2, 3)})
+    drifting = changed(drifting, "cmd", **{f"c{k}": lambda v: 0 * v for k in (1, 2, 3)})
+    assert "handedness" not in names(changed(drifting, "pose", y=lambda v: -v, yaw=lambda v: -v))
+
+
+def test_a_trial_relaxes_a_check_by_its_bound():
+    bad = changed(turning(), "pose", yaw=lambda v: np.pi / 2 - v)
+    assert "heading" not in names(replace(bad, meta={**bad.meta, "plausible": {"course": 4.0}}))
+    assert {check.bound for check in physical_checks.CHECKS} <= {f.name for f in fields(Plausible)}
+
+
+def test_the_guide_lists_every_check_with_its_bound():
+    guide = (ROOT / "docs" / "guide" / "logs.md").read_text(encoding="utf-8")
+    for check in physical_checks.CHECKS:
+        assert any(line.startswith(f"| {check.name} |") and f"`{check.bound}`" in line for line in guide.splitlines()), check.name
+
+
+# The four doors.
+
+
+def saved(folder: Path, *trials: Trial) -> Path:
+    return write_dataset(folder, {trial.name: trial for trial in trials})
+
+
+def mirrored(trial: Trial) -> Trial:
+    return changed(trial, "pose", y=lambda v: -v, yaw=lambda v: -v)
+
+
+def test_log_check_says_each_breach_and_exits_1(tmp_path, capsys):
+    data = saved(tmp_path / "data", mirrored(turning()), replace(turning(), name="good"))
+    assert console.run(log, ["check", str(data)]) == console.FAILED_CHECK
+    said = capsys.readouterr()
+    assert "turning: pose: the head swings with the tail" in said.err and "good: pose" not in said.err
+    assert "1 not physical" in said.out
+
+
+def test_an_import_refuses_a_compass_heading_and_says_the_maps_line(tmp_path, capsys):
+    trial = turning()
+    p = trial.tables["pose"]
+    rows = np.column_stack([p["t"], p["x"], p["y"], (90 - np.degrees(p["yaw"])) % 360])
+    np.savetxt(tmp_path / "rov.csv", rows, delimiter=",", header="time_s,x_m,y_m,yaw_deg", comments="", fmt="%.5f")
+    rest = ["--out", str(tmp_path / "set"), "--columns", str(tmp_path / "map.toml")]
+    lines = '[tables.pose]\nt = { column = "time_s", unit = "s" }\ncolumns.x = "x_m"\ncolumns.y = "y_m"\n'
+    (tmp_path / "map.toml").write_text(lines + 'columns.yaw = { column = "yaw_deg", unit = "deg" }\n')
+    assert console.run(log, ["import", str(tmp_path / "rov.csv"), *rest]) == console.BAD_INPUT
+    assert "columns.yaw sign = -1 and a zero of 90 deg" in capsys.readouterr().err
+    (tmp_path / "map.toml").write_text(lines + 'columns.yaw = { column = "yaw_deg", unit = "deg", sign = -1, zero = 90 }\n')
+    assert console.run(log, ["import", str(tmp_path / "rov.csv"), *rest]) == console.OK
+    yaw = read_trial(tmp_path / "set" / "rov").tables["pose"]["yaw"]
+    assert np.abs(np.angle(np.exp(1j * (yaw - p["yaw"])))).max() < 1e-3
+
+
+def test_a_trial_with_failed_reads_beyond_half_a_turn_is_not_called_degrees(tmp_path):
+    bad = changed(turning(), "joint", j2=lambda v: missed(v, 50, 3.0))
+    folder = write_trial(tmp_path / "trial", bad, form="csv")
+    text = (folder / "joint.csv").read_text().replace(",3.0,", ",274.5,").replace(",3,", ",274.5,")
+    (folder / "joint.csv").write_text(text)
+    with pytest.raises(LogError, match=r"is 274.5 rad in single rows; .* rows to leave out, failed reads of j2"):
+        read_trial(folder)
+
+
+def test_a_search_refuses_a_mirrored_camera_in_one_line_before_any_run(tmp_path):
+    data = saved(tmp_path / "data", *(replace(mirrored(shipped(n)), name=n) for n in ("swim_gait_1", "swim_gait_slow_1")))
+    with pytest.raises(LogError, match=r"trial swim_gait_1: .*mirrored.*and 1 more trials: swim_gait_slow_1.*--anyway") as told:
+        admitted(data, load_robot("fish"), "fish", agreed=False)
+    assert "\n" not in str(told.value)
+    assert len(admitted(data, load_robot("fish"), "fish", agreed=False, anyway=True)[0].trials) == 2
+
+
+def test_a_search_leaves_failed_reads_out_with_a_note(tmp_path):
+    bad = changed(shipped("swim_gait_1"), "joint", j2=lambda v: missed(v, 25, -2.098))
+    data = saved(tmp_path / "data", replace(bad, name="a"), replace(shipped("swim_gait_2"), name="b"))
+    given, notes = admitted(data, load_robot("fish"), "fish", agreed=False)
+    assert len(given.trials["a"].tables["joint"]["t"]) < len(bad.tables["joint"]["t"])
+    assert any(note.startswith("a: joint:") and "failed reads of j2" in note for note in notes)
+    assert unphysical(given.trials.values()) == ""
