@@ -3,10 +3,11 @@
 `import fishmj` loads NumPy only; everything heavier is imported where it is used.
 """
 
-from fishmj import gym_ids, interrupt, machine_code
+from fishmj import gym_ids, interrupt, machine_code, renderer
 
 __version__ = "0.1.0"
 
 interrupt.arm()  # before anything heavier is imported; does nothing but in a command
 machine_code.keep()  # before JAX is imported: it reads its environment then
+renderer.watch()  # before MuJoCo is imported: a MUJOCO_GL that does not work is one line
 gym_ids.announce()  # gymnasium.make("fishmj/StationHold-v0") works once both are imported

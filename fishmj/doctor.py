@@ -22,14 +22,18 @@ from typing import NamedTuple
 from fishmj import calib, console
 from fishmj.cores import usable_cores
 from fishmj.errors import FishmjError
+from fishmj.renderer import CHOICES
 
 MARKS = {"ok": "ok  ", "note": "note", "no": "no  ", "bad": "BAD "}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-RENDERERS = ("egl", "glfw", "osmesa", "wgl", "cgl", "enable", "enabled", "on", "disable", "disabled", "off")  # MUJOCO_GL
 PROBE_TIME = 60  # s
 JAX_PROBE = """
 import json, jax
 print(json.dumps({"backend": jax.default_backend(), "devices": [f"{d.platform}:{d.id} {d.device_kind}" for d in jax.devices()]}))
+"""
+RENDERER_PROBE = """
+import json, dm_control._render
+print(json.dumps({}))
 """
 WARP_PROBE = """
 import json, warp as wp
@@ -263,7 +267,8 @@ def devices() -> list[Finding]:
         of_jax = "note" if lost else "ok", ", ".join(jax["devices"]) + hint
     else:
         of_jax = "bad", jax
-    of_warp = ("bad", warp) if isinstance(warp, str) else ("ok", ", ".join(warp["devices"]))
+    place = "; set WARP_CACHE_PATH to a folder that can be written" if "[Errno" in str(warp) else ""
+    of_warp = ("bad", warp + place) if isinstance(warp, str) else ("ok", ", ".join(warp["devices"]))
     if isinstance(torch, str):
         of_torch = "no", torch
     elif card and not torch["usable"]:
@@ -304,8 +309,8 @@ def _traps() -> Iterator[tuple[str, str, str]]:
     chosen = os.environ.get("MUJOCO_GL")
     if chosen is None and linux and not os.environ.get("DISPLAY"):
         yield "MUJOCO_GL", "note", "no screen: set it to egl (GPU) or osmesa for MuJoCo's own pictures; replays need none"
-    elif chosen is not None and chosen.lower() not in RENDERERS:
-        yield "MUJOCO_GL", "bad", f"is {chosen!r}, expected egl, glfw, osmesa or disabled: MuJoCo's renderer will not load"
+    elif chosen is not None and isinstance(found := probe(RENDERER_PROBE, "dm_control"), str):
+        yield "MUJOCO_GL", "bad", f"is {chosen!r}, which does not load: {found}; unset it, or set it to {CHOICES}"
     if torch and linux and not torch.endswith("+cpu"):
         yield "torch", "note", f"{torch} brings CUDA libraries of its own, maybe not those of jax[cuda13]: keep two environments"
     if os.environ.get("JAX_ENABLE_X64", "").lower() in ("1", "true"):

@@ -111,8 +111,9 @@ def test_a_browser_can_be_named(tmp_path, monkeypatch):
 
 def test_a_misspelt_renderer_is_found(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "elg")
-    assert one(doctor.known_issues(), "MUJOCO_GL").state == "bad"
-    monkeypatch.setenv("MUJOCO_GL", "egl")
+    found = one(doctor.known_issues(), "MUJOCO_GL")
+    assert found.state == "bad" and "'elg'" in found.text and "osmesa" in found.text
+    monkeypatch.setenv("MUJOCO_GL", "disabled")
     assert "MUJOCO_GL" not in {f.name for f in doctor.known_issues()}
 
 

@@ -1,6 +1,7 @@
 """Faults of an installation: packages that are missing, and what still works without them."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -11,6 +12,8 @@ from types import SimpleNamespace
 import pytest
 
 import fishmj
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid import device
 from fishmj.train.settings import change, preset
 from fishmj.train.training_run import TrainingRun
 
@@ -66,6 +69,41 @@ def test_fault_12_the_doctor_works_where_nothing_is_installed():
     core = {f["name"]: f for f in answer["findings"] if f["section"] == "core"}
     assert done.returncode == 1 and done.stderr == ""
     assert {f["state"] for f in core.values()} == {"bad"} and 'pip install "mujoco==3.17.0"' in core["mujoco"]["text"]
+
+
+@pytest.mark.parametrize("module", ["fishmj.sim", "fishmj.suite"])
+def test_a_renderer_that_does_not_load_is_one_line_with_its_remedy(module):
+    environ = {**os.environ, "MUJOCO_GL": "nonsense"}
+    done = subprocess.run([sys.executable, "-c", f"import {module}"], capture_output=True, text=True, cwd=ROOT, env=environ)
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("fishmj.errors.ConfigError: MUJOCO_GL = 'nonsense': this renderer does not load here (")
+    assert "unset the variable, or set it to another of egl (GPU), osmesa" in last
+
+
+def test_a_command_with_a_wrong_renderer_is_bad_input_and_no_fault():
+    environ = {**os.environ, "MUJOCO_GL": "nonsense"}
+    command = [sys.executable, "-m", "fishmj", "evaluate", "drift", "--repeats", "1", "--los", "0", "--speeds", "0.1"]
+    done = subprocess.run([*command, "--duration", "2"], capture_output=True, text=True, cwd=ROOT, env=environ)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert done.stderr.strip().splitlines()[-1].startswith("fishmj: MUJOCO_GL = 'nonsense'")
+
+
+def test_a_module_that_is_missing_is_still_missing_beside_a_chosen_renderer(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "disabled")
+    done = fishmj_without({"mujoco"}, "bench", "engine_batch", "--quick")
+    assert "MUJOCO_GL" not in done.stdout + done.stderr
+
+
+def test_warp_without_a_folder_for_its_machine_code_says_which_to_name(monkeypatch):
+    import warp
+
+    def refuse():
+        raise PermissionError(13, "Permission denied", "/nonexistent")
+
+    monkeypatch.setattr(warp, "init", refuse)
+    device._warp.cache_clear()
+    with pytest.raises(ConfigError, match="/nonexistent: Permission denied.*set WARP_CACHE_PATH to a folder that can be written"):
+        device.device_of("cpu")
 
 
 def test_an_exact_pin_says_which_abi_or_format_asks_for_it():

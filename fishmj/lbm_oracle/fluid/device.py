@@ -15,12 +15,18 @@ QUEUES = "32"  # of an accelerator's work, the most there are: with eight, its d
 
 @cache
 def _warp():
-    """Warp, initialised without a banner."""
+    """Warp, initialised without a banner. Raises ConfigError: there is no place for its machine code."""
     os.environ.setdefault("CUDA_DEVICE_MAX_CONNECTIONS", QUEUES)  # read once, when the device is first used
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    wp.init()
+    try:
+        wp.init()
+    except OSError as error:
+        where = f"{error.filename or 'its folder'}: {error.strerror or error}"
+        raise ConfigError(
+            f"Warp cannot keep its machine code ({where}); set WARP_CACHE_PATH to a folder that can be written"
+        ) from error
     return wp
 
 
