@@ -8,7 +8,17 @@ from difflib import get_close_matches
 
 
 class FishmjError(Exception):
-    """Base of all errors that a user can mend."""
+    """Base of all errors that a user can mend. They can be pickled: one of an environment in another process arrives as it is."""
+
+    def __reduce__(self):
+        return _remade, (type(self), self.args, vars(self))
+
+
+def _remade(kind: type[FishmjError], args: tuple, own: dict) -> FishmjError:
+    """An error from its pickle, whatever its class asks for when it is made."""
+    error = kind.__new__(kind, *args)
+    vars(error).update(own)
+    return error
 
 
 class ConfigError(FishmjError, ValueError):
@@ -30,12 +40,13 @@ class DescriptionError(ConfigError):
         self.shown = self.errors[: self.SHOWN] + ((f"and {more} more error{'s' * (more > 1)}",) if more > 0 else ())
         super().__init__("\n".join(self.shown))
 
-    def __reduce__(self):
-        return type(self), (self.errors,)
-
 
 class UsageError(FishmjError, ValueError):
     """A command line that does not parse: an unknown option, a value out of its range, an output that cannot be written."""
+
+
+class ResetNeeded(FishmjError, AssertionError):
+    """An environment is stepped before its first reset, or after the end of an episode that nobody restarted."""
 
 
 class UnknownName(FishmjError, KeyError):

@@ -1,4 +1,5 @@
-"""Types of command-line options: numbers of a range, lists, names, and outputs that are checked before the work starts.
+"""Types of command-line options: numbers of a range, lists, names, and outputs that are checked before the work starts; and
+numbers of Python calls (`checked`).
 
 Each is the `type=` of an argparse option; what it refuses is an `ArgumentTypeError` that says what was expected. A command takes
 them from `fishmj.console`, which offers them all.
@@ -8,12 +9,13 @@ import argparse
 import math
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from fishmj.errors import ConfigError, UnknownName
 from fishmj.names import is_name, nearest
 
 SHOWN = 60  # characters of an argument that an error repeats
@@ -48,6 +50,74 @@ class Number:
         show = (lambda x: f"{x:.0f}") if self.whole else (lambda x: f"{x:g}")
         head = f"a {'whole ' if self.whole else ''}number {'above' if self.above else 'from'} {show(self.low)}"
         return head + (f" to {show(self.high)}" if self.high < math.inf else "" if self.above else " up")
+
+
+def checked(where: str, value: Any, low: float = -math.inf, high: float = math.inf, *, whole: bool = False) -> Any:
+    """Returns `value`, an argument of a Python call, where it is a finite number from `low` to `high`.
+
+    Raises:
+        ConfigError: it is not; begins with `where`, the name of the argument.
+    """
+    given = value.item() if getattr(value, "shape", None) == () else value  # NumPy's and JAX's scalars
+    kind = int if whole else int | float
+    if isinstance(given, bool) or not isinstance(given, kind) or not math.isfinite(given) or not low <= given <= high:
+        expected = "a finite number" if (low, high) == (-math.inf, math.inf) else Number(low, high, whole=whole).expected
+        raise ConfigError(f"{where} = {shown_value(given)}; expected {expected}")
+    return given
+
+
+def checked_bounds(where: str, value: Any, low: float, high: float) -> tuple[float, float]:
+    """Returns the bounds of a draw, (value, value) of a single number. Raises ConfigError, as `checked`."""
+    pair = (value, value) if getattr(value, "ndim", 0) == 0 and not isinstance(value, list | tuple) else tuple(value)
+    try:
+        first, last = (checked(where, bound, low, high) for bound in pair)
+    except ValueError:  # ConfigError is one, too
+        first, last = 1, 0
+    if first > last:
+        raise ConfigError(
+            f"{where} = {shown_value(value)}; expected a number from {low:g} to {high:g}, or two bounds of a draw, (low, high)"
+        )
+    return first, last
+
+
+def checked_array(where: str, value: Any, shape: tuple[int, ...]) -> Any:
+    """Returns an argument of a Python call as a NumPy array, float64. Raises ConfigError: another shape, or not all finite."""
+    import numpy as np
+
+    try:
+        given = np.asarray(value, float)
+    except (TypeError, ValueError):
+        given = np.full((), math.nan)
+    if given.shape != shape or not np.isfinite(given).all():
+        raise ConfigError(f"{where} = {shown_value(value)}; expected finite numbers of shape {shape}")
+    return given
+
+
+def checked_kind(where: str, value: Any, kind: type) -> Any:
+    """Returns `value`, an object of this class or None. Raises ConfigError."""
+    if value is not None and not isinstance(value, kind):
+        raise ConfigError(f"{where} = {shown_value(value)}; expected {kind.__module__}.{kind.__name__}(...)")
+    return value
+
+
+def checked_name(kind: str, value: Any, known: Iterable[str]) -> str:
+    """Returns `value` where it is one of the names `known`. Raises UnknownName."""
+    if not isinstance(value, str) or value not in known:
+        raise UnknownName(kind, value, known)
+    return value
+
+
+def checked_names(where: str, value: Any) -> tuple[str, ...]:
+    """Returns several names. Raises ConfigError: no tuple or list of texts, but for example one text."""
+    if not isinstance(value, tuple | list) or not all(isinstance(name, str) for name in value):
+        raise ConfigError(f"{where} = {shown_value(value)}; expected a tuple of names, (NAME,) of a single one")
+    return tuple(value)
+
+
+def shown_value(value: Any) -> str:
+    """A value of a Python call as an error repeats it, in one line."""
+    line = " ".join(repr(value).split())
+    return line if len(line) <= SHOWN else f"{line[: SHOWN - 3]}..."
 
 
 def number(low: float, high: float = math.inf, *, above: bool = False) -> Number:

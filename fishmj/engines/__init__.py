@@ -18,6 +18,7 @@ from fishmj.engines.extensions import Extensions, bus_rows, with_effects
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.options import shown_value
 from fishmj.water.choice import in_water
 from fishmj.water.prior import flat as flat_water
 from fishmj.water.prior import unflat
@@ -61,6 +62,22 @@ class Trace(NamedTuple):
     power: Any  # (B, T) servos, W, mean over the tick
 
 
+class Copied:
+    """An engine that keeps nothing of a swim: a deep copy of its environment shares it, a pickle makes it anew.
+
+    Attributes:
+        arguments: what it was made from.
+    """
+
+    arguments: tuple
+
+    def __deepcopy__(self, memo: dict):
+        return self
+
+    def __reduce__(self):
+        return type(self), self.arguments
+
+
 def drained(steps: Steps[T]) -> T:
     """The value of what nobody takes turns with."""
     while True:
@@ -79,6 +96,28 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
     robot = load_robot(robot)
     robot = in_water(robot, who=f"the engine {name}") if "model" in robot.water else robot  # stated or chosen
     return import_module(f"fishmj.engines.{name}").Engine(robot, **options)
+
+
+def fastest() -> str:
+    """Name of the fastest engine on a CPU: `compiled` where numba is installed, else `planar`. Both swim alike to round-off."""
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        return "planar"
+    return "compiled"
+
+
+def of(engine: Any, robot: Robot):
+    """The engine that a caller means: one as it is, one by name for this robot, None the fastest one.
+
+    Raises:
+        UnknownName, MissingExtra: as `make`. ConfigError: it has no `advance`.
+    """
+    if engine is None or isinstance(engine, str):
+        return make(fastest() if engine is None else engine, robot)
+    if not callable(getattr(engine, "advance", None)):
+        raise ConfigError(f"engine = {shown_value(engine)}; expected one of {', '.join(NAMES)}, or an engine, with `advance`")
+    return engine
 
 
 def name_of(engine: Any) -> str:

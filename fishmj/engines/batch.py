@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 from fishmj import mjcf
 from fishmj.cores import usable_cores
 from fishmj.dynamics import planar_chain
-from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
+from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.errors import MissingExtra, SimDiverged
@@ -26,7 +26,7 @@ from fishmj.mjcf.description import Robot, load_robot
 SMALLEST = 16  # fish below which a second thread does not pay
 
 
-class Engine:
+class Engine(Copied):
     """MuJoCo C, batched. NumPy in, NumPy out; not jit-able.
 
     The fish are shared out to one `ThreadedBatch` a thread; MuJoCo, the evaluator and large NumPy operations hold no lock.
@@ -41,12 +41,23 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", threads: int | None = None, evaluator: str | None = None):
         self.robot = load_robot(robot)
-        model, ch = mjcf.build(self.robot, bare=True), planar_chain.chain_of(self.robot)
+        self.arguments = self.robot, threads, evaluator
         self.steps, self.ticks = ticks_per(self.robot)
-        evaluate, look = evaluator_of(self.robot, ch, evaluator)
-        self.shoals = [ThreadedBatch(self.robot, model, evaluate, look) for _ in range(threads or usable_cores())]
+        ch = planar_chain.chain_of(self.robot)
+        self._parts = mjcf.build(self.robot, bare=True), *evaluator_of(self.robot, ch, evaluator)  # written to by nobody
+        self._start(threads or usable_cores())
+
+    def _start(self, threads: int) -> None:
+        """Memory and threads, which no two users may share."""
+        self.shoals = [ThreadedBatch(self.robot, *self._parts) for _ in range(threads)]
         self._table: tuple = (None, None)  # as it was given, and in float64
-        self._pool = ThreadPoolExecutor(len(self.shoals), "fishmj-batch")
+        self._pool = ThreadPoolExecutor(threads, "fishmj-batch")
+
+    def __deepcopy__(self, memo: dict) -> "Engine":
+        twin = object.__new__(type(self))
+        vars(twin).update(vars(self))
+        twin._start(len(self.shoals))
+        return twin
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
         """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.

@@ -28,6 +28,7 @@ import numpy as np
 from fishmj.cores import usable_cores
 from fishmj.dynamics import strip_forces
 from fishmj.engines import (
+    Copied,
     FishParams,
     FishState,
     Trace,
@@ -60,7 +61,7 @@ class Applied(NamedTuple):
     memory: np.ndarray  # (B, M) after the step
 
 
-class Engine:
+class Engine(Copied):
     """Compiled closed-form engine; compiles at the first `advance` or `forces` (seconds, cached on disk).
 
     Args:
@@ -80,6 +81,7 @@ class Engine:
             raise ConfigError(f"compiled engine: threads = {threads}; needs at least 1")
         numba_build.require_numba()
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
+        self.arguments = self.robot, threads, dtype
         self.steps, self.ticks = ticks_per(self.robot)
         self.buffer, self.added = rows_of(self.robot), Extensions.of(self.robot)
         self._packed: dict[np.dtype, np.ndarray] = {}

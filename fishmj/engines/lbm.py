@@ -61,6 +61,9 @@ class Engine:
         self.width, self.passes, self.sharpness, self.storage = width, passes, sharpness, storage
         self.tanks: ConcurrentRuns | None = None
 
+    def __reduce__(self):
+        raise ConfigError("engine lbm: a tank of water has one swim and cannot be copied; make another of the same flows")
+
     @property
     def stopped(self) -> list[str]:
         """Why each tank stopped; empty where it did not."""

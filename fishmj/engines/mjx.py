@@ -14,14 +14,14 @@ from mujoco import mjx
 
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
-from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
+from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
 from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
 
 
-class Engine:
+class Engine(Copied):
     """MJX engine; `advance` is pure and may be called inside jit and scan.
 
     The float type is JAX's at construction: build and call it inside `jax.enable_x64(True)` for float64.
@@ -31,6 +31,7 @@ class Engine:
 
     def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
         self.robot, self.unroll = load_robot(robot), unroll
+        self.arguments = self.robot, unroll
         self.chain, self.added = planar_chain.chain_of(self.robot), Extensions.of(self.robot)
         model = mjcf.build(self.robot, bare=True)
         self.model, self.blank = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")

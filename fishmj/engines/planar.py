@@ -13,7 +13,7 @@ from jax import lax
 
 from fishmj.dynamics import planar_chain
 from fishmj.dynamics.hooks import centres
-from fishmj.engines import FishParams, FishState, Trace, check_commands, swimmer, ticks_per
+from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
@@ -73,7 +73,7 @@ def begun(state: FishState) -> tuple:
     return columns(state.q), columns(state.v), attached, columns(state.memory), jnp.zeros_like(attached)
 
 
-class Engine:
+class Engine(Copied):
     """Closed-form engine. `advance` is pure and may be called inside jit, vmap and scan."""
 
     jittable = True
@@ -81,6 +81,7 @@ class Engine:
     def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
         robot = load_robot(robot)
         self.robot, self.chain, self.unroll = robot, planar_chain.chain_of(robot), unroll
+        self.arguments = robot, unroll
         self.added = Extensions.of(robot)
         self.steps, self.ticks = ticks_per(robot)
         self.ramp = robot.timing.command_path == "move_time"

@@ -3,7 +3,6 @@
 from typing import Any
 
 from fishmj.engines import FishParams, FishState
-from fishmj.errors import ConfigError
 from fishmj.flow import BOXES, Current, Flow
 from fishmj.suite.physics import Physics
 from fishmj.tasks.episode import TaskSpec
@@ -17,6 +16,7 @@ class HybridPhysics(Physics):
     """
 
     hybrid: Any
+    alone = "the water hybrid"
 
     @classmethod
     def corrected(cls, rules: TaskSpec, options: Any = None, oracle: Any = None) -> "HybridPhysics":
@@ -41,7 +41,3 @@ class HybridPhysics(Physics):
         fish = FishState(data.qpos[None].copy(), data.qvel[None].copy(), s.attached, s.buffer, s.memory)
         s.params, s.current = self.hybrid.tick(fish, *self._given, s.step // s.steps)
         super()._next_tick()
-
-    def copy(self, share_model: bool = False) -> "Physics":
-        """Refused: its segments belong to one swim."""
-        raise ConfigError("suite: a fish in the water hybrid cannot be copied; load another environment with the same seed")

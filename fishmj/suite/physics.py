@@ -6,12 +6,13 @@
 Both are the callback's step to round-off and share nothing in the process: any number of environments and threads may run side
 by side.
 
-A `Physics` carries more than MuJoCo's state: commands under way, tail attachment, the flow. `copy` takes all of it along;
-`get_state` and `set_state` mean MuJoCo's part only.
+A `Physics` carries more than MuJoCo's state: commands under way, tail attachment, the flow. `copy`, a deep copy and a pickle take
+all of it along; `get_state` and `set_state` mean MuJoCo's part only.
 """
 
 import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -117,6 +118,7 @@ class Physics(dm_mujoco.Physics):
 
     swim: Swim
     free_water: FreeWater | None
+    alone: str = ""  # why it cannot be copied
 
     @classmethod
     def of(cls, robot: Robot, root: str = "planar") -> "Physics":
@@ -293,17 +295,25 @@ class Physics(dm_mujoco.Physics):
             self.free_water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])
 
     def copy(self, share_model: bool = False) -> "Physics":
-        """A copy that swims on by itself."""
+        """A copy that swims on by itself. Raises ConfigError: of a fish whose water has one swim."""
+        own = self._own()
         new = super().copy(share_model)
-        new.swim = copy.copy(self.swim)
-        new.free_water = None
-        new._nominal = self._nominal
-        if self.free_water is not None:
-            new.free_water = FreeWater(
-                self.swim.robot, learnt=self.free_water.learnt
-            )  # what it remembers is set before every step
-            new.free_water.swimmer, new.free_water.geometry = self.free_water.swimmer, self.free_water.geometry
+        vars(new).update(own, swim=copy.copy(self.swim), free_water=copy.deepcopy(self.free_water))
         return new
+
+    def _own(self) -> dict[str, Any]:
+        """What this class adds to dm_control's."""
+        if self.alone:
+            raise ConfigError(f"suite: a fish in {self.alone} cannot be copied; load another environment with the same seed")
+        return {name: getattr(self, name) for name in ("swim", "free_water", "_nominal", "legacy_step")}
+
+    def __getstate__(self) -> tuple:
+        return super().__getstate__(), self._own()
+
+    def __setstate__(self, state: tuple) -> None:
+        data, own = state
+        super().__setstate__(data)
+        vars(self).update(own)
 
 
 def evaluator(robot: Robot, ch: chain.Chain):
@@ -318,7 +328,7 @@ def evaluator(robot: Robot, ch: chain.Chain):
         compiled.forces(rest.q, rest.v, rest.attached, params, *still, rest.memory)  # compiles now, not in the first step
         return compiled.forces
     except MissingExtra:
-        return lambda *arguments: in_numpy(ch, *arguments, added=added)
+        return partial(in_numpy, ch, added=added)
 
 
 def in_numpy(

@@ -26,6 +26,7 @@ class SolverPhysics(Physics):
 
     engine: Any  # fishmj.engines.lbm.Engine of the running episode
     fish: engines.FishState
+    alone = "the flow solver"
 
     @classmethod
     def in_tank(cls, rules: TaskSpec, options: dict) -> "SolverPhysics":
@@ -78,10 +79,6 @@ class SolverPhysics(Physics):
         self.data.qvel[:] = [*trace.velocity[0, -1], *trace.rate[0, -1]]
         self.data.time += ticks * s.robot.timing.bus_dt
         self.forward()
-
-    def copy(self, share_model: bool = False) -> "Physics":
-        """Refused: a tank of water has one fish."""
-        raise ConfigError("suite: a fish in the flow solver cannot be copied; load another environment with the same seed")
 
 
 __all__ = ["SolverPhysics"]
