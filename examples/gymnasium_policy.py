@@ -2,7 +2,7 @@
 
     python examples/gymnasium_policy.py
 
-The part of the id before the colon is imported, which registers the tasks. `engine` may be batch (MuJoCo C), compiled or planar.
+The part of the id before the colon is imported, which registers the tasks. The engine is the fastest one here (`envs.engine`).
 """
 
 import gymnasium
@@ -12,7 +12,7 @@ from fishmj.policy import Policy
 
 FISH, STEPS = 64, 60  # control steps of 0.2 s
 
-envs = gymnasium.make_vec("fishmj:fishmj/StationHold-v0", num_envs=FISH, engine="batch", seconds=STEPS * 0.2)
+envs = gymnasium.make_vec("fishmj:fishmj/StationHold-v0", num_envs=FISH, seconds=STEPS * 0.2)
 policy = Policy.load("station")
 seen, _ = envs.reset(seed=0)
 start, total, left = np.hypot(seen[:, 0], seen[:, 1]), np.zeros(FISH), np.zeros(FISH, bool)

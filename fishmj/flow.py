@@ -19,6 +19,7 @@ import numpy as np
 
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.options import checked, checked_name
 
 PRESETS = ("default", "fine", "gust", "vortex_street", "shear", "none")
 _LENGTHS = {"default": "length", "fine": "length_fine", "vortex_street": "length_street", "shear": "length_shear"}
@@ -28,6 +29,7 @@ TICK: float = constant("timing", "bus_dt")  # s, time step of gust tables and of
 _FLOOR: float = constant("turbulence", "speed_floor")  # m/s
 _CELLS = 64  # grid points along each side of the box; box side = 8 L
 _GUST_ROWS, _GUST_TICKS = 64, 4096
+LIMITS = {"speed": (0, 4.999), "direction": (), "intensity": (0, 0.999), "seed": (0,), "box": (0,)}  # of a `Flow`
 BOXES = {"train": 0, "tune": 1, "judge": 2}
 
 
@@ -195,16 +197,9 @@ class Flow:
     box: int = 0
 
     def __post_init__(self):
-        if self.turbulence not in PRESETS:
-            raise UnknownName("turbulence", self.turbulence, PRESETS)
-        if not (0 <= self.speed < 5 and 0 <= self.intensity < 1):
-            raise ConfigError(
-                f"flow: speed = {self.speed} m/s (0 to 5) and intensity = {self.intensity} (0 to 1) are out of range"
-            )
-        if not np.isfinite(self.direction):
-            raise ConfigError(f"flow: direction = {self.direction}; expected a finite angle in rad, where the water moves to")
-        if self.seed < 0 or self.box < 0:
-            raise ConfigError(f"flow: seed = {self.seed} and box = {self.box} must be 0 or more")
+        checked_name("turbulence", self.turbulence, PRESETS)
+        for name, bounds in LIMITS.items():
+            checked(f"flow: {name}", getattr(self, name), *bounds, whole=name in ("seed", "box"))
 
     @property
     def mean(self) -> np.ndarray:

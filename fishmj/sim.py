@@ -26,14 +26,15 @@ from fishmj.engines.single import water_of
 from fishmj.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.flow import Current, Flow, sample
 from fishmj.log import Trial
-from fishmj.mjcf.description import Servo
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.options import checked, checked_array, checked_kind
 from fishmj.water import choice
 from fishmj.water.prior import flat, unflat
 
 ELLIPSOID = "ellipsoid"  # MuJoCo's own fluid, for comparison
 ENGINES = ("mujoco",)
+SLOWEST = 60.0  # s, a command latency beyond it is a slip of the pen
 KEPT = 100  # physics steps remembered for a diverged run
 
 
@@ -91,15 +92,19 @@ class Sim:
         model = ELLIPSOID if own_fluid else choice.label(self.robot)
         self.water_name = choice.HYBRID if corrected else model
         self.root = root
-        self.start = tuple(float(value) for value in pose)
-        self.flow = flow or Flow()
+        self.start = tuple(checked_array("Sim: pose", pose, (3,)).tolist())
+        self.flow = checked_kind("Sim: flow", flow, Flow) or Flow()
+        checked_kind("Sim: swimmer", swimmer, planar_chain.Swimmer)
+        if hybrid is not None and not corrected:
+            raise ConfigError(f"Sim: hybrid has the options of water 'hybrid', got water {self.water_name!r}; leave it out")
         self.rescue_folder = rescue_folder
         timing = self.robot.timing
         self.ticks_a_second = round(1 / timing.bus_dt)
         self.steps = round(timing.bus_dt / timing.physics_dt)
         self.added = Extensions.of(self.robot)
         late = float(self.added.late(np, self.added.row, "command"))
-        self.delay = round(((timing.command_latency if latency is None else latency) + late) / timing.physics_dt)
+        bus = timing.command_latency if latency is None else checked("Sim: latency", latency, 0, SLOWEST)
+        self.delay = round((bus + late) / timing.physics_dt)
         self.swimmer = swimmer or planar_chain.nominal(self.robot)
         self.model = mjcf.build(self.robot, root, ellipsoid=own_fluid)
         s = self.swimmer
@@ -142,9 +147,10 @@ class Sim:
         Args:
             commands: a function of time [s] -> (J,) rad, called every bus tick, or an array (T, J) of bus commands.
         """
-        ticks = round(seconds * self.ticks_a_second)
+        ticks = round(checked("Sim.run: seconds", seconds, 0) * self.ticks_a_second)
         if not callable(commands):
-            given = np.asarray(commands, float)
+            rows = len(commands) if hasattr(commands, "__len__") else 0
+            given = checked_array("Sim.run: commands", commands, (rows, self.robot.n_joints))
             if len(given) < ticks:
                 lasts = len(given) / self.ticks_a_second
                 raise ConfigError(f"Sim.run: {len(given)} bus commands last {lasts} s, asked for {seconds} s")
@@ -170,9 +176,7 @@ class Sim:
 
     def _send(self, command) -> np.ndarray:
         """Put a command on the bus, (J,) rad, as the servos will take it."""
-        sent = bus_command(self.robot.servo, command)
-        if sent.shape != (self.robot.n_joints,):
-            raise ConfigError(f"Sim.step: command of shape {sent.shape}; {self.robot.name} has {self.robot.n_joints} joints")
+        sent = on_the_bus(self.robot.servo, checked_array("Sim.step: command, rad,", command, (self.robot.n_joints,)))
         self.commands.append(sent)
         return sent
 
@@ -215,15 +219,3 @@ class Sim:
     def pose(self) -> np.ndarray:
         """(x, y, yaw, x', y', yaw') of the reference point, tank frame."""
         return reference_pose(self.model, self.data)
-
-
-def bus_command(servo: Servo, command) -> np.ndarray:
-    """What the servos make of a command (J,) rad: clamped to the range, rounded to the resolution.
-
-    Raises:
-        ConfigError: not finite.
-    """
-    command = np.asarray(command, float)
-    if not np.isfinite(command).all():
-        raise ConfigError(f"Sim.step: command {command.tolist()} is not finite; expected joint angles in rad")
-    return on_the_bus(servo, command)

@@ -69,10 +69,22 @@ def test_a_lost_fish_is_dropped_without_touching_the_others():
     rows_equal(after, env.step(before, push(f1=(0.1, 0, 0))), [0, 2, 3, 4, 5])
 
 
-def test_an_action_that_is_not_a_number_is_no_action():
-    env, state = raft()
-    broken, none = env.step(state, push(f3=(np.nan, np.inf, 0))), env.step(state, push())
-    rows_equal(broken, none, range(6))
+@pytest.mark.parametrize("wrong", [(np.nan, 0, 0), (0, 0, np.inf)])
+def test_an_action_that_is_not_finite_drops_its_episode_and_says_so(wrong):
+    env, before = raft(**ROUGH)
+    after = env.step(before, push(f3=wrong))
+    assert np.asarray(after.diverged).tolist() == [False, False, False, True, False, False]
+    assert not np.any(after.terminated) and not np.any(after.truncated)
+    assert after.count[3] == 0 and after.reward[3] == 0 and not np.any(after.final_obs[3])
+    for leaf in jax.tree.leaves(after._replace(key=0)):
+        assert np.isfinite(leaf).all()
+    rows_equal(after, env.step(before, push()), [0, 1, 2, 4, 5])
+
+
+def test_an_action_beyond_its_range_acts_and_is_remembered_clipped():
+    env, state = raft(noise=0.0, turbulence="none", memory=2)
+    far, near = (env.step(state, push(f1=(size, -size, 0.1))) for size in (7.0, 1.0))
+    rows_equal(far, near, range(6))
 
 
 def test_an_episode_keeps_its_flow_and_its_fish_and_the_next_one_draws_its_own():

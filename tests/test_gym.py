@@ -195,7 +195,7 @@ def test_same_step_autoreset_hands_over_the_last_observation():
             assert info["_final_obs"].tolist() == over.tolist()
             for i in np.flatnonzero(over):
                 assert info["final_obs"][i].shape == (11,) and np.abs(info["final_obs"][i] - seen[i]).max() > 0.05
-                assert info["final_info"]["distance"][i] == info["distance"][i]
+                assert info["final_info"]["distance"][i] != info["distance"][i] and info["power"][i] == 0
     assert truncated.tolist() == [True, False, True] and envs.episodes.count[0] == 0
 
 

@@ -7,7 +7,7 @@ import pytest
 from fishmj import mjcf
 from fishmj.dynamics import planar_chain
 from fishmj.mjcf.model import build_spec
-from fishmj.sim import bus_command
+from fishmj.mjcf.servos import on_the_bus
 
 DT = 2.5e-4  # s
 STEP = np.radians(30)
@@ -126,7 +126,7 @@ def test_command_is_clamped_to_the_range():
 
 def test_bus_command_is_quantised_and_clamped():
     servo = mjcf.load_robot("fish").servo
-    command = bus_command(servo, [0.1, -2.0, 2.0])
+    command = on_the_bus(servo, [0.1, -2.0, 2.0])
     lsb = np.radians(0.24)
     np.testing.assert_allclose(command / lsb, np.round(command / lsb), atol=1e-9)
     assert abs(command[0] - 0.1) <= lsb / 2

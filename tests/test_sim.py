@@ -10,7 +10,8 @@ from fishmj.engines import planar
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow, stack
 from fishmj.log import read_trial, stacked, write_trial
-from fishmj.sim import Sim, bus_command
+from fishmj.mjcf.servos import on_the_bus
+from fishmj.sim import Sim
 
 
 def gait(t, n=3, f=1.0):
@@ -109,7 +110,7 @@ def test_commands_arrive_after_the_latency():
     sim = Sim("fish", latency=0.06)
     sim.step([0.5, 0.5, 0.5])
     targets = [sim.arrived(step)[0] for step in range(20)]
-    assert targets[:15] == [0.0] * 15 and all(t == bus_command(sim.robot.servo, [0.5])[0] for t in targets[15:20])
+    assert targets[:15] == [0.0] * 15 and all(t == on_the_bus(sim.robot.servo, [0.5])[0] for t in targets[15:20])
 
 
 def test_commands_that_run_out_are_refused():

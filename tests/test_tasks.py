@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from raft import KEY, Raft
 
-from fishmj import engines, mjcf
+from fishmj import engines, mjcf, suite
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.gym.fish_env import LARGEST, FishVectorEnv
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
-from fishmj.tasks.reference import COURSES, FigureEightReference, eight, path_length
+from fishmj.tasks.reference import COURSES, EpisodeStart, FigureEightReference, eight, path_length
+from fishmj.train.networks import privileged_scale, scale
 
 ROBOT = mjcf.load_robot("fish")
 QUIET = dict(noise=0.0, turbulence="none")
@@ -80,6 +84,36 @@ def test_an_action_becomes_ten_bus_commands(path, first):
 def test_the_domain_ends_at_two_metres():
     poses = np.array([[2.0, -2.0, 9.0], [2.001, 0.0, 0.0], [0.0, -2.001, 0.0]])
     assert task.outside(np, poses).tolist() == [False, True, True]
+
+
+class Loud:
+    """A task whose reward is the largest action that it sees."""
+
+    seconds = 2.0
+
+    def launch(self, xp, uniforms):
+        """The paper's starts."""
+        return EpisodeStart(task.draw_start(xp, uniforms), 0.0 * uniforms[:, 0])
+
+    def target(self, xp, launch, t):
+        """It stays."""
+        return launch.start.target + 0.0 * t[:, None]
+
+    def reward(self, xp, step):
+        """See above."""
+        return xp.max(xp.abs(step.action), -1)
+
+
+def test_a_reward_sees_the_action_that_acts():
+    """Clipped to [-1, 1], in Gymnasium, dm_control and JAX."""
+    loud, env, state = np.array([3.0, -5.0, 0.5]), suite.load("fish", Loud), StationHold(ROBOT, Raft(), Options(course=Loud))
+    env.reset()
+    assert env.step(loud).reward == 1.0
+    envs = FishVectorEnv(2, Loud)
+    envs.reset(seed=0)
+    assert envs.step(np.stack([loud, 0.1 * loud]))[1].tolist() == [1.0, 0.5]
+    after = state.step(state.reset(KEY, 2), jnp.asarray(np.stack([loud, 0.1 * loud]), jnp.float32))
+    assert np.asarray(after.reward).tolist() == [1.0, 0.5]
 
 
 # ---- draws ----
@@ -233,9 +267,41 @@ def test_the_camera_shows_a_jump_only_after_its_latency_and_the_filter_spreads_i
 
 # ---- the manual ----
 
-MANUAL = re.findall(
-    r"```python\n(.*?)```", (Path(__file__).parent.parent / "docs" / "guide" / "tasks.md").read_text(encoding="utf-8"), re.DOTALL
-)
+PAGE = (Path(__file__).parent.parent / "docs" / "guide" / "tasks.md").read_text(encoding="utf-8")
+MANUAL = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_table_of_the_manual_is_what_a_learner_sees_and_does():
+    """Names, order, columns, noise, bounds and divisors of observation, action and privileged view."""
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in PAGE.splitlines() if line.startswith("| ")]
+    ends = lambda groups: np.cumsum([*groups.values()])
+    once = lambda groups, values: [values[end - width] for width, end in zip(groups.values(), ends(groups), strict=True)]
+    spans, more = task.spans(3), task.privileged_spans(3)
+    expected = {
+        "observation": (spans, once(spans, task.noise_scale(ROBOT)), [*LARGEST], once(spans, scale(3))),
+        "action": ({"joint": 3}, [0.0], [1.0], [1.0]),
+        "privileged": (more, [0.0] * len(more), [""] * len(more), once(more, privileged_scale(3))),
+    }
+    for vector, (groups, noise, bound, divisor) in expected.items():
+        told = [row for row in rows if row[0] == vector]
+        assert [row[2].strip("`") for row in told] == [*groups], vector
+        first_last = [(end - width, end - 1) for width, end in zip(groups.values(), ends(groups), strict=True)]
+        assert [row[1] for row in told] == [f"{a}-{b}" if b > a else f"{a}" for a, b in first_last], vector
+        for column, values in ((5, noise), (6, bound), (7, divisor)):
+            for row, value in zip(told, values, strict=True):
+                assert row[column] == "" if value == "" else float(row[column]) == pytest.approx(value, rel=1e-3), row
+
+
+def test_the_privileged_view_has_its_groups_in_their_order():
+    env = StationHold(ROBOT, Raft(), Options(noise=0.0, turbulence="none"))
+    state = env.step(env.reset(KEY, 2), jnp.asarray([[0.01, 0.02, 0.0]] * 2))
+    assert state.privileged.shape == (2, sum(task.privileged_spans(3).values())) == (2, env.n_privileged)
+    parts = dict(zip(task.privileged_spans(3), np.split(np.asarray(state.privileged), [2, 4, 5, 8, 11, 13, 14], 1), strict=True))
+    np.testing.assert_array_equal(parts["near"], parts["target"])
+    np.testing.assert_allclose(parts["time_left"], (env.limit - 1) / env.limit)
+    np.testing.assert_allclose(np.hypot(*parts["flow"].T), np.hypot(*np.asarray(state.current.mean).T), rtol=1e-6)
+    np.testing.assert_allclose(parts["joint"], state.fish.q[:, 3:])
+    np.testing.assert_allclose(np.hypot(*parts["target"].T), state.distance, rtol=1e-5)
 
 
 @pytest.mark.parametrize("example", MANUAL, ids=["dm_control", "gymnasium", "vector", "jax"])

@@ -34,6 +34,7 @@ from fishmj.hydro_fit import online_correction
 from fishmj.hydro_fit.online_correction import FACTORS, Correction
 from fishmj.lbm_oracle.run.domain import PREVIEWS
 from fishmj.mjcf.description import Robot
+from fishmj.options import checked_kind
 from fishmj.water import choice
 
 OWN = 2.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/methods/fitted_water.md
@@ -161,7 +162,8 @@ class Hybrid:
         self, robot: Robot, options: HybridOptions | None = None, *, kind: Flow | None = None, oracle: Oracle | None = None,
         replay: Replay | None = None,
     ):  # fmt: skip
-        self.robot, self.options, self.kind = robot, options or HybridOptions(), kind or Flow()
+        options = checked_kind("hybrid: options", options, HybridOptions) or HybridOptions()
+        self.robot, self.options, self.kind = robot, options, kind or Flow()
         self.domain = self.options.box(robot)
         if oracle is None and self.domain in PREVIEWS:
             console.warn(

@@ -40,10 +40,11 @@ def load(domain_name: str, task_name, task_kwargs=None, environment_kwargs=None,
         if (domain_name, task_name) not in known:
             raise UnknownName("task", f"{domain_name} {task_name}", (f"{d} {t}" for d, t in known))
         return _dm.load(domain_name, task_name, task_kwargs, environment_kwargs, visualize_reward)
-    kwargs = dict(task_kwargs or {})
+    kwargs = dict(fish.table_of("task_kwargs", task_kwargs or {}))
     if environment_kwargs is not None:
         kwargs["environment_kwargs"] = environment_kwargs
-    env = fish.own(named(task_name), **kwargs) if own else _OWN[task_name](**kwargs)
+    random, given, root = kwargs.pop("random", None), kwargs.pop("environment_kwargs", None), kwargs.pop("root", "planar")
+    env = fish.environment(named(task_name), random, given, root, kwargs)
     env.task.visualize_reward = visualize_reward
     return env
 

@@ -10,7 +10,8 @@ The flow is in `env.task.scenario` for logs; no observation has it.
 """
 
 from collections import OrderedDict
-from dataclasses import fields, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,81 +23,90 @@ from dm_env import specs
 from fishmj.engines import Trace
 from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.model import ROOTS
+from fishmj.options import checked_name, shown_value
 from fishmj.suite.hybrid_physics import HybridPhysics
 from fishmj.suite.physics import Physics
 from fishmj.suite.solver_physics import SolverPhysics
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.episode import EpisodeDraw, SensorWindow, TaskOptions, TaskSpec
-from fishmj.tasks.reference import StepTruth, options_of
+from fishmj.tasks.episode import EpisodeDraw, SensorWindow, TaskSpec, options_for
+from fishmj.tasks.reference import StepTruth
 from fishmj.water import choice
 
 SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
+OURS = ("time_limit", "control_timestep", "n_sub_steps")  # arguments of dm_control's Environment that the task sets
+DM_OPTIONS = ("flat_observation", "legacy_step")  # the others
+SOLVER = ("domain", "slip", "device", "finer", "width", "passes", "sharpness", "storage")  # options of fishmj.engines.lbm.Engine
 
 
 @SUITE.add("benchmarking")
 def station_hold(random=None, environment_kwargs=None, root="planar", **setting):
     """Swim to a target and keep it in a current that the fish cannot sense. Options: `tasks.episode.TaskOptions`."""
-    return environment("station_hold", {}, random, environment_kwargs, root, setting)
+    return environment("station_hold", random, environment_kwargs, root, setting)
 
 
 @SUITE.add("benchmarking")
-def figure_eight(random=None, environment_kwargs=None, root="planar", speed=None, cycles=None, phase=None, **setting):
+def figure_eight(random=None, environment_kwargs=None, root="planar", **setting):
     """Follow a point on a figure eight at constant speed. Options: speed m/s, cycles, phase m (None: drawn), `TaskOptions`."""
-    course = {k: v for k, v in (("speed", speed), ("cycles", cycles), ("phase", phase)) if v is not None}
-    return environment("figure_eight", course, random, environment_kwargs, root, setting)
+    return environment("figure_eight", random, environment_kwargs, root, setting)
 
 
 @SUITE.add()
-def angle_of_attack(random=None, environment_kwargs=None, root="planar", angle=None, **setting):
+def angle_of_attack(random=None, environment_kwargs=None, root="planar", **setting):
     """Start on the target, turned from upstream by `angle` rad (None draws one of the paper's four); and `TaskOptions`."""
-    return environment("angle_of_attack", {"angle": angle}, random, environment_kwargs, root, setting)
+    return environment("angle_of_attack", random, environment_kwargs, root, setting)
 
 
-def own(task_class, random=None, environment_kwargs=None, root="planar", **setting):
-    """A task of one's own (tasks.reference). Options: its own, and `TaskOptions`."""
-    mine = options_of(task_class)
-    course = {name: value for name, value in setting.items() if name in mine}
-    rest = {name: value for name, value in setting.items() if name not in mine}
-    return environment(task_class, course, random, environment_kwargs, root, rest)
+def environment(name: Any, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
+    """One dm_control environment of a task by name, or of one's own (tasks.reference).
 
-
-def environment(name: Any, course: dict, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
-    """One dm_control environment.
-
-    `setting` may hold `water`, as `fishmj.water.choice` names it; "lbm" is the flow solver, whose options (domain, slip, device,
-    finer) are in `solver`; those of "hybrid" are in `hybrid`, a `fishmj.hybrid.HybridOptions`.
+    `setting` has the options of the task and of `TaskOptions`. Its `water` is as `fishmj.water.choice` names it; "lbm" is the
+    flow solver, whose options (domain, slip, device, finer) are in `solver`; those of "hybrid" are in `hybrid`, a
+    `fishmj.hybrid.HybridOptions`.
 
     Raises:
         ConfigError, UnknownName: an option that does not exist or cannot be.
     """
-    solver, corrected = setting.pop("solver", {}), setting.pop("hybrid", None)
-    asked = chosen(setting)
+    setting = dict(setting)
+    solver, corrected = setting.pop("solver", None), setting.pop("hybrid", None)
+    asked, course = options_for(name, setting, ("random", "root", "solver", "hybrid"))
     water = choice.chosen(load_robot(asked.robot), asked.water)
+    checked_name("root", root, ROOTS)
     if root == "free" and water.kind in choice.SOLVED:
         raise ConfigError(
             f"suite: water {water.kind!r} acts on a fish with a planar root; choose root = 'planar', or another water"
         )
+    for option, value, kind in (("solver", solver, choice.LBM), ("hybrid", corrected, choice.HYBRID)):
+        if value is not None and water.kind != kind:
+            raise ConfigError(f"suite: {option} has the options of water {kind!r}, got water {water.kind!r}; leave it out")
     rules = TaskSpec(name, replace(asked, robot=water.robot, water=None), **course)
-    options = dict(environment_kwargs or {})
-    for key in ("time_limit", "control_timestep", "n_sub_steps"):
-        if key in options:
-            raise ConfigError(f"suite: environment_kwargs has {key!r}; set `seconds` or `control_dt` in task_kwargs instead")
+    options = environment_options(environment_kwargs)
+    fish_task = FishTask(rules, random)
     if water.kind == choice.LBM:
-        physics = SolverPhysics.in_tank(rules, solver)
+        physics = SolverPhysics.in_tank(rules, table_of("solver", solver or {}, SOLVER))
     else:
         hybrid = water.kind == choice.HYBRID
         physics = HybridPhysics.corrected(rules, corrected) if hybrid else Physics.of(rules.robot, root)
-    return control.Environment(physics, FishTask(rules, random), control_timestep=rules.dt, **options)
+    return control.Environment(physics, fish_task, control_timestep=rules.dt, **options)
 
 
-def chosen(setting: dict) -> TaskOptions:
-    """A `TaskOptions` from keyword arguments; an unknown one is one clear error."""
-    known = [f.name for f in fields(TaskOptions)]
-    unknown = sorted(set(setting) - set(known))
-    if unknown:
-        raise ConfigError(f"task: unknown option {unknown[0]!r}; known: {', '.join(known)}")
-    return TaskOptions(**setting)
+def environment_options(given: Any) -> dict:
+    """`environment_kwargs` for `dm_control.rl.control.Environment`. Raises ConfigError, UnknownName: none that a user has."""
+    options = dict(table_of("environment_kwargs", given or {}))
+    for key in options:
+        if key in OURS:
+            raise ConfigError(f"suite: environment_kwargs has {key!r}; set `seconds` or `control_dt` in task_kwargs instead")
+    return table_of("environment_kwargs", options, DM_OPTIONS)
+
+
+def table_of(where: str, given: Any, known: Iterable[str] | None = None) -> dict:
+    """Returns a table of keyword arguments. Raises ConfigError: no dict, or a key that is not known."""
+    if not isinstance(given, dict):
+        raise ConfigError(f"suite: {where} = {shown_value(given)}; expected a dict of options")
+    for key in given if known is not None else ():
+        checked_name(f"option in {where}", key, known or ())
+    return given
 
 
 class FishTask(base.Task):
@@ -110,7 +120,10 @@ class FishTask(base.Task):
     trace: Trace | None
 
     def __init__(self, rules: TaskSpec, random=None):
-        super().__init__(random=random)
+        try:
+            super().__init__(random=random)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"suite: random = {shown_value(random)}; expected a seed, a RandomState or None") from error
         self.rules = rules
         self._start(rules.scenario(rules.draws(np.random.RandomState(0), 1)), np.zeros((1, rules.n_obs)))
 
@@ -127,12 +140,9 @@ class FishTask(base.Task):
 
     def before_step(self, action, physics: Physics) -> None:
         """Turn the action into the bus commands of one control step."""
-        action = np.asarray(action, float)
-        if action.shape != (self.rules.n_act,) or not np.isfinite(action).all():
-            raise ConfigError(f"suite: action {action.tolist()}; expected {self.rules.n_act} finite numbers in [-1, 1]")
-        commands = task.chunk(np, self.rules.robot, self.command, action[None])
+        self.action = task.acting(action, (self.rules.n_act,), "suite")[None]
+        commands = task.chunk(np, self.rules.robot, self.command, self.action)
         self.command = commands[:, -1]
-        self.action = action[None]
         physics.send(commands[0])
 
     def after_step(self, physics: Physics) -> None:

@@ -16,42 +16,32 @@ import numpy as np
 
 from fishmj import engines, flow
 from fishmj.engines import FishParams, FishState
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.errors import ConfigError
 from fishmj.flow import Current
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.options import checked, checked_kind, checked_name, checked_names, shown_value
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.episode import slide
+from fishmj.tasks.episode import DrawOptions, slide
 from fishmj.tasks.reference import StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water.choice import in_water
 
+MEMORY = 1000  # observations that a policy may see at most
+
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class Options(DrawOptions):
     """What a training run may change about the task."""
 
-    turbulence: str = "default"
-    intensity: tuple[float, float] = (0.0, 0.10)  # TI, drawn uniformly for each episode
-    randomisation: float = 1.0
-    noise: float = 1.0
     memory: int = 1  # observations (with the actions between them) that the policy sees
-    box: str = "train"
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
     course: str = "station_hold"  # of tasks.reference, or the text of one's own that was loaded
-    effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
 
     def __post_init__(self):
-        low, high = self.intensity
-        if not 0 <= low <= high <= 1:
-            raise ConfigError(f"task: intensity = {self.intensity}; expected two bounds, 0 <= low <= high <= 1")
-        if not (self.memory >= 1 and self.noise >= 0 and self.randomisation >= 0):
-            raise ConfigError(
-                f"task: memory = {self.memory}, noise = {self.noise}, randomisation = {self.randomisation}; "
-                "memory counts observations, 1 at least; the others are not negative"
-            )
-        for kind, name, known in (("turbulence", self.turbulence, flow.PRESETS), ("box", self.box, flow.BOXES)):
-            if name not in known:
-                raise UnknownName(kind, name, known)
+        super().__post_init__()
+        checked("task: memory", self.memory, 1, MEMORY, whole=True)
+        for name in checked_names("task: hide", self.hide):
+            checked_name("observation group", name, task.GROUPS)
 
 
 class EnvState(NamedTuple):
@@ -70,13 +60,13 @@ class EnvState(NamedTuple):
     key: Any
     obs: Any  # (B, memory x n_obs + (memory - 1) x J)
     final_obs: Any
-    privileged: Any  # (B, n_obs + 2 + 3)
+    privileged: Any  # (B, n_obs + 5): columns `station_hold.privileged_spans`
     final_privileged: Any
     reward: Any  # (B,)
     terminated: Any  # (B,) bool, left the domain
     truncated: Any  # (B,) bool, time is up
     distance: Any  # (B,) m, at the end of the step
-    diverged: Any  # (B,) bool, episode dropped because of a non-finite state
+    diverged: Any  # (B,) bool, episode dropped because of a non-finite state or action
     launch: Any = None  # how the episodes began, for targets that move; None where they stay as in station holding
 
 
@@ -84,14 +74,33 @@ class StationHold:
     """The batched environment. `reset` and `step` are pure; jit them or call them inside a scan.
 
     Args:
-        engine: a name, or an engine of this very robot. water: for an engine by name, as `fishmj.water.choice` names it.
+        robot: a description, a TOML path or a shipped name.
+        engine: "compiled" (extra `fast`, CPU), "planar" (gradients, GPU), "mjx", or an engine of this very robot. None takes
+            "compiled" on a CPU where numba is installed, else "planar"; `fishmj.engines.name_of(env.engine)` says which it is.
+        water: for an engine by name, as `fishmj.water.choice` names it.
+        reward: weights of the paper's reward, wG, wD [1/m], wS [s2/rad2].
+
+    Raises:
+        ConfigError, UnknownName: an argument that cannot be. MissingExtra: "compiled" without numba.
     """
 
-    def __init__(self, robot: Robot, engine="planar", options: Options = Options(), *, water=None, **reward):  # noqa: B008  (frozen)
+    def __init__(
+        self, robot: "Robot | str" = "fish", engine: Any = None, options: Options | None = None, *, water=None, **reward
+    ):
+        options = checked_kind("task: options", options, Options) or Options()
+        for name, weight in reward.items():
+            checked(f"task: {checked_name('reward weight', name, task.WEIGHTS)}", weight)
+        robot = load_robot(robot)
+        if engine is None:
+            engine = engines.fastest() if jax.default_backend() == "cpu" else "planar"
         if isinstance(engine, str):  # else the engine's fish is in its water already
             robot = in_water(robot, water, who="the environment in JAX")
         self.robot = robot = engines.with_effects(robot, options.effects)
-        self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
+        self.engine = engines.of(engine, robot)
+        if not getattr(self.engine, "jittable", False):
+            raise ConfigError(
+                f"task: the engine {engines.name_of(self.engine)} cannot run inside jax.jit; choose compiled, planar or mjx"
+            )
         if getattr(self.engine, "robot", robot).effects != robot.effects:
             raise ConfigError(
                 f"task: the engine's robot lacks {', '.join(options.effects)}; make it from engines.with_effects(robot, ..)"
@@ -126,7 +135,12 @@ class StationHold:
 
     @partial(jax.jit, static_argnums=(0, 2, 3))
     def reset(self, key, n: int, stagger: bool = False) -> EnvState:
-        """n fresh episodes; with `stagger` their clocks start anywhere in the episode, so that they do not end together."""
+        """n fresh episodes from a key of `jax.random`; with `stagger` their clocks start anywhere in the episode, so that they do
+        not end together. Raises ConfigError: no key, or no whole n of 1 at least."""
+        checked("reset: n", n, 1, whole=True)
+        kind, shape = getattr(key, "dtype", type(key)), getattr(key, "shape", ())
+        if not (jnp.issubdtype(kind, jax.dtypes.prng_key) or (len(shape) == 1 and kind == jnp.uint32)):
+            raise ConfigError(f"reset: key of shape {shape}, {kind}; expected jax.random.key(SEED)")
         key, k_start, k_clock = jax.random.split(key, 3)
         state = self._fresh(k_start, n)
         if stagger:
@@ -135,13 +149,20 @@ class StationHold:
 
     @partial(jax.jit, static_argnums=0)
     def step(self, state: EnvState, action) -> EnvState:
-        """One control step of 0.2 s with action (B, J) in [-1, 1]."""
-        n = action.shape[0]
+        """One control step of 0.2 s with action (B, J), clipped to [-1, 1].
+
+        An episode whose action is not finite is dropped as one whose physics diverges: `diverged`, and a fresh one begins.
+        Raises ConfigError: an action of another shape.
+        """
+        n = len(state.count)
+        if getattr(action, "shape", None) != (n, self.n_act):
+            raise ConfigError(f"task: action {shown_value(action)}; expected an array ({n}, {self.n_act}), one row a fish")
         key, k_noise, k_fresh = jax.random.split(state.key, 3)
-        action = jnp.where(jnp.isfinite(action), action, 0.0)
+        sane = jnp.all(jnp.isfinite(action), -1)
+        action = jnp.clip(jnp.where(sane[:, None], action, 0.0), -1.0, 1.0)
         commands = task.chunk(jnp, self.robot, state.command, action)
         fish, trace = self.engine.advance(state.fish, commands, state.params, state.current, state.tick)
-        bad = ~(jnp.all(jnp.isfinite(fish.q), -1) & jnp.all(jnp.isfinite(fish.v), -1))
+        bad = ~(sane & jnp.all(jnp.isfinite(fish.q), -1) & jnp.all(jnp.isfinite(fish.v), -1))
         history = jnp.where(bad[:, None, None], 0.0, slide(jnp, state.history, trace.pose))
         tick = state.tick + commands.shape[1]
         target = self._target(state.launch, tick) if self.moves else state.target
@@ -190,7 +211,7 @@ class StationHold:
         launch = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), launch)
         start = launch.start
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
-        low, high = self.options.intensity
+        low, high = self.options.intensity_bounds
         intensity = low + (high - low) * u[:, 4]
         cell = jnp.float32(self.cell)
         current = flow.draw(jnp, self.options.turbulence, self.table, cell, start.speed, start.direction, intensity, u)
@@ -233,7 +254,7 @@ class StationHold:
         return jnp.concatenate([obs_now, action, obs], -1)[:, : self.n_input]
 
     def _privileged(self, state: EnvState, obs_now):
-        """Noise-free target and flow in the true body frame, true velocity and the time left: for critics only."""
+        """The columns of `task.privileged_spans`, noise-free and in the true body frame: for critics only."""
         q, v = state.fish.q, state.fish.v
         c, s = jnp.cos(q[:, 2]), jnp.sin(q[:, 2])
         body = lambda x, y: jnp.stack([c * x + s * y, c * y - s * x], -1)

@@ -16,22 +16,23 @@
 The functional JAX environment (`tasks.env`) is made from the same functions; a test holds all of them equal.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj import engines, flow
 from fishmj.engines import FishParams, FishState, Steps, Trace
-from fishmj.errors import ConfigError, SimDiverged, UnknownName
+from fishmj.errors import ConfigError, SimDiverged
 from fishmj.flow import Current
-from fishmj.mjcf.description import Robot, check_timing, load_robot
+from fishmj.mjcf.description import COMMAND_PATHS, Robot, check_timing, load_robot
+from fishmj.options import checked, checked_bounds, checked_name, checked_names
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.reference import EpisodeStart, StepTruth, course_of
+from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, options_of
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
 
-WEIGHTS = ("wG", "wD", "wS")  # of the paper's reward
 # beyond these it is a slip of the pen
 LARGEST = {"intensity": 1, "flow_speed": 5, "randomisation": 10, "noise": 100, "seconds": 1e6}
 
@@ -67,7 +68,7 @@ class Scenario(NamedTuple):
 
 
 class ControlLoop:
-    """B fish on an engine, which is given by name or as one.
+    """B fish on an engine, which is given by name or as one; None is the fastest one here (`engines.fastest`).
 
     Attributes:
         scenario: as given to `start`. fish: their state. window: what the sensors remember. count: (B,) control steps so far.
@@ -79,7 +80,7 @@ class ControlLoop:
     def __init__(self, robot: Robot, engine):
         self.robot = robot
         self.sensors = Sensors(robot)
-        self.engine = engines.make(engine, robot) if isinstance(engine, str) else engine
+        self.engine = engines.of(engine, robot)
         theirs, ours = label(getattr(self.engine, "robot", robot)), label(robot)
         if theirs != ours:
             raise ConfigError(
@@ -129,36 +130,55 @@ class ControlLoop:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskOptions:
+class DrawOptions:
+    """How the episodes of a task differ; of `TaskOptions` and of the options of the environment in JAX (`tasks.env`)."""
+
+    turbulence: str = "default"
+    intensity: Any = (0.0, 0.10)  # TI, a number or the bounds of a draw for each episode
+    randomisation: float = 1.0  # 0 nominal fish, 1 the paper's ranges
+    noise: float = 1.0  # of the sensors, 1 the paper's
+    box: str = "train"  # which turbulence table: train, tune or judge
+    effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
+
+    def __post_init__(self):
+        checked_name("turbulence", self.turbulence, flow.PRESETS)
+        checked_name("box", self.box, flow.BOXES)
+        self.intensity_bounds  # noqa: B018  (checks it)
+        for name in ("randomisation", "noise"):
+            checked(f"task: {name}", getattr(self, name), 0, LARGEST[name])
+        checked_names("task: effects", self.effects)
+
+    @property
+    def intensity_bounds(self) -> tuple[float, float]:
+        """Turbulence intensity: bounds of its draw."""
+        return checked_bounds("task: intensity", self.intensity, 0, LARGEST["intensity"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions(DrawOptions):
     """What a user may change about a task; None keeps the robot's or the task's own value."""
 
     robot: Any = "fish"  # Robot, TOML path or shipped name
     water: Any = None  # of fishmj.water.choice; None: fitted where the robot has one
     control_dt: float | None = None  # s
     command_path: str | None = None  # linear, hold or move_time
-    turbulence: str = "default"
-    intensity: Any = (0.0, 0.10)  # TI, a number or the bounds of a draw for each episode
     flow_speed: Any = None  # m/s, a number or the bounds of a draw
     flow_direction: float | None = None  # rad, where the water moves to
-    randomisation: float = 1.0  # 0 nominal fish, 1 the paper's ranges
-    noise: float = 1.0  # of the sensors, 1 the paper's
     seconds: float | None = None  # length of an episode
-    box: str = "train"  # which turbulence table: train, tune or judge
-    effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode
     wG: float | None = None  # noqa: N815  (the paper's symbols)
     wD: float | None = None  # noqa: N815
     wS: float | None = None  # noqa: N815
 
     def __post_init__(self):
-        if self.turbulence not in flow.PRESETS:
-            raise UnknownName("turbulence", self.turbulence, flow.PRESETS)
-        if self.box not in flow.BOXES:
-            raise UnknownName("box", self.box, flow.BOXES)
-        for name, high in LARGEST.items():
-            value = getattr(self, name)
-            bounds = np.atleast_1d(np.asarray(0.0 if value is None else value, float))
-            if len(bounds) > 2 or not (np.isfinite(bounds).all() and bounds.min() >= 0 and bounds.max() <= high):
-                raise ConfigError(f"task: {name} = {value!r}; expected a number, or two bounds, from 0 to {high}")
+        super().__post_init__()
+        if self.flow_speed is not None:
+            checked_bounds("task: flow_speed", self.flow_speed, 0, LARGEST["flow_speed"])
+        if self.command_path is not None:
+            checked_name("command path", self.command_path, COMMAND_PATHS)
+        bounds = {"seconds": (0, LARGEST["seconds"]), "control_dt": (0, LARGEST["seconds"]), "flow_direction": ()}
+        for name in (*bounds, *task.WEIGHTS):
+            if getattr(self, name) is not None:
+                checked(f"task: {name}", getattr(self, name), *bounds.get(name, ()))
 
     def fish(self) -> Robot:
         """The robot with this setting's timing."""
@@ -168,6 +188,24 @@ class TaskOptions:
         timing = replace(robot.timing, **wanted)
         check_timing(timing, "task")
         return engines.with_effects(replace(robot, timing=timing), self.effects)
+
+
+def options_for(task: Any, given: dict, also: Iterable[str] = ()) -> tuple[TaskOptions, dict]:
+    """`TaskOptions`, and the options of the task's course, from keyword arguments.
+
+    Args:
+        task: as `course_of` takes it. also: options that somebody else takes, for the message.
+
+    Raises:
+        ConfigError, UnknownName: an option that does not exist or cannot be.
+    """
+    general = {f.name for f in fields(TaskOptions)}
+    special = options_of(task) - general
+    unknown = sorted(set(given) - general - special)
+    if unknown:
+        raise ConfigError(f"task: unknown option {unknown[0]!r}; known: {', '.join(sorted({*general, *special, *also}))}")
+    own = {name: value for name, value in given.items() if name in special and (value is not None or task not in COURSES)}
+    return TaskOptions(**{name: value for name, value in given.items() if name in general}), own
 
 
 class Draws(NamedTuple):
@@ -197,7 +235,7 @@ class TaskSpec:
         self.robot = setting.fish()
         self.outside = getattr(self.course, "outside", task.outside)
         if getattr(self.course, "reward", None) is not None and (
-            given := [w for w in WEIGHTS if getattr(setting, w) is not None]
+            given := [w for w in task.WEIGHTS if getattr(setting, w) is not None]
         ):
             raise ConfigError(f"task {self.name}: has a reward of its own, without {', '.join(given)}; leave the weights out")
         self.steps, self.ticks = engines.ticks_per(self.robot)
@@ -221,7 +259,7 @@ class TaskSpec:
         start = launch.start
         u = draws.flow
         if s.flow_speed is not None:
-            low, high = np.broadcast_to(np.asarray(s.flow_speed, float), 2)
+            low, high = checked_bounds("task: flow_speed", s.flow_speed, 0, LARGEST["flow_speed"])
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
         direction = fixed.pop("direction", s.flow_direction)
         if direction is not None:
@@ -230,7 +268,7 @@ class TaskSpec:
                 start = start._replace(pose=start.pose + turned)
             start = start._replace(direction=direction + 0.0 * start.direction)
         start = start._replace(**fixed)
-        low, high = np.broadcast_to(np.asarray(s.intensity, float), 2)
+        low, high = s.intensity_bounds
         intensity = low + (high - low) * u[:, 4]
         current = flow.draw(np, s.turbulence, self.table, self.cell, start.speed, start.direction, intensity, u)
         params, camera = task.draw_fish(np, self.robot, draws.fish, s.randomisation, s.effects)
@@ -282,11 +320,9 @@ class Episodes(ControlLoop):
             self.scenario, self.fish, self.window, self.command, self.count = merged
 
     def step(self, action) -> StepResult:
-        """One control step with action (n, J) in [-1, 1]. Raises ConfigError: the action has the wrong shape or is not finite."""
+        """One control step with action (n, J), clipped to [-1, 1]. Raises ConfigError: of another shape, or not finite."""
         rules = self.rules
-        action = np.asarray(action, float)
-        if action.shape != (self.n, rules.n_act) or not np.isfinite(action).all():
-            raise ConfigError(f"{rules.name}: action of shape {action.shape}; expected finite ({self.n}, {rules.n_act})")
+        action = task.acting(action, (self.n, rules.n_act), rules.name)
         commands = task.chunk(np, rules.robot, self.command, action)
         trace = self.act(commands)
         self.command = commands[:, -1]

@@ -19,9 +19,11 @@ import numpy as np
 from fishmj import engines, plugins
 from fishmj.calib import constant
 from fishmj.engines import Trace
-from fishmj.errors import ConfigError, OwnCodeError, UnknownName
+from fishmj.errors import OwnCodeError, UnknownName
+from fishmj.options import checked
 from fishmj.tasks.station_hold import N_START, Start, draw_start, outside
 
+SLOWEST = 1e-3  # m/s of the figure eight, and part of its cycle
 POINTS = 4096  # of the arc-length table; its error is below 1e-6 m
 LONGEST = 1e6  # s
 TRIED = 5  # episodes of the trial run
@@ -42,7 +44,7 @@ class StepTruth(NamedTuple):
     trace: Trace  # pose (B, T, 3) m, rad; joint, rate (B, T, J) rad, rad/s; velocity (B, T, 3) over ground; power (B, T) W
     target: Any  # (B, 2) m, at the end of the step
     distance: Any  # (B,) m, to it
-    action: Any  # (B, J) in [-1, 1]
+    action: Any  # (B, J) in [-1, 1], as it acts: clipped
     time: Any  # (B,) s since the episode began, at the end of the step
 
 
@@ -70,6 +72,10 @@ class AngleOfAttackReference(StationHoldReference):
 
     angle: float | None = None
 
+    def __post_init__(self):
+        if self.angle is not None:
+            checked("angle_of_attack: angle", self.angle)
+
     def launch(self, xp, uniforms) -> EpisodeStart:
         """Starts from uniforms (B, 7): target and flow direction drawn, flow speed the paper's."""
         start = draw_start(xp, uniforms)
@@ -93,10 +99,10 @@ class FigureEightReference:
     phase: float | None = None
 
     def __post_init__(self):
-        if not (0 < self.speed < 5 and 0 < self.cycles <= 1000):
-            raise ConfigError(
-                f"figure_eight: speed = {self.speed} m/s (0 to 5) or cycles = {self.cycles} (0 to 1000) is out of range"
-            )
+        checked("figure_eight: speed", self.speed, SLOWEST, 5)
+        checked("figure_eight: cycles", self.cycles, SLOWEST, 1000)
+        if self.phase is not None:
+            checked("figure_eight: phase", self.phase)
 
     @property
     def seconds(self) -> float:

@@ -17,9 +17,11 @@ from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.errors import UnknownName
 from fishmj.mjcf.description import Robot
+from fishmj.options import checked_array
 from fishmj.tasks.sensing import Sensors, delayed, estimate
 
 JOINTS = 3
+WEIGHTS = ("wG", "wD", "wS")  # of the reward, in the paper's symbols
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
 LEAST_CAMERA_TICKS = 5  # camera frames remembered at least; 100 ms at 50 Hz
 N_START, N_FLOW = 7, 4
@@ -101,6 +103,11 @@ def spans(joints: int) -> dict[str, int]:
     return {"target": 2, "velocity": 2, "yaw_rate": 1, "joint": joints, "joint_rate": joints}
 
 
+def privileged_spans(joints: int) -> dict[str, int]:
+    """Name and width of each group that a critic sees in simulation only (`tasks.env`), in order; no noise, no latency."""
+    return {**spans(joints), "flow": 2, "time_left": 1, "near": 2}
+
+
 def noise_scale(robot: Robot):
     """Standard deviation of each of the 5 + 2 J observations."""
     get = lambda key: constant("noise", key)
@@ -167,7 +174,7 @@ def observe(xp, robot: Robot, history, camera, joint, rate, target, noise, slow=
 
 def reward(xp, distance, rates, wG=None, wD=None, wS=None):  # noqa: N803  (the paper's symbols)
     """Reward of one control step: distance (B,) at its end [m], joint rates (B, T, J) over its ticks [rad/s]."""
-    wG, wD, wS = (constant("reward", k) if w is None else w for k, w in (("wG", wG), ("wD", wD), ("wS", wS)))
+    wG, wD, wS = (constant("reward", k) if w is None else w for k, w in zip(WEIGHTS, (wG, wD, wS), strict=True))
     return wG / (1 + wD * distance) - wS * xp.mean(xp.sum(rates * rates, -1), -1)
 
 
@@ -177,8 +184,17 @@ def outside(xp, pose):
     return (xp.abs(pose[..., 0]) > bound) | (xp.abs(pose[..., 1]) > bound)
 
 
+def acting(action, shape: tuple, who: str) -> np.ndarray:
+    """Returns the action that acts, which the bus and the reward see: float64, clipped to [-1, 1].
+
+    Raises:
+        ConfigError: another shape, no numbers, or not finite.
+    """
+    return np.clip(checked_array(f"{who}: action", action, shape), -1.0, 1.0)
+
+
 def chunk(xp, robot: Robot, previous, action):
-    """Bus commands of one control step: previous (B, J) last command [rad], action (B, J) in [-1, 1].
+    """Bus commands of one control step: previous (B, J) last command [rad], action (B, J), clipped to [-1, 1].
 
     `linear` interpolates over the step, `hold` sends the new angles at once, `move_time` also interpolates on the bus (the
     servo itself then moves evenly between bus commands).

@@ -83,7 +83,8 @@ class FishVecEnv(VecEnv):
         """One control step of all fish: (observations, rewards, dones, infos)."""
         raw, reward, terminated, truncated, info = self.fish.step(self._actions)
         over = terminated | truncated
-        last = raw
+        last, ended = raw, info.get("final_info", info)  # of fish that restart, `info` is that of the new episode
+        distance, diverged = (np.where(over, ended[name], info[name]) for name in ("distance", "diverged"))
         if over.any():
             last = raw.copy()
             last[over] = np.stack(info["final_obs"][over])
@@ -95,11 +96,11 @@ class FishVecEnv(VecEnv):
             infos[i] = {
                 "terminal_observation": seen[i].copy(),
                 "TimeLimit.truncated": bool(truncated[i]),
-                "diverged": bool(info["diverged"][i]),
+                "diverged": bool(diverged[i]),
                 "episode": {"r": float(self.gain[i]), "l": int(self.count[i]), "t": 0.0},
             }
         late = (self.count > self.fish.rules.limit // 2) & ~over
-        self.tally.append(StepRecord(reward, info["distance"], late, over, terminated, info["diverged"]))
+        self.tally.append(StepRecord(reward, distance, late, over, terminated, diverged))
         if over.any():
             seen[over] = self._start(raw)[over]
             self.count[over], self.gain[over] = 0, 0.0
