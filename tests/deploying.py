@@ -60,6 +60,9 @@ class FakeRobot:
     def close(self) -> None: ...
     def forget(self) -> None: ...
 
+    def silence(self) -> str:
+        return ""
+
     def hello(self, now: float) -> None:
         self.greeted += 1
 

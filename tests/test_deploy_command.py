@@ -1,6 +1,7 @@
 """The command line of `deploy`: what is missing or wrong is one line, before anything is opened; ROS hears every row."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from fishmj.deploy.servo_bus import ServoBusLink
 from fishmj.deploy.swim_command import options, target_warnings
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.loopback.camera_frames import FishLook
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.description import RigSpec, load_robot
 from fishmj.studies.tracker import cases
 from fishmj.tracker.calibration import overhead
 from fishmj.tracker.colour import PAPER_FISH
@@ -82,12 +83,40 @@ def test_the_paint_that_is_looked_for_is_that_of_the_fish_that_the_loopback_draw
     args = options().parse_args(["--policy", "station", "--tracker", "colour"])
     assert wiring.make_tracker(args, overhead((1280, 720), 0.0028, 3.0)).paint == PAPER_FISH == cases.PAINT
     look = FishLook.of("fish", "colour")
-    for drawn, bands in ((look.head, args.red), (look.neck, args.yellow)):
+    for drawn, bands in ((look.head, PAPER_FISH.head), (look.neck, PAPER_FISH.neck)):
         half = drawn[: len(drawn) // 2]
         for x, width in bands:
             assert 2 * np.interp(x, half[:, 0], half[:, 1]) == pytest.approx(
                 width, abs=3e-3
             )  # a ruler; 20 mm would be another fish
+
+
+def test_paint_comes_from_the_rig_and_an_unpainted_head_is_asked_for():
+    shipped, camera = load_robot("tendon_fish"), overhead((1280, 720), 0.0028, 3.0)
+    read = lambda *words: options().parse_args(["--policy", "station", "--tracker", "colour", *words])
+    red, yellow = ((0.08, 0.05), (0.16, 0.03)), ((-0.02, 0.05), (0.03, 0.06))
+    with pytest.raises(ConfigError, match="tendon_fish does not say where it is painted; write red and yellow"):
+        wiring.make_tracker(read(), camera, shipped)
+    painted = replace(shipped, rig=RigSpec(red=red, yellow=yellow, paint_height=-0.01))
+    tracker = wiring.make_tracker(read(), camera, painted)
+    assert (tracker.paint.head, tracker.paint.neck, tracker.height) == (red, yellow, -0.01)
+    look = FishLook.of(painted, "colour")
+    assert (look.head[:2] == np.array(red) * [1.0, 0.5]).all() and look.height == -0.01
+    assert wiring.make_tracker(read("--red", "0.09:0.05,0.15:0.03"), camera, painted).paint.head[0] == (0.09, 0.05)
+
+
+def test_the_servo_bus_of_two_joints_asks_for_two_servos():
+    robot, clock = load_robot("tendon_fish"), MonotonicClock()
+    words = ["--policy", "station", "--link", "serial:/dev/x"]
+    assert wiring.make_link(options().parse_args(words), robot, clock, None).ids == (1, 2)
+    rig = RigSpec(bus="dynamixel-x", servo_ids=(8, 3), signs=(-1, 1), zeros=(0.1, 0.0), baud=2_000_000)
+    link = wiring.make_link(options().parse_args(words), replace(robot, rig=rig), clock, None)
+    assert (link.name, link.ids, link.signs, link.zeros, link.baud) == ("dynamixel-x-bus", (8, 3), (-1, 1), (0.1, 0.0), 2_000_000)
+    link = wiring.make_link(options().parse_args([*words, "--servo-ids", "5,6"]), replace(robot, rig=rig), clock, None)
+    assert link.ids == (5, 6)
+    with pytest.raises(ConfigError, match="a servo bus is a line; take serial:DEVICE or loopback"):
+        args = options().parse_args(["--policy", "station", "--link", "udp://h", "--protocol", "servo-bus"])
+        wiring.make_link(args, robot, clock, None)
 
 
 def test_a_target_where_the_fish_may_not_swim_or_is_not_seen_is_warned_of():

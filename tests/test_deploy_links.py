@@ -159,7 +159,7 @@ def test_a_port_that_is_taken_is_one_line():
 
 def test_a_serial_line_that_is_not_there_is_one_line():
     with pytest.raises(ConfigError, match="devices here"):
-        open_serial("/dev/no-such-line", 0.002)
+        open_serial("/dev/no-such-line", 0.002, 115200)
 
 
 class Servos:

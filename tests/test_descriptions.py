@@ -20,7 +20,8 @@ from fishmj.calib import read_toml, resolve
 from fishmj.errors import DescriptionError
 from fishmj.log.toml import dumps
 from fishmj.mjcf import description, description_schema, load_robot
-from fishmj.mjcf.description import robot_from_dict
+from fishmj.mjcf.description import RigSpec, robot_from_dict
+from fishmj.mjcf.identity import robot_sha256
 from fishmj.sim import Sim
 from fishmj.water.hydro_model import HydroModel, robot_hash
 
@@ -34,6 +35,13 @@ def whole() -> dict:
     """fish.toml with every block and key that there is."""
     table = tomllib.loads(resolve("fish").read_text(encoding="utf-8"))
     table["water"]["suction"] = 1.0
+    table["rig"] = {"bus": "lx", "baud": 115200, "servo_ids": [3, 1, 2], "signs": [1, -1, 1], "zeros_deg": [0.5, 0.0, -2.0]}
+    table["rig"] |= {
+        "low_voltage": 6.5,
+        "paint_height": -0.01,
+        "red": [[0.05, 0.06], [0.17, 0.02]],
+        "yellow": [[-0.03, 0.05], [0.0, 0.06]],
+    }
     table["notes"], table["origin"] = {"anything": [1, "two"]}, {"source": "a ruler"}
     table["effect"] = [{"name": "coulomb_friction", "parameters": {"torque": {"value": 0.08, "low": 0.07, "high": 0.09}}}]
     table["calibration"] = {"servo": {"source": "a folder", "kp": {"value": 8.0, "low": 7.9, "high": 8.1, "unit": "N m/rad"}}}
@@ -151,6 +159,17 @@ RELATIONS = [
     (("servo", "kp"), 1e-3, "1 % of the torque"),
     (("timing", "bus_dt"), 0.021, "nearest valid bus_dt: 0.02 s"),
     (("timing", "control_dt"), 0.21, "nearest valid control_dt: 0.2 s"),
+    (("rig", "servo_ids"), [1, 2], "3, one a joint"),
+    (("rig", "servo_ids"), [1, 2, 2], "each number once"),
+    (("rig", "signs"), [1, -1], "3, one a joint"),
+    (("rig", "signs"), [1, -1, 0], "each 1 or -1"),
+    (("rig", "zeros_deg"), [0.0, 190.0, 0.0], "each from -180 to 180"),
+    (("rig", "zeros"), [0.0, 90.0, 0.0], "in degrees go into zeros_deg"),
+    (("rig", "bus"), "can", "'lx', 'dynamixel-x' or 'dynamixel-ax'"),
+    (("rig", "baud"), 57601, "a baud rate"),
+    (("rig", "red"), [[-0.1, 0.05], [0.2, 0.04]], "red before yellow"),
+    (("rig", "red"), GONE, "both red and yellow"),
+    (("rig", "red"), [[0.2, 0.05], [0.1, 0.04]], "x rising"),
     (("water", "k"), [0.9, 0.9], "one number a link, 4"),
     (("water", "lift_b"), 0.1, "at least 0.5"),
     (("water", "stall_angle"), 0.6, "both stall_angle and stall_angle_deg"),
@@ -347,7 +366,24 @@ def test_a_shipped_description_reads_to_the_robot_that_its_waters_were_fitted_to
 
 def test_every_kind_of_block_together_is_the_same_fish():
     robot, shipped = robot_from_dict(whole(), "x.toml"), load_robot("fish")
-    assert replace(robot, effects=(), water=shipped.water) == shipped and robot.effects[0].name == "coulomb_friction"
+    assert robot.rig.signs == (1, -1, 1) and robot.rig.zeros == pytest.approx(np.radians((0.5, 0.0, -2.0)))
+    assert (robot.servo_ids, robot.low_voltage, robot.rig.red[0]) == ((3, 1, 2), 6.5, (0.05, 0.06))
+    alike = replace(robot, effects=(), water=shipped.water)
+    assert robot_sha256(alike) == robot_sha256(shipped) and robot_hash(alike) == robot_hash(
+        shipped
+    )  # another plug, the same fish
+    assert replace(alike, rig=shipped.rig) == shipped and robot.effects[0].name == "coulomb_friction"
+
+
+@pytest.mark.parametrize(
+    ("volts", "low"), [(7.4, 6.4), (8.4, 6.4), (6.0, 5.19), (5.0, 4.32), (11.1, 9.6), (12.0, 9.6), (14.8, 12.8), (3.7, 3.2)]
+)
+def test_a_low_battery_is_that_of_its_cells(volts, low):
+    """3.2 V a LiPo cell where the servos' voltage is one of cells of 3.7 to 4.2 V, else 86 % of it."""
+    shipped = load_robot("fish")
+    robot = replace(shipped, servo=replace(shipped.servo, voltage=volts))
+    assert robot.low_voltage == pytest.approx(low) and robot.servo_ids == (1, 2, 3)
+    assert replace(robot, rig=RigSpec(low_voltage=3.3)).low_voltage == 3.3
 
 
 @pytest.mark.parametrize("water", ["swift", "swift-noslip", "tendon_fish"])

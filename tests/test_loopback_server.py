@@ -69,7 +69,7 @@ def test_every_address_but_one_is_refused(address):
 
 def test_its_socket_is_bound_to_that_address(host):
     made = made_server(FakeClock())
-    assert made.socket.getsockname()[0] == "127.0.0.1"
+    assert made.line.socket.getsockname()[0] == "127.0.0.1"
     made.close()
 
 
@@ -88,8 +88,8 @@ def test_it_answers_whoever_spoke_last_and_keeps_with_the_clock(host):
     made = made_server(clock)
     for k in range(10):
         if k == 2:
-            host.sendto(fishmj1.encode_hello(1, 7.0), ("127.0.0.1", made.port))
-            select.select([made.socket], [], [], 600.0)
+            host.sendto(fishmj1.encode_hello(1, 7.0), ("127.0.0.1", made.line.port))
+            select.select([made.line.socket], [], [], 600.0)
         made.turn(0.02 * k + 0.0007)
     found = [fishmj1.decode(data) for data in heard(host)]
     made.close()

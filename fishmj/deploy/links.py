@@ -70,6 +70,9 @@ class Link(Protocol):
     def forget(self) -> None: ...
     def close(self) -> None: ...
 
+    def silence(self) -> str:
+        """Why nothing is heard, "" where nothing but the silence is known."""
+
 
 class Fishmj1Link:
     """Protocol `fishmj-1`: sequence numbers, echo, the robot's clock, a watchdog of its own."""
@@ -89,6 +92,9 @@ class Fishmj1Link:
 
     def close(self) -> None:
         self.transport.close()
+
+    def silence(self) -> str:
+        return ""
 
     def forget(self) -> None:
         """The robot may have begun anew: whatever number comes next is believed."""
@@ -168,6 +174,9 @@ class MishLink:
 
     def close(self) -> None:
         self.transport.close()
+
+    def silence(self) -> str:
+        return ""
 
     def forget(self) -> None:
         """Nothing is remembered."""

@@ -63,7 +63,7 @@ class Plan:
     """One swim. target: m, tank frame. wait: s to wait for robot and camera.
 
     hold, neutral: s without a command after which the firmware shall hold and go to neutral. pose: the pilot needs the camera.
-    bound: m, the fish may swim where |x| and |y| are at most this.
+    bound: m, the fish may swim where |x| and |y| are at most this. thresholds: of the watch; None: with the robot's low voltage.
     """
 
     target: tuple[float, float] = (0.0, 0.0)
@@ -73,7 +73,7 @@ class Plan:
     neutral: float = 0.3
     pose: bool = True
     bound: float = float("inf")
-    thresholds: Thresholds = Thresholds()
+    thresholds: Thresholds | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,9 +140,10 @@ class Swim:
         self.rig, self.pilot, self.plan, self.log, self.stop = rig, pilot, plan, log, stop
         self.status = status or StatusLine(plan.seconds, quiet=True)
         self.supervisor, self.dt = rig.supervisor, rig.robot.timing.bus_dt
-        self.observer, self.watch = Observer(rig.robot, plan.target), Watch(plan.thresholds)
+        thresholds = plan.thresholds or Thresholds(battery_low=rig.robot.low_voltage)
+        self.observer, self.watch = Observer(rig.robot, plan.target), Watch(thresholds)
         self.latency = command_latency(rig.robot)
-        self.limiter = Limiter(rig.robot.servo.range, self.latency + self.dt, oldest=plan.thresholds.silent)
+        self.limiter = Limiter(rig.robot.servo.range, self.latency + self.dt, oldest=thresholds.silent)
         self.last = np.zeros(rig.robot.n_joints)  # the command on the bus
         self.info: RobotInfo | None = None
         self.refusal: Refusal | None = None if rig.link.greets else rig.examine(None)
@@ -315,6 +316,8 @@ class Swim:
             reasons = named(decide(State.LINKED, true).because & ~Condition.HEARD)
             if self.supervisor.state is State.DOWN:
                 reasons = f"nothing heard of the robot in {self.plan.wait:g} s"
+                if silence := self.rig.link.silence():
+                    reasons = f"{silence}; waited {self.plan.wait:g} s"
             why = why_not_armed(self.watch.newest, self.rig.robot.servo.range, self.plan.hold, self.plan.neutral)
             self.refusal = Refusal(NONE, (reasons or f"the robot did not arm in {self.plan.wait:g} s{why}",))
             self.over = True

@@ -29,7 +29,7 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The command. Exit code 0: the fish is in 90 % of the frames at least; 1: in fewer."""
     args = options().parse_args(argv)
-    tracker = wiring.make_tracker(args, wiring.calibration_of(args, None))
+    tracker = wiring.make_tracker(args, wiring.calibration_of(args, None), args.robot)
     with console.Progress(1, "track", "frames") as bar:
 
         def progress(done: int, total: int, fixes: int) -> None:

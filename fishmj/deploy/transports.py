@@ -10,7 +10,6 @@ from fishmj.errors import ConfigError, MissingExtra, StoreError
 
 LONGEST = 2048  # bytes of a datagram that is looked at; no protocol here sends more than a few hundred
 KEPT = 1000  # datagrams that may wait unread: 20 s of telemetry
-BAUD = 115200  # of the LX servo bus, 8N1
 
 
 class Transport(Protocol):
@@ -101,8 +100,8 @@ class UdpTransport:
         self._socket = self._thread = None
 
 
-def open_serial(device: str, timeout: float) -> Any:
-    """A serial line at 115200 baud, 8N1, as `serial.Serial`; reads give up after `timeout` s.
+def open_serial(device: str, timeout: float, baud: int) -> Any:
+    """A serial line of 8N1, as `serial.Serial`; reads give up after `timeout` s.
 
     Raises:
         MissingExtra: pyserial is not installed. ConfigError: no such device, or no right to open it.
@@ -112,7 +111,7 @@ def open_serial(device: str, timeout: float) -> Any:
     except ImportError:
         raise MissingExtra("pyserial", "robot", "a servo bus") from None
     try:
-        return serial.Serial(device, BAUD, timeout=timeout, write_timeout=timeout, exclusive=True)
+        return serial.Serial(device, baud, timeout=timeout, write_timeout=timeout, exclusive=True)
     except (serial.SerialException, ValueError) as error:
         listed = ", ".join(serial_devices()) or "none"
         raise ConfigError(f"serial:{device}: {str(error)[:200]}; devices here: {listed}") from error

@@ -24,7 +24,7 @@ class Thresholds:
     pose_old: float = 0.2  # one step of the policy
     pose_lost: float = 0.5
     settle: float = 0.5  # after arming, until commands must be echoed: more than any radio's way there and back
-    battery_low: float = 6.4  # two LiPo cells at 3.2 V under load; below, they are damaged
+    battery_low: float = 6.4  # two LiPo cells at 3.2 V under load; a swim takes its robot's (`Robot.low_voltage`)
     sag: float = 1.0  # the battery is low when no reading of this time is above: a sag under a kick is none
     hot: float = 75.0  # LX servos switch off by themselves at 85
     stuck_after: float = 0.6  # that joint and commands are watched for

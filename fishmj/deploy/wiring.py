@@ -28,14 +28,16 @@ from fishmj.deploy.localiser import InProcess, Localiser
 from fishmj.deploy.servo_bus import ServoBusLink
 from fishmj.deploy.transports import UdpTransport, open_serial
 from fishmj.errors import ConfigError
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Robot, load_robot
 from fishmj.protocols import mish
+from fishmj.protocols.servo_bus import BUSES
 from fishmj.store import temporary_beside
 from fishmj.tracker.calibration import Calibration
 from fishmj.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
 from fishmj.tracker.fix import Tracker
 
-PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed")
+SERVO_BUS = "servo-bus"
+PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)
 PORTS = {"fishmj-1": 2334}  # of the robot where the link names none; mish has its own
 STARTS = 60.0  # s that the loopback robot may take: it compiles its water at its first start
 WAIT = 0.002  # s that a read of the servo bus waits
@@ -54,12 +56,16 @@ class Wired:
 
 @dataclass(frozen=True)
 class Loopback:
-    """A loopback robot that runs: its port and its own of this host, the name of its frames, the file of its calibration."""
+    """A loopback robot that runs: its port and its own of this host, the name of its frames, the file of its calibration.
+
+    device: serial line of its servos, in place of the ports.
+    """
 
     port: int
     host_port: int
     frames: str | None
     calibration: Path
+    device: str = ""
 
 
 def link_options(parser: console.Parser) -> None:
@@ -72,11 +78,18 @@ def link_options(parser: console.Parser) -> None:
         metavar="LINK",
         help=f"loopback, serial:DEVICE, or udp://HOST[:PORT] (default port {ports})",
     )
-    add("--protocol", choices=PROTOCOLS, default=PROTOCOLS[0], help="of the datagrams; a serial link speaks to the servos")
+    add(
+        "--protocol",
+        choices=PROTOCOLS,
+        default=PROTOCOLS[0],
+        help="of the datagrams; servo-bus with loopback: to its servos, as serial: does",
+    )
     add("--host-port", type=console.whole(0, 65535), help="of this computer, which the robot sends to (default 6060 of mish)")
-    add("--servo-ids", type=whole_numbers, default=(1, 2, 3), metavar="A,B,..", help="serial: from the head to the tail")
-    add("--servo-zeros-deg", type=numbers, metavar="A,B,..", help="serial: of each servo with its joint straight (default 0)")
-    add("--servo-signs", type=whole_numbers, metavar="A,B,..", help="serial: -1 for a servo that turns the other way (default 1)")
+    rig = "; default as the description's [rig] has it"
+    add("--servo-ids", type=whole_numbers, metavar="A,B,..", help=f"on the servo bus, from the head to the tail{rig}")
+    add("--servo-zeros-deg", type=numbers, metavar="A,B,..", help=f"of each servo with its joint straight{rig}")
+    add("--servo-signs", type=whole_numbers, metavar="A,B,..", help=f"-1 for a servo that turns the other way{rig}")
+    add("--baud", type=console.whole(9600, 4_500_000), help=f"of the servo bus{rig}")
 
 
 def camera_options(parser: console.Parser) -> None:
@@ -101,11 +114,10 @@ def tracker_options(parser: console.Parser) -> None:
     mount = "its middle in the body frame, m, and the turn of its x axis from the nose, rad"
     add("--tag-mount", type=numbers, default=(0.06, 0.0, 0.0), metavar="X,Y,YAW", help=mount)
     add("--tag-height", type=console.number(-1, 1), default=0.03, help="over the water, m")
-    painted = "x:width of the {} paint, m, body frame, from the rear to the front (default {})"
-    for name, band in (("red", PAPER_FISH.head), ("yellow", PAPER_FISH.neck)):
-        told = ",".join(f"{x:g}:{width:g}" for x, width in band)
-        add(f"--{name}", type=bands, default=band, metavar="X:W,X:W", help=painted.format(name, told))
-    add("--paint-height", type=console.number(-1, 1), default=-0.005, help="of the paint over the water, m")
+    painted = "x:width of the {} paint, m, body frame, from the rear to the front; default as the description's [rig] has it"
+    for name in ("red", "yellow"):
+        add(f"--{name}", type=bands, metavar="X:W,X:W", help=painted.format(name))
+    add("--paint-height", type=console.number(-1, 1), help="of the paint over the water, m; default of [rig], else -0.005")
 
 
 def loopback_options(parser: console.Parser) -> None:
@@ -124,7 +136,7 @@ def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
     fish = _loopback(args, robot, stack) if args.link == "loopback" else None
     camera = camera_of(args.camera, fish)
     link, calibration = make_link(args, robot, clock, fish), calibration_of(args, fish)
-    localiser = InProcess(tracker_words(args, camera, fish))
+    localiser = InProcess(tracker_words(args, camera, fish, robot))
     for part in (link, localiser):
         part.open()
         stack.callback(part.close)
@@ -134,14 +146,10 @@ def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
 def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> Link:
     """The link that the options name, not opened yet."""
     kind, _, where = args.link.partition(":")
-    if kind == "serial":
-        zeros = tuple(map(radians, args.servo_zeros_deg)) if args.servo_zeros_deg else None
-        for name, given in (("--servo-ids", args.servo_ids), ("--servo-zeros-deg", zeros), ("--servo-signs", args.servo_signs)):
-            if given is not None and len(given) != robot.n_joints:
-                raise ConfigError(f"{name}: {len(given)} numbers; {robot.name} has {robot.n_joints} joints")
-        lasting = robot.timing.bus_dt if robot.timing.command_path == "move_time" else 0.0
-        opened = partial(open_serial, where, WAIT)
-        return ServoBusLink(opened, clock, args.servo_ids, zeros, args.servo_signs, lasting)
+    if kind == "serial" or (fish is not None and fish.device):
+        return servo_link(args, robot, clock, partial(open_serial, fish.device if fish is not None else where, WAIT))
+    if args.protocol == SERVO_BUS and fish is None:
+        raise ConfigError(f"--protocol {SERVO_BUS} --link {args.link}: a servo bus is a line; take serial:DEVICE or loopback")
     if fish is not None:
         host, port, listen = "127.0.0.1", fish.port, fish.host_port
     else:
@@ -154,6 +162,26 @@ def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> L
     if robot.n_joints != mish.JOINTS:
         raise ConfigError(f"{args.protocol} carries {mish.JOINTS} joints, {robot.name} has {robot.n_joints}; take fishmj-1")
     return MishLink(transport, "fixed" if args.protocol == "mish-fixed" else "mish-0.1.0")
+
+
+def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], Any]) -> ServoBusLink:
+    """The robot's servo bus: what the options say, else the description's rig.
+
+    Args:
+        opened: makes the serial line at a baud rate.
+    Raises:
+        ConfigError: as many numbers as joints are not there; what `ServoBusLink` refuses.
+    """
+    rig = robot.rig
+    zeros = tuple(map(radians, args.servo_zeros_deg)) if args.servo_zeros_deg else rig.zeros
+    ids, signs = args.servo_ids or robot.servo_ids, args.servo_signs or rig.signs
+    for name, given in (("--servo-ids", ids), ("--servo-zeros-deg", zeros), ("--servo-signs", signs)):
+        if given is not None and len(given) != robot.n_joints:
+            raise ConfigError(f"{name}: {len(given)} numbers; {robot.name} has {robot.n_joints} joints")
+    bus = BUSES[rig.bus]
+    lasting = robot.timing.bus_dt if robot.timing.command_path == "move_time" else 0.0
+    baud = args.baud or rig.baud or bus.baud
+    return ServoBusLink(partial(opened, baud), clock, ids, zeros, signs, lasting, bus=bus, baud=baud, tick=robot.timing.bus_dt)
 
 
 def camera_of(text: str | None, fish: Loopback | None) -> str:
@@ -176,15 +204,16 @@ def make_camera(text: str, clock: Clock) -> Camera:
     return VideoFile(text, clock)
 
 
-def tracker_words(args: Any, camera: str, fish: Loopback | None) -> list[str]:
+def tracker_words(args: Any, camera: str, fish: Loopback | None, robot: Robot) -> list[str]:
     """The command line of camera and tracker in a process of their own, with what the options say of them."""
+    paint, height = paint_of(args, robot) if args.tracker == "colour" else (PAPER_FISH, 0.0)
     several = lambda values: ",".join(map(repr, values))
     pairs = lambda values: ",".join(f"{x!r}:{width!r}" for x, width in values)
     given = {
         "camera": camera, "calibration": fish.calibration if args.calibration is None and fish else args.calibration,
         "tracker": args.tracker, "tag-family": args.tag_family, "tag-number": args.tag_number, "tag-size": repr(args.tag_size),
-        "tag-mount": several(args.tag_mount), "tag-height": repr(args.tag_height), "red": pairs(args.red),
-        "yellow": pairs(args.yellow), "paint-height": repr(args.paint_height), "parent": os.getpid(),
+        "tag-mount": several(args.tag_mount), "tag-height": repr(args.tag_height), "red": pairs(paint.head),
+        "yellow": pairs(paint.neck), "paint-height": repr(height), "parent": os.getpid(),
     }  # fmt: skip
     words = [sys.executable, "-m", "fishmj.deploy.tracker_process"]
     return words + [f"--{name}={value}" for name, value in given.items()]
@@ -199,10 +228,30 @@ def calibration_of(args: Any, fish: Loopback | None) -> Calibration:
     return Calibration.read(fish.calibration)
 
 
-def make_tracker(args: Any, calibration: Calibration) -> Tracker:
-    """The tracker that the options name. Raises ConfigError, MissingExtra."""
+def paint_of(args: Any, robot: "str | Robot") -> tuple[Paint, float]:
+    """The paint and its height over the water, m: what the options say, else the description's rig.
+
+    Raises:
+        ConfigError: nobody says where the paint is, and the head is not that of the shipped fish.
+    """
+    red, yellow, height = args.red, args.yellow, args.paint_height
+    if red is None or yellow is None or height is None:
+        described = load_robot(robot)
+        rig = described.rig
+        red, yellow = red or rig.red, yellow or rig.yellow
+        height = rig.paint_height if height is None else height
+        if (red is None or yellow is None) and described.links[0].sections != load_robot("fish").links[0].sections:
+            raise ConfigError(
+                f"--tracker colour: [rig] of {described.name} does not say where it is painted; write red and yellow there, rows"
+                " [x, width] in m, or give --red and --yellow"
+            )
+    return Paint(head=red or PAPER_FISH.head, neck=yellow or PAPER_FISH.neck), height
+
+
+def make_tracker(args: Any, calibration: Calibration, robot: "str | Robot" = "fish") -> Tracker:
+    """The tracker that the options name, of this robot's paint. Raises ConfigError, MissingExtra."""
     if args.tracker == "colour":
-        return ColourTracker(calibration, Paint(head=args.red, neck=args.yellow), args.paint_height)
+        return ColourTracker(calibration, *paint_of(args, robot))
     from fishmj.tracker.apriltag import AprilTagTracker
 
     mount = tuple(args.tag_mount)
@@ -231,7 +280,8 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
     line = process.stdout.readline() if process.stdout is not None else ""
     try:
         said = json.loads(line)
-        return Loopback(int(said["robot_port"]), int(said["host_port"] or 0), said["frames"], calibration)
+        ports = int(said["robot_port"] or 0), int(said["host_port"] or 0)
+        return Loopback(*ports, said["frames"], calibration, said["device"] or "")
     except (ValueError, KeyError, TypeError):
         process.wait(STARTS)
         said = errors.read_text(encoding="utf-8").strip().splitlines()

@@ -76,7 +76,8 @@ class FishLook:
         """The look of a described robot.
 
         Args:
-            marks: "colour" (red head, yellow neck) or "tag". red, yellow: from and to x of the painted bands, m.
+            marks: "colour" (red head, yellow neck) or "tag". red, yellow: from and to x of the painted bands, m, as wide as the
+                hull; the bands of the description's rig go before them.
 
         Raises:
             UnknownName: other marks. ConfigError: a band that is not on the head.
@@ -93,14 +94,18 @@ class FishLook:
         if marks == "tag":
             return cls(outlines=outlines, hinges=hinges, plate=plate or TagPlate())
         bands = []
-        for name, (low, high) in (("red", red), ("yellow", yellow)):
-            if not hinges[0] <= low < high <= nose:
-                ends = f"{hinges[0]:.3f} to {nose:.3f} m"
-                raise ConfigError(f"{name} = {low:g} to {high:g} m, expected a band of the head link, {ends}")
+        for name, (low, high), painted in (("red", red, robot.rig.red), ("yellow", yellow, robot.rig.yellow)):
             x = np.linspace(low, high, 12)
             half = np.c_[x, np.interp(x, shapes[0][::-1, 0], shapes[0][::-1, 1])]
+            if painted:
+                half = np.array(painted) * [1.0, 0.5]
+            if not hinges[0] <= half[0, 0] < half[-1, 0] <= nose:
+                got, ends = f"{half[0, 0]:g} to {half[-1, 0]:g} m", f"{hinges[0]:.3f} to {nose:.3f} m"
+                raise ConfigError(
+                    f"{robot.name}: {name} paint from {got}, expected a band of the head link, {ends} ([rig] {name})"
+                )
             bands.append(np.concatenate([half, half[::-1] * [1, -1]]))
-        return cls(outlines=outlines, hinges=hinges, head=bands[0], neck=bands[1])
+        return cls(outlines=outlines, hinges=hinges, head=bands[0], neck=bands[1], height=robot.rig.paint_height)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ def options() -> console.Parser:
     add("--body", choices=waters, default=bodies.VIRTUAL, help="the second robot, or one fish in this water")
     add("--engine", choices=bodies.ENGINES, default=bodies.MUJOCO, help="of the waters fitted and structured")
     add("--model", type=console.text, default="fish", metavar="ROBOT", help="the robot: name or TOML file (default fish)")
-    add("--protocol", choices=PROTOCOLS, default=PROTOCOLS[0], help="of the datagrams")
+    add("--protocol", choices=PROTOCOLS, default=PROTOCOLS[0], help="of the datagrams; servo-bus: servos on a serial line")
     effect = "hide one in the second robot; may be repeated (default none)"
     fault = "one of the list below; may be repeated (default none)"
     add("--effect", type=console.text, action="append", default=[], metavar="NAME[:p=v]", help=effect)

@@ -1,7 +1,7 @@
 """The microcontroller of the loopback robot: datagrams in, servo targets and telemetry out.
 
 Time that is passed in is the loopback's; each firmware counts its own from its boot, as a microcontroller does. Both read servos
-in counts of 0.24 deg and send them whole counts.
+in their counts (0.24 deg of LX servos) and send them whole counts.
 """
 
 from collections.abc import Sequence
@@ -13,16 +13,19 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from fishmj.errors import ConfigError, UnknownName
+from fishmj.loopback.servos import Servos
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import structure_of
 from fishmj.protocols import fishmj1, mish, servo_counts
 from fishmj.protocols.errors import ProtocolError
-from fishmj.protocols.guard import Guard
+from fishmj.protocols.guard import Bounds, Guard
 from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.protocols.sequence import SequenceGate
+from fishmj.protocols.servo_bus import BUSES
 from fishmj.protocols.watchdog import Limits, Watchdog
 
-PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed")
+SERVO_BUS = "servo-bus"  # no microcontroller: the host speaks to the servos themselves
+PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)
 NAME = "fishmj-loopback-1"
 PERIOD = 0.02  # s between two readings of the servos, and two packets of telemetry
 HOLD, NEUTRAL = 0.1, 0.3  # s, what INFO says before a host asks for others
@@ -73,6 +76,8 @@ def firmware_of(protocol: str, robot: Robot, born: float, policy_sha256: str = "
     """
     if protocol not in PROTOCOLS:
         raise UnknownName("protocol", protocol, PROTOCOLS)
+    if protocol == SERVO_BUS:
+        return Servos(robot)
     if protocol == PROTOCOLS[0]:
         return FishmjFirmware(robot, born, policy_sha256)
     if robot.n_joints != mish.JOINTS:
@@ -99,9 +104,9 @@ class FishmjFirmware:
         self._asked: tuple[float, ...] | None = None  # rad, of the newest command, until the target is there
         self._taken = -inf  # s of its clock
         self._fresh = False  # the newest command has not been stepped to
-        ids = tuple(range(1, len(names) + 1))
-        self._told = RobotInfo(NAME, own_sha256(), ids, names, robot.servo.range, HOLD, NEUTRAL, policy_sha256)
-        self.guard = Guard(len(names))
+        told = (robot.servo_ids, names, robot.servo.range, HOLD, NEUTRAL, policy_sha256)
+        self._told = RobotInfo(NAME, own_sha256(), *told)
+        self.guard, self._scale = Guard(len(names), Bounds(low=robot.low_voltage)), BUSES[robot.rig.bus].scale
         self._last = (0.0,) * len(names)  # rad, where each joint was when its servo last answered
 
     def hear(self, data: bytes, now: float, measured: Sequence[float]) -> tuple[bool, list[bytes]]:
@@ -140,7 +145,7 @@ class FishmjFirmware:
             self.target = self.watchdog.step(clock, measured)
             if self.target and self._asked and max(map(abs, map(sub, self.target, self._asked))) < 1e-9:
                 self._asked = None
-        return None if self.target is None else tuple(map(in_counts, self.target))
+        return None if self.target is None else tuple(in_counts(angle, self._scale) for angle in self.target)
 
     def report(self, now: float, readings: Readings) -> bytes:
         clock, measured = now - self._born, tuple(a if abs(a) <= fishmj1.MOST_ANGLE else nan for a in readings.measured)
@@ -168,6 +173,7 @@ class MishFirmware:
     bad = 0
 
     def __init__(self, robot: Robot, protocol: str):
+        self._ids, self._scale = robot.servo_ids, BUSES[robot.rig.bus].scale
         self._firmware: mish.Firmware = "mish-0.1.0" if protocol == "mish-0.1.0" else "fixed"
         self.bad = 0
         self.target: tuple[float, ...] | None = None
@@ -194,13 +200,13 @@ class MishFirmware:
         dt, self._stepped = now - self._stepped, now
         moved = zip(self.target, self._goal, self._speed, strict=True)
         self.target = tuple(goal if v is None else at + max(-v * dt, min(v * dt, goal - at)) for at, goal, v in moved)
-        return tuple(map(in_counts, self.target))
+        return tuple(in_counts(angle, self._scale) for angle in self.target)
 
     def report(self, now: float, readings: Readings) -> bytes:
         told = Telemetry(readings.joint, servo_voltage=readings.servo_voltage, temperature=readings.temperature)
-        return mish.encode_telemetry(told, (1, 2, 3), self._firmware)
+        return mish.encode_telemetry(told, self._ids, self._firmware)
 
 
-def in_counts(angle: float) -> float:
+def in_counts(angle: float, scale: servo_counts.Scale = servo_counts.LX) -> float:
     """The angle [rad] in whole counts of a servo."""
-    return servo_counts.angle(servo_counts.counts(angle))
+    return servo_counts.angle(servo_counts.counts(angle, 0.0, scale), 0.0, scale)

@@ -13,9 +13,10 @@ from typing import Any
 
 from fishmj.deploy.links import Fishmj1Link, Link, MishLink
 from fishmj.deploy.localiser import InStep
-from fishmj.deploy.wiring import Wired
+from fishmj.deploy.wiring import Wired, servo_link
 from fishmj.loopback import command
-from fishmj.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.loopback.firmware import SERVO_BUS
+from fishmj.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepSerial, LockstepTransport, PoseTracker
 from fishmj.loopback.robot import LoopbackRobot
 from fishmj.loopback.settings import make_robot
 from fishmj.mjcf.description import Robot
@@ -35,10 +36,13 @@ def wired(
     settings = command.served(command.options().parse_args(words)).settings
     made = clock(make_robot(settings))
     transport = LockstepTransport(made)
-    mish = settings.protocol != "fishmj-1"
-    link: Link = (
-        MishLink(transport, "fixed" if settings.protocol == "mish-fixed" else "mish-0.1.0") if mish else Fishmj1Link(transport)
-    )
+    link: Link
+    if settings.protocol == SERVO_BUS:
+        link = servo_link(args, robot, made, lambda _: LockstepSerial(made))
+    elif settings.protocol == "fishmj-1":
+        link = Fishmj1Link(transport)
+    else:
+        link = MishLink(transport, "fixed" if settings.protocol == "mish-fixed" else "mish-0.1.0")
     localiser = InStep(LockstepCamera(made), PoseTracker(noise, settings.seed))
     for part in (link, localiser):
         part.open()

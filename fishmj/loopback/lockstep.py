@@ -15,6 +15,7 @@ import numpy as np
 
 from fishmj.calib import calib_folder, constant, read_toml
 from fishmj.errors import UnknownName
+from fishmj.loopback.bodies import MILLISECOND
 from fishmj.loopback.camera_frames import FrameArtist
 from fishmj.loopback.robot import LoopbackRobot
 from fishmj.tracker.fix import Fix
@@ -62,6 +63,35 @@ class LockstepTransport:
         """What arrived since the last call, with its times on the host's clock, s."""
         heard = self.clock.arrived
         return [heard.popleft() for _ in range(len(heard))]
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+class LockstepSerial:
+    """The serial line to the robot's servos, as `serial.Serial`: a read that finds nothing waits for a millisecond."""
+
+    def __init__(self, clock: LockstepClock):
+        self.clock, self._heard = clock, b""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read."""
+        while self.clock.arrived:
+            self._heard += self.clock.arrived.popleft()[1]
+        return len(self._heard)
+
+    def write(self, data: bytes) -> None:
+        """Bytes to the servos, now."""
+        self.clock.robot.receive(data)
+
+    def read(self, count: int) -> bytes:
+        """Up to `count` bytes; none after a millisecond without any."""
+        if not self.in_waiting:
+            self.clock.sleep_until(self.clock.now() + MILLISECOND)
+        there = min(count, self.in_waiting)
+        found, self._heard = self._heard[:there], self._heard[there:]
+        return found
 
     def close(self) -> None:
         """Nothing to give back."""

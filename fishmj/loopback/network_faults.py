@@ -31,7 +31,7 @@ class Radio:
 
     Args:
         direction: "down" (host to robot) or "up". seed: of what is random. faults: those of the radio count.
-        delay, spread: s, of a radio without faults.
+        delay, spread: s, of a radio without faults; a wire has neither.
     """
 
     def __init__(self, direction: str, seed: int, faults: Iterable[Fault] = (), delay: float = DELAY, spread: float = SPREAD):
@@ -51,7 +51,12 @@ class Radio:
             return []
         if bits[0] < size.get("corrupt", 0.0):
             data = corrupted(data, bits[1:])
-        arrives = t + max(self.delay + self.spread * base, MILLISECOND) + size.get("delay", 0.0) + late * size.get("jitter", 0.0)
+        arrives = (
+            t
+            + (max(self.delay + self.spread * base, MILLISECOND) if self.delay else 0.0)
+            + size.get("delay", 0.0)
+            + late * size.get("jitter", 0.0)
+        )
         if held < size.get("reorder", 0.0):
             arrives += HELD
         out = [Arrival(_whole(arrives), data)]

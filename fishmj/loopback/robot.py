@@ -23,6 +23,7 @@ from fishmj.loopback.faults import Fault
 from fishmj.loopback.firmware import PERIOD, PROTOCOLS, Firmware, Readings, firmware_of
 from fishmj.loopback.network_faults import Arrival, Radio
 from fishmj.loopback.robot_faults import RobotFaults
+from fishmj.loopback.servos import Servos
 
 Step = Callable[[], None]
 
@@ -32,7 +33,7 @@ class LoopbackRobot:
 
     Args:
         body: what moves (`bodies.make`), at its time 0.
-        protocol: "fishmj-1", "mish-0.1.0" or "mish-fixed".
+        protocol: one of `firmware.PROTOCOLS`. With "servo-bus" datagrams are pieces of the byte stream on the servos' wire.
         faults: `faults.parse`. seed: of radio and exposures; the body has its own.
         delay, spread: s, of the radio each way without faults.
         camera: when frames are taken; by default with the description's latency.
@@ -138,13 +139,18 @@ class LoopbackRobot:
         if firmware is not self.firmware:
             return
         self._readings = self._read()
+        if isinstance(firmware, Servos):
+            firmware.readings = self._readings
         self._act(firmware)
-        self._say(firmware.report(self.time, self._readings))
+        if told := firmware.report(self.time, self._readings):
+            self._say(told)
         self._at(self.time + PERIOD, partial(self._tick, firmware))
 
     def _hear(self, data: bytes) -> None:
         if self.firmware is None:
             return
+        if isinstance(self.firmware, Servos):
+            self._readings = self.firmware.readings = self._read()
         moves, answers = self.firmware.hear(data, self.time, self._readings.measured)
         if moves:
             self._act(self.firmware, taken=True)

@@ -11,11 +11,12 @@ from fishmj.loopback.bodies import Body, Sensors
 from fishmj.loopback.faults import FAULTS, Fault, active
 from fishmj.loopback.firmware import Readings, in_counts
 from fishmj.protocols.messages import ServoFault
+from fishmj.protocols.servo_bus import BUSES
 
 WATER, RISE, TAU = 20.0, 25.0, 300.0  # deg C, K/A, s
 HOTTER, HEATING = 80.0, 10.0  # deg C and K/s of a hot servo; servos let go at 85
 SAGGED, COLLAPSE = 5.2, 0.05  # V at the lead, and s that the microcontroller lives on, when the supply breaks down
-LOWEST = 4.5  # V, below it servos report their voltage
+SAG = 0.75  # of the servos' voltage, at most
 VOLT_STEP, AMPERE_STEP = 0.00125, 0.00025  # V and A, INA226 with a shunt of 10 milliohm
 
 
@@ -27,7 +28,7 @@ class RobotFaults:
     """
 
     def __init__(self, body: Body, faults: Iterable[Fault]):
-        self.body, self._faults = body, tuple(faults)
+        self.body, self._faults, self._bus = body, tuple(faults), BUSES[body.robot.rig.bus]
         self._heat = [WATER] * body.robot.n_joints
         self._read = [0.0] * body.robot.n_joints  # rad
         self._warmed = 0.0
@@ -46,7 +47,7 @@ class RobotFaults:
     def tell_the_body(self, now: float) -> None:
         """Set the body's switches as they are now."""
         low, sag = active(self._faults, "low_battery", now), active(self._faults, "brown_out", now)
-        self.body.supply(SAGGED if sag else low.value if low else None)
+        self.body.supply(min(SAGGED, SAG * self.body.robot.servo.voltage) if sag else low.value if low else None)
         jammed = self._joints("stuck_servo", now)
         for joint in range(self.body.robot.n_joints):
             self.body.jam(joint, joint in jammed)
@@ -56,7 +57,8 @@ class RobotFaults:
         volts, amps = max(sensed.voltage, 0.0), sensed.current
         servo, joints = self.body.robot.servo, len(sensed.joint)
         jammed, silent = self._joints("stuck_servo", now), self._joints("silent_servo", now)
-        self._read = [self._read[k] if k in silent else in_counts(float(angle)) for k, angle in enumerate(sensed.joint)]
+        counted = [in_counts(float(angle), self._bus.scale) for angle in sensed.joint]
+        self._read = [self._read[k] if k in silent else angle for k, angle in enumerate(counted)]
         extra = [0.0] * joints
         for joint in jammed:  # the motor pushes against its gears: its drive's share of the current of a stalled one
             if target is not None:
@@ -66,7 +68,7 @@ class RobotFaults:
         share = max(amps - idle, 0.0) / joints
         amps += sum(extra)
         self._warm(now, [share + e for e in extra])
-        low = ServoFault.VOLTAGE if volts < LOWEST else ServoFault.NONE
+        low = ServoFault.VOLTAGE if volts < self._bus.lowest else ServoFault.NONE
         return Readings(
             joint=tuple(self._read),
             voltage=round(volts / VOLT_STEP) * VOLT_STEP,

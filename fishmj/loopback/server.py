@@ -1,11 +1,12 @@
-"""The loopback robot in real time: a process of its own behind UDP on 127.0.0.1, its camera in shared memory.
+"""The loopback robot in real time: a process of its own behind UDP on 127.0.0.1 or a serial line, its camera in shared memory.
 
     {"robot_port": 2333, "host_port": 0, "protocol": "fishmj-1", "frames": "psm_1a2b3c", "size": [1280, 720],
-     "frame_rate": 50.0, "pid": 7}
+     "frame_rate": 50.0, "pid": 7, "device": null}
 
-is the line that `serve` prints when it is ready. Telemetry goes to whoever sent a datagram last, or to `host_port` before anybody
-did. One thread keeps the robot's clock with the machine's monotonic clock, another draws frames while their latency runs. Both go
-before other programs where the system allows it: a robot and its camera keep time however busy the host's computer is.
+is the line that `serve` prints when it is ready; with the protocol servo-bus ports are null and `device` is a pseudo-terminal,
+the servos' line. Telemetry goes to whoever sent a datagram last, or to `host_port` before anybody did. One thread keeps the
+robot's clock with the machine's monotonic clock, another draws frames while their latency runs. Both go before other programs
+where the system allows it: a robot and its camera keep time however busy the host's computer is.
 """
 
 import contextlib
@@ -26,7 +27,7 @@ from fishmj.deploy.clock import first_in_line
 from fishmj.errors import ConfigError, FishmjError
 from fishmj.loopback.bodies import MILLISECOND, SOLVER
 from fishmj.loopback.camera import Frame
-from fishmj.loopback.firmware import PROTOCOLS
+from fishmj.loopback.firmware import PROTOCOLS, SERVO_BUS
 from fishmj.loopback.robot import LoopbackRobot
 from fishmj.loopback.settings import Settings, artist_of, calibration_of, make_robot
 from fishmj.loopback.shared_frames import FrameWriter
@@ -72,23 +73,10 @@ class ServeOptions:
                 raise ConfigError(f"loopback: {name} = {value}; expected 0 to 65535")
 
 
-class Server:
-    """A robot, its socket and its ring of frames.
+class UdpPort:
+    """A socket on 127.0.0.1. port: of the robot, 0 lets the system choose; host_port: of the host before it spoke, 0 for none."""
 
-    Attributes:
-        figures: turns, datagrams in and out, frames and late and dropped ones, the robot's seconds lost and its largest lag, s;
-            after `run` its seconds and the share of a core that it took.
-    """
-
-    def __init__(self, options: ServeOptions, clock: Callable[[], float] = time.monotonic):
-        self.options, self.clock = options, clock
-        settings, is_mish = options.settings, options.settings.protocol != PROTOCOLS[0]
-        port = (mish.ROBOT_PORT if is_mish else 0) if options.port is None else options.port
-        host_port = (mish.HOST_PORT if is_mish else 0) if options.host_port is None else options.host_port
-        self.figures: dict[str, float] = dict.fromkeys(
-            ("turns", "received", "sent", "refused", "frames", "late_frames", "dropped_frames", "lost", "lag"), 0
-        )
-        self.robot, self.ring = self._warmed(settings), None
+    def __init__(self, port: int, host_port: int):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self.socket.bind((LOCAL, port))
@@ -98,6 +86,104 @@ class Server:
         self.socket.setblocking(False)
         self.port, self.peer = self.socket.getsockname()[1], (LOCAL, host_port) if host_port else None
         self._host_port = host_port
+
+    @classmethod
+    def of(cls, options: ServeOptions) -> "UdpPort":
+        """The port that the options ask for. Raises ConfigError: it is taken."""
+        is_mish = options.settings.protocol != PROTOCOLS[0]
+        port = (mish.ROBOT_PORT if is_mish else 0) if options.port is None else options.port
+        return cls(port, (mish.HOST_PORT if is_mish else 0) if options.host_port is None else options.host_port)
+
+    def told(self) -> dict:
+        """Where a host finds it."""
+        return {"robot_port": self.port, "host_port": self._host_port}
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self.socket.fileno()
+
+    def receive(self) -> list[bytes]:
+        """Datagrams that are there."""
+        found: list[bytes] = []
+        while len(found) < MOST:
+            try:
+                data, self.peer = self.socket.recvfrom(LONGEST)
+            except OSError:  # nothing more, or an earlier datagram of ours found nobody
+                break
+            found.append(data)
+        return found
+
+    def send(self, data: bytes) -> bool:
+        """A datagram to the host; False before anybody is known. Raises OSError: the system did not take it."""
+        if self.peer is None:
+            return False
+        self.socket.sendto(data, self.peer)
+        return True
+
+    def close(self) -> None:
+        """May be called twice."""
+        self.socket.close()
+
+
+class SerialPort:
+    """A pseudo-terminal in the place of a USB adapter: the host opens `device`. Raises ConfigError: this system has none."""
+
+    def __init__(self) -> None:
+        try:
+            import pty
+            import tty
+        except ImportError:
+            raise ConfigError(f"loopback: {SERVO_BUS} needs pseudo-terminals, which this system does not have") from None
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.device = os.ttyname(self._slave)
+
+    def told(self) -> dict:
+        """Where a host finds it."""
+        return {"device": self.device}
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._master
+
+    def receive(self) -> list[bytes]:
+        """The bytes that are there, as one piece."""
+        try:
+            data = os.read(self._master, LONGEST)
+        except OSError:  # nothing there
+            return []
+        return [data] if data else []
+
+    def send(self, data: bytes) -> bool:
+        """Bytes to the host. Raises OSError: nobody reads, and the line is full."""
+        os.write(self._master, data)
+        return True
+
+    def close(self) -> None:
+        """May be called twice."""
+        for handle in (self._master, self._slave):
+            if handle >= 0:
+                os.close(handle)
+        self._master = self._slave = -1
+
+
+class Server:
+    """A robot, its line to the host and its ring of frames.
+
+    Attributes:
+        figures: turns, datagrams in and out, frames and late and dropped ones, the robot's seconds lost and its largest lag, s;
+            after `run` its seconds and the share of a core that it took.
+    """
+
+    def __init__(self, options: ServeOptions, clock: Callable[[], float] = time.monotonic):
+        self.options, self.clock = options, clock
+        settings = options.settings
+        self.figures: dict[str, float] = dict.fromkeys(
+            ("turns", "received", "sent", "refused", "frames", "late_frames", "dropped_frames", "lost", "lag"), 0
+        )
+        self.robot, self.ring = self._warmed(settings), None
+        self.line: UdpPort | SerialPort = SerialPort() if settings.protocol == SERVO_BUS else UdpPort.of(options)
         self._jobs: queue.Queue[Frame] = queue.Queue(WAITING)
         self._artist: Any = None
         self._drawn: float | None = None  # s, the scene of `_image`
@@ -126,9 +212,9 @@ class Server:
         """What a host needs to know."""
         size = list(calibration_of(self.options.settings).size) if self.ring else None
         return {
-            "robot_port": self.port, "host_port": self._host_port, "protocol": self.options.settings.protocol,
-            "frames": self.ring.name if self.ring else None, "size": size, "frame_rate": self.options.settings.frame_rate,
-            "pid": os.getpid(),
+            **dict.fromkeys(("robot_port", "host_port", "device")), **self.line.told(),
+            "protocol": self.options.settings.protocol, "frames": self.ring.name if self.ring else None, "size": size,
+            "frame_rate": self.options.settings.frame_rate, "pid": os.getpid(),
         }  # fmt: skip
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> None:
@@ -151,7 +237,7 @@ class Server:
             self.turn(now)
             ahead = self.robot.next_event() - (self.clock() - self.start)
             if ahead > 0.0:
-                select.select([self.socket], [], [], min(ahead, LOOK))
+                select.select([self.line], [], [], min(ahead, LOOK))
         self.figures["seconds"] = self.clock() - begun
         self.figures["cpu_share"] = (time.process_time() - used) / max(self.figures["seconds"], 1e-9)
 
@@ -165,7 +251,9 @@ class Server:
             now -= lag
         self.figures["turns"] += 1
         arrived = self.robot.advance_to(max(floor(now / MILLISECOND) * MILLISECOND, self.robot.time))
-        for data in self._incoming():
+        incoming = self.line.receive()
+        self.figures["received"] += len(incoming)
+        for data in incoming:
             self.robot.receive(data)
         for arrival in arrived:
             self._send(arrival.data)
@@ -174,33 +262,19 @@ class Server:
                 self._hand_over(frame)
 
     def close(self) -> None:
-        """Give socket and shared memory back; may be called twice."""
+        """Give line and shared memory back; may be called twice."""
         if self._painter is not None:
             painter, self._painter = self._painter, None
             self._over.set()
             painter.join()
-        self.socket.close()
+        self.line.close()
         if self.ring:
             self.ring.close()
             self.ring = None
 
-    def _incoming(self) -> list[bytes]:
-        found: list[bytes] = []
-        while len(found) < MOST:
-            try:
-                data, self.peer = self.socket.recvfrom(LONGEST)
-            except OSError:  # nothing more, or an earlier datagram of ours found nobody
-                break
-            found.append(data)
-        self.figures["received"] += len(found)
-        return found
-
     def _send(self, data: bytes) -> None:
-        if self.peer is None:
-            return
         try:
-            self.socket.sendto(data, self.peer)
-            self.figures["sent"] += 1
+            self.figures["sent"] += self.line.send(data)
         except OSError:
             self.figures["refused"] += 1
 

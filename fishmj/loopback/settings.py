@@ -9,7 +9,7 @@ from fishmj.loopback import bodies, network_faults
 from fishmj.loopback.camera import CameraTiming
 from fishmj.loopback.camera_frames import FishLook, FrameArtist, FrameOptions
 from fishmj.loopback.faults import Fault
-from fishmj.loopback.firmware import PROTOCOLS
+from fishmj.loopback.firmware import PROTOCOLS, SERVO_BUS
 from fishmj.loopback.robot import LoopbackRobot
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.tracker.calibration import Calibration, overhead
@@ -65,14 +65,15 @@ def make_robot(settings: Settings) -> LoopbackRobot:
         UnknownName, ConfigError: a name or a combination that cannot be.
     """
     s, described = settings, load_robot(settings.robot)
+    delay, spread = (0.0, 0.0) if s.protocol == SERVO_BUS else (s.delay, s.spread)
     body = bodies.make(
         s.body, robot=described, effects=s.effects, seed=s.seed, noise=s.noise, nuisance=s.nuisance, start=s.start, flow=s.flow,
-        radio=s.delay, engine=s.engine, domain=s.domain,
+        radio=delay, engine=s.engine, domain=s.domain,
     )  # fmt: skip
     latency = described.timing.camera_latency if s.camera_latency is None else s.camera_latency
     timing = CameraTiming(period=1.0 / s.frame_rate, latency=latency)
     return LoopbackRobot(
-        body, s.protocol, s.faults, s.seed, delay=s.delay, spread=s.spread, camera=timing, policy_sha256=s.policy_sha256
+        body, s.protocol, s.faults, s.seed, delay=delay, spread=spread, camera=timing, policy_sha256=s.policy_sha256
     )
 
 

@@ -2,13 +2,26 @@
 
 from typing import TYPE_CHECKING, Any
 
-from fishmj.mjcf.description import Fin, Link, Robot, Servo, Timing, load_robot
+from fishmj.mjcf.description import Fin, Link, RigSpec, Robot, Servo, Timing, load_robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
 if TYPE_CHECKING:
     from fishmj.mjcf.model import build, build_spec, mjcf_xml
 
-__all__ = ["Fin", "Geometry", "Link", "Robot", "Servo", "Timing", "build", "build_spec", "geometry_of", "load_robot", "mjcf_xml"]
+__all__ = [
+    "Fin",
+    "Geometry",
+    "Link",
+    "RigSpec",
+    "Robot",
+    "Servo",
+    "Timing",
+    "build",
+    "build_spec",
+    "geometry_of",
+    "load_robot",
+    "mjcf_xml",
+]
 
 
 def __getattr__(name: str) -> Any:

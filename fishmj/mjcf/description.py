@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from fishmj.effects.calibration import FittedEffect
 
 COMMAND_PATHS = ("linear", "hold", "move_time")
+CELL = (3.2, 3.7, 4.2)  # V of a LiPo cell: under load, below which it is damaged; nominal; full
+LOW_SHARE = CELL[0] / CELL[1]  # of the servos' voltage, where it is not one of LiPo cells
 WATER_NEEDS = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke", "lift_a", "lift_b", "stall_angle", "stall_width", "stall_lag")
 
 
@@ -89,6 +91,24 @@ class Timing:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RigSpec:
+    """How the robot is wired, fed and painted: what its host needs and no simulation. One entry a joint, from the head.
+
+    None is what nobody stated: `Robot.servo_ids` and its neighbours say what it then is.
+    """
+
+    bus: str = "lx"  # a name of protocols.servo_bus.BUSES
+    baud: int | None = None  # None: the bus's own
+    servo_ids: tuple[int, ...] | None = None
+    signs: tuple[int, ...] | None = None  # -1 for a servo that turns the other way
+    zeros: tuple[float, ...] | None = None  # rad, where a servo stands, from its middle, when its joint is straight
+    low_voltage: float | None = None  # V, below it for a second the swim ends
+    red: tuple[tuple[float, float], ...] | None = None  # painted bands of the head link: (x, width) m, body frame, x rising
+    yellow: tuple[tuple[float, float], ...] | None = None
+    paint_height: float = -0.005  # m over the water
+
+
+@dataclass(frozen=True, kw_only=True)
 class Robot:
     """A complete description: what `mjcf.build` and the water are made from."""
 
@@ -97,6 +117,7 @@ class Robot:
     servo: Servo = field(default_factory=Servo)
     fins: tuple[Fin, ...] = ()
     timing: Timing = field(default_factory=Timing)
+    rig: RigSpec = field(default_factory=RigSpec, repr=False)  # no part of the fish that waters and logs are of
     water: dict = field(default_factory=dict)
     title: str = ""
     density_water: float = 1000.0  # kg/m3
@@ -116,6 +137,22 @@ class Robot:
     def length(self) -> float:
         """Straight length, m."""
         return sum(link.length for link in self.links)
+
+    @property
+    def servo_ids(self) -> tuple[int, ...]:
+        """Numbers on the servo bus, from the head to the tail; where the rig says none 1 to the number of joints."""
+        return self.rig.servo_ids or tuple(range(1, self.n_joints + 1))
+
+    @property
+    def low_voltage(self) -> float:
+        """V below which the battery counts as low.
+
+        Where the rig says none: 3.2 V for each LiPo cell, where the servos' voltage is one of cells between 3.7 and 4.2 V; else
+        86 % of it.
+        """
+        volts, (lowest, nominal, full) = self.servo.voltage, CELL
+        cells = next((n for n in range(1, 15) if nominal * n - 1e-9 <= volts <= full * n + 1e-9), 0)
+        return self.rig.low_voltage or round(lowest * cells or LOW_SHARE * volts, 2)
 
 
 def load_robot(source: "str | Path | Robot" = "fish") -> Robot:
@@ -137,9 +174,7 @@ def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
     """Build and check a robot from a parsed TOML table; `where`, its file, begins the messages. Raises as `load_robot`."""
     table = {"name": _name_of(Path(where))} | dict(table)
     notes = _examined(table, where)
-    given = table.get("servo", {})
-    servo = {key: value for key, value in given.items() if not key.endswith("_deg")}
-    servo |= {key.removesuffix("_deg"): radians(value) for key, value in given.items() if key.endswith("_deg")}
+    servo = _in_radians(table.get("servo", {}))
     links = tuple(Link(**_tuples(entry)) for entry in table["link"])
     water, assumed = _water(table.get("water", {}), links, where)
     notes += [
@@ -156,6 +191,7 @@ def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
         fins=tuple(Fin(**_tuples(entry)) for entry in table.get("fin", [])),
         servo=Servo(**servo),
         timing=Timing(**table.get("timing", {})),
+        rig=RigSpec(**_tuples(_in_radians(table.get("rig", {})))),
         water=water,
         density_water=float(table.get("body", {}).get("density_water", 1000.0)),
         effects=_effects(dict(table), where),
@@ -181,8 +217,9 @@ def checked(robot: Robot) -> Robot:
     for kind, name, parts in ((Link, "links", robot.links), (Fin, "fins", robot.fins)):
         if not isinstance(parts, tuple | list) or not all(isinstance(part, kind) for part in parts):
             raise DescriptionError([f"{where} {name}: got {str(parts)[:60]}, expected a tuple of {kind.__name__}"])
-    if not isinstance(robot.servo, Servo) or not isinstance(robot.timing, Timing) or not isinstance(robot.water, Mapping):
-        raise DescriptionError([f"{where}: expected servo, a Servo, timing, a Timing, and water, a dict"])
+    kinds = (("servo", Servo), ("timing", Timing), ("rig", RigSpec), ("water", Mapping))
+    if not all(isinstance(getattr(robot, name), kind) for name, kind in kinds):
+        raise DescriptionError([f"{where}: expected servo, a Servo, timing, a Timing, rig, a RigSpec, and water, a dict"])
     chosen = ("own", "model") if "own" in robot.water else ()  # by water.choice, which no file states
     table = {
         "name": robot.name,
@@ -192,6 +229,7 @@ def checked(robot: Robot) -> Robot:
         "fin": [_plain(vars(fin)) for fin in robot.fins],
         "servo": _plain(vars(robot.servo)),
         "timing": _plain(vars(robot.timing)),
+        "rig": _plain(vars(robot.rig)),
         "water": _plain({key: value for key, value in robot.water.items() if key not in chosen}),
     }
     notes = _examined(table, where)
@@ -234,14 +272,22 @@ def _examined(table: Mapping[str, Any], where: str) -> list[str]:
     return notes
 
 
+def _in_radians(block: Mapping[str, Any]) -> dict[str, Any]:
+    """A block with its angles in rad, whose keys end in _deg in the file."""
+    turned = lambda value: [radians(v) for v in value] if isinstance(value, list) else radians(value)
+    plain = {key: value for key, value in block.items() if not key.endswith("_deg")}
+    return plain | {key.removesuffix("_deg"): turned(value) for key, value in block.items() if key.endswith("_deg")}
+
+
 def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """One [[link]] or [[fin]] with tuples for lists, as the dataclasses hold them."""
+    """One [[link]], [[fin]] or [rig] with tuples for lists, as the dataclasses hold them."""
     frozen = dict(entry)
     for key in ("com", "colour"):
         if key in frozen:
             frozen[key] = tuple(float(v) for v in frozen[key])
-    if "sections" in frozen:
-        frozen["sections"] = tuple(tuple(float(v) for v in row) for row in frozen["sections"])
+    for key in ("sections", "red", "yellow"):
+        if key in frozen:
+            frozen[key] = tuple(tuple(float(v) for v in row) for row in frozen[key])
     return {key: tuple(value) if isinstance(value, list) else value for key, value in frozen.items()}
 
 

@@ -160,6 +160,44 @@ class TimingBlock(TomlTable):
 Each = Annotated[list[Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]], Field(min_length=1, max_length=MOST_LINKS)]
 
 
+Ids = Annotated[list[Annotated[int, Field(ge=0, le=253)]], Field(min_length=1, max_length=MOST_LINKS - 1)]
+Signs = Annotated[list[Literal[-1, 1]], Field(min_length=1, max_length=MOST_LINKS - 1)]
+Zeros = Annotated[
+    list[Annotated[float, Field(ge=-180.0, le=180.0, allow_inf_nan=False)]], Field(min_length=1, max_length=MOST_LINKS - 1)
+]
+Painted = Annotated[list[Annotated[list[Along], TWO]], Field(min_length=2, max_length=50)]
+A_JOINT = "one number a joint, head first"
+
+
+class RigBlock(TomlTable):
+    """How the robot is wired, fed and painted, for `fishmj deploy`; options of the command line go before it."""
+
+    bus: Literal["lx", "dynamixel-x", "dynamixel-ax"] = _field(
+        "kind of servos on a `serial:` link", "", "'lx', 'dynamixel-x' or 'dynamixel-ax'", "lx"
+    )
+    baud: (
+        Literal[9600, 19200, 38400, 57600, 115200, 200000, 250000, 400000, 500000, 1000000, 2000000, 3000000, 4000000] | None
+    ) = _field(
+        "of the servo bus; default 115200 of lx, 1000000 of dynamixel", "1/s", "a baud rate such as 115200 or 1000000", None
+    )
+    servo_ids: Ids | None = _field("numbers on the bus; default 1, 2, ...", "", f"{A_JOINT}, each from 0 to 253", None)
+    signs: Signs | None = _field("-1 for a servo that turns the other way; default 1", "", f"{A_JOINT}, each 1 or -1", None)
+    zeros: Zeros | None = _field("in the place of zeros_deg", "rad", f"{A_JOINT}, each from -3.14159 to 3.14159", None)
+    zeros_deg: Zeros | None = _field(
+        "of each servo, from its middle, with its joint straight; default 0", "deg", f"{A_JOINT}, each from -180 to 180", None
+    )
+    low_voltage: float | None = number(
+        "below it for 1 s the swim ends; default 3.2 V a LiPo cell, or 86 % of [servo] voltage", 0.1, 1000.0, "V", default=None
+    )
+    red: Painted | None = _field(
+        "paint on the head link, before yellow", "m", "2 to 50 rows [x, width] in m, body frame, x rising, width above 0", None
+    )
+    yellow: Painted | None = _field(
+        "paint on the head link, behind red", "m", "2 to 50 rows [x, width] in m, body frame, x rising, width above 0", None
+    )
+    paint_height: float = number("of the paint over the water", -1.0, 1.0, "m", default=-0.005)
+
+
 class WaterBlock(TomlTable):
     """Start values of the strip model (docs/methods/water.md); what is left out comes from the shape of the sections."""
 
@@ -230,6 +268,7 @@ class Description(TomlTable):
     fin: Annotated[list[FinBlock], Field(max_length=16)] = _field("", "", "at most 16 blocks [[fin]]", [])
     servo: ServoBlock = _field("", "", "a block [servo]", ServoBlock())
     timing: TimingBlock = _field("", "", "a block [timing]", TimingBlock())
+    rig: RigBlock = _field("", "", "a block [rig]", RigBlock())
     water: WaterBlock = _field("", "", "a block [water]", WaterBlock())
     effect: Annotated[list[EffectBlock], Field(max_length=64)] = _field("", "", "at most 64 blocks [[effect]]", [])
     calibration: dict[str, dict[str, Any]] = _field(
@@ -244,6 +283,7 @@ BLOCKS: dict[str, type[BaseModel]] = {
     "fin": FinBlock,
     "servo": ServoBlock,
     "timing": TimingBlock,
+    "rig": RigBlock,
     "water": WaterBlock,
     "effect": EffectBlock,
     "version": VersionBlock,

@@ -15,8 +15,12 @@ from fishmj.store import plain
 
 
 def robot_sha256(robot: Robot) -> str:
-    """Hex digest of everything that a description says: links, servo, timing, water, effects. Equal for equal descriptions."""
+    """Hex digest of what a description says of the fish: links, servo, timing, water, effects. Equal for equal descriptions.
+
+    The rig is left out: another plug or paint is no other fish.
+    """
     table = asdict(robot)
+    del table["rig"]
     water = table["water"].get("own", table["water"])  # as described, whatever water was chosen (water.choice)
     table["water"] = {"model": "structured", **water}
     return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()

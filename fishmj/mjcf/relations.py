@@ -41,6 +41,8 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Faul
         yield from _servo(table.get("servo", {}))
     if ("timing", None) not in bad:
         yield from timing(table.get("timing", {}))
+    if ("rig", None) not in bad:
+        yield from _rig(table.get("rig", {}), len(links) - 1 if whole and listed else None)
     if ("water", None) not in bad:
         yield from _water(table.get("water", {}), len(links) if whole else None)
     if ("effect", None) not in bad:
@@ -227,6 +229,39 @@ def timing(given: Mapping[str, Any]) -> Iterator[Fault]:
     if t["command_path"] not in COMMAND_PATHS:
         path = shown(t["command_path"])
         yield Fault("timing", None, "command_path", path, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
+
+
+def _rig(given: Mapping[str, Any], n_joints: int | None) -> Iterator[Fault]:
+    yield from _both("rig", given, "zeros")
+    for key in ("servo_ids", "signs", "zeros", "zeros_deg"):
+        if n_joints is not None and key in given and len(given[key]) != n_joints:
+            expected = f"{n_joints}, one a joint" if n_joints > 1 else "1, of its joint"
+            yield Fault("rig", None, key, f"{shown(given[key])} ({len(given[key])} of them)", expected, "head first")
+    if any(abs(zero) > pi for zero in given.get("zeros", ())):
+        expected, todo = "one number a joint, each from -3.14159 to 3.14159 rad", "angles in degrees go into zeros_deg"
+        yield Fault("rig", None, "zeros", shown(given["zeros"]), expected, todo)
+    ids = given.get("servo_ids", [])
+    if len(set(ids)) < len(ids):
+        yield Fault("rig", None, "servo_ids", shown(ids), "each number once", "two servos of one number answer at the same time")
+    for key in ("red", "yellow"):
+        rows = given.get(key, [])
+        if any(row[1] <= 0 for row in rows) or any(b[0] <= a[0] for a, b in zip(rows, rows[1:], strict=False)):
+            yield Fault(
+                "rig", None, key, shown(rows), "rows [x, width] with x rising and widths above 0, m", "from the rear to the front"
+            )
+    red, yellow = given.get("red"), given.get("yellow")
+    if (red is None) != (yellow is None):
+        todo = "the tracker needs both colours"
+        yield Fault("rig", None, "yellow" if yellow is None else "red", "nothing", "both red and yellow, or neither", todo)
+    elif red and yellow and red[0][0] < yellow[-1][0]:
+        yield Fault(
+            "rig",
+            None,
+            "red",
+            f"paint from x = {red[0][0]:g} m",
+            f"red before yellow, which ends at {yellow[-1][0]:g} m",
+            "x counts to the nose",
+        )
 
 
 def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Fault]:

@@ -17,7 +17,7 @@ from math import ceil, floor, isfinite, log10, pi, radians
 import numpy as np
 
 from fishmj.errors import ConfigError
-from fishmj.mjcf.description import Servo
+from fishmj.mjcf.description import RigSpec, Servo
 
 SATURATES = radians(12.0)  # rad of error at which the drive reaches the stall torque
 LEAST = 0.08  # of the stalled motor's torque; less does not come out of gears but of mixed-up units
@@ -37,6 +37,7 @@ class DataSheet:
     stall_current: float | None = None  # A
     resolution: float = radians(0.24)  # rad
     idle_power: float = 0.3  # W, of its own board; 0.3 is a guess, as for the default fish
+    bus: str = RigSpec.bus  # kind of servo bus (protocols.servo_bus.BUSES)
     source: str = ""
 
     @property
@@ -53,17 +54,22 @@ SHELF = {
             source="Hiwonder LX-824: 17 kg cm, 0.2 s per 60 deg at 7.4 V (as in data/calib/paper.toml); 240 deg in 1000 counts",
         ),
         DataSheet(
+            name="lx-16a", stall_torque=17 * KG_CM, no_load_speed=S_PER_60_DEG / 0.19, voltage=7.4,
+            source="Hiwonder LX-16A: 17 kg cm, 0.19 s per 60 deg at 7.4 V; 240 deg in 1000 counts",
+        ),
+        DataSheet(
             name="ax-12a", stall_torque=1.5, no_load_speed=59 * RPM, voltage=12.0, stall_current=1.5, resolution=radians(0.29),
+            bus="dynamixel-ax",
             source="ROBOTIS e-Manual, AX-12A: 1.5 N m at 12 V, 1.5 A; 59 rev/min at 12 V; 0.29 deg",
         ),
         DataSheet(
             name="xl330-m288", stall_torque=0.52, no_load_speed=103 * RPM, voltage=5.0, stall_current=1.47,
-            resolution=2 * pi / 4096, idle_power=0.085,
+            resolution=2 * pi / 4096, idle_power=0.085, bus="dynamixel-x",
             source="ROBOTIS e-Manual, XL330-M288-T: 0.52 N m at 5 V, 1.47 A; 103 rev/min at 5 V; 4096 counts; standby 17 mA",
         ),
         DataSheet(
             name="xw540-t260", stall_torque=9.5, no_load_speed=40 * RPM, voltage=12.0, stall_current=4.9,
-            resolution=2 * pi / 4096,
+            resolution=2 * pi / 4096, bus="dynamixel-x",
             source="ROBOTIS e-Manual, XW540-T260-R, waterproof (IP 68): 9.5 N m at 12 V, 4.9 A; 40 rev/min at 12 V; 4096 counts",
         ),
     )

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 from fishmj import names
 from fishmj.calib import read_toml, resolve, shipped
 from fishmj.errors import ConfigError, FishmjError, UnknownName, UsageError
+from fishmj.mjcf.description import RigSpec
 from fishmj.mjcf.servos import SHELF, DataSheet
 from fishmj.new.quantity import quantity
 from fishmj.new.shape import LINKS, Outline, joints_of, typical
+from fishmj.protocols.servo_bus import BUSES
 
 LENGTH = (0.05, 5.0)  # m
 HEIGHT, WIDTH, TAIL = (0.03, 0.6), (0.02, 0.6), (0.02, 0.8)  # over the length
@@ -93,15 +95,19 @@ def servo(text: str, _known: Known) -> DataSheet:
 def sheet_file(path: Path) -> DataSheet:
     """A data sheet as TOML: `stall_torque = "17 kg cm"`, `no_load_speed = "0.2 s/60deg"`, `voltage = 7.4`, `stall_current = 2.5`.
 
+    `bus`, one of protocols.servo_bus.BUSES, may be there as well.
+
     Raises:
-        ConfigError: a key is missing, unknown or no quantity of its kind.
+        ConfigError: a key is missing, unknown or no quantity of its kind. UnknownName: no such bus.
     """
     table = read_toml(path)
-    unknown, missing = set(table) - {*SHEET, "name"}, set(NEEDED) - set(table)
+    unknown, missing = set(table) - {*SHEET, "name", "bus"}, set(NEEDED) - set(table)
     if unknown or missing:
         raise ConfigError(
-            f"{path}: unknown {sorted(unknown)}, missing {sorted(missing)}; a servo has {', '.join(('name', *SHEET))}"
+            f"{path}: unknown {sorted(unknown)}, missing {sorted(missing)}; a servo has {', '.join(('name', 'bus', *SHEET))}"
         )
+    if (bus := str(table.get("bus", RigSpec.bus))) not in BUSES:
+        raise UnknownName("servo bus", bus[:40], BUSES)
     values: dict[str, float] = {}
     for key, figure in SHEET.items():
         if key in table:
@@ -112,6 +118,7 @@ def sheet_file(path: Path) -> DataSheet:
     return DataSheet(
         name=names.checked(table.get("name", path.stem), "servo", str(path)),
         source=f"data sheet in {names.nearest(path.name)}",
+        bus=bus,
         **values,
     )
 

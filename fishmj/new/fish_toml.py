@@ -1,15 +1,23 @@
 """From answers to a description: a robot, and the TOML text with units and where each number comes from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees
 
-from fishmj.mjcf.description import Fin, Link, Robot, Servo, Timing
+import numpy as np
+
+from fishmj.mjcf.description import Fin, Link, RigSpec, Robot, Servo, Timing
+from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.priors import balanced, water_prior
 from fishmj.mjcf.servos import DataSheet, servo_from_sheet
 from fishmj.new.shape import SIDE, Outline, cut
+from fishmj.protocols.servo_bus import BUSES
 
 RADIO = 0.5  # W, of a robot's electronics besides its servos' boards; a guess
 SIDE_SPAN = 0.065  # of each side fin over the length, as the default fish has them
+YELLOW, RED = (
+    (0.04, 0.22),
+    (0.4, 0.58, 0.74, 0.86, 0.95),
+)  # painted stations of the head, from its hinge to the nose, about as there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,9 +38,25 @@ def robot_of(fish: Fish) -> Robot:
     links = balanced(cut(fish.outline, fish.joints), fish.mass)
     idle_power = round(RADIO + len(fish.joints) * fish.sheet.idle_power, 2)
     servo = servo_from_sheet(fish.sheet, idle_power=idle_power, where=f"new: servo {fish.sheet.name}")
-    return Robot(
+    robot = Robot(
         name=fish.name, title=f"{fish.name}, {len(links)} links, {len(fish.joints)} servos, {fish.outline.length:.3g} m",
         links=links, servo=servo, fins=side_fins(fish, links), timing=Timing(), water=water_prior(links),
+    )  # fmt: skip
+    return replace(robot, rig=rig_of(robot, fish.sheet.bus))
+
+
+def rig_of(robot: Robot, bus: str) -> RigSpec:
+    """The rig as it is before anybody measured: servos 1, 2, ... that all turn one way, and paint as wide as the head."""
+    head, hinge = robot.links[0], float(geometry_of(robot).origin[1])
+    stations, widths = np.array(head.sections)[:, [0, 2]].T
+
+    def band(shares: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+        rows = [(hinge + share * head.length, np.interp((1 - share) * head.length, stations, widths)) for share in shares]
+        return tuple((round(float(x), 4), max(round(float(width), 4), 1e-4)) for x, width in rows)
+
+    return RigSpec(
+        bus=bus, baud=BUSES[bus].baud, servo_ids=robot.servo_ids, signs=(1,) * robot.n_joints, zeros=(0.0,) * robot.n_joints,
+        low_voltage=robot.low_voltage, red=band(RED), yellow=band(YELLOW),
     )  # fmt: skip
 
 
@@ -83,7 +107,7 @@ def toml_of(robot: Robot, fish: Fish) -> str:
             f"count = {fin.count}",
             "",
         ]
-    lines += [*_servo(robot.servo, fish.sheet), *_timing(robot.timing), *_water(robot.water)]
+    lines += [*_servo(robot.servo, fish.sheet), *_timing(robot.timing), *_rig(robot.rig), *_water(robot.water)]
     return "\n".join(lines) + "\n"
 
 
@@ -130,6 +154,31 @@ def _timing(timing: Timing) -> list[str]:
         f"command_latency = {timing.command_latency}  # s",
         f"camera_latency = {timing.camera_latency}  # s",
         f"velocity_window = {timing.velocity_window}  # camera frames",
+        "",
+    ]
+
+
+def _rig(rig: RigSpec) -> list[str]:
+    slow = (
+        "set the servos to it: as delivered an X series has 57600, too slow for 50 Hz"
+        if rig.bus == "dynamixel-x"
+        else "of the line"
+    )
+    rows = lambda band: [list(row) for row in band] if band else None
+    stated = (
+        ("bus", f'"{rig.bus}"', f"kind of servos: {' | '.join(BUSES)}"),
+        ("baud", rig.baud, slow),
+        ("servo_ids", list(rig.servo_ids or ()), "from the head to the tail; as you numbered them"),
+        ("signs", list(rig.signs or ()), "-1 for a servo that turns the other way"),
+        ("zeros_deg", [degrees(zero) for zero in rig.zeros or ()], "of each servo, from its middle, with its joint straight"),
+        ("low_voltage", rig.low_voltage, "V under load, below which a swim ends; from the servo's voltage: check it"),
+        ("red", rows(rig.red), "proposed paint: [x, width] in m, body frame, on the head link"),
+        ("yellow", rows(rig.yellow), "the same, behind it"),
+        ("paint_height", rig.paint_height, "m over the water"),
+    )
+    return [
+        "[rig]                        # for fishmj deploy; options of the command line go before it (docs/guide/rig.md)",
+        *(f"{key} = {value}  # {what}" for key, value, what in stated if value not in (None, [])),
         "",
     ]
 

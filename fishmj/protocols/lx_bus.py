@@ -14,6 +14,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from fishmj.protocols.errors import ProtocolError
+from fishmj.protocols.frame_reader import FrameReader
 from fishmj.protocols.servo_counts import MOST_OFFSET, MOST_TIME, SPAN, VOLTAGE
 
 BAUD = 115_200
@@ -177,62 +178,11 @@ def answers(frame: Frame, servo: int, code: Code) -> bool:
     return frame.reply and frame.code is code and servo in (frame.servo, BROADCAST)
 
 
-class Reader:
-    """Finds frames in a byte stream: after noise, damaged or truncated frames, and among echoes of the host's own frames.
-
-    Where the bytes at hand are no frame, one byte is given up, not the length that they claim: a frame that begins inside a
-    damaged one is found. At most nine bytes wait for the rest of their frame.
-
-    Attributes:
-        skipped: bytes that were part of no frame. damaged: of these, starts of frames of a known code and length whose checksum
-            or values were wrong. echoes: frames of the host that were heard.
-    """
+class Reader(FrameReader[Frame]):
+    """Finds frames in a byte stream; at most nine bytes wait for the rest of their frame. See `FrameReader`."""
 
     def __init__(self) -> None:
-        self._waiting = bytearray()
-        self.skipped = self.damaged = self.echoes = 0
-
-    def __len__(self) -> int:
-        """Bytes that wait for the rest of their frame."""
-        return len(self._waiting)
-
-    def feed(self, data: bytes) -> list[Frame]:
-        """The servos' answers that are complete with these bytes, in order; echoes are counted and left out."""
-        return [frame for frame in self.frames(data) if frame.reply]
-
-    def frames(self, data: bytes) -> list[Frame]:
-        """All frames that are complete with these bytes, the host's own as well."""
-        buffer, found, at = self._waiting + data, [], 0
-        while at < len(buffer):
-            size = _size(buffer, at)
-            if size is None:  # waits for more
-                break
-            frame = self._frame(bytes(buffer[at : at + size])) if size else None
-            if frame is None:
-                self.skipped += 1
-                at += 1
-                continue
-            self.echoes += not frame.reply
-            found.append(frame)
-            at += size
-        self._waiting = buffer[at:]
-        return found
-
-    def silence(self) -> list[Frame]:
-        """The line fell silent: what waits is truncated. The answers that begin inside it, usually none."""
-        found: list[Frame] = []
-        while self._waiting:
-            del self._waiting[0]
-            self.skipped += 1
-            found += self.feed(b"")
-        return found
-
-    def _frame(self, data: bytes) -> Frame | None:
-        try:
-            return decode(data)
-        except ProtocolError:
-            self.damaged += 1
-            return None
+        super().__init__(_size, decode)
 
 
 def _size(buffer: bytearray, at: int) -> int | None:

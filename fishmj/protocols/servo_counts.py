@@ -1,4 +1,4 @@
-"""What LX-series servos count in, and what that is in SI: the one place for units and offsets.
+"""Counts of servos and what they are in SI: the one place for units and offsets. `LX` is the default, `X` and `AX` Dynamixel's.
 
     angle = (counts - CENTRE - zero) x 0.24 deg          0..1000 counts <-> 0..240 deg
     trim  = offset x 0.24 deg                            -125..125 counts <-> -30..30 deg, kept in the servo itself
@@ -8,6 +8,7 @@
 """
 
 import math
+from typing import NamedTuple
 
 from fishmj.protocols.errors import ProtocolError
 
@@ -19,23 +20,37 @@ MOST_TIME = 30_000  # ms, of one move
 VOLTAGE = (4500, 12_000)  # mV, bounds of a voltage limit
 
 
-def counts(angle: float, zero: float = 0.0) -> int:
+class Scale(NamedTuple):
+    """Counts of one kind of servo. span: the largest. centre: the middle of its travel. step: rad a count."""
+
+    span: int
+    centre: int
+    step: float
+
+
+LX = Scale(SPAN, CENTRE, RAD_PER_COUNT)
+X = Scale(4095, 2048, 2 * math.pi / 4096)  # Dynamixel X series: one turn
+AX = Scale(1023, 512, math.radians(300.0) / 1023)  # Dynamixel AX series: 300 deg
+
+
+def counts(angle: float, zero: float = 0.0, scale: Scale = LX) -> int:
     """The servo position nearest to a joint angle.
 
     Args:
         angle: rad, 0 = straight. zero: rad, where the servo stands, from its middle, when the joint is straight.
-    Returns: 0 to 1000; beyond the servo's range the end of it.
+        scale: of the servo.
+    Returns: 0 to `scale.span`; beyond the servo's range the end of it.
     Raises: ProtocolError where the sum is not finite.
     """
     if not math.isfinite(angle + zero):
         raise ProtocolError(f"joint angle {angle} rad, zero {zero} rad; expected finite numbers")
-    exact = CENTRE + (angle + zero) / RAD_PER_COUNT
-    return round(max(0.0, min(float(SPAN), exact)))
+    exact = scale.centre + (angle + zero) / scale.step
+    return round(max(0.0, min(float(scale.span), exact)))
 
 
-def angle(position: int, zero: float = 0.0) -> float:
-    """The joint angle, rad, of a position in counts; servos report some counts below 0 and above 1000, too."""
-    return (position - CENTRE) * RAD_PER_COUNT - zero
+def angle(position: int, zero: float = 0.0, scale: Scale = LX) -> float:
+    """The joint angle, rad, of a position in counts; servos report some counts below 0 and above their span, too."""
+    return (position - scale.centre) * scale.step - zero
 
 
 def offset_counts(trim: float) -> int:
