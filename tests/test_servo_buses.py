@@ -303,6 +303,14 @@ def test_a_low_supply_ends_the_swim_of_a_fish_at_its_own_bound(two, tmp_path, ca
     assert "BATTERY_LOW" in json.loads(capsys.readouterr().out.splitlines()[-1])["ended_by"]
 
 
+@pytest.mark.parametrize(("fault", "words"), [("silent_servo=2@1", "does not answer"), ("hot_servo=2@1", "is hot")])
+def test_a_servo_that_ends_a_swim_is_named(two, tmp_path, capsys, fault, words):
+    args = ["--policy", two[1], "--robot", str(two[0]), "--link", "loopback", "--protocol", "servo-bus", "--seconds", "9"]
+    more = ["--out", str(tmp_path / "swim"), "--json", "--loopback", f"--body structured --fault {fault}"]
+    assert swim_command.main([*args, *more], in_step.wired) == console.FAILED_CHECK
+    assert f"(servo 2 (joint 2 from the head) {words})" in json.loads(capsys.readouterr().out.splitlines()[-1])["ended_by"]
+
+
 def test_a_servo_of_another_number_is_named_before_arming(two, tmp_path, capsys):
     words = ["--policy", two[1], "--robot", str(two[0]), "--link", "loopback", "--protocol", "servo-bus", "--servo-ids", "1,5"]
     with pytest.raises(ConfigError, match="servo 5 .joint 2 from the head. does not answer, 1 does"):

@@ -4,7 +4,7 @@ A robot without a watchdog of its own swims on after the host is gone. It is arm
 the tank.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import degrees, isfinite
 from typing import NamedTuple
 
@@ -67,6 +67,22 @@ def examine(
 def asked_at_the_tank(link: Link, said: bool, ask: Callable[[str], bool]) -> bool:
     """Whether a person stands at the tank: `said` on the command line, or answered now; only asked where it matters."""
     return said or (not link.watched and ask(QUESTION))
+
+
+FAULTY = {
+    ServoFault.NO_REPLY: "does not answer", ServoFault.HOT: "is hot", ServoFault.LOCKED: "is locked", ServoFault.STUCK: "is stuck"
+}  # fmt: skip
+
+
+def servos_at_fault(newest: Telemetry | None, ids: Sequence[int]) -> str:
+    """`servo 9 (joint 3 from the head) is hot`, "" where no servo says so; ids: on the bus, from the head to the tail."""
+    faults = newest.fault if newest is not None and newest.fault else ()
+    return ", ".join(
+        f"servo {ids[k] if k < len(ids) else '?'} (joint {k + 1} from the head) {what}"
+        for k, fault in enumerate(faults)
+        for bit, what in FAULTY.items()
+        if bit in fault
+    )
 
 
 def why_not_armed(newest: Telemetry | None, servo_range: float, hold: float, neutral: float) -> str:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fishmj.deploy.arming import Refusal, why_not_armed
+from fishmj.deploy.arming import Refusal, servos_at_fault, why_not_armed
 from fishmj.deploy.clock import Clock
 from fishmj.deploy.limits import Limiter, towards_zero
 from fishmj.deploy.links import Link
@@ -85,6 +85,7 @@ class Outcome:
         swum: s under the policy. figures: counts and times for the log and for people.
         released: whether the robot said that its torque is off; None where its protocol cannot say, or it never was armed.
         lets_go: whether it can be told to let go at all. camera: why no more poses came, "" while they did.
+        servos: which of them said a fault when it ended, "" for none.
     """
 
     cause: Condition
@@ -94,6 +95,7 @@ class Outcome:
     released: bool | None = None
     lets_go: bool = True
     camera: str = ""
+    servos: str = ""
 
     @property
     def complete(self) -> bool:
@@ -104,7 +106,8 @@ class Outcome:
     def words(self) -> str:
         """One line for people."""
         if self.cause:
-            return f"swam {self.swum:.1f} s; ended by {named(self.cause)}{self._blind}{self._torque}"
+            servos = f" ({self.servos})" if self.servos else ""
+            return f"swam {self.swum:.1f} s; ended by {named(self.cause)}{servos}{self._blind}{self._torque}"
         return f"not armed: {'; '.join(self.refused) or 'stopped'}{self._blind}"
 
     @property
@@ -156,6 +159,7 @@ class Swim:
         self._asked_arm = self._stopped = False
         self._unguarded: tuple[str, ...] = ()
         self._trouble, self._ask_again, self._told = NONE, 0.0, False
+        self._servos = ""
         self._person = person
 
     def run(self) -> Outcome:
@@ -304,7 +308,7 @@ class Swim:
         if after is State.SWIMMING:
             self.began = now
         if after is State.NEUTRAL:
-            self.home = now
+            self.home, self._servos = now, self._at_fault()
             self.swum = now - self.began if self.began is not None else 0.0
         self.log.event(self.supervisor.events[-1])
 
@@ -314,6 +318,8 @@ class Swim:
             self.over = True
         elif now - self.start > self.plan.wait:
             reasons = named(decide(State.LINKED, true).because & ~Condition.HEARD)
+            if reasons and (servos := self._at_fault()):
+                reasons += f" ({servos})"
             if self.supervisor.state is State.DOWN:
                 reasons = f"nothing heard of the robot in {self.plan.wait:g} s"
                 if silence := self.rig.link.silence():
@@ -321,6 +327,10 @@ class Swim:
             why = why_not_armed(self.watch.newest, self.rig.robot.servo.range, self.plan.hold, self.plan.neutral)
             self.refusal = Refusal(NONE, (reasons or f"the robot did not arm in {self.plan.wait:g} s{why}",))
             self.over = True
+
+    def _at_fault(self) -> str:
+        """Servos that say a fault, by their numbers on the bus."""
+        return servos_at_fault(self.watch.newest, self.info.servo_ids if self.info is not None else self.rig.robot.servo_ids)
 
     def command(self, tick: Tick, decision: Decision) -> None:
         """Send what the action wants."""
@@ -410,5 +420,5 @@ class Swim:
         self.log.meta["host"] = {**self.log.meta.get("host", {}), **figures}
         return Outcome(
             cause=self.supervisor.cause, refused=refused, swum=self.swum, figures=figures, released=released, lets_go=lets_go,
-            camera=str(getattr(self.rig.localiser, "failed", None) or ""),
+            camera=str(getattr(self.rig.localiser, "failed", None) or ""), servos=self._servos,
         )  # fmt: skip

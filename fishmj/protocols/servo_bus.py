@@ -72,7 +72,7 @@ class ServoBus(Protocol):
         """Torque on or off."""
 
 
-class LxBus:
+class LxBus(ServoBus):
     """LX series."""
 
     name, baud, most_id, scale, lowest = "lx", lx_bus.BAUD, lx_bus.MOST_ID, servo_counts.LX, 4.5
@@ -135,7 +135,7 @@ ALERT, POSITION_MODE = 0x80, 3
 X_MODELS, X_OTHERS, AX_MODELS = range(1000, 2000), (30, 311, 321), (12, 18, 300)  # others: MX with protocol 2.0
 
 
-class DynamixelBus:
+class DynamixelBus(ServoBus):
     """What X and AX series share; all that is told goes by SYNC_WRITE, which no servo answers."""
 
     moves_in_time, first, each = False, "identity", "state"
