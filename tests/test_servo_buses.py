@@ -2,6 +2,7 @@
 
 import json
 import os
+import select
 import struct
 import tomllib
 from dataclasses import replace
@@ -13,7 +14,7 @@ from policy_files import header, stored
 from fishmj import console
 from fishmj.deploy import rig_experiment, swim_command
 from fishmj.deploy.servo_bus import ServoBusLink
-from fishmj.errors import ConfigError
+from fishmj.errors import ConfigError, UnknownName
 from fishmj.loopback import in_step
 from fishmj.loopback.firmware import Readings
 from fishmj.loopback.server import ServeOptions, Server
@@ -23,6 +24,7 @@ from fishmj.mjcf.description import RigSpec, load_robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.servos import SHELF
 from fishmj.new import __main__ as new
+from fishmj.new.answers import sheet_file
 from fishmj.policy import structure_sha256
 from fishmj.protocols import dynamixel, servo_counts
 from fishmj.protocols.dynamixel import Instruction
@@ -281,6 +283,16 @@ def test_new_writes_the_rig_of_each_servo_it_offers():
     }  # fmt: skip
 
 
+def test_a_data_sheet_may_name_its_bus(tmp_path):
+    sheet = 'stall_torque = "0.9 Nm"\nno_load_speed = "60rpm"\nvoltage = 5.0\n'
+    (tmp_path / "xc330.toml").write_text(sheet + 'bus = "dynamixel-x"\n')
+    (tmp_path / "plain.toml").write_text(sheet)
+    (tmp_path / "can.toml").write_text(sheet + 'bus = "can"\n')
+    assert [sheet_file(tmp_path / f"{name}.toml").bus for name in ("xc330", "plain")] == ["dynamixel-x", "lx"]
+    with pytest.raises(UnknownName, match="can"):
+        sheet_file(tmp_path / "can.toml")
+
+
 def test_a_new_fish_of_five_volts_carries_its_rig(two):
     rig = tomllib.loads(two[0].read_text())["rig"]
     assert (rig["bus"], rig["baud"], rig["servo_ids"], rig["signs"]) == ("dynamixel-x", 1_000_000, [1, 2], [1, 1])
@@ -329,10 +341,14 @@ def test_servos_answer_on_a_pseudo_terminal(two):
         assert server.told()["robot_port"] is None
         host = os.open(server.told()["device"], os.O_RDWR | os.O_NOCTTY)
         os.write(host, bus.ask("state", (1, 2)))
-        for _ in range(5):
+        reader, found = bus.reader(), []
+        for _ in range(1000):  # the system hands bytes on in its own time
             clock[0] += 0.001
             server.turn(clock[0])
-        found = [bus.answer(frame) for frame in bus.reader().feed(os.read(host, 200))]
+            if len(found) == 2:
+                break
+            if select.select([host], [], [], 0.05)[0]:
+                found += [bus.answer(frame) for frame in reader.feed(os.read(host, 200))]
         os.close(host)
     finally:
         server.close()

@@ -91,9 +91,10 @@ class Servos:
                 Code.VIN_READ: lambda k: round(1000 * self.readings.servo_voltage[k]),
                 Code.TEMP_READ: lambda k: round(self.readings.temperature[k]),
             }
-            value = values.get(frame.code)
-            there = [k for k in mine if k in listening] if value is not None else []
-            return False, [lx_bus.encode_reply(self.ids[k], frame.code, value(k)) for k in there]
+            if frame.code not in values:
+                return False, []
+            value = values[frame.code]
+            return False, [lx_bus.encode_reply(self.ids[k], frame.code, value(k)) for k in mine if k in listening]
         return True, []
 
     def _dynamixel(self, bus: DynamixelBus, packet: Packet, listening: Sequence[int]) -> tuple[bool, list[bytes]]:
