@@ -395,7 +395,8 @@ class Progress:
         with Progress(1_000_000, "train", unit="steps") as bar:
             bar.update(done, reward=0.4)
 
-    The time left comes from the last `MEMORY` seconds of progress, so that a slow start (compilation) is forgotten.
+    The time left comes from the last `MEMORY` seconds of progress. Up to the first progress a command may have compiled: that
+    rate is an upper bound of the time left, said as `at most`, and counts no more with the second.
     """
 
     def __init__(
@@ -407,8 +408,10 @@ class Progress:
         stream: IO[str] | None = None,
         clock: Callable[[], float] = time.monotonic,
         every: float | None = None,
+        at_most: bool = False,
     ):
-        self.total, self.label, self.unit = total, label, unit
+        """at_most: the work may end before `total`, so that the time left is always an upper bound."""
+        self.total, self.label, self.unit, self._at_most = total, label, unit, at_most
         self._stream = sys.stderr if stream is None else stream
         self._live = bool(getattr(self._stream, "isatty", lambda: False)())
         self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
@@ -418,6 +421,7 @@ class Progress:
         self._shown = -math.inf
         self._seen = [(self._start, 0.0)]  # (time [s], done), the last `MEMORY` seconds
         self._named = False  # a stage without a rate is under way
+        self._starting = True  # the remembered time holds the start, in which a command may have compiled
         self._width = 0
 
     def __enter__(self) -> "Progress":
@@ -451,7 +455,9 @@ class Progress:
         now, done = self._clock(), max(done, self._most)
         self._most = done
         if self._named:
-            self._named, self._seen, self._shown = False, [], -math.inf
+            self._named, self._starting, self._seen, self._shown = False, False, [], -math.inf
+        if self._starting and now > self._seen[-1][0] and self._seen[-1][1] > 0.0 and done > self._seen[-1][1]:
+            self._starting, self._seen = False, self._seen[-1:]
         self._seen.append((now, done))
         while len(self._seen) > 2 and now - self._seen[1][0] > MEMORY:
             self._seen.pop(0)
@@ -478,7 +484,8 @@ class Progress:
         done = self._seen[-1][1]
         part = min(done / self.total, 1.0) if self.total else 1.0
         rate = self.rate or ((done - self.begun) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short to tell
-        ahead = f"{duration(self.left)} left" if part < 1 else f"took {duration(self.elapsed)}"
+        bound = "at most " if (self._starting or self._at_most) and math.isfinite(self.left) else ""
+        ahead = f"{bound}{duration(self.left)} left" if part < 1 else f"took {duration(self.elapsed)}"
         figures = "".join(f"  {name} {cell(value)}" for name, value in fields.items())
         return f"{self.label} [{'#' * int(20 * part):<20}] {100 * part:3.0f} %  {_short(rate)} {self.unit}/s  {ahead}{figures}"
 

@@ -146,6 +146,29 @@ def test_the_time_left_forgets_a_slow_start():
     assert bar.left == pytest.approx(50)
 
 
+def test_a_first_progress_after_a_compilation_is_an_upper_bound():
+    clock = Clock()
+    bar = console.Progress(1536, "null runs", "runs", stream=Screen(), clock=clock)
+    bar.update(0)
+    clock.now += 40.0  # the simulator is compiled
+    bar.update(1)
+    assert "at most 17 h 03 min left" in bar.line()
+    for done in range(2, 22):
+        clock.now += 0.2
+        bar.update(done)
+    assert bar.left == pytest.approx((1536 - 21) * 0.2) and "5 min 03 s left" in bar.line() and "at most" not in bar.line()
+
+
+def test_work_that_may_end_early_has_an_upper_bound_to_its_end():
+    clock = Clock()
+    bar = console.Progress(5, "search", "rounds", stream=Screen(), clock=clock, at_most=True)
+    assert "at most" not in bar.line() and "? left" in bar.line()
+    for done in (1, 2, 3):
+        clock.now += 10.0
+        bar.update(done)
+        assert f"at most {console.duration(10.0 * (5 - done))} left" in bar.line()
+
+
 def test_the_time_left_is_unknown_before_anything_is_done():
     bar = console.Progress(10, "train", clock=Clock(), stream=Screen())
     assert bar.left == math.inf and "? left" in bar.line()

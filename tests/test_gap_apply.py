@@ -49,7 +49,10 @@ def report(folder, data, name="coulomb_friction", answer="NAMED", **values):
     """A report of gap find on disk, with an effect of these values."""
     units = {p.name: p.unit for p in effects.get(name).parameters}
     given = {key: Value(v, units[key], v - 0.01, v + 0.01) for key, v in values.items()}
-    verdict = Verdict(answer, (Named(name, given, 0.98, 0.9),), ({"name": "load_friction", "p_best": 0.02},), 3.0, 1.2)
+    verdict = Verdict(
+        answer, (Named(name, given, 0.98, 0.9),), ({"name": "load_friction", "p_best": 0.02},), gates={"closure": 0.9}
+    )
+    verdict = replace(verdict, gap_before=3.0, gap_after=1.2)
     context = {
         "model": "fish", "model_sha256": model_version.digest("fish"), "data": str(data), "null": NULL,
         "data_sha256": sha256(data / "manifest.json"), "judged": list(read_dataset(data).names),
@@ -75,7 +78,9 @@ def test_the_next_version_holds_values_hashes_rivals_and_its_parent(patched, dat
     assert fitted.hash == sha256(data / "manifest.json") == table["version"]["data_sha256"]
     assert table["version"]["number"] == 2 and table["version"]["parent_sha256"] == model_version.digest("fish")
     assert table["version"]["rivals"][0]["name"] == "load_friction" and table["version"]["judged"]
-    assert table["version"]["gap_after"] < 0.6 * table["version"]["gap_before"]
+    before, after = table["version"]["judged_gap"]
+    assert (table["version"]["gap_before"], table["version"]["gap_after"]) == (3.0, 1.2) and after < 0.6 * before
+    assert (patched.gap_before, patched.gap_after) == (3.0, 1.2) and "gap 3.00 -> 1.20" in patched.reason
     assert replace(robot, effects=()) == load_robot("fish")
 
 
@@ -91,7 +96,7 @@ def test_a_bundle_in_a_fitted_water_gets_its_version_too(tmp_path, data):
     assert written.accepted, written.reason
     assert model_version.facts(written.path)["water"] == "swift-base"
     found = check(written.path, bundle)
-    assert found["worse"] == "" and found["same_data"] and found["gap"] == pytest.approx(written.gap_after, rel=1e-6)
+    assert found["worse"] == "" and found["same_data"] and found["gap"] == pytest.approx(found["stated"], rel=1e-6)
     other = gaps([load_robot(written.path)], trials_in(bundle), null_of(NULL))[0][0]
     assert abs(other - found["gap"]) > 1e-3, "the fitted water is not the model's own"
 

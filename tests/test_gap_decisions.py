@@ -15,10 +15,19 @@ from fishmj.gap.decide.decide import confused, decide, masked_by, sanity
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import model_error
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of, relinearise
-from fishmj.gap.search.stepwise import CrossValidated, Selection, SelectionStep, forward_select, propose, required_gain, split
+from fishmj.gap.search.stepwise import (
+    CrossValidated,
+    Selection,
+    SelectionStep,
+    forward_select,
+    propose,
+    required_gain,
+    shows,
+    split,
+)
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value
-from fishmj.gap.watch import silent
+from fishmj.gap.watch import Quiet, silent
 
 SIX = ("gait_fast", "drift_north", "turn_left", "tow_oblique", "gait", "burst_and_coast")
 
@@ -163,3 +172,22 @@ def test_a_gap_that_healthy_robots_of_another_water_leave_is_agreement_unless_mo
     assert decide(e, found, replace(gates, adequacy=-1.0, closure=1.1)).answer == "UNEXPLAINED"
     monkeypatch.setattr(Likelihood, "healthy_gain", lambda e, stage: 1.0)
     assert decide(e, found, replace(wide, closure=1.1)).answer == "NAMED"  # it gains more than any in a healthy robot
+
+
+def test_an_effect_on_a_channel_that_was_not_logged_is_not_proposed():
+    known = effects.catalogue()
+    paths, joints = {"position", "heading", "start"}, {"joint"}
+    assert shows(known["quadratic_drag"], paths) and not shows(known["quadratic_drag"], joints)
+    assert not shows(known["power_offset"], paths | joints) and shows(known["power_offset"], {"power"})
+    assert not shows(known["joint_sensor_delay"], paths) and shows(known["joint_sensor_delay"], joints)
+    assert shows(known["com_offset"], joints | {"weighing"}) and not shows(known["com_offset"], joints)
+
+
+@pytest.mark.slow
+def test_a_search_without_joint_logs_asks_nothing_of_a_joint_sensor(plant):  # noqa: F811
+    swum = hidden({}, 81, ("gait_fast", "turn_left"))
+    trials = [replace(t, tables={name: t.tables[name] for name in ("cmd", "pose")}) for t in swum]
+    e = likelihood_of(plant, [record_of(t, plant.dt) for t in trials], NULL)
+    found = forward_select(e, frozen(), split(e.records), lambda text: None, Quiet())
+    tried = {name for step in found.steps for c in step.ranked for name in c.names}
+    assert tried and all(set(effects.get(name).shows) & {"position", "heading"} for name in tried)

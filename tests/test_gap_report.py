@@ -17,7 +17,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import record_of
 from fishmj.gap.report import gathered, write
-from fishmj.gap.report.report_data import parted, parts
+from fishmj.gap.report.report_data import channels, gap_of, parted
 from fishmj.gap.report.sections import CONTRACT, gates, headline, html
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
@@ -142,16 +142,15 @@ def test_a_delay_is_there_at_once_and_a_current_grows(plant, material):
 
 
 # ---------------------------------------------------------------------------------------------------------------- material
-def test_parts_of_the_records_are_kept_apart(inquiry):
-    fitted, held = parts(inquiry)
-    assert (fitted.records, held.records) == (3, 1) and parted(inquiry).count("held out") == 1
-    channels = [before for before, _ in held.by_channel.values()]
-    assert min(channels) < held.before < max(channels) and held.after < 2 < held.before
-    seen = dataclasses.replace(inquiry.verdict, gap_unseen_before=9.0, gap_after_unseen=1.5)
-    more = dataclasses.replace(
-        inquiry, verdict=seen, records=[*inquiry.records, inquiry.records[0]], unseen=np.array([False] * 4 + [True])
-    )
-    assert parted(more)[-1] == "never used" and (parts(more)[-1].before, parts(more)[-1].records) == (9.0, 1)
+def test_the_gap_by_channel_is_that_of_the_pair_that_the_verdict_says(inquiry, material):
+    assert parted(inquiry).count("held out") == 1 and parted(inquiry).count("fitted") == 3
+    before, after = gap_of(material)
+    assert (before, after) == (inquiry.verdict.gap_before, inquiry.verdict.gap_after) and after < 2 < before
+    told = channels(inquiry)
+    assert min(one for one, _ in told.values()) < before < max(one for one, _ in told.values())
+    assert max(two for _, two in told.values()) < 3
+    more = dataclasses.replace(inquiry, records=[*inquiry.records, inquiry.records[0]], unseen=np.array([False] * 4 + [True]))
+    assert parted(more)[-1] == "never used"
 
 
 def test_finalists_are_ranked_and_their_likeness_is_a_cosine(material):
@@ -203,7 +202,8 @@ def test_json_holds_what_the_page_shows(folder, material):
     kept = json.loads((folder / "report.json").read_text())
     assert kept["verdict"]["answer"] == "NAMED" and kept["verdict"]["effects"][0]["name"] == "command_latency"
     assert kept["localisation"]["text"] == material.place.text and kept["localisation"]["lags"]["joint"]["found"]
-    assert [g["name"] for g in kept["gap"]] == ["fitted", "held out"] and len(kept["growth"]) == 3
+    assert (kept["gap"]["before"], kept["gap"]["after"]) == pytest.approx(gap_of(material)) and len(kept["growth"]) == 3
+    assert kept["verdict"]["gap_after"] == kept["gap"]["after"]
     assert kept["rounds"][0]["table"][0]["name"] == "command_latency" and kept["records"][0]["part"] in ("fitted", "held out")
 
 

@@ -13,6 +13,7 @@ from fishmj.calib import calib_folder
 from fishmj.errors import ConfigError, StoreError
 from fishmj.excitation import Excitation
 from fishmj.gap.records.records import record_of
+from fishmj.gap.search.healthy_swims import Healthy
 from fishmj.hydro_fit.record import KICK
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
@@ -254,14 +255,14 @@ def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_see
         fitted.append((path, family, [str(trial.value("excitation")) for trial in trials()]))
         return calibrated.Calibrated(robot, {"value": 0.02, "low": 0.0, "high": 0.1})
 
-    def search(model, trials, *, null, seed, own, **given):
-        asked.append((null.without, len(trials), seed, own))
+    def search(model, trials, *, null, seed, healthy, **given):
+        asked.append((null.without, len(trials), seed, healthy.swims))
         raise ConfigError("a search that is not made here")
 
     from fishmj.studies.gap_benchmark import family_rows
 
     monkeypatch.setattr(solver_sets.calibrated, "kept", found)
-    monkeypatch.setattr(solver_sets.healthy_swims, "left_of", lambda model, swims, null: (len(swims), null.without))
+    monkeypatch.setattr(solver_sets.healthy_swims, "known", lambda model, swims, null: Healthy(1.2, (len(swims), null.without)))
     monkeypatch.setattr(family_rows, "investigate", search)
     monkeypatch.setattr(family_command, "warmed", lambda names: None)
     argv = ["--generator", "solver", "--sets", str(sets), "--kinds", "none,off", "--out", str(tmp_path / "rows")]

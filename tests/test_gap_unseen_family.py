@@ -68,7 +68,7 @@ def test_every_family_left_out_has_a_ratio():
 
 def test_healthy_swims_say_nothing_of_a_water_of_literature_values():
     model = SwimmingFish(load_robot("fish"))
-    assert healthy_swims.left_of(model, generate({}, ["gait"], seed=3), SimulatedNull(runs=12)) == 0.0
+    assert healthy_swims.known(model, generate({}, ["gait"], seed=3), SimulatedNull(runs=12)) is None
 
 
 def test_swims_of_a_water_that_was_not_calibrated_are_refused(tmp_path):
@@ -80,7 +80,7 @@ def test_swims_of_a_water_that_was_not_calibrated_are_refused(tmp_path):
 def test_no_swim_is_no_evidence(monkeypatch):
     monkeypatch.setattr(healthy_swims, "applies", lambda model: True)
     with pytest.raises(LogError, match="got no healthy swim"):
-        healthy_swims.left_of(None, [], SimulatedNull())
+        healthy_swims.known(None, [], SimulatedNull())
 
 
 def test_a_launch_that_is_known_to_two_centimetres_a_second_may_be_off_by_as_much():

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from fishmj import effects
+from fishmj.gap.commands.apply import verdict_on
 from fishmj.gap.decide.decide import _answer, step_table
 from fishmj.gap.report import sections
-from fishmj.gap.report.report_data import ReportPart, ReportRow, after, listed
+from fishmj.gap.report.report_data import ReportRow, after, gap_of, listed
 from fishmj.gap.search.fit import Candidate
 from fishmj.gap.search.stepwise import CrossValidated, SelectionStep
 from fishmj.gap.thresholds import frozen
@@ -48,7 +49,7 @@ def verdict(before, now, **more):
 GROWN, SHRUNK = verdict(7273.97, 42555.6), verdict(1521.138, 1316.749)
 
 
-def material(v, *, changed=None, steps=None, parts=()):
+def material(v, *, changed=None, steps=None):
     """As much of a page's material as words need."""
     plant = SimpleNamespace(active=SimpleNamespace(effects=list(effects.catalogue().values())))
     found = SimpleNamespace(steps=steps or (step(True, (v.gap_before, v.gap_after)),), best=candidate("steady_current"))
@@ -58,16 +59,16 @@ def material(v, *, changed=None, steps=None, parts=()):
     )
     changed = v.taken if changed is None else changed
     comparison = SimpleNamespace(changed=changed)
-    return SimpleNamespace(inquiry=inquiry, gates=frozen(), comparison=comparison, parts=parts, blind=())
+    return SimpleNamespace(inquiry=inquiry, gates=frozen(), comparison=comparison, channels={}, blind=())
 
 
 # ------------------------------------------------------------------------------------------------------------------- rounds
 def test_a_round_is_called_accepted_only_where_it_lowers_the_gap_of_records_that_it_did_not_see():
-    assert "accepted: their gap goes from 7.27 to 1.10" in said(True, 300.0, (7.27, 1.1), (5.0, 1.0))
-    grown = said(True, 34561418.0, (7.2, 1.1), (7273.97, 42555.6))
-    assert "accepted" not in grown and "taken though" in grown and "7270 times the floor before, 42600 after" in grown
-    assert "accepted" not in said(True, 300.0, (5.0, 1.0), (5.0, 5.0))
-    assert said(False, 12.0, None, None).endswith("not enough")
+    assert said(True, 300.0, (5.0, 1.0)).endswith("accepted") and said(True, 300.0, None).endswith("accepted")
+    grown = said(True, 34561418.0, (7273.97, 42555.6))
+    assert "accepted" not in grown and grown.endswith("taken though their residual does not shrink")
+    assert "accepted" not in said(True, 300.0, (5.0, 5.0))
+    assert said(False, 12.0, None).endswith("not enough")
 
 
 @pytest.mark.parametrize(("gap", "accepted"), [((7.0, 1.0), True), ((7.0, 9.0), False), ((7.0, np.nan), False)])
@@ -95,7 +96,7 @@ def test_no_share_is_claimed_beside_a_gap_that_grows():
     assert not GROWN.shrinks
     for text in (
         GROWN.text(),
-        str(sections.figures(material(GROWN, parts=(ReportPart("fitted", "", 2, 7273.97, 42555.6),)))),
+        str(sections.figures(material(GROWN))),
     ):
         assert "explain" not in text and "%" not in text
     assert "gap 7270 -> 42600 on the records searched" in GROWN.text() and "it grows" in GROWN.text()
@@ -121,7 +122,7 @@ def test_wherever_the_gap_was_measured_it_has_to_shrink(more):
 def test_a_share_names_what_it_is_of():
     text = SHRUNK.text()
     assert "explains 98 % of the excess log likelihood, on records that it was not fitted to" in text
-    assert "gap 1520 -> 1320 on the records searched (|z|^2 / m, up to 1.20 agrees)" in text
+    assert "gap 1520 -> 1320 on the records searched (|z|^2 / m; up to 1.20 agrees)" in text
     assert "13 % of what is above 1 is gone" in text
     named = replace(SHRUNK, answer="NAMED")
     assert "98 % of the excess log likelihood" in sections.meaning(material(named))
@@ -154,7 +155,30 @@ def test_where_nothing_was_taken_the_gap_is_told_as_it_is(answer):
     assert "gap 5.00 on the records searched" in text and "->" not in text and "%" not in text and "P(best)" not in text
     m = material(v)
     np.testing.assert_array_equal(after(m.inquiry), m.inquiry.found.base.row)
-    assert sections.figures(material(v, parts=(ReportPart("fitted", "", 2, 5.0, 5.0),)))[0][0] == "5.00"
+    assert sections.figures(m)[0][0] == "5.00" and v.plain()["gap_after"] == 5.0
+
+
+def test_terminal_page_json_and_apply_say_one_pair_of_gaps():
+    v = replace(SHRUNK, answer="NAMED", gap_unseen_before=400.0, gap_after_unseen=300.0)
+    (before, now), m = v.gap, material(v)
+    assert (before, now) == (1521.138, 1316.749) == gap_of(m) == tuple(v.plain()[key] for key in ("gap_before", "gap_after"))
+    good, reason = verdict_on(v.answer, v.gap, (400.0, 300.0), (390.0, 290.0))
+    told = (v.text(), str(sections.figures(m)), reason, step(True, (5.0, 4.0)).text())
+    pairs = [re.findall(r"([\d.]+) (?:->|→) ([\d.]+)", text) for text in told]
+    assert good and pairs == [[("1520", "1320")]] * 3 + [[]]
+    assert "on records that no decision saw the gap shrinks" in v.text()
+    grown = replace(v, gap_after_unseen=500.0).text()
+    assert "on records that no decision saw the gap does not shrink" in grown
+    hurt = verdict_on("NAMED", v.gap, (400.0, 800.0), (390.0, 290.0))
+    assert hurt[0] is False and "the gap is 2.00 times what it was" in hurt[1] and "->" not in hurt[1]
+
+
+@pytest.mark.parametrize("answer", ["UNEXPLAINED", "CLASS", "NAMED", "NOT_REPEATABLE"])
+def test_a_gap_of_usual_size_is_not_said_to_agree_beside_another_answer(answer):
+    v = replace(SHRUNK, answer=answer, gap_before=1.5, gap_after=1.4, gap_allowed=1.92)
+    for text in (v.text(), str(sections.figures(material(v)))):
+        assert "agree" not in text and "no more than the 1.92 that healthy robots leave, but not like theirs" in text
+    assert "up to 1.92 agrees" in replace(v, answer="AGREES").text() and "up to 1.92 agrees" in replace(v, gap_before=2.0).text()
 
 
 def test_what_is_not_repeatable_shows_no_explanation_though_one_was_taken():

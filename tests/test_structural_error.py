@@ -1,9 +1,12 @@
 """Structural error of the search: its covariance, its widths, and what it does to a healthy robot of another water."""
 
+from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from fishmj import generators
 from fishmj.calibrate.water_fit import calibrate_trials
@@ -14,12 +17,14 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.structural_error import strong, widths
+from fishmj.gap.null.variances import Sample, asked, most_likely
 from fishmj.gap.null.whitening import leftover
 from fishmj.gap.records.records import ResidualLayout, record_of
+from fishmj.gap.search import likelihood
 from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.model_error import ModelResponse
 from fishmj.gap.thresholds import frozen
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.structural_error.variances import Sample, asked, most_likely
 from fishmj.virtual_robot import generate
 from fishmj.water.choice import STRUCTURED
 
@@ -143,3 +148,57 @@ def test_a_healthy_robot_of_an_unseen_water_is_what_the_structural_error_expects
     assert adequacy < with_it.allowed(frozen()).adequacy
     with_it.factors, with_it.by_record, with_it.d = with_it.factors[: len(null)], (), leftover(null, layout)
     assert with_it.subset().base().cost / layout.size > 4 * frozen().adequacy
+
+
+def linear(rng, records=8, rows=40, shared=3, own=2, told=None):
+    """Records of a robot that is linear in what it shares (told, or drawn) and in what each record has by itself."""
+    layout = SimpleNamespace(
+        record=np.repeat(np.arange(records), rows), channel=np.full(records * rows, "joint"), size=records * rows
+    )
+    factors, parts = rng.normal(size=(shared, layout.size)), [rng.normal(size=(own, rows)) for _ in range(records)]
+    told = rng.normal(size=shared) if told is None else told
+    noise = 0.3 * rng.normal(size=layout.size)
+    residual = told @ factors + np.concatenate([0.5 * rng.normal(size=own) @ part for part in parts]) + noise
+    e = copy(object.__new__(Likelihood))
+    e.model = SimpleNamespace(null=np.zeros(1), predict=lambda records, rows: None)
+    e.records, e.runs, e.drawn, e.origin, e.layout = [None] * records, shared, True, e, layout
+    e.layout.residuals = lambda predictions: residual[None]
+    e._null_factors, e._launches, e.by_record = factors, np.zeros((0, layout.size)), tuple(0.5 * part for part in parts)
+    e._structural = structural_error.StructuralError(np.zeros((0, layout.size)), e.by_record, np.zeros(layout.size))
+    e.factors, e.d = factors, np.full(layout.size, 0.3)
+    e.response = ModelResponse(factors, e.by_record, layout.record, e.d**2, *np.zeros((2, layout.size)))
+    return e, told, residual
+
+
+def test_given_healthy_swims_the_covariance_is_the_conditional_one(monkeypatch):
+    monkeypatch.setattr(likelihood, "KnownLayout", lambda records, known: SimpleNamespace(known=known, size=len(known)))
+    rng = np.random.default_rng(3)
+    (swims, told, left), (new, _, _) = linear(rng), linear(rng, records=2)
+    there = new.given(swims)
+    apart = lambda e: np.diag(e.d**2) + block_diag(*(part.T @ part for part in e.by_record))
+    whole = swims.factors.T @ swims.factors + apart(swims)
+    across = new.factors.T @ swims.factors
+    expected = new.factors.T @ new.factors - across @ np.linalg.solve(whole, across.T)
+    np.testing.assert_allclose(there.factors.T @ there.factors, expected, atol=1e-9)
+    np.testing.assert_allclose(there.layout.known, across @ np.linalg.solve(whole, left), atol=1e-9)
+    np.testing.assert_allclose(there.layout.known, told @ new.factors, atol=0.5)  # what this robot does is known
+    assert np.trace(expected) < 0.05 * np.trace(new.factors.T @ new.factors)
+    assert there.origin is there and not there.drawn and new.drawn
+
+
+def test_a_robot_that_hardly_differs_from_swim_to_swim_gets_narrower_widths():
+    rng, rows, names = np.random.default_rng(4), 60, ["k_head", "cf", "ke"]
+    layout = SimpleNamespace(record=np.repeat(np.arange(10), rows), channel=np.full(600, "joint"), size=600, blocks=[])
+    parts = [np.concatenate([rng.normal(size=(3, rows)), rng.normal(size=(6, rows))]) for _ in range(10)]
+    for part in parts:
+        part[2::3] = 0.0  # nothing shows ke
+    moved = structural_error.Tangents(parts, names, np.zeros((0, 600)))
+    given = structural_error.Widths(dict.fromkeys(names, 1.0), dict.fromkeys(names, 0.5), {}, {"joint": 0.05})
+    asked_for = np.array([0.1, 1.0, 0.0, *[0.0, 0.5, 0.0] * 2])
+    residual = np.concatenate([(asked_for * rng.normal(size=9)) @ part for part in parts]) + 0.1 * rng.normal(size=600)
+    own = structural_error.own_widths(given, layout, rng.normal(size=(8, 600)) * 1e-3, np.full(600, 0.1), moved, residual)
+    assert own.numbers["k_head"] < 0.7 < own.numbers["cf"] < 1.5 and own.swings["k_head"] < 0.35 < own.swings["cf"] < 0.8
+    assert own.numbers["ke"] == pytest.approx(1.0, rel=1e-6) and own.swings["ke"] == pytest.approx(0.5, rel=1e-6)
+    none = structural_error.own_widths(given._replace(numbers=dict.fromkeys(names, 0.0)), layout, np.zeros((8, 600)),
+        np.full(600, 0.1), moved, residual)  # fmt: skip
+    assert set(none.numbers.values()) == {0.0}  # what no other water has is none here

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass, field
 
-from fishmj.gap.wording import level, number, percent, sizes, title
+from fishmj.gap.wording import level, number, pair, percent, sizes, title
 
 ANSWERS = ("AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE")
 SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
@@ -79,10 +79,17 @@ class Verdict:
         pairs = [*gaps, *self.over_floor.values(), *rounds[-1:]]
         return all(after < before for before, after in pairs if before is not None and after is not None)
 
+    @property
+    def gap(self) -> tuple[float, float | None]:
+        """The one pair that is said of a finding: the gap of all records searched as the model is, and with what was taken; None
+        where nothing was. Terminal, page, JSON and `gap apply` say this one."""
+        return self.gap_before, self.gap_after if self.taken else None
+
     def plain(self) -> dict:
         """As nested dictionaries, for JSON. A round is `accepted` where the residual of records unseen shrinks, too."""
+        before, after = self.gap
         steps = [s | {"taken": s["accepted"], "accepted": s["accepted"] and lowers(s.get("over_floor"))} for s in self.steps]
-        return asdict(self) | {"steps": steps}
+        return asdict(self) | {"steps": steps, "gap_after": before if after is None else after}
 
     def told(self) -> str:
         """What it does that was found: a percentage with what it is of; none beside a gap that does not shrink."""
@@ -92,14 +99,23 @@ class Verdict:
         return f"explains {percent(self.explained)} of {kind}, on records that it was not fitted to"
 
     def gaps(self) -> list[str]:
-        """The gap in words, before and after what was taken; as it is where nothing was."""
+        """The gap in words, before and after what was taken; as it is where nothing was; and whether unseen records agree."""
         where = "on the records searched" if self.searched else "on records kept aside"
-        unit = f"|z|^2 / m, up to {level(self.gap_allowed)} agrees" if self.searched else FLOOR
-        out = [moved(self.gap_before, self.gap_after if self.taken else None, where, unit, self.shrinks)]
-        if self.gap_unseen_before is not None:
-            now = self.gap_after_unseen if self.taken else None
-            out.append(moved(self.gap_unseen_before, now, "on records that no decision saw", unit, self.shrinks))
-        return out
+        unit = f"|z|^2 / m; {self.yardstick()}" if self.searched else FLOOR
+        return [moved(*self.gap, where, unit, self.shrinks), *self.unseen()]
+
+    def yardstick(self) -> str:
+        """What the size of the gap says by itself: a gap as healthy robots leave is none only where nothing was found in it."""
+        if self.answer == "AGREES" or self.gap_before > self.gap_allowed:
+            return f"up to {level(self.gap_allowed)} agrees"
+        return f"no more than the {level(self.gap_allowed)} that healthy robots leave, but not like theirs"
+
+    def unseen(self) -> list[str]:
+        """Whether the gap shrinks with what was taken on records that no decision saw; nothing where there are none."""
+        if not (self.searched and self.taken) or self.gap_unseen_before is None or self.gap_after_unseen is None:
+            return []
+        does = "shrinks" if self.gap_after_unseen < self.gap_unseen_before else "does not shrink"
+        return [f"on records that no decision saw the gap {does}"]
 
     def text(self) -> str:
         """The answer in words, for a terminal."""
@@ -142,20 +158,17 @@ def lowers(pair: "tuple[float, float] | None") -> bool:
 def moved(before: float, after: float | None, where: str, unit: str, shrinks: bool) -> str:
     """A gap in words; after: None where nothing was changed. shrinks: so does the residual."""
     if after is None:
-        return f"gap {level(before)} {where} ({unit})"
+        return f"{pair(before, None)} {where} ({unit})"
     said = ", it grows" if after > before else ""
     if shrinks and before > max(after, 1.0):
         said = f", {percent((before - max(after, 1.0)) / (before - 1.0))} of what is above 1 is gone"
-    return f"gap {level(before)} -> {level(after)} {where} ({unit}){said}"
+    return f"{pair(before, after)} {where} ({unit}){said}"
 
 
-def said(taken: bool, gain: float, gap: "tuple[float, float] | None", over_floor: "tuple[float, float] | None") -> str:
-    """One round in words. taken: into the model, for its gain. gap, over_floor: before and after, of records predicted without
-    their fold."""
+def said(taken: bool, gain: float, over_floor: "tuple[float, float] | None") -> str:
+    """One round in words. taken: into the model, for its gain. over_floor: before and after, of records predicted without their
+    fold."""
     text = f"gain {number(gain)} in twice the log likelihood of records not seen"
     if not taken:
         return f"{text}, not enough"
-    if over_floor and not lowers(over_floor):
-        left = f"{level(over_floor[0])} times the floor before, {level(over_floor[1])} after"
-        return f"{text}, taken though their residual does not shrink ({left})"
-    return f"{text}, accepted" + (f": their gap goes from {level(gap[0])} to {level(gap[1])}" if gap else "")
+    return f"{text}, accepted" if lowers(over_floor) else f"{text}, taken though their residual does not shrink"

@@ -2,6 +2,8 @@
 
 with bars(96, "null runs", "runs") as bar:
     bar.update(1)
+
+A search may end before its last round: `at_most` says so of the time left.
 """
 
 from collections.abc import Callable
@@ -18,7 +20,7 @@ class Bar(Protocol):
         """Report `done` of the total that the stage was announced with."""
 
 
-Bars = Callable[[float, str, str], AbstractContextManager[Bar]]  # (total, what is done, its unit)
+Bars = Callable[..., AbstractContextManager[Bar]]  # (total, what is done, its unit, at_most: whether it may end before)
 
 
 class Quiet:
@@ -28,13 +30,13 @@ class Quiet:
         """Nothing."""
 
 
-def silent(total: float, label: str, unit: str = "") -> AbstractContextManager[Bar]:
+def silent(total: float, label: str, unit: str = "", at_most: bool = False) -> AbstractContextManager[Bar]:
     """For callers from Python."""
     return nullcontext(Quiet())
 
 
-def shown(total: float, label: str, unit: str = "") -> console.Progress:
+def shown(total: float, label: str, unit: str = "", at_most: bool = False) -> console.Progress:
     """For a command line: there from the start, at nothing done."""
-    bar = console.Progress(total, label, unit)
+    bar = console.Progress(total, label, unit, at_most=at_most)
     bar.update(0)
     return bar

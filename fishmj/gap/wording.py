@@ -33,6 +33,11 @@ def level(value: float) -> str:
     return number(value) if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 
+def pair(before: float, after: float | None) -> str:
+    """A gap before and after; as it is where nothing was changed."""
+    return f"gap {level(before)}" + ("" if after is None or after == before else f" -> {level(after)}")
+
+
 def percent(share: float) -> str:
     """As one reads it; never all where a little is left."""
     shown = f"{100 * share:.0f}"

@@ -14,6 +14,7 @@ from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.search.healthy_swims import Healthy
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
 from fishmj.gap.thresholds import Gates, frozen, thresholds
@@ -53,7 +54,7 @@ def investigate(
     null: SimulatedNull | None = None,
     page: dict | None = None,
     mass_known: bool = True,
-    own: float = 0.0,
+    healthy: Healthy | None = None,
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
@@ -66,8 +67,8 @@ def investigate(
     Args:
         null: how null runs are drawn. page: of weighings, log/measurements.py.
         mass_known: the description's mass counts as weighed where the page has no scales.
-        own: |z|^2 / m that the model leaves of the swims that its water was calibrated to (search/healthy_swims.py), by which it
-            is known how much of a gap is usual; 0: nobody knows.
+        healthy: the swims that its water was calibrated to (search/healthy_swims.py), by which it is known how much of a gap is
+            usual and what this robot may still differ by; None: nobody knows.
         further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
         bars: progress of a stage (watch.py). admit: sees the likelihood before the search, may raise. notes: kept for the report.
     Raises:
@@ -86,12 +87,14 @@ def investigate(
     weighed = mass_properties.sensor(page or {}, model, mass_known)
     if mass_known and "scales" not in (page or {}):
         say(mass_properties.described(float(mass_properties.predicted(model, model.null)[0, 0])))
-    e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars)
+    swims = healthy.swims if healthy else None
+    e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars, swims)
     admit(e)
-    gates = e.allowed(gates, own)
-    if own:
-        say(f"the swims that the water was calibrated to leave {level(own)}: a gap up to {level(gates.adequacy)} is usual here")
-    with bars(gates.max_effects + 1, "search", "rounds") as bar:
+    gates = e.allowed(gates, healthy.left if healthy else 0.0)
+    if healthy:
+        left, usual = level(healthy.left), level(gates.adequacy)
+        say(f"the swims that the water was calibrated to leave {left}: a gap up to {usual} is usual here")
+    with bars(gates.max_effects + 1, "search", "rounds", at_most=True) as bar:
         found = forward_select(e, gates, split(seen, seed), say, bar)
     verdict = decide(e, found, gates)
     if verdict.answer in ("NAMED", "CLASS"):
@@ -113,7 +116,7 @@ def investigate(
         verdict = replace(verdict, terms=describe(e, null, seed))
     apart = None
     if unseen.any():
-        apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars)
+        apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars, swims)
         near = apart.linearised_at(found.best.row, found.near.form) if found.best.names else apart
         gaps = apart.gap(model.null)[0], near.gap(found.best.row)[0]
         before, after = apart.over_floor(model.null)[0], apart.over_floor(found.best.row)[0]

@@ -20,7 +20,7 @@ from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.check import gaps
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
-from fishmj.gap.wording import level, title
+from fishmj.gap.wording import level, pair, title
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_text
 from fishmj.water.choice import STRUCTURED
@@ -30,7 +30,8 @@ HELD_OUT = "the held-out fold, which the last fit saw: there were too few record
 
 
 class Written(NamedTuple):
-    """What came of a verdict. path: the version, the rejected candidate, or None where there was no candidate."""
+    """What came of a verdict. path: the version, the rejected candidate, or None where there was no candidate. gap_before,
+    gap_after: the pair of the verdict."""
 
     path: "Path | None"
     accepted: bool
@@ -134,9 +135,11 @@ def settle(
         table |= {"gates": verdict.get("gates", {}), "rivals": verdict.get("rivals", [])}
         draft = model_version.write(context["model"], Path(scratch) / out.name, effects, table, keep=False)
         candidate = load_robot(draft)
-        (before, _, floor), (after, _, left) = measure([parent, candidate])
-        table |= {"gap_before": float(before), "gap_after": float(after), "over_floor": [float(floor), float(left)]}
-        good, reason = verdict_on(answer, (before, after), (floor, left), which)
+        (judged, _, floor), (closed, _, left) = measure([parent, candidate])
+        before, after = (float(verdict[key]) for key in ("gap_before", "gap_after"))
+        table |= {"gap_before": before, "gap_after": after}
+        table |= {"judged_gap": [float(judged), float(closed)], "over_floor": [float(floor), float(left)]}
+        good, reason = verdict_on(answer, (before, after), (judged, closed), (floor, left), which)
         if good or force:
             model_version.write(context["model"], out, effects, table)
             from fishmj.gap.commands.mjcf_patch import difference, hooked
@@ -151,11 +154,17 @@ def settle(
     return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
 
 
-def verdict_on(answer: str, gap: tuple, over_floor: tuple, which: str = UNSEEN) -> tuple[bool, str]:
-    """Whether a candidate becomes a version, and why. gap, over_floor: (before, after). which: the records, in words."""
-    moved = f"gap {level(gap[0])} -> {level(gap[1])} on {which}"
+def verdict_on(answer: str, told: tuple, judged: tuple, over_floor: tuple, which: str = UNSEEN) -> tuple[bool, str]:
+    """Whether a candidate becomes a version, and why.
+
+    Args:
+        told: the gap of the verdict; judged, over_floor: gap and residual on the records that judge, in words `which`. All are
+            (before, after).
+    """
+    moved = f"{pair(*told)} on the records searched"
     if answer != "NAMED":
         return False, f"{answer}: no effect explains the gap for certain ({moved})"
-    if over_floor[1] >= over_floor[0]:
-        return False, f"the patch hurts: residual {level(over_floor[0])} -> {level(over_floor[1])} floors on {which}"
-    return (True, moved) if gap[1] < gap[0] else (False, f"the patch hurts: {moved}")
+    for what, (before, after) in (("residual", over_floor), ("gap", judged)):
+        if not after < before:
+            return False, f"the patch hurts: on {which} the {what} is {level(after / before)} times what it was"
+    return True, f"{moved}; it shrinks on {which}, too"

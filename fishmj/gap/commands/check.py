@@ -69,16 +69,17 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
     notes = admission.of_this_robot(trials, robot, model, agreed)
     given = (trials, null, stated.get("water", STRUCTURED))
     (before, _, floor), (after, channels, left) = gaps([load_robot(parent), robot], *given)
-    limit, worse = SLACK * stated["gap_after"], ""
+    was = stated["judged_gap"][1]
+    limit, worse = SLACK * was, ""
     if same and after > limit:
-        worse = f"gap {level(after)} on {len(trials)} records, stated was {level(stated['gap_after'])}"
+        worse = f"gap {level(after)} on {len(trials)} records, stated was {level(was)}"
     elif after >= before:
         worse = f"gap {level(after)} on {len(trials)} records, no smaller than its parent's {level(before)}"
     elif left >= floor:
         worse = f"residual {level(left)} floors on {len(trials)} records, no smaller than its parent's {level(floor)}"
     return {
         "model": str(model), "records": len(trials), "same_data": same, "gap_parent": before, "gap": after,
-        "stated": stated["gap_after"], "by_channel": channels, "worse": worse, "notes": notes,
+        "stated": was, "by_channel": channels, "worse": worse, "notes": notes,
     }  # fmt: skip
 
 

@@ -110,17 +110,18 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), health
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     model, null = SwimmingFish(robot), null_of(drawn_of(args))
-    own = 0.0
+    own = None
     if healthy:
         compiled(model, console.say)
-        own = healthy_swims.left_of(model, healthy, null, watch.shown)
-        notes = (*notes, f"the model leaves {level(own)} of the healthy swims in {args.healthy}")
+        own = healthy_swims.known(model, healthy, null, watch.shown)
+    if own:
+        notes = (*notes, f"the model leaves {level(own.left)} of the healthy swims in {args.healthy}")
     return investigate(
         model,
         list(given.trials.values()),
         gates=frozen() if args.most is None else replace(frozen(), max_effects=args.most),
         null=null,
-        own=own,
+        healthy=own,
         page=datasets.page_in(args.data),
         mass_known=not args.mass_unknown,
         seed=args.seed,

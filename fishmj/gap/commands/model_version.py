@@ -4,8 +4,9 @@
     number = 2
     parent = "fish"                 shipped name or file; parent_sha256 its hash: versions form a chain
     effects = ["coulomb_friction"]  what this version added or changed
-    data, data_sha256, judged       data set, hash of its manifest, and the records on which the gaps were measured
-    gap_before, gap_after           |z|^2 / m: healthy robots leave about 1
+    data, data_sha256, judged       data set, hash of its manifest, and the records that judge the version
+    gap_before, gap_after           |z|^2 / m of the records searched, as the verdict says: healthy robots leave about 1
+    judged_gap                      the same, before and after, of the records `judged`
     [version.null], [version.gates], rivals
 
 The blocks [[effect]] below it are `fishmj.effects.calibration`'s. The parent's text is kept beside the version.

@@ -79,6 +79,8 @@ class _Context(_Table):
 
 class _Verdict(_Table):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
+    gap_before: Finite
+    gap_after: Finite
     effects: list[_Named]
     rivals: list[_Rival] = []
     context: _Context | None = None
@@ -91,7 +93,7 @@ class _Version(_Table):
     judged: list[Text]
     null: _Null
     water: Text = "structured"
-    gap_after: Finite
+    judged_gap: Annotated[list[Finite], Field(min_length=2, max_length=2)]
 
 
 def verdict(report: Path, *, context: bool) -> dict[str, Any]:

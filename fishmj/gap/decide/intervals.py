@@ -47,13 +47,15 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     form = errors * np.abs(c.row[places] - e.model.null[places])
     form = form / np.sqrt(1.0 + form**2 * np.sum((jacobian[:, weighed] / e.d[weighed]) ** 2, 1))
     # The mean of what null runs would give is taken off: a model that is late by itself does not make the robot late.
-    values = np.clip(c.row[places] - spurious.mean(0), low[places], high[places])
-    return values, np.sqrt(spurious.var(0) + sampling**2 + form**2)
+    # Where healthy swims are known, that is known of the records already.
+    usual = spurious.mean(0) if e.drawn else 0.0
+    values = np.clip(c.row[places] - usual, low[places], high[places])
+    return values, np.sqrt(np.mean((spurious - usual) ** 2, 0) + sampling**2 + form**2)
 
 
 def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
-    """(n, K) what each null run would make of the parameters whose Jacobian (K, m) is given."""
-    n = e.runs
+    """(n, K) what each null run, or direction that healthy swims leave open, would make of parameters of that Jacobian (K, m)."""
+    n = e.draws
     alone = record_whitening(e.d, e.by_record, e.layout.record)
     factors, scaled = alone(e.factors), alone(jacobian)
     gram = factors @ factors.T

@@ -25,6 +25,7 @@ import numpy as np
 
 from fishmj.calib import calib_folder, read_toml
 from fishmj.errors import UnknownName
+from fishmj.gap.null.variances import Sample, asked
 from fishmj.gap.null.whitening import smooth
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.thresholds import Gates
@@ -37,6 +38,9 @@ ALL = "all"
 NEVER = ("", "second_robot")  # no robot of theirs took part: the null runs are the second robot's
 STEP = 0.02  # of sigma, of the finite differences
 SPACING = 1.5  # s: a body length at the speed of a gait (chosen)
+OWN_PRIOR = 4.0  # observations of each width that those of other waters count as, against a robot's own (chosen)
+OWN_ROUNDS = 10  # of the algorithm, from the widths of other waters
+TINY = 1e-12  # variance that stands for none
 STRONG = 1.0  # of D^1/2, singular value from which a direction of a record is a factor of its own
 
 
@@ -65,6 +69,7 @@ class StructuralError(NamedTuple):
     shared: np.ndarray
     by_record: tuple[np.ndarray, ...]
     variance: np.ndarray
+    moved: "Tangents | None" = None  # what it was made of
 
     @property
     def total(self) -> np.ndarray:
@@ -89,20 +94,69 @@ def applies(model) -> bool:
     return hasattr(model, "strips") and model.robot.water.get("model") == STRUCTURED
 
 
-def of(model, records, layout, null: np.ndarray, leftover: np.ndarray, given: Widths) -> StructuralError:
-    """Nothing where it does not apply. null: (n, m) residuals of null runs; leftover: (m,) D^1/2 without it."""
+def of(
+    model, records, layout, null: np.ndarray, leftover: np.ndarray, given: Widths, moved: "Tangents | None" = None
+) -> StructuralError:
+    """Nothing where it does not apply.
+
+    Args:
+        null: (n, m) residuals of null runs. leftover: (m,) D^1/2 without it. moved: tangents of these records, where known.
+    """
     if not applies(model):
         return StructuralError(np.zeros((0, layout.size)), (), np.zeros(layout.size))
     share = np.array([given.channels.get(str(c), 0.0) for c in layout.channel])
     variance = (share * smooth(np.sqrt(np.mean(null**2, 0)), layout)) ** 2
-    moved = tangents(model.strips(tuple(given.effects)), records, layout, given.effects)
+    moved = moved or tangents(model.strips(tuple(given.effects)), records, layout, given.effects)
     by_record, d = [], np.sqrt(leftover**2 + variance)
     for i, part in enumerate(moved.parts):
         mine = layout.record == i
         large, variance_left = strong(part * moved.widths(given, i)[:, None], d[mine])
         by_record.append(large)
         variance[mine] += variance_left
-    return StructuralError(moved.shared, tuple(by_record), variance)
+    return StructuralError(moved.shared, tuple(by_record), variance, moved)
+
+
+def own_widths(given: Widths, layout, null: np.ndarray, leftover: np.ndarray, moved: "Tangents", residual: np.ndarray) -> Widths:
+    """The same for one robot, as its own healthy swims ask for it: the most likely numbers, swings and channels.
+
+        u <- u ((seen + nu u_0 / u^2) / (expected + nu / u))^1/2        variances u, those of other waters u_0 (variances.py)
+
+    Those of other waters count as `OWN_PRIOR` observations, a scaled inverse chi-squared: what the swims do not tell stays.
+
+    Args:
+        layout, null (n, m), leftover (m,), moved, residual (m,): of the swims.
+    """
+    names, channels = moved.names, list(given.channels)
+    numbers, swings = ([table.get(name, 0.0) for name in names] for table in (given.numbers, given.swings))
+    start = np.array([*numbers, *swings, *(given.channels[c] for c in channels), 0.0]) ** 2
+    count, known = 2 * len(names), np.maximum(start, TINY)
+    order = np.arange(len(names))
+    groups = [np.concatenate([order, np.tile(order, len(part) // len(names) - 1) + len(names)]) for part in moved.parts]
+    channel = np.array([channels.index(c) if c in channels else len(channels) for c in layout.channel.tolist()])
+    spread = np.where(channel < len(channels), smooth(np.sqrt(np.mean(null**2, 0)), layout) ** 2, 0.0)
+    swum = Sample(
+        null=np.concatenate([null / np.sqrt(len(null)), moved.shared]),
+        shared=np.zeros((0, layout.size)),
+        group=np.zeros(0, int),
+        parts=moved.parts,
+        groups=groups,
+        record=layout.record,
+        variance=leftover**2,
+        spread=spread,
+        channel=channel,
+        residual=residual,
+    )
+    found = known
+    for _ in range(OWN_ROUNDS):
+        told = asked(swum, found[:count], found[count:])
+        found = found * np.sqrt((told.seen + OWN_PRIOR * known / found**2) / (told.expected + OWN_PRIOR / found))
+    width = np.where(start > 0.0, np.sqrt(found), 0.0).tolist()
+    tables = (dict(zip(names, width[i : i + len(names)], strict=True)) for i in (0, len(names)))
+    return given._replace(
+        numbers=given.numbers | next(tables),
+        swings=given.swings | next(tables),
+        channels=dict(zip(channels, width[count:-1], strict=True)),
+    )
 
 
 def allowed(gates: Gates, given: Widths, own: float = 0.0) -> Gates:

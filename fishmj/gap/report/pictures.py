@@ -17,7 +17,7 @@ from fishmj.errors import MissingExtra
 from fishmj.gap.localise import Comparison, Localisation
 from fishmj.gap.localise.error_growth import GrowthCurve
 from fishmj.gap.records.records import ChannelBlock
-from fishmj.gap.report.report_data import ReportPart, Round
+from fishmj.gap.report.report_data import Round
 from fishmj.gap.wording import SCALES, level, number
 from fishmj.pages import drawn, escaped
 
@@ -97,30 +97,29 @@ def svg(figure, label: str) -> Markup:
     return Markup(text.replace("<svg", head, 1).strip())
 
 
-def gaps(parts: tuple[ReportPart, ...], changed: bool, allowed: float) -> str:
-    """Before and after on every part of the records. allowed: below it model and records agree."""
-    figure, axes = canvas(1, 1, (6.2, 0.72 * len(parts) + 0.85))
+def gaps(rows: dict[str, tuple[float, float]], changed: bool, allowed: float) -> str:
+    """(before, after) of all records and of each channel, by name. allowed: below it model and records agree."""
+    figure, axes = canvas(1, 1, (6.2, 0.72 * len(rows) + 0.85))
     axis = axes[0, 0]
     axis.axvspan(0.01, allowed, color=BAND, zorder=0)
     axis.axvline(allowed, color=QUIET, linewidth=1, linestyle=(0, (2, 2)))
-    most = max([p.before for p in parts] + [p.after for p in parts] + [4.0])
-    least = min([p.after for p in parts] + [p.before for p in parts] + [0.6])
-    for y, p in enumerate(parts):
+    most, least = max([4.0, *map(max, rows.values())]), min([0.6, *map(min, rows.values())])
+    for y, (before, after) in enumerate(rows.values()):
         if changed:
-            axis.annotate("", (p.after, y), (p.before, y), arrowprops={"arrowstyle": "-", "color": "#9AA5B1", "linewidth": 1.6})
-            axis.plot(p.after, y, "o", color=AFTER, markersize=9, zorder=3)
-            axis.text(p.after, y + 0.17, level(p.after), ha="center", va="top", color=AFTER, fontsize=9.5, fontweight="bold")
-        axis.plot(p.before, y, "s", color=BEFORE, markersize=8, zorder=3)
-        axis.text(p.before, y - 0.17, level(p.before), ha="center", va="bottom", color=BEFORE, fontsize=9.5, fontweight="bold")
-    axis.set_yticks(range(len(parts)), [f"{p.name} ({p.records})" for p in parts], fontsize=10, color=INK)
-    axis.set(ylim=(len(parts) - 0.4, -0.6), xscale="log", xlim=(0.7 * least, 1.6 * most))
+            axis.annotate("", (after, y), (before, y), arrowprops={"arrowstyle": "-", "color": "#9AA5B1", "linewidth": 1.6})
+            axis.plot(after, y, "o", color=AFTER, markersize=9, zorder=3)
+            axis.text(after, y + 0.17, level(after), ha="center", va="top", color=AFTER, fontsize=9.5, fontweight="bold")
+        axis.plot(before, y, "s", color=BEFORE, markersize=8, zorder=3)
+        axis.text(before, y - 0.17, level(before), ha="center", va="bottom", color=BEFORE, fontsize=9.5, fontweight="bold")
+    axis.set_yticks(range(len(rows)), list(rows), fontsize=10, color=INK)
+    axis.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlim=(0.7 * least, 1.6 * most))
     axis.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     axis.xaxis.set_minor_formatter("")
     axis.grid(axis="y", visible=False)
     axis.spines["left"].set_visible(False)
     axis.tick_params(axis="y", length=0)
     axis.set_xlabel("gap, |z|² / m (grey: agreement)")
-    return svg(figure, "Gap before and after on every part of the records")
+    return svg(figure, "Gap before and after, of all records and by channel")
 
 
 def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:

@@ -1,6 +1,6 @@
 """Every figure that the page shows, computed from an inquiry: what is drawn and what is written as JSON are the same numbers."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -14,18 +14,6 @@ from fishmj.gap.search.fit import Candidate
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.wording import quantity, title
 from fishmj.gap.workflow import Inquiry
-
-
-@dataclass(frozen=True)
-class ReportPart:
-    """The gap on one part of the records, before and after."""
-
-    name: str
-    about: str
-    records: int
-    before: float
-    after: float
-    by_channel: dict | None = None  # channel -> (before, after)
 
 
 @dataclass(frozen=True)
@@ -68,7 +56,7 @@ class ReportData:
     comparison: Comparison
     place: Localisation
     growth: tuple[GrowthCurve, ...]
-    parts: tuple[ReportPart, ...]
+    channels: dict[str, tuple[float, float]]  # of the gap, before and after
     rounds: tuple[Round, ...]
     blind: tuple[Undetectable, ...]
     weighed: str
@@ -81,7 +69,7 @@ def gathered(inquiry: Inquiry) -> ReportData:
     c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
     growth, weighed = curves(e.model, c.records, *c.rows), mass_properties.agreement(e.model, e.records)
     place = localise(c, gates.adequacy)
-    return ReportData(inquiry, gates, c, place, growth, parts(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
+    return ReportData(inquiry, gates, c, place, growth, channels(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
@@ -89,28 +77,12 @@ def after(inquiry: Inquiry) -> np.ndarray:
     return (inquiry.found.best if inquiry.verdict.taken else inquiry.found.base).row
 
 
-def parts(inquiry: Inquiry) -> tuple[ReportPart, ...]:
-    """Fitted, held out, never used."""
-    e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
-    near, without = (found.near, found.fitted.fits[0]) if v.taken else (e, found.base)
-    out = []
-    for name, about, keep in (
-        ("fitted", "parameters were fitted to these", ~inquiry.held),
-        ("held out", "they accepted or refused what was fitted", inquiry.held),
-    ):
-        if not keep.any():
-            continue
-        (before, one), (ended, two) = e.gap(found.base.row, keep), near.gap(without.row, keep)
-        out.append(ReportPart(name, about, int(keep.sum()), before, ended, {k: (one[k], two[k]) for k in one}))
-    if v.gap_after_unseen is not None and v.gap_unseen_before is not None:
-        what = "no decision ever saw these"
-        ended = v.gap_after_unseen if v.taken else v.gap_unseen_before
-        last = ReportPart("never used", what, int(inquiry.unseen.sum()), v.gap_unseen_before, ended)
-        if inquiry.apart is not None:
-            one, two = (inquiry.apart.gap_there(row)[1] for row in (found.base.row, after(inquiry)))
-            last = replace(last, by_channel={name: (one[name], two[name]) for name in one})
-        out.append(last)
-    return tuple(out)
+def channels(inquiry: Inquiry) -> dict[str, tuple[float, float]]:
+    """The gap of the verdict by channel, before and after, as `Verdict.gap` is measured: on all records searched."""
+    e, found = inquiry.evidence, inquiry.found
+    near = found.near if inquiry.verdict.taken else e
+    one, two = e.gap(found.base.row)[1], near.gap(after(inquiry))[1]
+    return {name: (one[name], two[name]) for name in one}
 
 
 def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
@@ -184,6 +156,12 @@ def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
     return tuple(sorted(out, key=lambda b: -b.ratio))
 
 
+def gap_of(m: ReportData) -> tuple[float, float]:
+    """The pair that the page says, `Verdict.gap`; twice the same where nothing was taken."""
+    before, now = m.inquiry.verdict.gap
+    return before, before if now is None else now
+
+
 def plain(m: ReportData) -> dict:
     """The page's figures for JSON."""
     place = asdict(m.place) | {"text": m.place.text, "lags": {k: v and v.as_dict() for k, v in m.place.lags._asdict().items()}}
@@ -196,7 +174,7 @@ def plain(m: ReportData) -> dict:
         "verdict": m.inquiry.verdict.plain(),
         "notes": list(m.inquiry.notes),
         "records": [{"name": r.name, "excitation": r.excitation, "part": part} for r, part in used],
-        "gap": [asdict(p) for p in m.parts],
+        "gap": {"before": (pair := gap_of(m))[0], "after": pair[1], "allowed": m.gates.adequacy, "by_channel": m.channels},
         "localisation": place,
         "weighed": m.weighed,
         "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],

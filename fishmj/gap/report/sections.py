@@ -12,7 +12,7 @@ from fishmj.effects.effect import Effect
 from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
 from fishmj.gap.report.pictures import LETTERS, style, traces
-from fishmj.gap.report.report_data import ReportData, Round, parted
+from fishmj.gap.report.report_data import ReportData, Round, gap_of, parted
 from fishmj.gap.search.model_error import misformed
 from fishmj.gap.terms.stronger import outdone
 from fishmj.gap.thresholds import residual_allowed, thresholds
@@ -48,15 +48,16 @@ def value(m: ReportData) -> str:
 
 def figures(m: ReportData) -> list[tuple[str, str]]:
     """The few numbers that one asks for first."""
-    v, last = m.inquiry.verdict, m.parts[-1]
-    about = f"gap on records {last.name}; up to {level(m.gates.adequacy)} is agreement"
+    v = m.inquiry.verdict
+    before, after = gap_of(m)
+    about = f"gap of the records searched; {v.yardstick()}"
     out = []
     if m.comparison.changed:
-        out.append((f"{level(last.before)} → {level(last.after)}", about))
-        if v.shrinks and last.after < last.before:
+        out.append((f"{level(before)} → {level(after)}", about))
+        if v.shrinks:
             out.append((f"{percent(v.explained)}", f"of {LIKELIHOOD} is explained, on records not fitted to"))
     else:
-        out.append((level(last.before), about))
+        out.append((level(before), about))
     if v.answer in ("NAMED", "CLASS") and v.effects:
         out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): how surely the best of the catalogue"))
     seconds, effects = sum(r.seconds for r in m.inquiry.records), len(m.inquiry.evidence.model.active.effects)
@@ -66,16 +67,16 @@ def figures(m: ReportData) -> list[tuple[str, str]]:
 
 def gap(m: ReportData) -> Section:
     """Before and after."""
-    channels = list(dict.fromkeys(k for p in m.parts for k in (p.by_channel or {})))
-    pair = lambda both: " → ".join(map(level, both if m.comparison.changed else both[:1])) if both else "-"
-    rows = [{"gap": part("strong", "all")} | {p.name: part("strong", pair((p.before, p.after))) for p in m.parts}]
-    rows += [{"gap": k} | {p.name: pair((p.by_channel or {}).get(k)) for p in m.parts} for k in channels]
+    pair = lambda both: " → ".join(map(level, both if m.comparison.changed else both[:1]))
+    shown_rows = {"all": gap_of(m), **m.channels}
+    rows = [{"channel": part("strong", k), "gap": part("strong", pair(both))} for k, both in shown_rows.items() if k == "all"]
+    rows += [{"channel": k, "gap": pair(both)} for k, both in m.channels.items()]
     about = "|z|² / m: mean square of measured minus model, whitened by what healthy robots differ from their models by, so that "
     about += f"they leave about 1 and hardly ever more than {level(m.gates.adequacy)}: up to there model and records agree. "
     if m.comparison.changed:
-        about += "Square: the model as it was. Circle: with what was found, fitted without the records held out. "
+        about += "Square: the model as it was. Circle: with what was found. "
     about += "Grey: agreement."
-    drawn = figure(pictures.gaps(m.parts, m.comparison.changed, m.gates.adequacy))
+    drawn = figure(pictures.gaps(shown_rows, m.comparison.changed, m.gates.adequacy))
     shown = part("beside", drawn, table(rows), "two")
     return Section("The gap" + (", before and after" if m.comparison.changed else ""), about, [shown, *warnings(m)])
 
@@ -89,6 +90,7 @@ def warnings(m: ReportData) -> list[str]:
         notes.append(f"What was found {m.inquiry.verdict.told()}")
     shown: list[str] = [part("told", told(n.rstrip(".") + "."), "warn") for n in notes]
     shown += m.inquiry.notes  # file names: nothing of them is marked up
+    shown += [sentence(text) for text in m.inquiry.verdict.unseen()]
     if not m.inquiry.unseen.any():
         shown.append("No record was kept apart: of nine or more a quarter is, for a last figure that no decision saw.")
     return shown

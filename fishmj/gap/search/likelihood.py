@@ -25,13 +25,25 @@ import numpy as np
 
 from fishmj.gap.null import launch_error, structural_error
 from fishmj.gap.null.structural_error import Widths
-from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, smooth, whitening
+from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, record_whitening, smooth, whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
 from fishmj.gap.search.model_error import ModelError, ModelResponse, channel_changes
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.watch import Bars, silent
+
+
+class KnownLayout(ResidualLayout):
+    """A layout of which a part of each residual is known: (m,) `known` is taken off."""
+
+    def __init__(self, records: list[Record], known: np.ndarray):
+        super().__init__(records)
+        self.known = known
+
+    def residuals(self, predictions: list[dict]) -> np.ndarray:
+        """(R, size) measured minus predicted, less what is known of it."""
+        return super().residuals(predictions) - self.known
 
 
 class Likelihood:
@@ -48,28 +60,41 @@ class Likelihood:
         self.origin = self
         self.form = limits.model_error if form is None else form
         self.runs = len(null)
+        self.drawn = True  # the first factors are the null runs, each by itself
         self.layout = ResidualLayout(records)
         # One set of draws, kept: whatever is linearised later is compared with the origin draw by draw, so that their
         # difference is not the draws'.
         self._draws = np.random.default_rng(0).standard_normal((limits.nonlinearity_draws, len(model.constants)))
         self._null_tangents, self._null_nonlinear = self._constants(getattr(model, "nothing", model.null))
-        left = leftover(null, self.layout)
+        self._left = leftover(null, self.layout)
         self._null_factors = null / np.sqrt(len(null))
         # The null runs draw their constants, too. What is not linear in these, and within the runs' scatter, is smooth in time;
         # on the diagonal it costs small effects more than they gain. Of models as described that was not measured.
-        scatter = np.mean(null**2, 0)
         self.calibrated = structural_error.applies(model)
-        self._null_scatter = scatter if self.calibrated else 0.0
-        self.widths = structural_error.widths() if widths is None else widths
-        self._structural = structural_error.of(model, records, self.layout, null, left, self.widths)
+        self._null_scatter = np.mean(null**2, 0) if self.calibrated else 0.0
         self._launches = launch_error.factors(model, records, self.layout)
+        self._cover(null, structural_error.widths() if widths is None else widths)
+
+    def _cover(self, null: np.ndarray, widths: Widths, moved: "structural_error.Tangents | None" = None) -> None:
+        """Set all that the structural error decides. null: (n, m) residuals of null runs; moved: as of `structural_error.of`."""
+        self.widths = widths
+        self._structural = structural_error.of(self.model, self.records, self.layout, null, self._left, widths, moved)
         self.factors = np.concatenate([self._null_factors, self._structural.shared, self._launches])
         self.by_record = self._structural.by_record
-        self.d = np.sqrt(left**2 + self._structural.variance)
-        self.scale = np.sqrt(scatter + left**2 + self._structural.total)
-        self.response = ModelResponse(
-            self.factors, self.by_record, self.layout.record, self.d**2, *np.zeros((2, self.layout.size))
-        )
+        self.d = np.sqrt(self._left**2 + self._structural.variance)
+        self.scale = np.sqrt(np.mean(null**2, 0) + self._left**2 + self._structural.total)
+        known = self.d**2
+        self.response = ModelResponse(self.factors, self.by_record, self.layout.record, known, *np.zeros((2, self.layout.size)))
+
+    def with_own_widths(self) -> "Likelihood":
+        """The same records, healthy swims of one robot, with the widths that they ask for (`structural_error.own_widths`)."""
+        null, moved, there = self._null_factors * np.sqrt(self.runs), self._structural.moved, copy(self)
+        if moved is not None:
+            residual = self._residuals(self.model.null[None])[0]
+            own = structural_error.own_widths(self.widths, self.layout, null, self._left, moved, residual)
+            there.origin = there
+            there._cover(null, own, moved)
+        return there
 
     def allowed(self, gates: Gates, own: float = 0.0) -> Gates:
         """The gates with what the structural error leaves of healthy robots; of a model without one, as they are.
@@ -87,6 +112,36 @@ class Likelihood:
         model is not calibrated or that was not measured."""
         any_formula = thresholds().intervals.formula_error
         return max(any_formula, self.widths.formula.get(stage, 0.0)) if self.calibrated else any_formula
+
+    @property
+    def draws(self) -> int:
+        """How many of the factors are null runs, or what healthy swims leave of them."""
+        return len(self._null_factors)
+
+    def given(self, swims: "Likelihood") -> "Likelihood":
+        """The same for a robot of which healthy swims are known: what its records share counts as far as those leave it open.
+
+            e  ~ N(m, P)      what the records of a robot share: its constants (null runs), the effects of a healthy one
+            P  = (1 + F_h C_h^-1 F_h^T)^-1,   m = P F_h C_h^-1 r_h        of the swims; C: what each record has by itself
+            S  = F^T P F + C,   r <- r - F^T m
+
+        swims: of the same model, null and widths, at the model as it is.
+        """
+        alone = record_whitening(swims.d, swims.by_record, swims.layout.record)
+        seen = alone(swims.factors)
+        left = np.linalg.inv(np.eye(len(seen)) + seen @ seen.T)
+        mean = left @ (seen @ alone(swims._residuals(swims.model.null[None])[0]))
+        shared = np.concatenate([self._null_factors, self._structural.shared])
+        count = len(shared)  # launches of the swims are no other record's
+        there = copy(self)
+        there.drawn = False
+        there.origin = there
+        there._null_factors = np.linalg.cholesky(left[:count, :count]).T @ shared
+        there._structural = self._structural._replace(shared=shared[:0])
+        there.layout = KnownLayout(self.records, mean[:count] @ shared)
+        there.factors = np.concatenate([there._null_factors, self._launches])
+        there.response = self.response._replace(factors=there.factors)
+        return there
 
     def with_model(self, model) -> "Likelihood":
         """The same records and null with other effects in question; `model` at its null is the same model."""
@@ -185,10 +240,16 @@ class Likelihood:
         keep = np.ones(len(self.records), bool) if keep is None else keep
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
-        factors, layout = self.factors[:, columns], ResidualLayout(records)
+        factors, layout = self.factors[:, columns], self._layout_of(records, columns)
         factors = factors if more is None else np.concatenate([factors, more])
         by_record = [mine for mine, kept in zip(self.by_record, keep, strict=True) if kept] if self.by_record else ()
         return EffectFitter(self.model, records, layout, whitening(factors, self.d[columns], by_record, layout.record))
+
+    def _layout_of(self, records: list[Record], columns: np.ndarray) -> ResidualLayout:
+        """Of a part of the records, columns (m,) bool."""
+        return (
+            KnownLayout(records, self.layout.known[columns]) if isinstance(self.layout, KnownLayout) else ResidualLayout(records)
+        )
 
     def loss(self, row: np.ndarray) -> float:
         """Twice the negative log likelihood of all records, of one parameter row."""
@@ -222,10 +283,15 @@ class Likelihood:
         return over_floor(self._residuals(row[None])[0], self.scale, self.layout)
 
 
-def likelihood_of(model, records: list[Record], null, bars: Bars = silent) -> Likelihood:
-    """Of records with the null runs that `null` (a `SimulatedNull`) makes of them. bars: of runs made anew."""
-    widths = structural_error.widths(null.without if isinstance(null.without, str) else "")
-    return Likelihood(model, records, null.residuals(model, records, ResidualLayout(records), bars), widths=widths)
+def likelihood_of(model, records: list[Record], null, bars: Bars = silent, swims: Likelihood | None = None) -> Likelihood:
+    """Of records with the null runs that `null` (a `SimulatedNull`) makes of them.
+
+    bars: of runs made anew. swims: healthy ones of this robot with its own widths, by which the structural error shrinks.
+    """
+    runs = null.residuals(model, records, ResidualLayout(records), bars)
+    if swims is not None:
+        return Likelihood(model, records, runs, widths=swims.widths).given(swims)
+    return Likelihood(model, records, runs, widths=structural_error.widths(null.without if isinstance(null.without, str) else ""))
 
 
 def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tuple[Likelihood, Candidate]:

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.effects.ambiguity import together
+from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, over_floor, relinearise
@@ -139,7 +140,7 @@ class SelectionStep:
 
     def text(self) -> str:
         """In words."""
-        return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.gap, self.over_floor)}"
+        return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.over_floor)}"
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,8 @@ class Selection:
 
 def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bar: Bar) -> Selection:
     """Add effects while records predicted without their fold get likelier. say: each step in words. bar: of rounds."""
-    pool = [x for x in e.model.active.effects if is_absent(e.model, x)]
+    logged = set(e.layout.channel.tolist())
+    pool = [x for x in e.model.active.effects if is_absent(e.model, x) and shows(x, logged)]
     whole = e.subset()
     base = whole.base()
     selected = CrossValidated(e, base, (base,) * len(folds))
@@ -350,6 +352,12 @@ def is_absent(model, effect) -> bool:
     """Whether the model that is questioned does not have the effect yet."""
     places = [model.index(effect.name, p.name) for p in effect.parameters]
     return tuple(model.null[places]) == effect.null
+
+
+def shows(effect, logged: set[str]) -> bool:
+    """Whether an effect shows in one of the channels that were logged: what would fit elsewhere only stands in for another."""
+    weighed = effect.stage == "inertia" and mass_properties.CHANNEL in logged
+    return weighed or not effect.shows or bool(logged & set(effect.shows))
 
 
 # --------------------------------------------------------------------------------------------------------------------- pruning

@@ -24,6 +24,7 @@ class Case(NamedTuple):
     noise: float  # factor on the sensors' noise
     logs: tuple[str, ...]  # experiments
     seed: int  # of the fish, its network and noise
+    times: float = 0.0  # strength to which its effect is scaled before it is hidden (power.py); 0: as it is
 
 
 def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small: bool = False) -> list[Case]:

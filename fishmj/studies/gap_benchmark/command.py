@@ -8,6 +8,7 @@ its aims, but with --small.
 
 fishmj gap bench --generator families --jobs 0 --shard 0/4 --out bench0        a quarter of it, one of four machines
 fishmj gap bench --score bench0 bench1 bench2 bench3                            all of it
+fishmj gap bench --generator families --power --effects quadratic_drag --out power     how often it is found, by its strength
 """
 
 import argparse
@@ -26,7 +27,7 @@ from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
 from fishmj.mjcf.description import load_robot
 from fishmj.store import write_text
-from fishmj.studies.gap_benchmark import cases, families, family_command, logs, solver
+from fishmj.studies.gap_benchmark import cases, families, family_command, logs, power, solver
 from fishmj.studies.gap_benchmark.rows import keep, kept
 from fishmj.studies.gap_benchmark.run import fish, run
 from fishmj.studies.gap_benchmark.score import score
@@ -63,6 +64,9 @@ def main(argv: list[str]) -> int:
     add("--small", action="store_true", help="half a session, usual noise: a case takes seconds; of families 4 logs a case")
     session = f"of families: logs of a case, 4 to 12 (default {family_command.LOGS}, {family_command.SHORT} with --small)"
     add("--logs", type=console.whole(4, 12), metavar="N", help=session)
+    times = ", ".join(f"{t:g}" for t in power.TIMES)
+    strengths = f"of families: each effect (or --effects) at {times} times what healthy robots differ by, as a table of power"
+    add("--power", action="store_true", help=f"{strengths} ({power.CASES} cases by default)")
     add("--uncalibrated", action="store_true", help="of families: question the description as it is")
     add("--strict", action="store_true", help="of families: exit 1 below the aims with --small, --shard or --effects, too")
     sets = "of --generator solver: folder that python -m fishmj.studies.solver_family made (default none)"
@@ -89,7 +93,7 @@ def main(argv: list[str]) -> int:
         return family_command.bench(args, names)
     if len(args.generator) > 1:
         raise ConfigError(f"gap bench: --generator {','.join(args.generator)}: {', '.join(ALONE)} are scored alone")
-    for option in ("logs", "uncalibrated", "strict"):
+    for option in ("logs", "uncalibrated", "strict", "power"):
         if getattr(args, option):
             raise ConfigError(f"gap bench: --{option} goes with --generator {', '.join(families.NAMES)} or {family_command.ALL}")
     args.generator, args.cases = args.generator[0], args.cases or CASES
@@ -146,6 +150,7 @@ def refuse_solver(args) -> None:
         together = f"its rows and those of other families are scored together by --score (got {','.join(args.generator)})"
         raise ConfigError(f"gap bench: --generator {SOLVER} and --sets DIR go together, alone; {together}")
     asked = {"--model": args.model != "fish", "--logs": args.logs, "--weighed": args.weighed, "--baselines": args.baselines}
+    asked |= {"--power": args.power}
     if given := [option for option, value in asked.items() if value]:
         raise ConfigError(f"gap bench: {given[0]} does not go with --generator {SOLVER}: its data sets are made")
 

@@ -13,7 +13,7 @@ from fishmj.errors import ConfigError
 from fishmj.gap import watch
 from fishmj.gap.workflow import compiled
 from fishmj.store import write_text
-from fishmj.studies.gap_benchmark import families, family_rows, family_score, solver_sets
+from fishmj.studies.gap_benchmark import families, family_rows, family_score, power, solver_sets
 from fishmj.studies.gap_benchmark.cases import Case
 from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot, robots
 from fishmj.studies.gap_benchmark.rows import kept
@@ -67,9 +67,13 @@ def dealt(args, names: tuple[str, ...]) -> list[BenchRobot]:
     Raises:
         ConfigError: none is left.
     """
-    (index, shards), many = args.shard, args.cases or (FEW if args.small else CASES)
-    todo = robots(many, args.seed, names, args.kinds, args.logs or (SHORT if args.small else LOGS))[index::shards]
-    if args.effects:
+    (index, shards), logs = args.shard, args.logs or (SHORT if args.small else LOGS)
+    many = args.cases or (FEW if args.small else power.CASES if args.power else CASES)
+    if args.power:
+        todo = power.robots(many, args.seed, names, args.effects, logs)[index::shards]
+    else:
+        todo = robots(many, args.seed, names, args.kinds, logs)[index::shards]
+    if args.effects and not args.power:
         todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
     if not todo:
         raise ConfigError(f"gap bench: no robot is left of {many} cases, every {shards}th from {index}; take more --cases")
@@ -78,6 +82,8 @@ def dealt(args, names: tuple[str, ...]) -> list[BenchRobot]:
 
 def scored(rows: list[dict], args, strict: bool) -> int:
     """Print a score; exit 1 where an aim is missed and somebody cares."""
+    if any(row.get("times") for row in rows):
+        return rated(rows, args, strict)
     result = family_score.score(rows)
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
@@ -86,6 +92,17 @@ def scored(rows: list[dict], args, strict: bool) -> int:
         console.emit_json(result)
     missed = [aim["aim"] for aim in result["aims"] if aim["met"] is False]
     return console.FAILED_CHECK if strict and missed else console.OK
+
+
+def rated(rows: list[dict], args, strict: bool) -> int:
+    """Print the table of power; exit 1 where an aim is missed and somebody cares."""
+    result = power.score(rows)
+    if args.out:
+        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
+    console.say(*power.told(result))
+    if args.json:
+        console.emit_json(result)
+    return console.FAILED_CHECK if strict and False in result["met"].values() else console.OK
 
 
 def together(folders: list[Path], args) -> int:
@@ -127,7 +144,8 @@ def there(row: dict | None, case: Case, one: family_rows.Asked) -> bool:
     if row is None:
         return False
     begun = console.plain(family_rows.begun(case, one))
-    if differs := [key for key in DECIDED if row.get(key) != begun[key]]:
+    keys = DECIDED if not case.times else (*DECIDED[1:], "times", "drawn")  # its size was scaled since
+    if differs := [key for key in keys if row.get(key) != begun[key]]:
         what = f"row {case.id} differs in {', '.join(differs)}"
         raise ConfigError(f"gap bench: {one.out} holds another benchmark: {what}; take another --out, or the options of before")
     return True

@@ -17,12 +17,13 @@ from fishmj import console
 from fishmj.errors import ConfigError, LogError, SimDiverged
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.search import healthy_swims
+from fishmj.gap.search.healthy_swims import Healthy
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.watch import Quiet
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
-from fishmj.studies.gap_benchmark import calibrated, families
+from fishmj.studies.gap_benchmark import calibrated, families, power
 from fishmj.studies.gap_benchmark.cases import Case
 from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot, described, number_of, searched
 from fishmj.studies.gap_benchmark.rows import keep
@@ -51,7 +52,7 @@ class Laps:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
-    def __call__(self, total: float, label: str, unit: str = "") -> Iterator[Quiet]:
+    def __call__(self, total: float, label: str, unit: str = "", at_most: bool = False) -> Iterator[Quiet]:
         begin = time.process_time()
         yield Quiet()
         self.seconds[label] = self.seconds.get(label, 0.0) + time.process_time() - begin
@@ -76,16 +77,16 @@ def _rows(one: Asked) -> Iterator[dict]:
     robot = one.robot
     about = {"model": "drawn" if robot.drawn else "fish"}
     try:
-        known, model, more = questioned(one)
+        known, model, own, more = questioned(one)
     except UNABLE as error:
         yield from (begun(case, one) | about | refused(error) for case in robot.cases)
         return
     for case in robot.cases:
-        yield begun(case, one) | about | more | row(one, case, known, model, more["own"])
+        yield begun(case, one) | about | more | row(one, case, known, model, own)
 
 
-def questioned(one: Asked) -> tuple[Robot, object, dict]:
-    """(true description, the model that is questioned, what rows say of both)."""
+def questioned(one: Asked) -> tuple[Robot, object, Healthy | None, dict]:
+    """(true description, the model that is questioned, what its own healthy swims tell, what rows say of all three)."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     begin = time.process_time()
@@ -96,41 +97,47 @@ def questioned(one: Asked) -> tuple[Robot, object, dict]:
         believed, facts["calibrated"] = calibrated.calibrated(one.robot.family, one.robot.seed, known)
     model = SwimmingFish(believed)
     _ = model.kernel
-    facts["own"] = 0.0
+    own = None
     if one.calibrate:
         swims = calibrated.swims(one.robot.family, one.robot.seed, known)
-        facts["own"] = healthy_swims.left_of(model, swims, SimulatedNull(without=one.robot.family))
-    return known, model, facts | {"robot_cpu_seconds": time.process_time() - begin}
+        own = healthy_swims.known(model, swims, SimulatedNull(without=one.robot.family))
+    facts["own"] = own.left if own else 0.0
+    return known, model, own, facts | {"robot_cpu_seconds": time.process_time() - begin}
 
 
-def row(one: Asked, case: Case, known: Robot, model, own: float = 0.0) -> dict:
+def row(one: Asked, case: Case, known: Robot, model, own: Healthy | None = None) -> dict:
     """What a row says of one case of a robot."""
-    robot, begin = one.robot, time.process_time()
+    robot, begin, about = one.robot, time.process_time(), {}
     try:
+        if case.times:
+            hidden, strength = power.scaled(robot.family, case, known)
+            case, about = case._replace(effects=hidden), {"truth": hidden}
+            if not power.reached(strength, case.times):
+                return about | {"answer": power.NOT_REACHED, "detectable": strength}
         number = APART * (1 + number_of(case))
         trials = families.trials(robot.family, case.effects, case.logs, robot.seed, known, first=number, noise=case.noise)
         seen = families.detectable(robot.family, case.effects, case.logs, robot.seed, known)
     except (ConfigError, SimDiverged) as error:  # what is hidden leaves no robot, or one that does not swim
         return {"answer": "DIVERGED", "reason": str(error)}
     page = families.page(robot.family, case.effects, robot.seed, known) if one.weighed else None
-    return answered(case, robot, model, trials, seen, page, time.process_time() - begin, own)
+    return about | answered(case, robot, model, trials, seen, page, time.process_time() - begin, own)
 
 
 def answered(
     case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float,
-    own: float = 0.0,
+    own: Healthy | None = None,
 ) -> dict:  # fmt: skip
     """What a row says of a search, where there is one. seen: how much of what is hidden shows, by the generator; data: CPU
-    seconds that the trials took; own: what the model leaves of the swims that it was calibrated to."""
+    seconds that the trials took; own: what the swims tell that it was calibrated to."""
     about = {"detectable": seen["all"], "each_detectable": seen["each"]}
     about |= {"noise_only": seen["noise_only"], "each_noise_only": seen["each_noise_only"]}
-    if not searched(case, seen["each"]):
+    if not case.times and not searched(case, seen["each"]):
         return about | {"answer": "NOT_SEARCHED"}
     made, start, laps = time.process_time(), time.monotonic(), Laps()
     null = SimulatedNull(noise=case.noise, without=robot.family)
     try:
         asked = partial(investigate, model, trials, gates=frozen(), null=null, seed=robot.seed, bars=laps)
-        verdict = asked(page=page, mass_known=False, own=own).verdict
+        verdict = asked(page=page, mass_known=False, healthy=own).verdict
     except UNABLE as error:
         return about | refused(error)
     cpu = {"data": data, **laps.seconds, "whole search": time.process_time() - made}
@@ -145,6 +152,7 @@ def of_body(robot: Robot) -> dict:
 def begun(case: Case, one: Asked) -> dict:
     """What a row says of a case before anything is asked: two rows of one id that differ in it are of two benchmarks."""
     out = {"id": case.id, "kind": case.kind, "truth": case.effects, "noise": case.noise, "logs": len(case.logs)}
+    out |= {"times": case.times, "drawn": case.effects} if case.times else {}
     out |= {"experiments": list(case.logs), "weighed": one.weighed, "as_described": not one.calibrate}
     return out | {"family": one.robot.family, "robot": one.robot.id, "seed": one.robot.seed}
 

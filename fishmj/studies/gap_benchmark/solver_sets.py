@@ -19,6 +19,7 @@ from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.gap.null.null_runs import SimulatedNull, digest
 from fishmj.gap.search import healthy_swims
+from fishmj.gap.search.healthy_swims import Healthy
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
 from fishmj.machine_code import cache_folder
@@ -70,7 +71,7 @@ def _rows(one: Asked, folder: Path) -> Iterator[dict]:
     except UNABLE as refusal:
         yield from (begun(case, one) | about | refused(refusal) for case in one.robot.cases)
         return
-    about |= {"calibrated": error, "own": own}
+    about |= {"calibrated": error, "own": own.left if own else 0.0}
     for case in one.robot.cases:
         begin = time.process_time()
         trials = read_bundle(folder / SETS / f"{case.id}.npz")
@@ -79,15 +80,15 @@ def _rows(one: Asked, folder: Path) -> Iterator[dict]:
         yield begun(case, one) | about | more | answered(case, one.robot, model, trials, seen, None, data, own)
 
 
-def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dict | None, float]:
-    """(the model that is questioned, how wrong its speed is on swims left out of its calibration, what it leaves of these swims).
+def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dict | None, Healthy | None]:
+    """(the model that is questioned, how wrong its speed is on swims left out of its calibration, what these swims tell).
 
     Raises:
         LogError: the free swims say nothing.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
-    believed, error, own = known, None, 0.0
+    believed, error, own = known, None, None
     if one.calibrate:
         told = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
         path = cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
@@ -95,7 +96,7 @@ def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dic
     model = SwimmingFish(believed)
     _ = model.kernel
     if one.calibrate:
-        own = healthy_swims.left_of(model, free, SimulatedNull(without=plans.SOLVER))
+        own = healthy_swims.known(model, free, SimulatedNull(without=plans.SOLVER))
     return model, error, own
 
 

@@ -24,6 +24,7 @@ from fishmj.cores import usable_cores
 from fishmj.gap import watch
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.structural_error import Widths
+from fishmj.gap.null.variances import Asked, Found, Sample, asked, most_likely
 from fishmj.store import read_json, write_json, write_text
 from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot, every
 from fishmj.studies.gap_benchmark.family_command import warmed
@@ -43,7 +44,6 @@ from fishmj.studies.structural_error.sample import (
     stage_gains,
 )
 from fishmj.studies.structural_error.unseen_family import level
-from fishmj.studies.structural_error.variances import Asked, Found, Sample, asked, most_likely
 
 Left = tuple[str, ...]  # families that a fit has not seen
 NAMES = (*generators.NAMES, SOLVER)

@@ -14,6 +14,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull, trials_of
 from fishmj.gap.null.structural_error import Widths
+from fishmj.gap.null.variances import Sample
 from fishmj.gap.null.whitening import leftover, smooth
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of
@@ -28,7 +29,6 @@ from fishmj.store import read_json, read_npz, write_json, write_npz
 from fishmj.store.manifest import SOURCES
 from fishmj.studies.gap_benchmark import calibrated, families, solver
 from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot, described
-from fishmj.studies.structural_error.variances import Sample
 
 SOLVER = "solver"
 CHANNELS = ("joint", "heading", "position", "power")
