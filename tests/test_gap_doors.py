@@ -399,7 +399,7 @@ def test_a_planted_robot_may_be_ones_own(tmp_path):
 GOOD = {
     "answer": "NAMED",
     "effects": [{"name": "coulomb_friction", "parameters": {"torque": {"value": 0.1, "low": 0.0, "high": 0.2}}, "p_best": 1.0}],
-    "rivals": [],
+    "rivals": [], "gap_before": 9.0, "gap_after": 1.0,
     "context": {"model": "fish", "model_sha256": "0" * 64, "data": "/nowhere", "data_sha256": "0" * 64, "judged": ["a"],
                 "null": {"runs": 8, "noise": 1.0, "seed": 0}},
 }  # fmt: skip

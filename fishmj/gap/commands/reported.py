@@ -79,11 +79,14 @@ class _Context(_Table):
 
 class _Verdict(_Table):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
-    gap_before: Finite
-    gap_after: Finite
     effects: list[_Named]
     rivals: list[_Rival] = []
     context: _Context | None = None
+
+
+class _Applied(_Verdict):
+    gap_before: Finite
+    gap_after: Finite
 
 
 class _Version(_Table):
@@ -104,7 +107,7 @@ def verdict(report: Path, *, context: bool) -> dict[str, Any]:
     """
     path = report / "verdict.json" if report.is_dir() else report
     found = read_json(path)
-    told = _checked(_Verdict, found, str(path), "fishmj gap find DATA --out FOLDER")
+    told = _checked(_Applied if context else _Verdict, found, str(path), "fishmj gap find DATA --out FOLDER")
     if context and told.context is None:
         raise ConfigError(f"{path}: no verdict with its context; write it with: fishmj gap find DATA --out FOLDER")
     return {**found, **told.model_dump(exclude_none=True)}
