@@ -122,7 +122,8 @@ def test_rows_of_power_are_kept_resumed_and_scored(tmp_path, monkeypatch, capsys
 
     monkeypatch.setattr(family_command.family_rows, "rows", rows)
     monkeypatch.setattr(family_command, "warmed", lambda names: None)
-    argv = ["--generator", "foil", "--power", "--effects", "quadratic_drag", "--cases", "10", "--out", str(tmp_path), "--json"]
+    argv = ["--generator", "foil", "--power", "--effects", "quadratic_drag", "--cases", "10", "--strict", "--json"]
+    argv += ["--out", str(tmp_path)]
     assert command.main(argv) == console.FAILED_CHECK  # a robot with nothing hidden is named here
     assert len(made) == 10 and command.main(argv) == console.FAILED_CHECK and len(made) == 10
     told = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
