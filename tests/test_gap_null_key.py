@@ -75,6 +75,7 @@ def test_the_key_also_hangs_on_the_robot_the_draws_and_the_experiment(record):
         SimulatedNull(runs=8)._key(plant, record, what),
         SimulatedNull(runs=9)._key(plant, record, what),
         SimulatedNull(runs=8, seed=1)._key(plant, record, what),
+        SimulatedNull(runs=8, session=1)._key(plant, record, what),
         SimulatedNull(runs=8)._key(other, record, what),
         SimulatedNull(runs=8)._key(plant, record, replace(what, commands=what.commands + 0.1)),
     ]

@@ -186,7 +186,7 @@ def test_given_healthy_swims_the_covariance_is_the_conditional_one(monkeypatch):
     assert there.origin is there and not there.drawn and new.drawn
 
 
-def test_a_robot_that_hardly_differs_from_swim_to_swim_gets_narrower_widths():
+def test_a_robot_that_hardly_varies_gets_narrower_widths():
     rng, rows, names = np.random.default_rng(4), 60, ["k_head", "cf", "ke"]
     layout = SimpleNamespace(record=np.repeat(np.arange(10), rows), channel=np.full(600, "joint"), size=600, blocks=[])
     parts = [np.concatenate([rng.normal(size=(3, rows)), rng.normal(size=(6, rows))]) for _ in range(10)]

@@ -54,7 +54,8 @@ class SimulatedNull:
     """How null runs are drawn.
 
     runs: of each experiment. nuisance: relative half width of the constants nobody measured. noise: factor on the
-    sensors' where the logs do not state theirs, and on the radio's jitter.
+    sensors' where the logs do not state theirs, and on the radio's jitter. session: the same fish do the same experiments once
+    more, with noise of another day.
     """
 
     runs: int = RUNS
@@ -62,6 +63,7 @@ class SimulatedNull:
     noise: float = 1.0
     seed: int = 0
     without: str | tuple[str, ...] = ""  # family whose fish take no part
+    session: int = 0
 
     def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
         """(n, m) residuals of the model as it is on every null run, at the windows of `layout`. bars: of runs made anew."""
@@ -133,7 +135,8 @@ class SimulatedNull:
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
         stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}
         sensors = log_sensors(record, robot, self.noise)
-        index = crc32(repr((what.id, what.start)).encode()) % 100_000  # noise of its own for each experiment
+        told = (what.id, what.start) if not self.session else (what.id, what.start, self.session)
+        index = crc32(repr(told).encode()) % 100_000  # noise of its own for each experiment
 
         def one(run: int) -> Record:
             for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
@@ -156,6 +159,7 @@ class SimulatedNull:
 
     def _key(self, model, record: Record, what: Excitation) -> str:
         drawn = [self.runs, self.nuisance, self.noise, self.seed, log_sensors(record, model.robot, self.noise).key]
+        drawn += [self.session] if self.session else []
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
         swims = hashlib.sha256(repr(model.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
         made = [digest(*SIMULATOR), sha256(resolve("virtual_robot")), model_digest(model)]

@@ -12,6 +12,7 @@ in after them stands out against what this robot may do, and not against what an
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from fishmj.errors import LogError
@@ -40,7 +41,8 @@ def known(model, trials: Sequence[Trial], null: SimulatedNull, bars: Bars = sile
         return None
     if not trials:
         raise LogError("gap find: got no healthy swim; expected the logs that the water was calibrated to")
-    e = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], null, bars)
+    # Where an experiment is done again, its noise is another: what both have in common is the fish.
+    e = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], replace(null, session=1), bars)
     return Healthy(e.gap(model.null)[0], e.with_own_widths())
 
 
