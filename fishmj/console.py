@@ -14,6 +14,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from importlib import import_module
 from typing import IO, Any, NamedTuple, NoReturn
@@ -46,7 +47,7 @@ EXITS = {
     FAULT: "a fault of fishmj itself, with its traceback",
     HUNG_UP: "ended by SIGHUP: its terminal or connection is gone; what was finished is kept",
     INTERRUPTED: "interrupted by the user (Ctrl-C); what was finished is kept",
-    PIPE_CLOSED: "the reader of the output is gone (a closed pipe)",
+    PIPE_CLOSED: "the reader of the output is gone (a closed pipe); the work was finished and its files are written",
     TERMINATED: "ended by SIGTERM",
 }
 TRACEBACK = "FISHMJ_TRACEBACK"  # environment: 1 shows the traceback of every error
@@ -56,6 +57,7 @@ MEMORY = 30.0  # s of progress that the time left is told from
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.EIO}
 
 Main = Callable[[list[str]], int | None]
+_readers_gone: list[int] = []  # descriptors whose reader left while this command ran
 
 
 def run(main: Main, argv: Sequence[str] | None = None) -> int:
@@ -67,6 +69,7 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     _speak_any_text()
+    _readers_gone.clear()
     interrupt.telling(lambda message: _interrupted(argv, message))
     try:
         code = _called(main, argv)
@@ -74,6 +77,8 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
         if not interrupt.asked():
             raise
         code = HUNG_UP
+    if code == OK and _readers_gone:
+        code = PIPE_CLOSED
     if interrupt.asked():
         interrupt.leave(None if code == INTERRUPTED else "")
     interrupt.finish(code)
@@ -92,8 +97,9 @@ def _called(main: Main, argv: list[str]) -> int:
         return stop.code if isinstance(stop.code, int) else OK if stop.code is None else _fail(argv, str(stop.code), "exit", 1)
     except KeyboardInterrupt:
         return _fail(argv, "interrupted", "KeyboardInterrupt", INTERRUPTED)
-    except BrokenPipeError:
-        sys.stdout = None  # the reader is gone: nothing to flush at exit
+    except BrokenPipeError:  # printed by a library: what this module prints goes on without its reader
+        with suppress(OSError):
+            _silence(sys.stdout)
         return PIPE_CLOSED
     except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
         if interrupt.asked():  # what an interrupt breaks off is no fault
@@ -132,7 +138,7 @@ def _of_the_machine(error: Exception) -> str:
 def _interrupted(argv: Sequence[str], message: str) -> None:
     """The last line of an interrupted command, below a progress line that stands open in a terminal."""
     if sys.stderr.isatty():
-        print(file=sys.stderr)
+        _print("", sys.stderr)
     _fail(argv, message, "KeyboardInterrupt", interrupt.code())
 
 
@@ -144,7 +150,7 @@ def _fail(
         traceback.print_exc()
     message = _one_line(message)
     for line in map(_one_line, many.shown) if many else (message,):
-        print(f"fishmj: {line}", file=sys.stderr)
+        _print(f"fishmj: {line}", sys.stderr)
     if "--json" in argv:
         emit_json({"error": message, "kind": kind, "exit": code} | ({"errors": list(many.errors)} if many else {}))
     return code
@@ -312,28 +318,45 @@ def printable(text: str) -> str:
     return _CONTROL.sub("", text)
 
 
+def _print(text: str, stream: IO[str], end: str = "\n") -> None:
+    """Prints at once. A reader that leaves (`| head`) takes its text away, never the work: the command goes on in silence."""
+    try:
+        print(text, end=end, file=stream, flush=True)
+    except BrokenPipeError:
+        _silence(stream)
+
+
+def _silence(stream: IO[str]) -> None:
+    """Sends what a stream still has to say nowhere, child processes included."""
+    number = stream.fileno()
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, number)
+    os.close(nowhere)
+    _readers_gone.append(number)
+
+
 def say(*lines: str) -> None:
     """Print lines for a human, at once; control characters are left out."""
     for line in lines:
-        print(printable(line), flush=True)
+        _print(printable(line), sys.stdout)
 
 
 def warn(message: str) -> None:
     """Print one line on stderr that does not stop the command."""
-    print(f"fishmj: {_one_line(message)}", file=sys.stderr, flush=True)
+    _print(f"fishmj: {_one_line(message)}", sys.stderr)
 
 
 def confirmed(question: str) -> bool:
     """Ask a yes-or-no question on the terminal; no where there is none, or where the answer is not yes."""
     if not all(bool(getattr(stream, "isatty", lambda: False)()) for stream in (sys.stdin, sys.stderr)):
         return False
-    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    _print(f"{question} [y/N] ", sys.stderr, end="")
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def emit_json(value: Any) -> None:
     """Print one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
-    print(json.dumps(plain(value), allow_nan=False), flush=True)
+    _print(json.dumps(plain(value), allow_nan=False), sys.stdout)
 
 
 def plain(value: Any) -> Any:
@@ -429,7 +452,7 @@ class Progress:
 
     def __exit__(self, kind, error, trace) -> None:
         if self._live and self._width:
-            print(file=self._stream, flush=True)
+            _print("", self._stream)
 
     @property
     def elapsed(self) -> float:
@@ -474,10 +497,10 @@ class Progress:
     def _show(self, line: str) -> None:
         line = printable(line)
         if self._live:
-            print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
+            _print("\r" + line.ljust(self._width), self._stream, end="")
             self._width = len(line)
         else:
-            print(line, file=self._stream, flush=True)
+            _print(line, self._stream)
 
     def line(self, **fields: Any) -> str:
         """The text of the line as it stands."""

@@ -255,3 +255,21 @@ def test_the_help_of_every_group_lists_its_commands_with_a_line_each(capsys):
                 told = [line for line in lines if line.split(f"  {name} ", 1)[0] == "" and line.endswith(command.summary)]
                 assert len(told) == 1 and len(command.summary) > 10, (words, name, told)
         assert not group.bare or f"Without a command: {group.bare}." in lines
+
+
+def test_closed_pipe_ends_no_work(tmp_path):
+    """The reader of both streams leaves after a line; the file is written, and 141 says that nobody read the rest."""
+    code = (
+        "import sys; from pathlib import Path; from fishmj import console\n"
+        "def main(argv):\n"
+        "    with console.Progress(2, 'work', stream=sys.stderr, every=0) as bar:\n"
+        "        for _ in range(20000): console.say('x' * 99); console.warn('y'); bar.update(1)\n"
+        "    console.emit_json({'a': 1}); Path(argv[0]).write_text('whole')\n"
+        "    return int(argv[1])\n"
+        "raise SystemExit(console.run(main))"
+    )
+    for answer, expected in ((0, 141), (1, 1)):
+        line = '"$0" -c "$1" "$2" $3 2>&1 | head -1; exit ${PIPESTATUS[0]}'
+        out = tmp_path / str(answer)
+        done = subprocess.run(["bash", "-c", line, sys.executable, code, out, str(answer)], capture_output=True, check=False)
+        assert (done.returncode, out.read_text(), done.stderr) == (expected, "whole", b"")

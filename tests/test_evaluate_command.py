@@ -4,6 +4,8 @@ import html
 import json
 import re
 import shlex
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -202,3 +204,33 @@ def test_hours_of_the_solver_on_a_cpu_that_nobody_asked_for_are_not_begun(capsys
     monkeypatch.setattr(solver_cost, "accelerator", lambda need: False)
     code, _, err = run_command(capsys, "drift", "--water", "lbm")
     assert code == 2 and "4320 s of water" in err and "--device cpu begins all the same" in err
+
+
+def test_second_report_replaces_the_first_whole(capsys, tmp_path):
+    """Logs, pictures and replay of the first run show other trials; files of the user's own stay."""
+    out = tmp_path / "o"
+    assert run_command(capsys, "drift", *SHORT, "--out", str(out), "--log")[0] == 0
+    (out / "distance.png").write_bytes(b"of the first run")
+    for own in ("notes.txt", "photo.png", "logs/mine.txt"):
+        (out / own).write_text("mine")
+    assert (out / "logs" / "drift_u0.2_los180_r0").is_dir() and (out / "worst.html").is_file()
+    assert run_command(capsys, "pd", *SHORT, "--los=90", "--out", str(out))[0] == 2  # refused: nothing is touched
+    assert (out / "worst.html").is_file()
+    other = [*SHORT[:2], "--los", "90", *SHORT[4:]]
+    assert run_command(capsys, "pd", *other, "--out", str(out))[0] == 0
+    left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    assert left == {"results.json", "trials.csv", "report.html", "notes.txt", "photo.png", "logs/mine.txt"}
+    assert "drift" not in (out / "report.html").read_text(encoding="utf-8").split("</header>")[0].replace("Name drift", "")
+    assert run_command(capsys, "pd", *other, "--out", str(out), "--log")[0] == 0
+    assert [path.name for path in (out / "logs").iterdir() if path.is_dir()] == ["pd_u0.2_los090_r0"]
+
+
+@pytest.mark.slow
+def test_evaluate_into_a_closed_pipe_writes_everything(tmp_path):
+    """`fishmj evaluate ... | head -1`."""
+    line = '"$0" -m fishmj evaluate drift "${@:2}" --log --out "$1" 2>&1 | head -1; exit ${PIPESTATUS[0]}'
+    words = ["bash", "-c", line, sys.executable, str(tmp_path / "o"), *SHORT]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == console.PIPE_CLOSED, done.stderr
+    wanted = {"results.json", "trials.csv", "report.html", "worst.html", "logs"}
+    assert {path.name for path in (tmp_path / "o").iterdir()} == wanted

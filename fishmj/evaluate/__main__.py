@@ -96,10 +96,10 @@ def options() -> console.Parser:
     add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
-    out = "folder for report.html, results.json, trials.csv; those that are there are replaced; by default nothing is written"
+    out = "folder for report.html, results.json, trials.csv; an older report in it is replaced whole; by default nothing is written"
     add("--out", type=console.out_folder, metavar="DIR", help=out)
     add("--plots", action="store_true", help="with --out: pictures too, also in the report")
-    add("--log", action="store_true", help="with --out: every trial as a trial folder, for replay; those there are replaced")
+    add("--log", action="store_true", help="with --out: every trial as a trial folder, for replay")
     return parser
 
 
@@ -299,11 +299,21 @@ def findings(results: list[Result]) -> dict:
 
 
 def report(results: list[Result], args) -> int:
-    """Tables to the terminal, files where asked: the figures first, so that no reader who leaves early takes them away."""
+    """Files where asked, then tables to the terminal, also of a report that could not be written whole."""
     found = findings(results)
-    summaries = found["results"]
-    if args.out is not None:
-        save(args.out, results, found)
+    try:
+        written = args.out and write(args.out, results, found, plots=args.plots, logs=args.log, again=args.again)
+    finally:
+        say_tables(results, found["results"])
+    if written:
+        console.say("", f"wrote {written}")
+    if args.json:
+        console.emit_json(found)
+    return console.OK
+
+
+def say_tables(results: list[Result], summaries: list[dict]) -> None:
+    """Print the figures of all controllers."""
     console.say("", condition(results[0]), *not_as_trained(summaries), "value (95 % bootstrap interval over trials)", "")
     console.say(console.table(overall(summaries)), "")
     console.say(console.table(overall(summaries, ("arrival", *REST))), *unbounded(summaries))
@@ -317,11 +327,6 @@ def report(results: list[Result], args) -> int:
     for other in results[1:]:
         what = f"{other.controller} minus {results[0].controller}"
         console.say("", f"paired over the same trials: {what}; {STARRED}", console.table(paired(results[0], other)))
-    if args.out is not None:
-        console.say("", f"wrote {write(args.out, results, found, plots=args.plots, logs=args.log, again=args.again)}")
-    if args.json:
-        console.emit_json(found)
-    return console.OK
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from fishmj.evaluate.metrics import Result, beat_mean, figures
 from fishmj.pages import drawn
 from fishmj.units import wrap
 
+PICTURES = ("distance.png", "radar.png", "heading.png", "tracks.png")  # files of `pictures`
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B", "#8C564B")
 DASHES = ("-", "--", "-.", (0, (1, 1.2)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 2)), (0, (2, 3)))
 INK, FAINT = "#222222", "#C9CED6"
@@ -38,10 +39,10 @@ STYLE: Any = {
 def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
     """Draw everything into `folder`: (file, caption)."""
     panels = (
-        ("distance.png", distance, "Distance to the target: median and the middle half of the trials, by flow speed."),
-        ("radar.png", radar, "Means over repeats, by direction of the target; upstream is up."),
-        ("heading.png", headings, "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
-        ("tracks.png", tracks, "Tracks seen from the target (cross, with the 0.1 m circle); the water flows down the page."),
+        (distance, "Distance to the target: median and the middle half of the trials, by flow speed."),
+        (radar, "Means over repeats, by direction of the target; upstream is up."),
+        (headings, "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
+        (tracks, "Tracks seen from the target (cross, with the 0.1 m circle); the water flows down the page."),
     )
     try:
         import matplotlib
@@ -49,7 +50,7 @@ def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
         raise MissingExtra("matplotlib", "dev", "evaluate --plots") from error
     matplotlib.use("Agg")
     with matplotlib.rc_context(STYLE):
-        return [(draw(results, folder / name), caption) for name, draw, caption in panels]
+        return [(draw(results, folder / name), caption) for name, (draw, caption) in zip(PICTURES, panels, strict=True)]
 
 
 def canvas(rows: int, columns: int, size: tuple[float, float], **options):

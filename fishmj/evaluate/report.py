@@ -19,13 +19,14 @@ from fishmj.calib import constant
 from fishmj.dynamics.planar_chain import chain_of
 from fishmj.errors import FishmjError, StoreError
 from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
+from fishmj.evaluate.plots import PICTURES
 from fishmj.flow import sample, stack
 from fishmj.hydro_fit.online_correction import KINDS
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.pages import Section, figure, part, report, table
 from fishmj.source import made_by
-from fishmj.store import Manifest, write_text
+from fishmj.store import Manifest, clear, write_text
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
 
 SHORT = {  # key -> heading, digits
@@ -45,6 +46,8 @@ STARRED = f"* = the interval excludes 0, of {APART} pairs or more"
 MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_total", "power", "rheotactic_index")
 REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
 WORST = "worst.html"  # the replay of the first controller's worst trial, beside the report
+# parts of an older report that a new one may lack
+EARLIER = ("report.html", WORST, *PICTURES, "logs/manifest.json", "logs/*_u*_los[0-9][0-9][0-9]_r*")
 BASELINE = "drift"  # the controller that does nothing
 FORMULA = tuple("=+-@\t\r")  # what a spreadsheet takes for the start of one
 MEANING = {
@@ -249,7 +252,7 @@ def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
 
 
 def write(folder: Path, results: list[Result], found: dict, *, plots: bool = False, logs: bool = False, again: str = "") -> Path:
-    """Write everything into `folder`, the figures first; returns the path of report.html.
+    """Write everything into `folder`, the figures first, in place of an older report; returns the path of report.html.
 
     again: the command that does it all again with trial folders and the replay of the worst trial, for a page without them.
 
@@ -286,8 +289,9 @@ def write(folder: Path, results: list[Result], found: dict, *, plots: bool = Fal
 
 
 def save(folder: Path, results: list[Result], found: dict) -> None:
-    """The figures alone: results.json and trials.csv, each in one step."""
+    """The figures alone: results.json and trials.csv, each in one step; parts of an older report, which show others, are gone."""
     folder.mkdir(parents=True, exist_ok=True)
+    clear(folder, *EARLIER)
     write_text(folder / "results.json", json.dumps(console.plain(found), indent=1) + "\n")
     write_text(folder / "trials.csv", trials_csv(results))
 

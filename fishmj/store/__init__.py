@@ -1,7 +1,7 @@
 """Files that survive a crash: atomic writes, checksums, arrays without pickle, rotating checkpoints. NumPy only."""
 
 from fishmj.store.arrays import Checkpoint, Checkpoints, read_npz, read_tensors, write_npz, write_tensors
-from fishmj.store.atomic import plain, put_in_place, read_json, sync_folder, write_bytes, write_json, write_text
+from fishmj.store.atomic import clear, plain, put_in_place, read_json, sync_folder, write_bytes, write_json, write_text
 from fishmj.store.manifest import Change, Manifest, left_out, sha256, shipped
 from fishmj.store.temporary import temporary_beside
 
@@ -10,6 +10,7 @@ __all__ = [
     "Checkpoint",
     "Checkpoints",
     "Manifest",
+    "clear",
     "left_out",
     "plain",
     "read_json",

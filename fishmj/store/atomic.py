@@ -61,6 +61,19 @@ def write_json(path: str | Path, value) -> Path:
     return write_text(path, json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n")
 
 
+def clear(folder: Path, *patterns: str) -> None:
+    """Remove what an earlier run left in `folder`: the files and folders whose names match one of the globs, nothing else.
+
+    Raises:
+        StoreError: one cannot be removed.
+    """
+    for path in [path for pattern in patterns for path in folder.glob(pattern)]:
+        try:
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+        except OSError as error:
+            raise StoreError(f"{path}: of an earlier run, cannot be removed ({error.strerror}); choose another folder") from error
+
+
 def put_in_place(temporary: Path, place: Path) -> None:
     """Rename a finished file or folder to `place`; a folder that stands there is moved aside, and put back when that fails."""
     old = temporary_beside(place, ".old")

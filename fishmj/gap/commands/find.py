@@ -27,7 +27,7 @@ from fishmj.log import Trial
 from fishmj.log.dataset import Taken
 from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import left_out, shipped, write_json
+from fishmj.store import clear, left_out, shipped, write_json
 from fishmj.water.choice import STRUCTURED, as_described
 
 
@@ -155,6 +155,8 @@ def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
     from fishmj.gap import report
 
     folder.mkdir(parents=True, exist_ok=True)
+    if Path(context["model"]).resolve().parent != folder.resolve():  # the searched model itself stays
+        clear(folder, "model.patched.*", "model.rejected-*.toml")  # answers of an earlier search
     verdict, model = inquiry.verdict.plain(), inquiry.evidence.model
     some = [r for r in inquiry.records if r.name in context["judged"]]
 

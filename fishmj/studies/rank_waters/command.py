@@ -25,7 +25,7 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.mjcf.description import load_robot
-from fishmj.store import write_json
+from fishmj.store import clear, write_json
 from fishmj.studies.rank_waters import compare_waters, rank
 from fishmj.studies.rank_waters.plot import picture
 from fishmj.water.hydro_model import HydroModel, shipped
@@ -199,6 +199,7 @@ def shown(found: dict, args) -> int:
     if found["model_fitted_on"] not in ("", found["domain"]):
         console.warn(f"{found['model']} was fitted to the solver on {found['model_fitted_on']}, ranked on {found['domain']}")
     console.say(*verdict_lines(judged))
+    clear(args.out, "rank.png")
     console.say(f"wrote {write_json(args.out / 'rank.json', found)}")
     try:
         console.say(f"wrote {picture(judged, args.out / 'rank.png', head)}")
