@@ -101,7 +101,7 @@ class Evolution:
 
     @dataclass(frozen=True, kw_only=True)
     class Config:
-        """Settings; `--envs`, `--hidden` and `--learning-rate` of the command line go to the fields of these names."""
+        """Settings; `--envs`, `--gamma` and every other hyperparameter go to the fields of their names."""
 
         envs: int = 64
         horizon: int = 25  # control steps that a perturbed policy swims

@@ -13,8 +13,8 @@ import re
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from importlib import import_module
 from typing import IO, Any, NamedTuple, NoReturn
@@ -440,6 +440,7 @@ class Progress:
         self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
         self._clock, self._start = clock, clock()
         self.begun = 0.0  # done before, and no part of the rate
+        self.ahead = 0.0  # s of other work to come, which the rate does not count
         self._most = 0.0  # the greatest that was reported
         self._shown = -math.inf
         self._seen = [(self._start, 0.0)]  # (time [s], done), the last `MEMORY` seconds
@@ -467,8 +468,8 @@ class Progress:
 
     @property
     def left(self) -> float:
-        """Seconds left at the present rate; infinite before the first update."""
-        return max(self.total - self._seen[-1][1], 0.0) / self.rate if self.rate > 0 else math.inf
+        """Seconds left at the present rate, and those `ahead`; infinite before the first update."""
+        return max(self.total - self._seen[-1][1], 0.0) / self.rate + self.ahead if self.rate > 0 else math.inf
 
     def update(self, done: float, **fields: Any) -> None:
         """Report `done` of `total` and any named figures; prints only when it is time to.
@@ -484,7 +485,7 @@ class Progress:
         self._seen.append((now, done))
         while len(self._seen) > 2 and now - self._seen[1][0] > MEMORY:
             self._seen.pop(0)
-        if done < self.total and now - self._shown < self._every:
+        if done < self.total and (now - self._shown < self._every or not self.rate):
             return
         self._shown = now
         self._show(self.line(**fields))
@@ -493,6 +494,15 @@ class Progress:
         """Name at once what the rate does not count, such as `compiling ...`; with the next update the time left begins anew."""
         self._named = True
         self._show(f"{self.label}: {text}")
+
+    @contextmanager
+    def aside(self, text: str = "") -> Iterator[None]:
+        """Work beside the counted one, such as an assessment: named at once, its time is no part of the rate."""
+        began = self._clock()
+        if text:
+            self._show(f"{self.label}: {text}")
+        yield
+        self._seen = [(t + self._clock() - began, done) for t, done in self._seen]
 
     def _show(self, line: str) -> None:
         line = printable(line)

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +40,17 @@ class Number:
         try:
             value = int(text) if self.whole else float(text)
         except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and self.low <= value <= self.high) or (self.above and value == self.low):
+            value = math.nan  # of no range
+        if not self.holds(value):
             raise argparse.ArgumentTypeError(f"got {shown(text)}, expected {self.expected}")
         return value
+
+    def holds(self, value: Any) -> bool:
+        """True for a number of the range; a truth value is none."""
+        if isinstance(value, bool) or not isinstance(value, Integral if self.whole else Real):
+            return False
+        finite = isinstance(value, Integral) or math.isfinite(value)  # an integer may be too long for a float
+        return finite and self.low <= value <= self.high and not (self.above and value == self.low)
 
     @property
     def expected(self) -> str:
@@ -140,7 +148,7 @@ class Listed:
     `same` gives what two values have in common that stand for one thing.
     """
 
-    item: Callable[[str], Any]
+    item: Any  # the `type=` of each
     most: int = 100
     distinct: bool = True
     same: Callable[[Any], Any] = lambda value: value
@@ -157,6 +165,15 @@ class Listed:
             also = f"{parts[twice]} stands there twice" if first == parts[twice] else f"{first} and {parts[twice]} are the same"
             raise argparse.ArgumentTypeError(f"got {shown(text)}: {also}; name each value once")
         return values
+
+    def holds(self, value: Any) -> bool:
+        """True for a list or tuple of 1 to `most` values that `item` holds."""
+        return isinstance(value, list | tuple) and 1 <= len(value) <= self.most and all(map(self.item.holds, value))
+
+    @property
+    def expected(self) -> str:
+        """The values in words."""
+        return f"1 to {self.most} values, each {self.item.expected}"
 
 
 class Distinct(argparse.Action):
@@ -195,6 +212,15 @@ class OneOf:
             hint = f" Did you mean {near[0]!r}?" if near else ""
             raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {', '.join(self.known)}")
         return text
+
+    def holds(self, value: Any) -> bool:
+        """True for a known name."""
+        return value in self.known
+
+    @property
+    def expected(self) -> str:
+        """The names in words."""
+        return f"one of {', '.join(self.known)}"
 
 
 def name(text: str) -> str:

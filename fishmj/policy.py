@@ -180,7 +180,8 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
     if wanted not in (None, path) and not anyway:
         refused.append(f"trained on command path {wanted}, the robot's is {path}: steer on {wanted}, or add --anyway")
     if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
-        refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s")
+        todo = f"evaluate with --control-dt {step:g}, or put control_dt = {step:g} into [timing] of the robot's description"
+        refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s: {todo}")
     for key, there, here in (("robot", name, robot.name), ("command path", wanted, path)):
         if there not in (None, here):
             differs[key] = there, here

@@ -19,10 +19,10 @@ from fishmj.store import write_json
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train import multi_seed
 from fishmj.train.__main__ import main
-from fishmj.train.build import pick_engine, policy_of
+from fishmj.train.build import pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.networks import mlp
-from fishmj.train.settings import PRESETS, as_dict, change, from_dict, preset
+from fishmj.train.settings import PRESETS, as_dict, change, from_dict, of_run, preset
 from fishmj.train.training_run import TrainingRun, go_on, is_better, learner_of
 
 
@@ -63,7 +63,7 @@ def test_ppo_learns_to_reach_the_target_in_a_million_steps(learner, tmp_path):
     assert [w.shape for w, _ in policy.weights] == [(32, 11), (32, 32), (3, 32)] and policy.meta["tune"]["arrival"] == made[
         "tune_arrival"
     ]
-    assert from_dict(json.loads((run.folder / "settings.json").read_text())) == calm_run()
+    assert of_run(run.folder) == settled(calm_run())
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_a_resumed_run_reads_its_own_settings(tmp_path, capsys):
         ("--seed 0", "seed = 0, the run has 3"),
         ("--preset paper", "preset = paper, the run has quick"),
         ("--algo sac", "algo = sac, the run has ppo"),
-        ("--hide joint", "task.hide = ['joint'], the run has not set"),
+        ("--hide joint", "task.hide = ['joint'], the run has []"),
     ):
         assert run("--resume", *line.split()) == console.BAD_INPUT
         assert said in capsys.readouterr().err

@@ -1,31 +1,34 @@
 """Every algorithm of the register, one of a reader's own among them: it trains, resumes to the bit, exports what it does."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from training import SAC, StopAt, calm_run, figures_of, sac_run
+from training import CALM, StopAt, figures_of
 
 from fishmj import console
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.policy import Policy
 from fishmj.store import write_json
 from fishmj.train.__main__ import main, options, settings_from
-from fishmj.train.build import algorithm, config_of, referred
+from fishmj.train.build import algorithm, config_of, environment, referred
 from fishmj.train.learner import METRICS
-from fishmj.train.off_policy import OffPolicyConfig
 from fishmj.train.settings import ALGORITHMS, Registered, Settings, as_dict, change, preset
 from fishmj.train.training_run import FORMER, arrays_of, learner_of, stored_name, tree_of
 
-TD3 = Registered("td3:TD3Config", "td3:TD3", budget=1_000_000)  # the line that its file needs
+OWN = {  # the lines that their files need: one with a replay buffer, one without
+    "td3": Registered("td3:TD3Config", "td3:TD3", budget=1_000_000),
+    "reinforce": Registered("reinforce:ReinforceConfig", "reinforce:Reinforce"),
+}
 
 
 @pytest.fixture(autouse=True)
-def with_td3(monkeypatch):
-    """Registered as a reader would, by a line."""
-    monkeypatch.setitem(ALGORITHMS, "td3", TD3)
+def with_own(monkeypatch):
+    """Registered as a reader would, by a line each."""
+    for name, line in OWN.items():
+        monkeypatch.setitem(ALGORITHMS, name, line)
 
 
 def asked_for(*argv) -> Settings:
@@ -33,22 +36,31 @@ def asked_for(*argv) -> Settings:
 
 
 def small(algo: str) -> Settings:
-    """Two iterations on the fish and an assessment after each."""
-    config = referred(ALGORITHMS[algo].config)
-    if not issubclass(config, OffPolicyConfig):
-        few = {"envs": 16, "horizon": 8, "minibatches": 2, "epochs": 1, "hidden": (8,)}  # what it has of these
-        run = calm_run(algorithm={name: few[name] for name in few if name in {field.name for field in fields(config)}})
-        return change(run, algo=algo, steps=256, assess_every=128, assess_episodes=2)
-    own = {**SAC, "warmup": 64, "hidden": (8,)}
-    return change(sac_run(steps=256, assess_every=128, assess_episodes=2), algo=algo, algorithm=own)
+    """The nominal fish in still water, small in what the algorithm has of these; two iterations, an assessment after each."""
+    few = {
+        "envs": 16,
+        "horizon": 8,
+        "minibatches": 2,
+        "epochs": 1,
+        "hidden": (8,),
+        "block": 8,
+        "batch": 32,
+        "warmup": 64,
+        "utd": 0.25,
+    }
+    has = {field.name for field in fields(referred(ALGORITHMS[algo].config))}
+    own = {name: value for name, value in few.items() if name in has}
+    made = replace(change(preset("quick"), engine="compiled", task=CALM, assess_episodes=2), algo=algo, algorithm=own)
+    n = algorithm(made, environment(made)).steps_per_iteration
+    return change(made, steps=2 * n, assess_every=n)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algo", [*ALGORITHMS, "td3"])
+@pytest.mark.parametrize("algo", [*ALGORITHMS, *OWN])
 def test_a_registered_algorithm_trains_resumes_to_the_bit_and_exports_what_it_does(algo, tmp_path):
-    settings = small(algo)
     if ALGORITHMS[algo].train:
         pytest.skip(f"{algo} keeps no replay buffer and brings its own environment: test_train_sb3.py")
+    settings = small(algo)
     trio = learner_of(settings)
     env, learner, _ = trio
     whole = StopAt(settings, tmp_path / "whole", 10**9, learner=trio)
@@ -84,8 +96,22 @@ def test_a_line_is_all_that_the_command_line_needs():
     settings = asked_for("--algo", "td3", "--envs", "32")
     config = config_of(settings)
     assert (type(config).__name__, config.envs, config.hidden) == ("TD3Config", 32, (64, 64))
-    with pytest.raises(ConfigError, match="td3: tau = 0; it must be positive"):
+    with pytest.raises(ConfigError, match="td3: tau = 0; expected a number above 0 to 1"):
         config_of(change(settings, algorithm={"tau": 0}))
+
+
+def test_on_policy_algorithm_gets_its_options_and_checks_them():
+    """Its own settings, those of the base, and none of PPO's."""
+    config = config_of(asked_for(*"--algo reinforce --rollout 25 --gamma 0.9 --learning-rate 0.01".split()))
+    assert (config.rollout, config.gamma, config.learning_rate, config.hidden) == (25, 0.9, 0.01, (64, 64))
+    for words, said in (
+        ("--epochs 3", "unknown setting of reinforce 'epochs'"),
+        ("--clip 0.1", "unknown setting of reinforce 'clip'"),
+    ):
+        with pytest.raises(UnknownName, match=said):
+            config_of(asked_for("--algo", "reinforce", *words.split()))
+    with pytest.raises(ConfigError, match="reinforce: rollout = 2.5; expected a whole number from 1 to 1000"):
+        config_of(change(asked_for("--algo", "reinforce"), algorithm={"rollout": 2.5}))
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option
 from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
-from fishmj.mjcf.description import COMMAND_PATHS, load_robot
+from fishmj.mjcf.description import COMMAND_PATHS, check_timing, load_robot
 from fishmj.water import choice
 
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm and hybrid
@@ -90,13 +90,17 @@ def options() -> console.Parser:
     add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
     path = "servo commands between two decisions, as of train; default the robot's. Policies of another need --anyway"
     add("--command-path", choices=COMMAND_PATHS, help=path)
+    step = "between two decisions, as of train, a multiple of the bus tick of 0.02 s; default the robot's, 0.2 for fish"
+    add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step}. Policies of another are refused")
     controllers.anyway_option(parser)
     own_effects.option(parser)
     left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
     add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
     add("--no-noise", action="store_true", help="exact observations")
-    out = "folder for report.html, results.json, trials.csv; an older report in it is replaced whole; by default nothing is written"
+    out = (
+        "folder for report.html, results.json, trials.csv; an older report in it is replaced whole; by default nothing is written"
+    )
     add("--out", type=console.out_folder, metavar="DIR", help=out)
     add("--plots", action="store_true", help="with --out: pictures too, also in the report")
     add("--log", action="store_true", help="with --out: every trial as a trial folder, for replay")
@@ -131,6 +135,9 @@ def main(argv: list[str]) -> int:
         tank_effects.check_effects(robot)
     if args.command_path is not None:
         robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
+    if args.control_dt is not None:
+        robot = replace(robot, timing=replace(robot.timing, control_dt=args.control_dt))
+        check_timing(robot.timing, "evaluate --control-dt")
     trials = protocol.trials(
         speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds,
         turbulence=args.turbulence or "default", intensity=args.intensity, heading=args.heading,
@@ -273,6 +280,7 @@ def judge(brain, robot, trials, engine) -> Result:
     """One controller over all trials, with a progress line in simulated seconds."""
     with console.Progress(trials.duration * len(trials), f"judge {brain.name}", unit="sim s") as bar:
         done = robot.timing.control_dt * len(trials)
+        bar.stage("first step; engines compile in it")
         return run(brain, robot, trials, engine, progress=lambda step: bar.update(step * done))
 
 

@@ -157,10 +157,12 @@ def condition(result: Result) -> str:
     t = result.trials
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     switch = lambda on: "on" if on else "off"
+    dt = result.robot.timing.control_dt
+    step = f", control step {dt:g} s" if dt != constant("task", "control_dt") else ""
     without = f", without the effects {', '.join(result.left_out)}" if result.left_out else ""
     return (
         f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {t.turbulence_said}, water {result.water}, "
-        f"engine {result.engine}, command path {result.robot.timing.command_path}, start heading {t.heading}, "
+        f"engine {result.engine}, command path {result.robot.timing.command_path}{step}, start heading {t.heading}, "
         f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
 

@@ -119,7 +119,7 @@ class StationHold:
             raise ConfigError(
                 f"task {options.course}: has a reward of its own, without {', '.join(reward)}; leave the weights out"
             )
-        self.limit = task.control_steps(self.course.seconds, robot)
+        self.limit = task.episode_steps(self.course.seconds if options.seconds is None else options.seconds, robot)
         self.mask = jnp.asarray(task.visible(robot.n_joints, options.hide), jnp.float32)
 
     @property
@@ -207,8 +207,11 @@ class StationHold:
     def _fresh(self, key, n: int) -> EnvState:
         """n new episodes at rest over ground."""
         keys = jax.random.split(key, 4)
-        launch = self.course.launch(jnp, jax.random.uniform(keys[0], (n, task.N_START)))
-        launch = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), launch)
+        draws = jax.random.uniform(keys[0], (n, task.N_START))
+        launch = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), self.course.launch(jnp, draws))
+        if self.options.flow_bounds is not None:
+            slow, fast = self.options.flow_bounds
+            launch = launch._replace(start=launch.start._replace(speed=slow + (fast - slow) * draws[:, 5]))
         start = launch.start
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
         low, high = self.options.intensity_bounds

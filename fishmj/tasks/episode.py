@@ -137,13 +137,17 @@ class DrawOptions:
     intensity: Any = (0.0, 0.10)  # TI, a number or the bounds of a draw for each episode
     randomisation: float = 1.0  # 0 nominal fish, 1 the paper's ranges
     noise: float = 1.0  # of the sensors, 1 the paper's
+    flow_speed: Any = None  # m/s, a number or the bounds of a draw for each episode; None: the task's own
+    seconds: float | None = None  # length of an episode; None: the task's own
     box: str = "train"  # which turbulence table: train, tune or judge
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
 
     def __post_init__(self):
         checked_name("turbulence", self.turbulence, flow.PRESETS)
         checked_name("box", self.box, flow.BOXES)
-        self.intensity_bounds  # noqa: B018  (checks it)
+        self.intensity_bounds, self.flow_bounds  # noqa: B018  (checks them)
+        if self.seconds is not None:
+            checked("task: seconds", self.seconds, 0, LARGEST["seconds"])
         for name in ("randomisation", "noise"):
             checked(f"task: {name}", getattr(self, name), 0, LARGEST[name])
         checked_names("task: effects", self.effects)
@@ -152,6 +156,11 @@ class DrawOptions:
     def intensity_bounds(self) -> tuple[float, float]:
         """Turbulence intensity: bounds of its draw."""
         return checked_bounds("task: intensity", self.intensity, 0, LARGEST["intensity"])
+
+    @property
+    def flow_bounds(self) -> tuple[float, float] | None:
+        """Speed of the stream: bounds of its draw, m/s; None: the task's own."""
+        return None if self.flow_speed is None else checked_bounds("task: flow_speed", self.flow_speed, 0, LARGEST["flow_speed"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,20 +171,16 @@ class TaskOptions(DrawOptions):
     water: Any = None  # of fishmj.water.choice; None: fitted where the robot has one
     control_dt: float | None = None  # s
     command_path: str | None = None  # linear, hold or move_time
-    flow_speed: Any = None  # m/s, a number or the bounds of a draw
     flow_direction: float | None = None  # rad, where the water moves to
-    seconds: float | None = None  # length of an episode
     wG: float | None = None  # noqa: N815  (the paper's symbols)
     wD: float | None = None  # noqa: N815
     wS: float | None = None  # noqa: N815
 
     def __post_init__(self):
         super().__post_init__()
-        if self.flow_speed is not None:
-            checked_bounds("task: flow_speed", self.flow_speed, 0, LARGEST["flow_speed"])
         if self.command_path is not None:
             checked_name("command path", self.command_path, COMMAND_PATHS)
-        bounds = {"seconds": (0, LARGEST["seconds"]), "control_dt": (0, LARGEST["seconds"]), "flow_direction": ()}
+        bounds = {"control_dt": (0, LARGEST["seconds"]), "flow_direction": ()}
         for name in (*bounds, *task.WEIGHTS):
             if getattr(self, name) is not None:
                 checked(f"task: {name}", getattr(self, name), *bounds.get(name, ()))
@@ -240,9 +245,7 @@ class TaskSpec:
             raise ConfigError(f"task {self.name}: has a reward of its own, without {', '.join(given)}; leave the weights out")
         self.steps, self.ticks = engines.ticks_per(self.robot)
         self.dt = self.robot.timing.control_dt
-        self.limit = task.control_steps(self.course.seconds if setting.seconds is None else setting.seconds, self.robot)
-        if self.limit < 1:
-            raise ConfigError(f"task: seconds = {setting.seconds} is less than one control step of {self.dt} s")
+        self.limit = task.episode_steps(self.course.seconds if setting.seconds is None else setting.seconds, self.robot)
         self.table, self.cell = flow.table_of(setting.turbulence, flow.BOXES[setting.box])
         self.sensors = Sensors(self.robot)
         self.n_obs, self.n_act = 5 + 2 * self.robot.n_joints, self.robot.n_joints
@@ -258,8 +261,8 @@ class TaskSpec:
         launch = self.course.launch(np, draws.start)
         start = launch.start
         u = draws.flow
-        if s.flow_speed is not None:
-            low, high = checked_bounds("task: flow_speed", s.flow_speed, 0, LARGEST["flow_speed"])
+        if s.flow_bounds is not None:
+            low, high = s.flow_bounds
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
         direction = fixed.pop("direction", s.flow_direction)
         if direction is not None:

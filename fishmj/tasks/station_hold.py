@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.calib import constant
 from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
-from fishmj.errors import UnknownName
+from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
 from fishmj.options import checked_array
 from fishmj.tasks.sensing import Sensors, delayed, estimate
@@ -208,6 +208,13 @@ def chunk(xp, robot: Robot, previous, action):
         return xp.repeat(goal[:, None], ticks, 1)
     share = (xp.arange(ticks) + 1)[None, :, None] / ticks
     return previous[:, None] + share * (goal - previous)[:, None]
+
+
+def episode_steps(seconds: float, robot: Robot) -> int:
+    """Control steps of an episode. Raises ConfigError: it is shorter than one."""
+    if seconds < robot.timing.control_dt - 1e-9:
+        raise ConfigError(f"task: seconds = {seconds:g} is less than one control step of {robot.timing.control_dt:g} s")
+    return control_steps(seconds, robot)
 
 
 def control_steps(seconds: float, robot: Robot) -> int:

@@ -3,21 +3,22 @@
 import argparse
 import shlex
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 from fishmj import console
 from fishmj.errors import ConfigError
 from fishmj.water import choice
 
-CRITICS = ("plain", "privileged")
 LOOKS = 10  # assessments in an algorithm's own budget of steps
 SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
 EXAMPLES = """examples:
-  fishmj train                                   a policy for your laptop in a minute or two
+  fishmj train                                   a policy for your laptop; three minutes on two idle cores
   fishmj train --preset paper --engine planar    the paper's network on a GPU
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
+  fishmj train --gamma 0.98 --epochs 6           other hyperparameters
+  fishmj train --flow-speeds 0,0.4 --episode-seconds 60     other streams, longer episodes
   fishmj train --memory 8                        the policy sees its last eight observations
   fishmj train --begin station                   begin with a policy that can swim, not from nothing
   fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
@@ -50,10 +51,8 @@ def options() -> console.Parser:
     engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3-sac only (default: auto)"
     add("--engine", choices=("auto", *NAMES), help=engine)
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
-    steps = f"control steps of 0.2 s, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
+    steps = f"control steps, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
-    envs = f"fish that swim at once (default: {of(lambda s: s.algorithm['envs'])}; with another --algo its own)"
-    add("--envs", type=console.whole(1, 2**20), metavar="N", help=envs)
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
     seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
@@ -61,19 +60,17 @@ def options() -> console.Parser:
     add("--together", action="store_true", help=together)
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
-    critic = "of PPO, and of what has the setting `privileged`. privileged: it sees the flow, the policy does not;"
-    critic += " plain: what the policy sees (default: privileged)"
-    add("--critic", choices=CRITICS, help=critic)
-    widths = console.Listed(console.whole(1, 8192), 10, distinct=False)
-    hidden = f"layer widths (default: {of(lambda s: ','.join(map(str, s.algorithm['hidden'])))})"
-    add("--hidden", type=widths, metavar="N,..", help=hidden)
-    rate = "of the algorithm (default: the preset's, else the algorithm's)"
-    add("--learning-rate", type=console.number(0, 1, above=True), help=rate)
     add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: gust)")
     intensity = "largest turbulence intensity, u_rms / max(speed, 0.1 m/s); each episode draws from 0 to it"
     intensity += f" (default: {of(lambda s: s.task['intensity'][1])})"
     add("--intensity", type=console.number(0, 0.99), help=intensity)
-    way = "servo commands between two decisions, 0.2 s apart. linear: on the way to the new angles; hold: the new angles at once;"
+    speeds = f"stream: each episode draws from LOW to HIGH; one number: always this (default: the task's, {task_speeds()})"
+    add("--flow-speeds", type=console.Listed(console.number(0, 5), 2, distinct=False), metavar="LOW,HIGH", help=f"m/s, {speeds}")
+    seconds = "length of an episode (default: the task's, 30 for station_hold)"
+    add("--episode-seconds", type=console.number(0.02, 1e6), metavar="S", help=seconds)
+    step = "between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must decide as often"
+    add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step} (default: the robot's, 0.2 for fish)")
+    way = "servo commands between two decisions. linear: on the way to the new angles; hold: the new angles at once;"
     way += " move_time: linear, and the servo interpolates too (default: linear)"
     add("--command-path", choices=COMMAND_PATHS, help=way)
     add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: fish)")
@@ -94,7 +91,31 @@ def options() -> console.Parser:
     resume = "go on with the run in --out, under its own settings: only --steps may differ"
     p.add_argument("--resume", action="store_true", help=resume)
     p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
+    hyperparameter_options(p)
     return p
+
+
+def hyperparameter_options(parser: console.Parser) -> None:
+    """Add an option for every hyperparameter that an algorithm declares."""
+    from fishmj.train.settings import hyperparameters, told
+
+    about = "of the algorithm; one that it has not is refused. Without an option: the preset's value, else the algorithm's"
+    group = parser.add_argument_group("hyperparameters", about)
+    for name, one in hyperparameters().items():
+        algos: dict[str, list[str]] = {}
+        for algo, value in one.defaults.items():
+            algos.setdefault(told(value, one.kind), []).append(algo)
+        default = "; ".join(f"{', '.join(names)} {value}" for value, names in algos.items())
+        own = "".join(f"; preset {preset} {told(value, one.kind)}" for preset, value in one.presets.items())
+        shape = "N,.." if isinstance(one.kind, console.Listed) else "N" if isinstance(one.kind, console.Number) else "NAME"
+        group.add_argument(one.option, dest=name, type=one.kind, metavar=shape, help=f"{one.about} (default: {default}{own})")
+
+
+def task_speeds() -> str:
+    """The stream speeds of the tasks, `0.1,0.3`."""
+    from fishmj.calib import constant
+
+    return ",".join(map(str, constant("task", "flow_speed")))
 
 
 def weight(text: str) -> tuple[str, float]:
@@ -117,7 +138,7 @@ def settings_from(args, run=None):
     from fishmj.engines import own_effects
     from fishmj.tasks.reference import named
     from fishmj.train.build import pick_engine
-    from fishmj.train.settings import ALGORITHMS, ON_MJX, change, own_code, preset
+    from fishmj.train.settings import ALGORITHMS, ON_MJX, change, hyperparameters, own_code, preset, referred
 
     own_effects.join(args.effects)
     s = run or preset(args.preset or _by_device())
@@ -125,13 +146,14 @@ def settings_from(args, run=None):
         if getattr(args, option[2:]) is None:
             raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
     given = lambda *names: {name: value for name in names if (value := getattr(args, name)) is not None}
-    top = given("preset", "engine", "robot", "water", "seed", "command_path")
-    algorithm, task, reward = given("envs", "learning_rate"), given("memory", "turbulence"), dict(args.reward)
+    top = given("preset", "engine", "robot", "water", "seed", "command_path", "control_dt")
+    algorithm, task, reward = given(*hyperparameters()), given("memory", "turbulence"), dict(args.reward)
     if args.algo and args.algo not in ALGORITHMS:
         plugins.load("algorithm", args.algo, ALGORITHMS)
         s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})
     elif args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
-        s = replace(s, algo=args.algo, algorithm={"hidden": s.algorithm["hidden"]})
+        has = {one.name for one in fields(referred(ALGORITHMS[args.algo].config))}
+        s = replace(s, algo=args.algo, algorithm={key: s.algorithm[key] for key in ("hidden",) if key in has})
         if budget := ALGORITHMS[args.algo].budget:  # nor does how long it takes to learn
             s = replace(s, steps=budget, assess_every=budget // LOOKS)
     if len(reward) < len(args.reward):
@@ -140,8 +162,10 @@ def settings_from(args, run=None):
         top |= {"steps": int(args.steps), "assess_every": min(preset(s.preset).assess_every, max(1, int(args.steps) // 4))}
     if args.hidden:
         algorithm["hidden"] = tuple(args.hidden)
-    if args.critic:
-        algorithm["privileged"] = args.critic == "privileged"
+    if args.flow_speeds:
+        task["flow_speed"] = (args.flow_speeds[0], args.flow_speeds[-1])
+    if args.episode_seconds is not None:
+        task["seconds"] = args.episode_seconds
     if args.intensity is not None:
         task["intensity"] = (0.0, args.intensity)
     if args.task:
@@ -162,6 +186,7 @@ def settings_from(args, run=None):
 def _asked_of(args) -> dict:
     """Of the options that a policy decides, those that were given."""
     given = {"--hidden": args.hidden and tuple(args.hidden), "--memory": args.memory, "--command-path": args.command_path}
+    given |= {"--control-dt": args.control_dt, "--activation": args.activation, "--sigma": args.sigma}
     return {option: value for option, value in given.items() if value}
 
 

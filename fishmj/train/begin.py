@@ -21,10 +21,11 @@ SIGMA = 0.2  # initial standard deviation of u
 
 
 def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tuple[Policy, Settings]:
-    """The policy, and the settings with its widths, activation, memory and command path.
+    """The policy, and the settings with its widths, activation, memory, command path and control step.
 
     Args:
-        source: shipped name, policy file or folder of a training. asked: of --hidden, --memory and --command-path what was given.
+        source: shipped name, policy file or folder of a training. asked: of the options
+            --hidden, --activation, --memory, --command-path, --control-dt and --sigma, those that were given.
 
     Raises:
         ConfigError: another algorithm than PPO, a policy for another structure, or one that is not as asked.
@@ -34,11 +35,13 @@ def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tup
         raise ConfigError(f"--begin: {settings.algo} learns from nothing; --algo ppo begins with a policy")
     policy = Policy.load(source)
     hidden, path = tuple(len(b) for _, b in policy.weights[:-1]), policy.meta.get("command_path") or settings.command_path
-    for option, theirs in (("--hidden", hidden), ("--memory", policy.memory), ("--command-path", path)):
+    step = policy.meta.get("control_dt") or settings.control_dt
+    network = {"--hidden": hidden, "--activation": policy.meta["activation"], "--memory": policy.memory, "--command-path": path}
+    for option, theirs in (network | {"--control-dt": step}).items():
         if asked.get(option, theirs) != theirs:
             raise ConfigError(f"--begin {source}: {option} {asked[option]}, the policy has {theirs}; leave {option} out")
-    network = {"hidden": hidden, "activation": policy.meta["activation"], "sigma": SIGMA}
-    made = change(settings, command_path=path, task={"memory": policy.memory}, algorithm=network)
+    network = {"hidden": hidden, "activation": policy.meta["activation"], "sigma": asked.get("--sigma", SIGMA)}
+    made = change(settings, command_path=path, control_dt=step, task={"memory": policy.memory}, algorithm=network)
     robot = robot_for(made)
     LearnedController(robot, source)  # refuses one for another structure
     if not np.allclose(policy.meta["scale"], scale(robot.n_joints)):

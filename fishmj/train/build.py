@@ -2,21 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from fishmj import plugins
+from fishmj.calib import constant
 from fishmj.engines import with_effects
 from fishmj.errors import ConfigError, OwnCodeError, UnknownName
-from fishmj.mjcf.description import COMMAND_PATHS, load_robot
+from fishmj.mjcf.description import COMMAND_PATHS, check_timing, load_robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.policy import Policy, structure_sha256
-from fishmj.tasks.station_hold import visible
+from fishmj.tasks.reference import COURSES, course_of
+from fishmj.tasks.station_hold import N_START, episode_steps, visible
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.networks import scale
-from fishmj.train.settings import ALGORITHMS, Settings
+from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, referred
 from fishmj.water.choice import SELF_MADE, Choice, chosen
 from fishmj.water.identity import water_identity
 
@@ -44,11 +45,19 @@ def has_numba() -> bool:
 
 
 def robot_for(settings: Settings):
-    """The robot in the run's water, with its command path and the effects that it draws. Raises UnknownName, ConfigError."""
+    """The robot in the run's water, with its command path, control step and the effects that it draws.
+
+    Raises:
+        UnknownName, ConfigError: no such command path, or a control step that does not fit the bus.
+    """
     if settings.command_path not in COMMAND_PATHS:
         raise UnknownName("command path", settings.command_path, COMMAND_PATHS)
     robot = with_effects(water_for(settings).robot, settings.task.get("effects", ()))
-    return replace(robot, timing=replace(robot.timing, command_path=settings.command_path))
+    timing = replace(robot.timing, command_path=settings.command_path)
+    if settings.control_dt:
+        timing = replace(timing, control_dt=settings.control_dt)
+        check_timing(timing, "train --control-dt")
+    return replace(robot, timing=timing)
 
 
 def water_for(settings: Settings) -> Choice:
@@ -58,8 +67,41 @@ def water_for(settings: Settings) -> Choice:
 
 
 def settled(settings: Settings) -> Settings:
-    """The settings with their water by name, whatever is fitted later."""
-    return replace(settings, water=water_for(settings).kind) if settings.water == "auto" else settings
+    """The settings with all that they leave open: water by name, control step, hyperparameters, the task's options and reward.
+
+    A run keeps these, so that it goes on under them whatever becomes the default later.
+
+    Raises:
+        UnknownName, ConfigError: a setting that cannot be. OwnCodeError: of an algorithm or task of one's own.
+    """
+    from fishmj.tasks.env import Options
+
+    water = water_for(settings).kind if settings.water == "auto" else settings.water
+    task = _written(from_table("task option", Options, settings.task))
+    del task["box"]  # a run has two: train and tune
+    course = course_of(task["course"])
+    if task["course"] in COURSES:
+        ends = course.launch(np, np.array([[0.0] * N_START, [1.0] * N_START])).start.speed  # the speed is a draw between these
+        task["flow_speed"] = task["flow_speed"] or tuple(map(float, ends))
+        task["seconds"] = task["seconds"] or float(course.seconds)
+    reward = {} if getattr(course, "reward", None) else {key: constant("reward", key) for key in REWARD}
+    robot = robot_for(settings)
+    if task["seconds"]:
+        episode_steps(task["seconds"], robot)
+    algorithm = _written(config_of(settings))
+    return change(
+        replace(settings, water=water),
+        control_dt=float(robot.timing.control_dt),
+        task=task,
+        algorithm=algorithm,
+        reward=reward | settings.reward,
+    )
+
+
+def _written(made: Any) -> dict:
+    """The fields of a dataclass that a file of settings can hold."""
+    table = {one.name: getattr(made, one.name) for one in fields(made)}
+    return {key: value for key, value in table.items() if value is None or isinstance(value, bool | int | float | str | tuple)}
 
 
 def environment(settings: Settings, box: str = "train"):
@@ -96,12 +138,6 @@ def config_of(settings: Settings) -> Any:
     else:
         raise UnknownName("algorithm", settings.algo, ALGORITHMS)
     return from_table(f"setting of {settings.algo}", kind, settings.algorithm)
-
-
-def referred(text: str) -> Any:
-    """What `module:Name` of the register names."""
-    module, _, name = text.partition(":")
-    return getattr(import_module(module), name)
 
 
 def from_table(what: str, kind, table: dict):

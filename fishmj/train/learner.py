@@ -6,9 +6,13 @@ The file holds two classes: a frozen dataclass of settings, all with defaults, a
 
 from typing import Any, NamedTuple, Protocol
 
+import jax
+import jax.numpy as jnp
+
 from fishmj.calib import constant
 
 METRICS = ("reward", "late_distance", "late_arrived", "left_tank", "episodes", "diverged")  # of `metrics_of`; more may follow
+EPISODIC = ("episode_return", "episode_length")  # of `episode_metrics`; left out of a report in which no episode ended
 NEEDED = ("reward", "late_distance", "episodes", "diverged")  # for the progress line and the stop on diverged episodes
 
 
@@ -24,7 +28,7 @@ class Learner(Protocol):
 
     A train state is a NamedTuple of arrays and holds `actor`. A checkpoint keeps its leaves, a resumed run goes on from them
     alone: what is drawn must follow from a key in it, and nothing that learns may live in `self`. `--together` maps `init` and
-    `iterate` over seeds (jax.vmap). Settings named envs, learning_rate, hidden or privileged get the options of these names.
+    `iterate` over seeds (jax.vmap). Settings that another algorithm declares too get its options, such as --envs and --gamma.
 
     The environment (tasks/env.py) starts anew by itself: its state has `final_obs`, before the restart, beside `obs` after it;
     `terminated` is the end of an episode, `truncated` its time limit, from which one bootstraps; `diverged` rows are left out.
@@ -37,7 +41,7 @@ class Learner(Protocol):
         """A fresh train state."""
 
     def iterate(self, state) -> tuple[Any, dict]:
-        """(train state, metrics as scalars): `METRICS` and what the algorithm adds. May use up the state it is given."""
+        """(train state, metrics as scalars): `METRICS` and what it adds, such as `EPISODIC`. May use up the state it is given."""
 
     def act(self, actor, obs):
         """Deterministic actions (B, J) in [-1, 1] for raw observations (B, n_input), in JAX."""
@@ -55,6 +59,43 @@ class StepRecord(NamedTuple):
     done: Any  # bool, the episode ends for whatever reason
     terminated: Any  # bool, it left the tank
     diverged: Any  # bool, the episode was dropped
+
+
+class EpisodeTally(NamedTuple):
+    """Return and length so far of the episode of each of B fish."""
+
+    gain: Any  # (B,) undiscounted, unscaled rewards
+    length: Any  # (B,) control steps
+    whole: Any  # (B,) bool, the episode was counted from its first step
+
+    @classmethod
+    def start(cls, xp, n: int) -> "EpisodeTally":
+        """Of n fish whose clocks begin anywhere (`reset` with stagger): their first episodes are not counted."""
+        return cls(xp.zeros(n), xp.zeros(n), xp.zeros(n, bool))
+
+
+def episode_metrics(tally: EpisodeTally, r: StepRecord) -> tuple[EpisodeTally, dict]:
+    """Mean return and length [control steps] of the episodes that ended in a rollout (T, B), NaN where none did; in JAX.
+
+    Episodes that diverged, and those not counted from their first step, are left out.
+    """
+
+    def step(tally, row):
+        reward, done, diverged = row
+        gain, length = tally.gain + reward, tally.length + 1
+        counted = done & tally.whole & ~diverged
+        ended = jnp.stack([jnp.where(counted, gain, 0.0).sum(), jnp.where(counted, length, 0.0).sum(), counted.sum()])
+        return EpisodeTally(jnp.where(done, 0.0, gain), jnp.where(done, 0.0, length), tally.whole | done), ended
+
+    tally, ended = jax.lax.scan(step, tally, (r.reward, r.done, r.diverged))
+    gain, length, count = ended.sum(0)
+    return tally, dict(zip(EPISODIC, (gain / count, length / count), strict=True))
+
+
+def reported(figures) -> dict[str, float]:
+    """Metrics as numbers, without those of episodes where none ended."""
+    found = {name: float(value) for name, value in figures.items()}
+    return {name: value for name, value in found.items() if name not in EPISODIC or value == value}
 
 
 def record_of(after, limit: int) -> StepRecord:

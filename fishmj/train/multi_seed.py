@@ -11,14 +11,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fishmj import console, store
+from fishmj import console
 from fishmj.errors import SimDiverged
-from fishmj.train.settings import Settings, as_dict, change
-from fishmj.train.training_run import MAX_DIVERGED, MetricsLog, export, is_better, learner_of, stop_on_signal, summary_of
+from fishmj.train.build import settled
+from fishmj.train.learner import EPISODIC, reported
+from fishmj.train.settings import Settings, change
+from fishmj.train.training_run import (
+    MAX_DIVERGED,
+    MetricsLog,
+    export,
+    is_better,
+    learner_of,
+    stop_on_signal,
+    summary_of,
+    write_settings,
+)
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path, command: str | None = None) -> list[dict]:
     """Train one policy a seed side by side; returns the summaries that `TrainingRun.go` would give; command as there."""
+    settings = settled(settings)
     env, learner, assess = learner_of(settings)
     start = time.monotonic()
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
@@ -34,7 +46,7 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
             training, figures = iterate(training)
             done += learner.steps_per_iteration
             table = {k: np.asarray(v, float) for k, v in figures.items()}
-            if not all(np.isfinite(v).all() for v in table.values()):
+            if not all(np.isfinite(v).all() for k, v in table.items() if k not in EPISODIC):
                 message = f"training: non-finite figures at step {done:,}; train seed by seed to find which"
                 raise SimDiverged(message, term="learner")
             episodes, dropped = episodes + table["episodes"].sum(), dropped + table["diverged"].sum()
@@ -43,7 +55,7 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
                 raise SimDiverged(f"{message}, more than {MAX_DIVERGED:.1%}: python -m fishmj.doctor", term="physics")
             seconds = round(time.monotonic() - start, 3)
             for i, lane in enumerate(lanes):
-                lane.board.write(done, {**{k: float(v[i]) for k, v in table.items()}, "seconds": seconds})
+                lane.board.write(done, {**reported({k: v[i] for k, v in table.items()}), "seconds": seconds})
             bar.update(done, reward=float(table["reward"].mean()), distance=float(table["late_distance"].mean()))
             if done >= next_look or done >= settings.steps:
                 next_look += settings.assess_every
@@ -65,7 +77,7 @@ class Lane:
         self.settings, self.folder, self.policy_layers, self.command = settings, folder, policy_layers, command
         self.best: dict | None = None
         self.board = MetricsLog(folder)
-        store.write_json(folder / "settings.json", as_dict(settings))
+        write_settings(settings, folder)
 
     def judge(self, figures: dict, actors, i: int, done: int, own_reward: bool) -> None:
         """Note an assessment; keep the actor, number i of the stacked ones, if it is the best so far."""

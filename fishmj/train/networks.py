@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fishmj.errors import ConfigError, UnknownName
 from fishmj.tasks.station_hold import GROUPS, spans
 
 ACTIVATIONS = {"relu": jax.nn.relu, "tanh": jnp.tanh}
@@ -50,16 +49,3 @@ def forward(layers, x, activation: str = "relu"):
         x = f(x @ w + b)
     w, b = layers[-1]
     return x @ w + b
-
-
-def check_config(name: str, config, positive: tuple[str, ...]) -> None:
-    """What the hyperparameters of every algorithm have in common. Raises ConfigError, UnknownName."""
-    if config.activation not in ACTIVATIONS:
-        raise UnknownName("activation", config.activation, ACTIVATIONS)
-    for key in positive:
-        if not 0 < getattr(config, key) < float("inf"):
-            raise ConfigError(f"{name}: {key} = {getattr(config, key)}; it must be positive")
-    if not 0 <= config.gamma <= 1:
-        raise ConfigError(f"{name}: gamma = {config.gamma}; expected 0 to 1")
-    if not config.hidden or any(not isinstance(width, int) or width < 1 for width in config.hidden):
-        raise ConfigError(f"{name}: hidden = {config.hidden}; expected layer widths, for example (256, 256)")

@@ -1,4 +1,4 @@
-"""What algorithms that learn from a replay buffer share: buffer, loop, settings, metrics. SAC is in sac.py, its kin are alike.
+"""What algorithms that learn from a replay buffer share: buffer, loop, metrics. SAC is in sac.py, its kin are alike.
 
     class TD3(OffPolicy):
         name = "td3"
@@ -10,56 +10,16 @@ One environment step brings `utd` gradient steps a fish, after `warmup` control 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from fishmj.train.learner import PolicyLayers, metrics_of, record_of
-from fishmj.train.networks import check_config, forward, input_scale
-from fishmj.train.training_cost import ADAM, FLOAT, STATE, weights
-
-
-@dataclass(frozen=True, kw_only=True)
-class OffPolicyConfig:
-    """Hyperparameters of the loop and of two critics with targets."""
-
-    envs: int = 64
-    utd: float = 1.0  # gradient steps for each control step of one fish
-    block: int = 16  # environment steps between two reports
-    batch: int = 256
-    buffer: int = 1_000_000
-    warmup: int = 5_000  # control steps of random actions
-    learning_rate: float = 3e-4
-    gamma: float = 0.99
-    tau: float = 0.005
-    hidden: tuple[int, ...] = (256, 256)
-    activation: str = "relu"
-    reward_scale: float = 1.0
-
-    algo: ClassVar[str] = "off-policy"  # in messages
-
-    def __post_init__(self):
-        check_config(self.algo, self, positive=("envs", "utd", "block", "batch", "buffer", "learning_rate", "tau"))
-
-    def operations(self, width) -> float:
-        """Of `utd` gradient steps: both critics and their targets, the actor twice, the gradients of all."""
-        actor, critic = self._networks(width)
-        return self.utd * self.batch * (8 * actor + 2 * (2 + 6 + 6) * critic)
-
-    def bytes(self, width, steps: float) -> float:
-        """Of buffer, environment and networks; `width` of training_cost.widths."""
-        _, inputs, joints = width
-        replay = max(self.envs, min(self.buffer, steps)) * (2 * inputs + joints + 2)
-        actor, critic = self._networks(width)
-        return FLOAT * (replay + self.envs * (2 * inputs + STATE) + ADAM * actor + (2 * ADAM + 2) * critic)
-
-    def _networks(self, width) -> tuple[int, int]:
-        _, inputs, joints = width
-        return weights(inputs, *self.hidden, 2 * joints), weights(inputs + joints, *self.hidden, 1)
+from fishmj.train.hyperparameters import OffPolicyConfig
+from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, metrics_of, record_of
+from fishmj.train.networks import forward, input_scale
 
 
 class Transition(NamedTuple):
@@ -106,6 +66,7 @@ class OffPolicyTrainState(NamedTuple):
     env_state: Any
     key: Any
     env_steps: Any
+    tally: Any  # EpisodeTally
 
     @property
     def actor(self):
@@ -138,7 +99,8 @@ class OffPolicy:
         k_actor, k_critics, k_env, key, _ = jax.random.split(key, 5)
         agent = self.init_agent(k_actor, k_critics)
         replay = ReplayBuffer.empty(self.capacity, self.env.n_input, self.env.n_act)
-        return OffPolicyTrainState(agent, replay, self.env.reset(k_env, self.config.envs, True), key, jnp.int32(0))
+        n = self.config.envs
+        return OffPolicyTrainState(agent, replay, self.env.reset(k_env, n, True), key, jnp.int32(0), EpisodeTally.start(jnp, n))
 
     def act(self, actor, obs):
         """Deterministic action for raw observations."""
@@ -153,7 +115,13 @@ class OffPolicy:
     def iterate(self, state: OffPolicyTrainState):
         """`block` environment steps, learning after each. Returns (train state, metrics as scalars)."""
         state, (record, loss) = jax.lax.scan(self._step, state, None, self.config.block)
-        return state, {**metrics_of(jnp, record), **self.diagnostics(state.agent), "loss": loss.mean()}
+        tally, ended = episode_metrics(state.tally, record)
+        return state._replace(tally=tally), {
+            **metrics_of(jnp, record),
+            **ended,
+            **self.diagnostics(state.agent),
+            "loss": loss.mean(),
+        }
 
     def _step(self, state: OffPolicyTrainState, _):
         c = self.config
@@ -174,5 +142,5 @@ class OffPolicy:
         learn = lambda agent: jax.lax.scan(partial(self.update, replay), agent, keys)
         wait = lambda agent: (agent, jnp.zeros(self.updates_per_step))
         agent, loss = jax.lax.cond(warming_up, wait, learn, state.agent)
-        state = OffPolicyTrainState(agent, replay, after, state.key, state.env_steps + 1)
+        state = state._replace(agent=agent, replay=replay, env_state=after, env_steps=state.env_steps + 1)
         return state, (record_of(after, self.env.limit), loss.mean())

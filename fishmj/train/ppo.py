@@ -7,7 +7,6 @@ The action is tanh(u) with u ~ N(mu(s), sigma); u is stored, so the ratio needs 
 because its time is up bootstraps from the observation before the restart; one that leaves the tank does not.
 """
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,61 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from fishmj.errors import ConfigError
-from fishmj.train.learner import PolicyLayers, metrics_of, record_of
-from fishmj.train.networks import check_config, forward, input_scale, mlp, privileged_scale
-from fishmj.train.training_cost import ADAM, FLOAT, STATE, weights
+from fishmj.train.hyperparameters import PPOConfig
+from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, metrics_of, record_of
+from fishmj.train.networks import forward, input_scale, mlp, privileged_scale
 
-ADAM_EPS = 1e-5
 FAR = 80.0  # of a log ratio: one fish far outside its tank would else make exp or log infinite, and end the run
 SHUFFLE = 1_000_000_000  # added to the iteration's number: the keys of its minibatches are none of its exploration
-
-
-@dataclass(frozen=True, kw_only=True)
-class PPOConfig:
-    """Hyperparameters of PPO."""
-
-    envs: int = 512
-    horizon: int = 32
-    epochs: int = 4
-    minibatches: int = 8
-    learning_rate: float = 1e-3
-    final_rate: float = 0.1  # of learning_rate, reached at the end of `steps`, geometric
-    gamma: float = 0.99
-    lam: float = 0.95
-    clip: float = 0.2
-    value_weight: float = 0.5
-    entropy: float = 0.002
-    max_grad_norm: float = 0.5
-    hidden: tuple[int, ...] = (64, 64)
-    activation: str = "tanh"
-    sigma: float = 0.5  # initial standard deviation of u
-    privileged: bool = True  # the critic sees the flow; the actor never does
-    reward_scale: float = 0.1
-
-    def __post_init__(self):
-        check_config("ppo", self, positive=("envs", "horizon", "epochs", "minibatches", "learning_rate", "final_rate", "sigma"))
-        if self.envs * self.horizon % self.minibatches:
-            raise ConfigError(
-                f"ppo: envs x horizon = {self.envs * self.horizon} does not split into {self.minibatches} minibatches"
-            )
-
-    def operations(self, width) -> float:
-        """Of the networks for one control step; `width` of training_cost.widths."""
-        actor, critic = self._networks(width)
-        return 2 * (actor + 2 * critic) + 6 * self.epochs * (actor + critic)
-
-    def bytes(self, width, steps: float) -> float:
-        """Of the arrays of one iteration."""
-        seen, inputs, joints = width
-        batch = self.envs * self.horizon
-        rollout = batch * (inputs + seen + 5 + joints + 4)
-        minibatch = batch / self.minibatches * (inputs + 2 * 3 * sum(self.hidden))
-        return FLOAT * (rollout + minibatch + self.envs * (2 * inputs + STATE) + ADAM * sum(self._networks(width)))
-
-    def _networks(self, width) -> tuple[int, int]:
-        seen, inputs, joints = width
-        return weights(inputs, *self.hidden, joints), weights(inputs + self.privileged * (seen + 5), *self.hidden, 1)
 
 
 class PPOTrainState(NamedTuple):
@@ -83,6 +33,7 @@ class PPOTrainState(NamedTuple):
     env_state: Any
     key: Any
     iteration: Any
+    tally: Any  # EpisodeTally
 
 
 class Batch(NamedTuple):
@@ -108,7 +59,7 @@ class PPO:
         iterations = max(1, steps // self.steps_per_iteration)
         updates = iterations * config.epochs * config.minibatches
         rate = optax.exponential_decay(config.learning_rate, updates, config.final_rate)
-        self.optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(rate, eps=ADAM_EPS))
+        self.optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(rate, eps=config.adam_eps))
         self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
         self.privileged_scale = jnp.asarray(privileged_scale(env.n_act), jnp.float32)
 
@@ -119,8 +70,8 @@ class PPO:
         actor = mlp(k_actor, [env.n_input, *c.hidden, env.n_act])
         critic = mlp(k_critic, [env.n_input + c.privileged * env.n_privileged, *c.hidden, 1], last=1.0)
         log_sigma = jnp.full(env.n_act, np.log(c.sigma))
-        opt_state = self.optimiser.init((actor, log_sigma, critic))
-        return PPOTrainState(actor, log_sigma, critic, opt_state, env.reset(k_env, c.envs, True), key, jnp.int32(0))
+        opt_state, tally = self.optimiser.init((actor, log_sigma, critic)), EpisodeTally.start(jnp, c.envs)
+        return PPOTrainState(actor, log_sigma, critic, opt_state, env.reset(k_env, c.envs, True), key, jnp.int32(0), tally)
 
     def act(self, actor, obs):
         """Deterministic action for raw observations."""
@@ -140,8 +91,15 @@ class PPO:
         """Collect a rollout, update on it. Returns (train state, metrics as scalars)."""
         env_state, batch, record = self.collect(state)
         (actor, log_sigma, critic), opt_state, (loss, kl) = self.update(state, batch)
-        state = PPOTrainState(actor, log_sigma, critic, opt_state, env_state, state.key, state.iteration + 1)
-        return state, {**metrics_of(jnp, record), "sigma": jnp.exp(log_sigma).mean(), "kl": kl.mean(), "loss": loss.mean()}
+        tally, ended = episode_metrics(state.tally, record)
+        state = PPOTrainState(actor, log_sigma, critic, opt_state, env_state, state.key, state.iteration + 1, tally)
+        return state, {
+            **metrics_of(jnp, record),
+            **ended,
+            "sigma": jnp.exp(log_sigma).mean(),
+            "kl": kl.mean(),
+            "loss": loss.mean(),
+        }
 
     def collect(self, state: PPOTrainState):
         """Roll the policy out for `horizon` steps. Returns (environment's state, Batch, StepRecord)."""

@@ -7,28 +7,19 @@ d = 1 only where the fish left the tank: the end of an episode's time is no end 
 Actor 11-256-256-3, critics 14-256-256-1, ReLU. Buffer and loop are those of off_policy.py.
 """
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 
-from fishmj.calib import constant
+from fishmj.train.hyperparameters import SACConfig
 from fishmj.train.learner import PolicyLayers
 from fishmj.train.networks import forward, mlp
-from fishmj.train.off_policy import OffPolicy, OffPolicyConfig, ReplayBuffer
+from fishmj.train.off_policy import OffPolicy, ReplayBuffer
 
-INITIAL_ALPHA = 0.2
 LOG_SIGMA = (-10.0, 2.0)  # bounds of the actor's log sigma
-
-
-@dataclass(frozen=True, kw_only=True)
-class SACConfig(OffPolicyConfig):
-    """Hyperparameters of SAC; defaults from the paper and, where it is silent, from Haarnoja et al."""
-
-    algo: ClassVar[str] = "sac"
 
 
 class SACAgent(NamedTuple):
@@ -45,12 +36,13 @@ class SAC(OffPolicy):
     """A `learner.Learner`."""
 
     name = "sac"
+    config: SACConfig
 
     def init_agent(self, k_actor, k_critics) -> SACAgent:
         n_input, n_act, hidden = self.env.n_input, self.env.n_act, self.config.hidden
         actor = mlp(k_actor, [n_input, *hidden, 2 * n_act])  # mean and log sigma of u
         critics = jax.vmap(lambda k: mlp(k, [n_input + n_act, *hidden, 1], last=1.0))(jax.random.split(k_critics))
-        log_alpha = jnp.float32(np.log(INITIAL_ALPHA))
+        log_alpha = jnp.float32(np.log(self.config.initial_alpha))
         opt_states = tuple(self.optimiser.init(p) for p in (actor, critics, log_alpha))
         return SACAgent(actor, critics, critics, log_alpha, opt_states)
 
@@ -108,8 +100,8 @@ class SAC(OffPolicy):
         updates, opt_actor = self.optimiser.update(grads, opt_actor, agent.actor)
         actor = optax.apply_updates(agent.actor, updates)
 
-        # d L_alpha / d log alpha, by hand; the target entropy is minus the number of actions
-        grads = -jnp.exp(agent.log_alpha) * (log_prob - self.env.n_act)
+        # d L_alpha / d log alpha, by hand
+        grads = -jnp.exp(agent.log_alpha) * (log_prob + c.target_entropy * self.env.n_act)
         updates, opt_alpha = self.optimiser.update(grads, opt_alpha, agent.log_alpha)
         log_alpha = optax.apply_updates(agent.log_alpha, updates)
         target_critics = optax.incremental_update(critics, agent.target_critics, c.tau)
@@ -118,16 +110,3 @@ class SAC(OffPolicy):
     def diagnostics(self, agent: SACAgent) -> dict:
         """The temperature."""
         return {"alpha": jnp.exp(agent.log_alpha)}
-
-
-def paper_config() -> SACConfig:
-    """The paper's networks and budget; its silent hyperparameters are the algorithm's published defaults."""
-    get = lambda key: constant("training", key)
-    return SACConfig(
-        hidden=tuple(get("actor")),
-        batch=get("batch"),
-        buffer=get("buffer"),
-        learning_rate=get("learning_rate"),
-        tau=get("tau"),
-        gamma=get("gamma"),
-    )

@@ -6,7 +6,6 @@ the tensors only: networks, optimisers, temperature. The replay buffer is NOT ke
 of it with the present policy, without learning, and so does not repeat the uninterrupted run to the bit.
 """
 
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +15,10 @@ import numpy as np
 from fishmj import console
 from fishmj.errors import MissingExtra
 from fishmj.tasks.station_hold import visible
-from fishmj.train.build import environment, from_table, pick_engine, robot_for
+from fishmj.train.build import config_of, environment, pick_engine, robot_for
+from fishmj.train.hyperparameters import SACConfig
 from fishmj.train.learner import PolicyLayers, StepRecord, metrics_of
 from fishmj.train.networks import forward, input_scale, scale
-from fishmj.train.sac import SACConfig, paper_config
 from fishmj.train.settings import Settings, change
 from fishmj.train.training_run import Assessment, TrainingRun
 
@@ -35,6 +34,7 @@ except ImportError as error:
 
 from fishmj.gym.fish_env import FishVectorEnv, observation_space
 
+ENDS = {"return": "r", "length": "l"}  # of an episode, as SB3's Monitor calls them
 UPDATES = 256  # gradient steps between two reports, about
 
 
@@ -60,6 +60,7 @@ class FishVecEnv(VecEnv):
         super().__init__(n, spaces.Box(-high, high, dtype=np.float32), self.fish.single_action_space)
         self.count, self.gain = np.zeros(n, int), np.zeros(n)
         self.tally: list[StepRecord] = []
+        self.ended: list[dict] = []  # infos of the episodes that ended
 
     def reset(self) -> np.ndarray:
         """Start all episodes, with the seeds that `seed` set."""
@@ -99,6 +100,7 @@ class FishVecEnv(VecEnv):
                 "diverged": bool(diverged[i]),
                 "episode": {"r": float(self.gain[i]), "l": int(self.count[i]), "t": 0.0},
             }
+            self.ended.append(infos[i])
         late = (self.count > self.fish.rules.limit // 2) & ~over
         self.tally.append(StepRecord(reward, distance, late, over, terminated, diverged))
         if over.any():
@@ -110,8 +112,12 @@ class FishVecEnv(VecEnv):
     def metrics(self) -> dict[str, float]:
         """Metrics of the steps since the last call, as the other learners report them."""
         record = StepRecord(*(np.stack(a) for a in zip(*self.tally, strict=True)))
-        self.tally = []
-        return metrics_of(np, record)
+        ended = [one for one in self.ended if not one["diverged"]]
+        self.tally, self.ended = [], []
+        means = (
+            {f"episode_{name}": np.mean([one["episode"][key] for one in ended]) for name, key in ENDS.items()} if ended else {}
+        )
+        return {**metrics_of(np, record), **means}
 
     def _start(self, raw: np.ndarray) -> np.ndarray:
         """The input at the start of an episode: as if the fish had always been here, at rest."""
@@ -142,7 +148,7 @@ class FishVecEnv(VecEnv):
 
 def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool = False, command: str | None = None) -> dict:
     """Train with stable-baselines3; returns the summary of `TrainingRun`. Arguments and errors as there."""
-    config = from_table("setting of sb3-sac", SACConfig, {**asdict(paper_config()), **settings.algorithm})
+    config = config_of(settings)
     shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
     learner = StableSAC(shoal, config, settings.steps)
     engine = pick_engine(settings)
@@ -196,7 +202,8 @@ class StableSAC:
             gamma=c.gamma,
             gradient_steps=self.per_step,
             replay_buffer_class=FiniteReplayBuffer,
-            ent_coef="auto_0.2",
+            ent_coef=f"auto_{c.initial_alpha!r}",
+            target_entropy=c.target_entropy * self.shoal.joints,
             policy_kwargs={"net_arch": list(c.hidden), "activation_fn": activation},
             seed=self.seed,
         )

@@ -1,6 +1,7 @@
 """What a training run is: presets, everything that can be changed, and how it is written to disk at the start."""
 
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,8 +9,10 @@ from fishmj import plugins
 from fishmj.errors import ConfigError, UnknownName
 from fishmj.store import read_json
 from fishmj.tasks.reference import COURSES
+from fishmj.train.hyperparameters import declared, option_of
 
-FILE = "settings.json"  # of a run
+FILE = "settings.json"  # of a run: its settings, every hyperparameter among them, and what made it
+MADE_BY = "made_by"  # key of that file: versions and commit
 FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change
 REWARD = ("wG", "wD", "wS")
 
@@ -24,12 +27,50 @@ class Registered(NamedTuple):
 
 
 ALGORITHMS = {  # an algorithm is its file and a line here
-    "ppo": Registered("fishmj.train.ppo:PPOConfig", "fishmj.train.ppo:PPO"),
-    "sac": Registered("fishmj.train.sac:SACConfig", "fishmj.train.sac:SAC", budget=1_000_000),
+    "ppo": Registered("fishmj.train.hyperparameters:PPOConfig", "fishmj.train.ppo:PPO"),
+    "sac": Registered("fishmj.train.hyperparameters:SACConfig", "fishmj.train.sac:SAC", budget=1_000_000),
     "sb3-sac": Registered(
-        "fishmj.train.sac:SACConfig", "fishmj.train.sb3:StableSAC", budget=1_000_000, train="fishmj.train.sb3:train_sb3"
+        "fishmj.train.hyperparameters:SACConfig", "fishmj.train.sb3:StableSAC", 1_000_000, train="fishmj.train.sb3:train_sb3"
     ),
 }
+
+
+def referred(text: str) -> Any:
+    """Returns what `module:Name` of the register names."""
+    module, _, name = text.partition(":")
+    return getattr(import_module(module), name)
+
+
+def told(value: Any, kind: Any) -> str:
+    """A value of a hyperparameter as its option takes it."""
+    if isinstance(value, bool):
+        return kind.known[value]
+    return ",".join(map(str, value)) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+class Hyperparameter(NamedTuple):
+    """One hyperparameter with all algorithms that have it."""
+
+    option: str  # --learning-rate
+    kind: Any  # of options
+    about: str
+    defaults: dict[str, Any]  # algorithm -> default
+    presets: dict[str, Any]  # preset -> its own value
+
+
+def hyperparameters() -> dict[str, Hyperparameter]:
+    """Every hyperparameter of the registered algorithms by the name of its field, as `setting` declares it."""
+    found: dict[str, dict[str, Field]] = {}
+    for algo, entry in ALGORITHMS.items():
+        for name, one in declared(referred(entry.config)).items():
+            found.setdefault(name, {})[algo] = one
+    made = {}
+    for name, ones in found.items():
+        first, defaults = next(iter(ones.values())), {algo: one.default for algo, one in ones.items()}
+        sets = {key: s.algorithm[name] for key, s in PRESETS.items() if name in s.algorithm}
+        own = {key: value for key, value in sets.items() if value != defaults.get(PRESETS[key].algo)}
+        made[name] = Hyperparameter(option_of(first), first.metadata["kind"], first.metadata["about"], defaults, own)
+    return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +83,8 @@ class Settings:
     robot: str = "fish"
     water: str = "auto"  # of fishmj.water.choice; auto: fitted where the robot has one
     command_path: str = "linear"
-    steps: int = 8_000_000  # control steps of 0.2 s, all fish together
+    control_dt: float = 0.0  # s between two decisions; 0: the robot's
+    steps: int = 8_000_000  # control steps, all fish together
     seed: int = 0
     assess_every: int = 1_000_000  # control steps
     assess_episodes: int = 256
@@ -128,6 +170,8 @@ def of_run(folder: Path) -> Settings | None:
     if not path.is_file():
         return None
     table = read_json(path)
+    if isinstance(table, dict):
+        table.pop(MADE_BY, None)
     expected = {f.name: dict if f.default is MISSING else type(f.default) for f in fields(Settings)}
     if not isinstance(table, dict) or set(table) != set(expected) or not all(_is(table[k], t) for k, t in expected.items()):
         raise ConfigError(f"{path}: no settings of a training by this version of fishmj; give them again on the command line")

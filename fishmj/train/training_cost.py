@@ -22,9 +22,6 @@ LEARNT = {  # the same in a water with a learnt force; on a GPU with the batch o
     GPU: {"compiled": 60e3, "planar": 2.4e6, "batch": 2.4e3, "mjx": 0.8e6},
 }
 ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of docs/guide/training.md
-FLOAT = 4  # bytes
-STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode
-ADAM = 4  # copies of a network: weights, its gradient, two moments
 
 
 def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
@@ -58,11 +55,6 @@ def widths(settings: Settings) -> tuple[int, int, int]:
     joints, memory = load_robot(settings.robot).n_joints, settings.task.get("memory", 1)
     seen = 5 + 2 * joints
     return seen, memory * seen + (memory - 1) * joints, joints
-
-
-def weights(*layers: int) -> int:
-    """Of a network with layers of these widths."""
-    return sum(a * b for a, b in zip(layers, layers[1:], strict=False))
 
 
 def _kind() -> str:

@@ -25,16 +25,18 @@ from fishmj import console, interrupt, store
 from fishmj.calib import constant
 from fishmj.errors import ConfigError, SimDiverged
 from fishmj.policy import Policy
+from fishmj.source import made_by
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
 from fishmj.train.begin import begun
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
-from fishmj.train.learner import PolicyLayers
-from fishmj.train.settings import FILE, Settings, as_dict, own_code, same
+from fishmj.train.learner import PolicyLayers, reported
+from fishmj.train.settings import FILE, MADE_BY, Settings, as_dict, from_dict, own_code, same
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped", "command")  # kept in a checkpoint beside the arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
+PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # whose versions a run states
 FULL = (errno.ENOSPC, errno.EDQUOT)
 PAUSE = 5.0  # s between two tries on a full disk
 
@@ -44,6 +46,8 @@ FORMER = {  # beginnings of names of a train state's leaves -> what checkpoints 
     ".replay": ".memory",
     ".opt_state": ".optimiser", ".env_state": ".env", ".env_steps": ".updates", ".iteration": ".updates",
 }  # fmt: skip
+
+ADDED = ".tally"  # leaves that checkpoints of earlier versions lack; they begin anew
 
 
 def arrays_of(tree) -> dict[str, np.ndarray]:
@@ -72,6 +76,9 @@ def tree_of(arrays: dict[str, np.ndarray], like):
         name = stored_name(jax.tree_util.keystr(path), arrays)
         key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # no array of numbers: its bits are stored
         expected = jax.random.key_data(leaf).shape if key else leaf.shape
+        if name not in arrays and name.startswith(ADDED):
+            leaves.append(leaf)
+            continue
         if name not in arrays or arrays[name].shape != expected:
             got = arrays[name].shape if name in arrays else "nothing"
             raise ConfigError(f"checkpoint: {name} is {got}, this run needs {expected}; it was made with other settings")
@@ -252,7 +259,7 @@ class TrainingRun:
         elif begin is not None:
             self.training = begun(self.training, begin)
         self.bar.begun = self.done
-        store.write_json(self.folder / FILE, as_dict(settings))
+        write_settings(self.settings, self.folder)
 
     def go(self) -> dict:
         """Train to the end, until `stop_when` holds, or to Ctrl-C; the summary says whether Ctrl-C ended it."""
@@ -293,9 +300,11 @@ class TrainingRun:
 
     def _judge(self, board: MetricsLog, write: Callable) -> None:
         """Assess, note it, keep the best policy; only then the run has it behind it."""
-        if not (self.quiet or self._looked):
-            self.bar.stage("compiling the assessment")
-        figures, better = self._look()
+        began = time.monotonic()
+        with self.bar.aside("" if self.quiet or self._looked else "compiling the assessment"):
+            figures, better = self._look()
+        every = self.settings.assess_every
+        self.bar.ahead = (self.settings.steps // every - self.done // every) * (time.monotonic() - began)
         write(board.write, self.done, figures)
         if better:
             write(self._export, "best", self.best)
@@ -308,7 +317,7 @@ class TrainingRun:
             self._held = self._state()
         self._under_way = True
         self.training, figures = self.algorithm.iterate(self.training)
-        figures = {k: float(v) for k, v in figures.items()}  # waits for its end
+        figures = reported(figures)  # waits for its end
         self._pace, self._held = time.monotonic() - began, None
         return figures
 
@@ -376,7 +385,7 @@ class TrainingRun:
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
         # the checkpoint's own settings, not those of settings.json: a resumed run may have written that anew already
-        same(self.folder, self.settings, found.meta["settings"])
+        same(self.folder, self.settings, as_dict(settled(from_dict(found.meta["settings"]))))
         # the fresh state says which leaves, shapes and dtypes there must be; the key among them makes all later draws the same
         self.training = tree_of(found.arrays, self.training)
         # counts of the run, not of the learner: without them a resumed run would assess, and stop, at other steps
@@ -393,8 +402,15 @@ class TrainingRun:
 
 def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) -> None:
     """Write a policy file that says how it was trained."""
-    made = {"engine": pick_engine(settings), "preset": settings.preset, "task": as_dict(settings)["task"]}
+    said = as_dict(settings)
+    made = {"engine": pick_engine(settings), "preset": settings.preset, "task": said["task"], "reward": said["reward"]}
+    made |= {"hyperparameters": said["algorithm"], MADE_BY: made_by(*PACKAGES)}
     policy_of(network, settings, {**made, **meta}).save(path)
+
+
+def write_settings(settings: Settings, folder: Path) -> None:
+    """Write the run's file of settings: all of them, the seed, and the versions that made it."""
+    store.write_json(folder / FILE, as_dict(settings) | {MADE_BY: made_by(*PACKAGES)})
 
 
 def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best: dict | None, stopped: bool) -> dict:

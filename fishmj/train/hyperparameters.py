@@ -1,0 +1,167 @@
+"""Hyperparameters of the learning algorithms, each declared once with its default, range and meaning.
+
+The options of `fishmj train`, the checks, the run folder, the policy header and the table of docs/guide/training.md follow from
+these dataclasses. An algorithm of its own derives from `Hyperparameters` and declares its fields by `setting`.
+"""
+
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, ClassVar
+
+from fishmj.errors import ConfigError
+from fishmj.options import Listed, Number, OneOf, number, whole
+
+FLOAT = 4  # bytes
+STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode
+ADAM = 4  # copies of a network: weights, its gradient, two moments
+ACTIVATIONS = ("relu", "tanh")  # of networks.ACTIVATIONS, which needs JAX
+
+
+@dataclass(frozen=True)
+class Switch(OneOf):
+    """The kind of a truth value that an option names: `known` is (false, true)."""
+
+    def __call__(self, text: str) -> Any:
+        return super().__call__(text) == self.known[1]
+
+    def holds(self, value: Any) -> bool:
+        """True for a truth value."""
+        return isinstance(value, bool)
+
+
+Kind = Number | Listed | OneOf
+
+
+def setting(default: Any, kind: Kind, about: str, option: str = "") -> Any:
+    """A field of a dataclass of hyperparameters; option: its name on the command line where that is not the field's."""
+    return field(default=default, metadata={"kind": kind, "about": about, "option": option})
+
+
+def option_of(one: Field) -> str:
+    """The command-line option of a field, `--learning-rate`."""
+    return one.metadata["option"] or f"--{one.name.replace('_', '-')}"
+
+
+def declared(config: type) -> dict[str, Field]:
+    """The fields of a dataclass that `setting` declared, by name."""
+    return {one.name: one for one in fields(config) if "kind" in one.metadata}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hyperparameters:
+    """Base of the settings of every algorithm. Raises ConfigError: a value out of its range."""
+
+    algo: ClassVar[str] = "algorithm"  # in messages
+
+    envs: int = setting(512, whole(1, 2**20), "fish that swim at once")
+    learning_rate: float = setting(1e-3, number(0, 1, above=True), "step size of Adam")
+    gamma: float = setting(0.99, number(0, 1), "discount of the reward for each control step")
+    hidden: tuple[int, ...] = setting((64, 64), Listed(whole(1, 8192), 10, distinct=False), "widths of the hidden layers")
+    activation: str = setting("tanh", OneOf(ACTIVATIONS), "activation of the hidden layers")
+    reward_scale: float = setting(1.0, number(0, 1e6, above=True), "factor of the reward in learning, not in reports")
+
+    def __post_init__(self):
+        for name, one in declared(type(self)).items():
+            value, kind = getattr(self, name), one.metadata["kind"]
+            if not kind.holds(value):
+                raise ConfigError(f"{self.algo}: {name} = {value!r}; expected {kind.expected}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(Hyperparameters):
+    """Hyperparameters of PPO."""
+
+    algo: ClassVar[str] = "ppo"
+
+    horizon: int = setting(32, whole(1, 100_000), "control steps of each fish between two updates")
+    epochs: int = setting(4, whole(1, 1000), "passes over each rollout")
+    minibatches: int = setting(8, whole(1, 2**20), "parts of a rollout, one gradient step each; must divide envs x horizon")
+    final_rate: float = setting(
+        0.1, number(0, 10, above=True), "share of the learning rate that is left at the end of --steps; it falls geometrically"
+    )
+    lam: float = setting(0.95, number(0, 1), "lambda of the advantage estimate (GAE)", "--lambda")
+    clip: float = setting(0.2, number(0, 10, above=True), "bound on |probability ratio - 1|")
+    value_weight: float = setting(0.5, number(0, 1e6), "weight of the critic's loss")
+    entropy: float = setting(0.002, number(0, 1e3), "weight of the entropy bonus")
+    max_grad_norm: float = setting(0.5, number(0, 1e6, above=True), "bound on the norm of the gradient")
+    adam_eps: float = setting(1e-5, number(0, 1, above=True), "epsilon of Adam")
+    sigma: float = setting(0.5, number(0, 10, above=True), "initial standard deviation of the action before tanh")
+    privileged: bool = setting(
+        True,
+        Switch(("plain", "privileged")),
+        "privileged: the critic sees the flow, the actor never does; plain: not",
+        "--critic",
+    )
+    reward_scale: float = setting(0.1, number(0, 1e6, above=True), "factor of the reward in learning, not in reports")
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.envs * self.horizon % self.minibatches:
+            raise ConfigError(
+                f"ppo: envs x horizon = {self.envs * self.horizon} does not split into {self.minibatches} minibatches"
+            )
+
+    def operations(self, width) -> float:
+        """Of the networks for one control step; `width` of training_cost.widths."""
+        actor, critic = self._networks(width)
+        return 2 * (actor + 2 * critic) + 6 * self.epochs * (actor + critic)
+
+    def bytes(self, width, steps: float) -> float:
+        """Of the arrays of one iteration."""
+        seen, inputs, joints = width
+        batch = self.envs * self.horizon
+        rollout = batch * (inputs + seen + 5 + joints + 4)
+        minibatch = batch / self.minibatches * (inputs + 2 * 3 * sum(self.hidden))
+        return FLOAT * (rollout + minibatch + self.envs * (2 * inputs + STATE) + ADAM * sum(self._networks(width)))
+
+    def _networks(self, width) -> tuple[int, int]:
+        seen, inputs, joints = width
+        return weights(inputs, *self.hidden, joints), weights(inputs + self.privileged * (seen + 5), *self.hidden, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicyConfig(Hyperparameters):
+    """Hyperparameters of the loop of off_policy.py and of two critics with targets; the paper's where it says them."""
+
+    algo: ClassVar[str] = "off-policy"
+
+    envs: int = setting(64, whole(1, 2**20), "fish that swim at once")
+    learning_rate: float = setting(3e-4, number(0, 1, above=True), "step size of Adam")
+    hidden: tuple[int, ...] = setting((256, 256), Listed(whole(1, 8192), 10, distinct=False), "widths of the hidden layers")
+    activation: str = setting("relu", OneOf(ACTIVATIONS), "activation of the hidden layers")
+    utd: float = setting(1.0, number(0, 1e3, above=True), "gradient steps for each control step of one fish")
+    block: int = setting(16, whole(1, 100_000), "control steps of each fish between two reports")
+    batch: int = setting(256, whole(1, 2**20), "transitions of a gradient step")
+    buffer: int = setting(1_000_000, whole(1, 10**9), "transitions that are remembered")
+    warmup: int = setting(5_000, whole(0, 10**9), "control steps of random actions at the start")
+    tau: float = setting(0.005, number(0, 1, above=True), "share by which the target critics follow in a gradient step")
+
+    def operations(self, width) -> float:
+        """Of `utd` gradient steps: both critics and their targets, the actor twice, the gradients of all."""
+        actor, critic = self._networks(width)
+        return self.utd * self.batch * (8 * actor + 2 * (2 + 6 + 6) * critic)
+
+    def bytes(self, width, steps: float) -> float:
+        """Of buffer, environment and networks; `width` of training_cost.widths."""
+        _, inputs, joints = width
+        replay = max(self.envs, min(self.buffer, steps)) * (2 * inputs + joints + 2)
+        actor, critic = self._networks(width)
+        return FLOAT * (replay + self.envs * (2 * inputs + STATE) + ADAM * actor + (2 * ADAM + 2) * critic)
+
+    def _networks(self, width) -> tuple[int, int]:
+        _, inputs, joints = width
+        return weights(inputs, *self.hidden, 2 * joints), weights(inputs + joints, *self.hidden, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACConfig(OffPolicyConfig):
+    """Hyperparameters of SAC; from the paper and, where it is silent, from Haarnoja et al."""
+
+    algo: ClassVar[str] = "sac"
+
+    initial_alpha: float = setting(0.2, number(0, 1e3, above=True), "temperature at the start")
+    target_entropy: float = setting(-1.0, number(-100, 100), "entropy that the temperature aims at, nat for each joint")
+
+
+def weights(*layers: int) -> int:
+    """Of a network with layers of these widths."""
+    return sum(a * b for a, b in zip(layers, layers[1:], strict=False))
