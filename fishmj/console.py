@@ -1,7 +1,7 @@
 """What every command line shares: errors as exit codes, one JSON object last, tables, a progress line with the time left.
 
 Parsers whose errors are one line, types of options with a range, groups of commands. `EXITS` says what the exit codes mean.
-This module is the only one that prints.
+What it prints goes through `terminal`.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from typing import IO, Any, NamedTuple, NoReturn
 
-from fishmj import interrupt
+from fishmj import interrupt, terminal
 from fishmj.errors import DescriptionError, FishmjError, UnknownName, UsageError
 from fishmj.options import SEED as SEED
 from fishmj.options import SHOWN, shown
@@ -36,6 +36,10 @@ from fishmj.options import out_folder as out_folder
 from fishmj.options import path as path
 from fishmj.options import text as text
 from fishmj.options import whole as whole
+from fishmj.terminal import cell as cell
+from fishmj.terminal import duration as duration
+from fishmj.terminal import printable as printable
+from fishmj.terminal import table as table
 
 OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT = 0, 1, 2, 3, 70
 HUNG_UP, INTERRUPTED, PIPE_CLOSED, TERMINATED = 129, 130, 141, 143
@@ -57,7 +61,6 @@ MEMORY = 30.0  # s of progress that the time left is told from
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.EIO}
 
 Main = Callable[[list[str]], int | None]
-_readers_gone: list[int] = []  # descriptors whose reader left while this command ran
 
 
 def run(main: Main, argv: Sequence[str] | None = None) -> int:
@@ -69,7 +72,7 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     _speak_any_text()
-    _readers_gone.clear()
+    terminal.readers_gone.clear()
     interrupt.telling(lambda message: _interrupted(argv, message))
     try:
         code = _called(main, argv)
@@ -77,7 +80,7 @@ def run(main: Main, argv: Sequence[str] | None = None) -> int:
         if not interrupt.asked():
             raise
         code = HUNG_UP
-    if code == OK and _readers_gone:
+    if code == OK and terminal.readers_gone:
         code = PIPE_CLOSED
     if interrupt.asked():
         interrupt.leave(None if code == INTERRUPTED else "")
@@ -99,7 +102,7 @@ def _called(main: Main, argv: list[str]) -> int:
         return _fail(argv, "interrupted", "KeyboardInterrupt", INTERRUPTED)
     except BrokenPipeError:  # printed by a library: what this module prints goes on without its reader
         with suppress(OSError):
-            _silence(sys.stdout)
+            terminal.silence(sys.stdout)
         return PIPE_CLOSED
     except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
         if interrupt.asked():  # what an interrupt breaks off is no fault
@@ -138,7 +141,7 @@ def _of_the_machine(error: Exception) -> str:
 def _interrupted(argv: Sequence[str], message: str) -> None:
     """The last line of an interrupted command, below a progress line that stands open in a terminal."""
     if sys.stderr.isatty():
-        _print("", sys.stderr)
+        terminal.put("", sys.stderr)
     _fail(argv, message, "KeyboardInterrupt", interrupt.code())
 
 
@@ -150,7 +153,7 @@ def _fail(
         traceback.print_exc()
     message = _one_line(message)
     for line in map(_one_line, many.shown) if many else (message,):
-        _print(f"fishmj: {line}", sys.stderr)
+        terminal.put(f"fishmj: {line}", sys.stderr)
     if "--json" in argv:
         emit_json({"error": message, "kind": kind, "exit": code} | ({"errors": list(many.errors)} if many else {}))
     return code
@@ -310,53 +313,28 @@ class CommandGroup:
         return "\n".join([head, "", self.summary, "", *(line for row in rows for line in row)])
 
 
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-
-
-def printable(text: str) -> str:
-    """`text` without what commands a terminal or turns the direction of writing: text of a file is shown, never obeyed."""
-    return _CONTROL.sub("", text)
-
-
-def _print(text: str, stream: IO[str], end: str = "\n") -> None:
-    """Prints at once. A reader that leaves (`| head`) takes its text away, never the work: the command goes on in silence."""
-    try:
-        print(text, end=end, file=stream, flush=True)
-    except BrokenPipeError:
-        _silence(stream)
-
-
-def _silence(stream: IO[str]) -> None:
-    """Sends what a stream still has to say nowhere, child processes included."""
-    number = stream.fileno()
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, number)
-    os.close(nowhere)
-    _readers_gone.append(number)
-
-
 def say(*lines: str) -> None:
     """Print lines for a human, at once; control characters are left out."""
     for line in lines:
-        _print(printable(line), sys.stdout)
+        terminal.put(printable(line), sys.stdout)
 
 
 def warn(message: str) -> None:
     """Print one line on stderr that does not stop the command."""
-    _print(f"fishmj: {_one_line(message)}", sys.stderr)
+    terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
 
 
 def confirmed(question: str) -> bool:
     """Ask a yes-or-no question on the terminal; no where there is none, or where the answer is not yes."""
     if not all(bool(getattr(stream, "isatty", lambda: False)()) for stream in (sys.stdin, sys.stderr)):
         return False
-    _print(f"{question} [y/N] ", sys.stderr, end="")
+    terminal.put(f"{question} [y/N] ", sys.stderr, end="")
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def emit_json(value: Any) -> None:
     """Print one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
-    _print(json.dumps(plain(value), allow_nan=False), sys.stdout)
+    terminal.put(json.dumps(plain(value), allow_nan=False), sys.stdout)
 
 
 def plain(value: Any) -> Any:
@@ -372,44 +350,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, Iterable):
         return [plain(item) for item in value]
     return str(value)
-
-
-def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> str:
-    """Rows as a Markdown table that also reads well in a terminal: numbers to the right, floats to 4 digits, NaN as `-`."""
-    names = list(columns if columns is not None else rows[0] if rows else [])
-    cells = [[cell(row.get(name)).replace("|", "\\|") for name in names] for row in rows]
-    wide = [max([len(name), 3, *(len(row[i]) for row in cells)]) for i, name in enumerate(names)]
-    right = [bool(rows) and all(_is_number(row.get(name)) for row in rows) for name in names]
-
-    def line(values: Sequence[str]) -> str:
-        return "| " + " | ".join(v.rjust(w) if r else v.ljust(w) for v, w, r in zip(values, wide, right, strict=True)) + " |"
-
-    rule = "|" + "|".join("-" * (w + 1) + (":" if r else "-") for w, r in zip(wide, right, strict=True)) + "|"
-    return "\n".join([line(names), rule, *map(line, cells)])
-
-
-def _is_number(value: Any) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-
-
-def cell(value: Any) -> str:
-    """A value of a table as one line of text: floats to 4 digits, NaN and None as `-`."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else " ".join(printable(str(value)).split("\n"))
-
-
-def duration(seconds: float) -> str:
-    """`7.2 s`, `3 min 05 s`, `2 h 10 min`, `12 days`, `37 years`."""
-    if not math.isfinite(seconds):
-        return "?"
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes < 48 * 60:
-        return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
-    days = minutes / 1440
-    return f"{days:.0f} days" if days < 1000 else f"{days / 365.25:,.0f} years"
 
 
 class Progress:
@@ -453,7 +393,7 @@ class Progress:
 
     def __exit__(self, kind, error, trace) -> None:
         if self._live and self._width:
-            _print("", self._stream)
+            terminal.put("", self._stream)
 
     @property
     def elapsed(self) -> float:
@@ -507,10 +447,10 @@ class Progress:
     def _show(self, line: str) -> None:
         line = printable(line)
         if self._live:
-            _print("\r" + line.ljust(self._width), self._stream, end="")
+            terminal.put("\r" + line.ljust(self._width), self._stream, end="")
             self._width = len(line)
         else:
-            _print(line, self._stream)
+            terminal.put(line, self._stream)
 
     def line(self, **fields: Any) -> str:
         """The text of the line as it stands."""

@@ -47,7 +47,8 @@ class Number:
 
     def holds(self, value: Any) -> bool:
         """True for a number of the range; a truth value is none."""
-        if isinstance(value, bool) or not isinstance(value, Integral if self.whole else Real):
+        kind: Any = Integral if self.whole else Real
+        if isinstance(value, bool) or not isinstance(value, kind):
             return False
         finite = isinstance(value, Integral) or math.isfinite(value)  # an integer may be too long for a float
         return finite and self.low <= value <= self.high and not (self.above and value == self.low)

@@ -231,3 +231,23 @@ def test_gap_apply_speaks_of_what_it_wrote(data, tmp_path, capsys):
     assert (tmp_path / "mine.diff").read_text().startswith("--- parent.xml")
     code, out, _ = command(capsys, "apply", "--revert", tmp_path / "mine.toml")
     assert code == 0 and (tmp_path / "mine.toml").read_bytes() == resolve("fish").read_bytes()
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_second_search_leaves_no_model_of_the_first(inside, tmp_path, monkeypatch):
+    """Unless it is the very model that was searched."""
+    from types import SimpleNamespace
+
+    from fishmj.gap import report
+    from fishmj.gap.commands import find
+
+    model = tmp_path / "model.patched.toml"
+    for name in ("model.patched.toml", "model.patched.diff", "model.rejected-0123456789ab.toml", "mine.toml"):
+        (tmp_path / name).write_text("of the first search")
+    monkeypatch.setattr(find, "settle", lambda *_: SimpleNamespace(path=None, accepted=False))
+    monkeypatch.setattr(report, "write", lambda *_: [])
+    evidence, verdict = SimpleNamespace(model=None), SimpleNamespace(plain=dict)
+    inquiry = SimpleNamespace(verdict=verdict, evidence=evidence, records=())
+    find.write(inquiry, tmp_path, {"judged": [], "model": str(model) if inside else "fish"})
+    assert (tmp_path / "mine.toml").exists() and (tmp_path / "verdict.json").exists()
+    assert model.exists() == inside and bool(list(tmp_path.glob("model.rejected-*"))) == inside

@@ -206,3 +206,16 @@ def test_an_installed_package_says_where_the_rest_of_the_data_is(monkeypatch):
     monkeypatch.setattr("fishmj.store.manifest.OWN", Path("data"))
     assert "checkout or the source distribution (sdist)" in left_out("data/gap/lbm/planted")
     assert left_out("elsewhere/data") == ""
+
+
+def test_clear_removes_what_it_names_and_nothing_else(tmp_path):
+    (tmp_path / "logs" / "a").mkdir(parents=True)
+    for name in ("report.html", "mine.html", "logs/a/x", "logs/b"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / "kept").write_text("x")
+    (tmp_path / "link").symlink_to(tmp_path / "outside")
+    store.clear(tmp_path, "report.html", "logs/a", "link", "not_there*")
+    left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")}
+    assert left == {"mine.html", "logs", "logs/b", "outside", "outside/kept"}
+    store.clear(tmp_path / "nowhere", "*")

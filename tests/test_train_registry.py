@@ -152,6 +152,14 @@ def test_a_folder_of_several_seeds_says_how_they_go_on(tmp_path, capsys):
     assert "nothing to resume; there are the runs seed-0, seed-3: add --seeds 0,3" in capsys.readouterr().err
 
 
+def test_folder_of_a_run_without_checkpoints_is_not_overwritten(tmp_path, capsys):
+    """As `--together` leaves them: its best policy would stand beside another run's figures."""
+    write_json(tmp_path / "settings.json", as_dict(preset("quick")))
+    (tmp_path / "best.safetensors").write_bytes(b"")
+    assert console.run(main, ["--preset", "quick", "--out", str(tmp_path)]) == console.BAD_INPUT
+    assert "already holds a run that cannot go on; add --force" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("algo", ["sb3-sac", "examples/own_code.py:Evolution"])
 def test_together_refuses_what_brings_its_own_loop(algo, tmp_path, capsys):
     assert console.run(main, ["--algo", algo, "--together", "--out", str(tmp_path / "run")]) == console.BAD_INPUT

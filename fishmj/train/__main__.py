@@ -204,6 +204,7 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
         ArgumentTypeError: one cannot be written.
     """
     from fishmj import plugins
+    from fishmj.policy import OF_A_RUN
     from fishmj.store import Checkpoints
 
     algo = plugins.name_of(settings.algo)
@@ -227,6 +228,8 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
             raise ConfigError(
                 f"{folder} already holds a run; add --resume to go on, --force to remove it, or choose another --out"
             )
+        if began and any((folder / name).exists() for name in OF_A_RUN) and not (args.resume or args.force):  # of --together
+            raise ConfigError(f"{folder} already holds a run that cannot go on; add --force to remove it, or take another --out")
         several = args.together and any(folder.glob("seed-*/settings.json"))
         if args.force and not (began or several) and folder.exists() and any(folder.iterdir()):
             raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
