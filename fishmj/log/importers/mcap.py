@@ -13,7 +13,7 @@ from pathlib import Path
 from fishmj.errors import LogError, MissingExtra
 from fishmj.log.folder import META_FILE
 from fishmj.log.importers import messages
-from fishmj.log.importers.messages import Found, TopicChannel
+from fishmj.log.importers.decoding import Found, TopicChannel
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, most_bytes, quoted, regular
 from fishmj.log.trial import SCHEMA, Trial

@@ -1,29 +1,25 @@
-"""Recordings of messages (MCAP, rosbag2): topics become tables as a mapping says (`topics.py`), or sheets to be guessed at.
+"""Recordings of messages (MCAP, rosbag2): topics become tables as a mapping says (`topics.py`), or sheets to be guessed at."""
 
-Messages are JSON, or CDR of ROS 2's standard types. Types that a recording defines itself are not read: the decoder would have
-to generate code from the file.
-"""
-
-import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fishmj.errors import LogError, MissingExtra
+from fishmj.errors import LogError
 from fishmj.log.importers import header
 from fishmj.log.importers.column_map import is_column
+from fishmj.log.importers.decoding import Found, TopicChannel, converted, decoder, read_json
 from fishmj.log.importers.joint_names import STATE, column_of
 from fishmj.log.importers.quaternion import heading
 from fishmj.log.importers.registry import trial_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.importers.topics import UNITS, Field, Topic, Topics, by_name
-from fishmj.log.limits import DAMAGE, bare, quoted
+from fishmj.log.limits import quoted
 from fishmj.log.trial import Table, Trial, table_spec
 
 DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different clocks
@@ -32,7 +28,6 @@ NAMES = ("name", "names", "joint_names")  # keys of lists of names beside lists 
 NAMED = ("name", "joint_name", "child_frame_id")  # keys of the name of one object in a list of objects
 OVERTAKEN, OVERTAKES = 3, 10**9  # messages at least, and ns at most, by which one publisher's stamps fall behind another's
 ABSENT = object()  # the value of a joint that a message does not name
-SEQUENCE = 4096  # longest array of a CDR message that is decoded; pictures and clouds are not
 KEPT = {  # types that are spread over sheets without a mapping; any other standard type can be mapped
     *("sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"),
     *("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Pose", "geometry_msgs/msg/Pose2D"),
@@ -41,18 +36,6 @@ KEPT = {  # types that are spread over sheets without a mapping; any other stand
     *("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/TwistStamped"),
     *("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64", "std_msgs/msg/Float32"),
 }
-
-
-@dataclass
-class TopicChannel:
-    """One topic: how its messages are written, and (log time [ns], publish time [ns], bytes) of each."""
-
-    encoding: str
-    type: str = ""
-    messages: list[tuple[int, int, bytes]] = field(default_factory=list)
-
-
-Found = dict[str, TopicChannel]
 
 
 # ---------------------------------------------------------------------------------------------------- with a mapping
@@ -86,7 +69,7 @@ def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, no
 def named_like_tables(found: Found) -> Topics:
     """The mapping of JSON topics that are named like tables and whose first message has columns of that table."""
     wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json" and channel.messages})
-    first = {topic: _json(topic, found[topic].messages[0][2]) for topic in {entry.topic for entry in wanted.tables.values()}}
+    first = {topic: read_json(topic, found[topic].messages[0][2]) for topic in {entry.topic for entry in wanted.tables.values()}}
     return Topics({n: e for n, e in wanted.tables.items() if any(is_column(table_spec(n), key) for key in first[e.topic])})
 
 
@@ -102,7 +85,7 @@ def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int]
     """Stamps [ns], columns and notes of one topic. A message that names other joints only is left out."""
     if not channel.messages:
         raise LogError(f"{path}: topic {entry.topic!r} has no message; leave its table out")
-    decode = _decoder(path, entry.topic, channel)
+    decode = decoder(path, entry.topic, channel)
     first = decode(0)
     fields = entry.columns or {key: Field((key,)) for key in first if key != "t"}
     clock = entry.clock
@@ -237,7 +220,7 @@ def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
         if not channel.messages:
             continue
         if channel.encoding not in ("json", "cdr"):
-            notes.append(f"{topic}: messages encoded as {quoted(channel.encoding)} are not read; {_converted(channel.encoding)}")
+            notes.append(f"{topic}: messages encoded as {quoted(channel.encoding)} are not read; {converted(channel.encoding)}")
             continue
         if channel.encoding != "json" and channel.type not in KEPT:
             notes.append(f"{topic}: messages of {quoted(channel.type or channel.encoding)} need a mapping (--topics); left out")
@@ -305,7 +288,7 @@ class _Rows:
 
 def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
     """The messages of a topic as rows; None where they hold no number."""
-    decode = _decoder(path, topic, channel)
+    decode = decoder(path, topic, channel)
     out, keys = _Rows([], [], [], Counter()), set()
     own = []
     for i, (log_time, _, _) in enumerate(channel.messages):
@@ -450,70 +433,3 @@ _UNITS: dict[str, dict[str, str]] = {  # ROS's own: REP 103
     "geometry_msgs/msg/PointStamped": _SPACE,
     "geometry_msgs/msg/TransformStamped": _SPACE,
 }
-
-
-# ------------------------------------------------------------------------------------------------------------ decoding
-def _decoder(path: Path, topic: str, channel: TopicChannel) -> Callable[[int], dict]:
-    """Message number -> its content as dictionaries, lists and numbers."""
-    if channel.encoding == "json":
-        return lambda i: _json(f"{path}:{topic}[{i}]", channel.messages[i][2])
-    if channel.encoding == "cdr" and channel.type:
-        store = _standard_types()
-        if channel.type not in store.fielddefs:
-            raise LogError(
-                f"{path}:{topic}: messages of type {quoted(channel.type, 80)}, which is none of ROS 2's standard types; "
-                "publish the numbers as JointState, PoseStamped or Float64MultiArray, or convert the recording to JSON messages"
-            )
-        return lambda i: _cdr(f"{path}:{topic}[{i}]", store, channel.type, channel.messages[i][2])
-    raise LogError(
-        f"{path}:{topic}: messages are encoded as {quoted(channel.encoding)}{'' if channel.type else ' without a schema'}; "
-        f"expected json, or cdr of ROS 2's standard types; {_converted(channel.encoding)}"
-    )
-
-
-def _converted(encoding: str) -> str:
-    """How a recording in another encoding becomes one that is read."""
-    if encoding == "protobuf":
-        return (
-            "convert the recording to JSON messages: pip install mcap-protobuf-support and run the lines under "
-            '"Protobuf" in docs/guide/logs.md (make_reader with its DecoderFactory, MessageToDict, write as json)'
-        )
-    return "convert the recording to JSON messages"
-
-
-def _json(where: str, data: bytes) -> dict:
-    try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise LogError(f"{where}: not valid JSON: {bare(error, 100)}; record it again") from error
-    if not isinstance(content, dict):
-        raise LogError(f"{where}: the message is no JSON object but {type(content).__name__}; expected named fields")
-    return content
-
-
-def _standard_types():
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtra("rosbags", "logs", "Reading CDR messages of ROS 2") from error
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.max_sequence_length = SEQUENCE
-    return store
-
-
-def _cdr(where: str, store, kind: str, data: bytes) -> dict:
-    from rosbags.serde import SerdeError
-
-    try:
-        return _plain(store.deserialize_cdr(data, kind))
-    except (SerdeError, *DAMAGE) as error:
-        raise LogError(f"{where}: not a valid {kind} message ({bare(error, 100)}); record it again") from error
-
-
-def _plain(message) -> dict:
-    """A decoded message as dictionaries."""
-    if isinstance(message, np.ndarray | list):
-        return [_plain(item) for item in (message.tolist() if isinstance(message, np.ndarray) else message)]  # type: ignore[return-value]
-    if hasattr(message, "__dataclass_fields__"):
-        return {name: _plain(getattr(message, name)) for name in message.__dataclass_fields__ if not name.startswith("_")}
-    return message

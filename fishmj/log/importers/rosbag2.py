@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 from fishmj.errors import LogError, MissingExtra
 from fishmj.log.importers import mcap, messages
-from fishmj.log.importers.messages import Found, TopicChannel
+from fishmj.log.importers.decoding import Found, TopicChannel
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, quoted, regular
 from fishmj.log.trial import Trial

@@ -1,0 +1,94 @@
+"""Messages of recordings as dictionaries, lists and numbers: JSON, or CDR of ROS 2's standard types.
+
+Types that a recording defines itself are not read: the decoder would have to generate code from the file.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.errors import LogError, MissingExtra
+from fishmj.log.limits import DAMAGE, bare, quoted
+
+SEQUENCE = 4096  # longest array of a CDR message that is decoded; pictures and clouds are not
+
+
+@dataclass
+class TopicChannel:
+    """One topic: how its messages are written, and (log time [ns], publish time [ns], bytes) of each."""
+
+    encoding: str
+    type: str = ""
+    messages: list[tuple[int, int, bytes]] = field(default_factory=list)
+
+
+Found = dict[str, TopicChannel]
+
+
+def decoder(path: Path, topic: str, channel: TopicChannel) -> Callable[[int], dict]:
+    """Message number -> its content as dictionaries, lists and numbers."""
+    if channel.encoding == "json":
+        return lambda i: read_json(f"{path}:{topic}[{i}]", channel.messages[i][2])
+    if channel.encoding == "cdr" and channel.type:
+        store = _standard_types()
+        if channel.type not in store.fielddefs:
+            raise LogError(
+                f"{path}:{topic}: messages of type {quoted(channel.type, 80)}, which is none of ROS 2's standard types; "
+                "publish the numbers as JointState, PoseStamped or Float64MultiArray, or convert the recording to JSON messages"
+            )
+        return lambda i: _cdr(f"{path}:{topic}[{i}]", store, channel.type, channel.messages[i][2])
+    raise LogError(
+        f"{path}:{topic}: messages are encoded as {quoted(channel.encoding)}{'' if channel.type else ' without a schema'}; "
+        f"expected json, or cdr of ROS 2's standard types; {converted(channel.encoding)}"
+    )
+
+
+def converted(encoding: str) -> str:
+    """How a recording in another encoding becomes one that is read."""
+    if encoding == "protobuf":
+        return (
+            "convert the recording to JSON messages: pip install mcap-protobuf-support and run the lines under "
+            '"Protobuf" in docs/guide/logs.md (make_reader with its DecoderFactory, MessageToDict, write as json)'
+        )
+    return "convert the recording to JSON messages"
+
+
+def read_json(where: str, data: bytes) -> dict:
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise LogError(f"{where}: not valid JSON: {bare(error, 100)}; record it again") from error
+    if not isinstance(content, dict):
+        raise LogError(f"{where}: the message is no JSON object but {type(content).__name__}; expected named fields")
+    return content
+
+
+def _standard_types():
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingExtra("rosbags", "logs", "Reading CDR messages of ROS 2") from error
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.max_sequence_length = SEQUENCE
+    return store
+
+
+def _cdr(where: str, store, kind: str, data: bytes) -> dict:
+    from rosbags.serde import SerdeError
+
+    try:
+        return _plain(store.deserialize_cdr(data, kind))
+    except (SerdeError, *DAMAGE) as error:
+        raise LogError(f"{where}: not a valid {kind} message ({bare(error, 100)}); record it again") from error
+
+
+def _plain(message) -> dict:
+    """A decoded message as dictionaries."""
+    if isinstance(message, np.ndarray | list):
+        return [_plain(item) for item in (message.tolist() if isinstance(message, np.ndarray) else message)]  # type: ignore[return-value]
+    if hasattr(message, "__dataclass_fields__"):
+        return {name: _plain(getattr(message, name)) for name in message.__dataclass_fields__ if not name.startswith("_")}
+    return message
