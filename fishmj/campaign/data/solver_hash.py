@@ -31,7 +31,7 @@ SECTORS = "6a3e1a55735965626466d32617474f2f2124ef1cb8d3bb52d46916a3841214b0"  # 
 SHORT = "c63b5116c9559a46382897a7ee2f9759b3ea29edb743ac06f51b4422d0969719"  # velocities in 16 bits; a held fish on the device
 STREAMS = "0b62f72826c3f69cffcc5e1ec632c483d844b5ee2ad952876fb6f311a6f29445"  # a tick done again waits for its own tank only
 EDGED = "8d1566379f522052afc1869614e2bd3c600135bae1a091e6c0ef7b90241a1b46"  # an option, edges of hulls; the rest to the bit
-TREES = "009b3ed21fdfb2cae4d2f1489f9c6b2921ea76a134ba653b7b6917acfc9a30d5"  # bodies of any shape, checks; a fish to the bit
+TREES = "a49ee31bb533b9700cbc0e882b344be74349a904f5cbd0fa116445696fbb3cc3"  # bodies of any shape, checks; a fish to the bit
 SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES), SHIPPED)
 
 

@@ -95,8 +95,8 @@ class Boundary:
         self.box_shape = tuple(n + 2 * MARGIN for n in cells)
         if self.whole:
             device_of(str(device), int(np.prod(self.box_shape)) * (12 * self.rhs + 16))
-        folded = [MARGIN if a in self.whole and wraps[a] else 0 for a in range(3)]
-        self._folded = wp.vec3i(*folded)  # cells before the first of the water, on axes where the scratch box wraps round
+        # cells before the first of the water, on axes where the scratch box wraps round
+        self._folded = [MARGIN if a in self.whole and wraps[a] else 0 for a in range(3)]
         self.corners.set_grid(lattice.dx, lattice.corner, self.box_shape)
         make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)
         self.rest = make(markers.rest, wp.vec3d)
@@ -209,7 +209,7 @@ class Boundary:
             self._measure_interior(f, shape, self._interior_speed if speed is None else speed)
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
-        pose_in += [wp.vec3i(*self.box_shape), self.wraps, self._folded, corner]
+        pose_in += [wp.vec3i(*self.box_shape), self.wraps, wp.vec3i(*self._folded), corner]
         self._launch(kernels.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
         read_in = [f, self.body_acceleration, self.cell, self.store, w, shape]
         self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
