@@ -221,6 +221,28 @@ def test_echoed_pose_is_read_by_its_header_stamp(tmp_path, bring):
     assert trial.meta["clock"]["pose"] == "field.header.stamp of the file"
 
 
+def test_echoed_odometry_gives_its_pose_and_no_place_of_its_twist(tmp_path, bring):
+    pose = [
+        f"field.pose.pose.{f}" for f in "position.x position.y orientation.x orientation.y orientation.z orientation.w".split()
+    ]
+    twist = [f"field.twist.twist.{f}" for f in "linear.x linear.y angular.z".split()]
+    row = lambda i: (stamp(i), T[i], 0.1, 0, 0, math.sin(YAW[i] / 2), math.cos(YAW[i] / 2), 1.0, 0.2, 0.3)
+    code, _, err = bring(table(tmp_path / "odom.csv", ",".join(["%time", *pose, *twist]), row), "--yes")
+    assert code == 0, err
+    trial = only(tmp_path / "set")
+    assert set(trial.tables) == {"pose"}
+    near(trial.tables["pose"]["x"], T)
+    near(trial.tables["pose"]["yaw"], YAW)
+
+
+def test_echoed_array_of_commands_is_read(tmp_path, bring):
+    row = lambda i: (stamp(i), 0, *np.round(ANGLES[i], 9))
+    head = "%time,field.layout.data_offset,field.data0,field.data1,field.data2"
+    code, _, err = bring(table(tmp_path / "servo_commands.csv", head, row), "--yes")
+    assert code == 0, err
+    near(only(tmp_path / "set").tables["cmd"]["c3"], ANGLES[:, 2])
+
+
 def test_rows_of_numbers_without_names_are_refused(tmp_path, bring):
     row = lambda i: (1_700_000_000, i, "tank", T[i], 0.1, 0.0, 0.0, 0.0, 0.1, 0.99)
     source = tmp_path / "pose.csv"

@@ -21,7 +21,7 @@ ALONG = {"head": 0, "kopf": 0, "body": 1, "trunk": 1, "torso": 1, "rumpf": 1, "p
 ALONG |= {"caudal": 4, "fin": 4, "flosse": 4, "fluke": 4}  # parts of a fish's body in their order from the nose
 BESIDE = set("left right pectoral pelvic dorsal anal ventral side links rechts".split())  # fins that are in no chain
 PART = set("tail fin hinge schwanz flosse".split())  # what a joint may be called after
-RATE = set("vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())
+RATE = set("twist vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())
 CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body kamera".split())
 HEADING = set("yaw heading hdg theta psi orientation kurs gier orientierung ausrichtung lacet rumbo".split())
 COMPASS = set("bearing compass course azimuth kompass peilung azimut".split())
@@ -48,6 +48,7 @@ _GLUED = {  # names without a mark between their words; a unit comes last, so no
     **{"ψ": "psi", "θ": "theta"},
 }
 AXES = {"x", "y", "z"}
+ARRAY = (("value",), ("data",), ("values",), ("field", "data"))  # words for an element of an array
 _BRACKET = re.compile(r"(.*?)\s*[\[(<{]([^\])>}]*)[\])>}]\s*\Z", re.DOTALL)
 _SPANS = set("ms us ns sec secs seconds millis micros msec usec nanos s".split())  # a unit alone: a stamp in it
 _RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m", "s2")}
@@ -178,7 +179,7 @@ def _imu(name: Header, context: set[str]) -> Role | None:
         return Role((f"imu.a{axis}",), "an acceleration")
     if name.words[-1:] in (("ax",), ("ay",), ("az",)):
         return Role((f"imu.{name.words[-1]}",), "an acceleration")
-    if axis and (name.has({"gyro", "gyroscope", "angular"}) or ("omega" in name.words)):
+    if axis and not name.has({"twist"}) and (name.has({"gyro", "gyroscope", "angular"}) or ("omega" in name.words)):
         return Role((f"imu.w{axis}",), "a turning rate")
     if name.words[-1:] in (("gx",), ("gy",), ("gz",), ("wx",), ("wy",), ("wz",)):
         return Role((f"imu.w{name.words[-1][1]}",), "a turning rate")
@@ -225,7 +226,12 @@ def _heading(name: Header, context: set[str]) -> Role | None:
 def _joint(name: Header, context: set[str]) -> Role | None:
     said = measures(name.unit)
     known = name.has(SERVO | JOINT | PART) or name.words[:1] == ("action",) or name.words[:2] == ("observation", "state")
-    if name.number is not None and name.words in (("value",), ("data",), ("values",)):  # an array on a topic of angles
+    if name.number is not None and name.words in (
+        ("value",),
+        ("data",),
+        ("values",),
+        ("field", "data"),
+    ):  # an array on a topic of angles
         known = bool(context & (SERVO | JOINT))
     numbered = name.number is not None and (name.has(COMMAND | MEASURED) or said == "angle")
     if not (known or numbered) or said not in ("", "angle", "rate"):
