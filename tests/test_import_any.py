@@ -386,16 +386,17 @@ def test_hidden_files_and_links_that_lead_outside_are_passed_over(tmp_path, brin
     assert code == 0 and names_in(tmp_path / "set") == ["run"] and "a link that leads outside; passed over" in out
 
 
-def test_a_bad_file_is_left_out_and_strict_refuses_it(tmp_path, bring):
+def test_a_bad_file_ends_the_import_unless_skip_bad_leaves_it_out(tmp_path, bring):
     for k in range(3):
         lab_files.one(tmp_path / "lab" / f"run{k}.csv")
     (tmp_path / "lab" / "run1.csv").write_bytes(b"\x00" * 500)
-    code, out, err = bring(tmp_path / "lab", "--yes", "--json")
+    code, _, err = bring(tmp_path / "lab", "--yes")
+    assert code == 2 and "run1.csv:1:1: binary data" in err and "--skip-bad" in err and not (tmp_path / "set").exists()
+    code, out, err = bring(tmp_path / "lab", "--yes", "--skip-bad", "--json")
     assert (
         code == 0 and names_in(tmp_path / "set") == ["run0", "run2"] and "left out" in err and "run1.csv:1:1: binary data" in err
     )
     assert list(json.loads(out.strip().split("\n")[-1])["skipped"])[0].endswith("run1.csv")
-    assert bring(tmp_path / "lab", "--yes", "--strict", out=tmp_path / "two")[0] == 2 and not (tmp_path / "two").exists()
 
 
 def test_names_of_trials_can_stand_in_a_path(tmp_path, bring):

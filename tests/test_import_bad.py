@@ -313,7 +313,7 @@ def test_names_with_escape_codes_never_reach_the_terminal(tmp_path, bring):
     folder = tmp_path / "lab\x1b[31m"
     lab_files.write(folder / "run\x1b]0;x\x07.csv", {"time_ms": 20.0 * N, "servo1_deg": 20 * WAVE, "\x1b[31mred": WAVE})
     (folder / "bad\x1b[2J\n.csv").write_text("")
-    code, out, err = bring(folder, "--yes")
+    code, out, err = bring(folder, "--yes", "--skip-bad")
     assert code == 0 and "\x1b" not in out + err and "\x07" not in out + err
     assert not any("\x1b" in note for note in only(tmp_path / "set").meta["notes"])
     code, out, err = bring(folder / "bad\x1b[2J\n.csv", "--yes", out=tmp_path / "two")
@@ -328,9 +328,9 @@ def test_a_trial_folder_whose_table_is_a_link_outside_or_a_pipe_is_not_read(tmp_
             (tmp_path / "ours" / name / "cmd.csv").unlink()
     (tmp_path / "ours" / "linked" / "cmd.csv").symlink_to(tmp_path / "secret.csv")
     os.mkfifo(tmp_path / "ours" / "piped" / "cmd.csv")
-    code, out, err = bring(tmp_path / "ours")
+    code, out, err = bring(tmp_path / "ours", "--skip-bad")
     assert code == 0 and log.read_dataset(tmp_path / "set").names == ("good",)
-    assert "a link that leads outside" in out and "is no plain file" in err
+    assert "a link that leads outside" in err and "is no plain file" in err
 
 
 def test_thousands_of_numbered_columns_are_weighed(tmp_path):
@@ -352,5 +352,7 @@ def test_stamps_of_seconds_and_nanoseconds_are_added(tmp_path, bring):
 def test_a_table_that_lies_in_two_files_is_not_pieced_together(tmp_path, bring):
     lab_files.write(tmp_path / "lab" / "a.csv", {"time_ms": 20.0 * N, "goal1_deg": 20 * WAVE, "goal2_deg": 20 * WAVE})
     lab_files.write(tmp_path / "lab" / "b.csv", {"time_ms": 10.0 * N, "goal3_deg": 20 * WAVE, "batt_V": 7.4 + 0 * WAVE})
-    code, out, _ = bring(tmp_path / "lab", "--yes")
-    assert code == 0 and "table cmd also needs c1" in out and "c3" not in only(tmp_path / "set").tables["cmd"]
+    code, _, err = bring(tmp_path / "lab", "--yes")
+    assert code == 2 and "b.csv: goal3_deg: table cmd also needs c1" in err
+    assert bring(tmp_path / "lab", "--yes", "--set", "goal3_deg=skip")[0] == 0
+    assert "c3" not in only(tmp_path / "set").tables["cmd"]

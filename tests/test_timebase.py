@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from fishmj import log
 from fishmj.errors import LogError
@@ -56,6 +57,68 @@ def test_clocks_that_run_apart_are_found_as_drift():
     audit = timebase.audit(planted(0.02, drift=1e-3))
     assert audit.lags[0].drift == pytest.approx(1e-3, rel=0.1) and any("different rates" in f for f in audit.findings)
     assert not any("different rates" in f for f in timebase.audit(planted(0.02)).findings)
+
+
+def servo_of(shape, ppm=0.0, offset=0.0, seconds=60.0):
+    """Commands and the joints of a servo (first order, 60 ms) that follow them; the joints' clock is off. Synthetic."""
+    rng = np.random.default_rng(3)
+    fine = np.arange(-1, seconds + 5, 0.002)
+    if shape == "steps":
+        target = rng.uniform(-0.5, 0.5, (int(seconds) + 10, 3))[(fine + 1).astype(int)]
+    else:
+        phase = 2 * math.pi * {"chirp": 0.3 * fine + 0.85 / seconds * fine**2, "sine": fine}[shape]
+        target = 0.4 * np.sin(phase[:, None] - np.arange(3))
+    joint = signal.lfilter([1 - math.exp(-0.002 / 0.06)], [1, -math.exp(-0.002 / 0.06)], target, axis=0)
+    tc, tj = (t[t < seconds] for t in (stamps(rng, 50, seconds, 0.1), stamps(rng, 48, seconds, 0.1)))
+    seen = np.stack([np.interp(tj - 0.03, fine, joint[:, k]) for k in range(3)], axis=1) + rng.normal(0, 0.003, (len(tj), 3))
+    tables = {"cmd": {"t": tc, **log.numbered("c#", target[np.searchsorted(fine, tc)])}}
+    tables["joint"] = {"t": tj * (1 + 1e-6 * ppm) + offset, **log.numbered("j#", seen)}
+    return log.Trial({"origin": "synthetic"}, tables, name=shape)
+
+
+@pytest.mark.parametrize("shape", ["chirp", "steps", "sine"])
+def test_a_servo_on_one_clock_shows_no_drift(shape):
+    assert not any("different rates" in f for f in timebase.audit(servo_of(shape)).findings)
+
+
+@pytest.mark.parametrize("shape", ["steps", "sine"])
+def test_a_drift_of_200_ppm_behind_a_servo_is_found(shape):
+    audit = timebase.audit(servo_of(shape, ppm=200))
+    assert any("different rates" in f for f in audit.findings) and audit.lags[0].drift == pytest.approx(2e-4, rel=0.5)
+
+
+def test_a_drift_of_200_ppm_of_a_pure_delay_is_found_in_a_chirp():
+    audit = timebase.audit(planted(0.02, drift=2e-4, seconds=60.0))
+    assert any("different rates" in f for f in audit.findings) and audit.lags[0].drift == pytest.approx(2e-4, rel=0.1)
+
+
+@pytest.mark.parametrize("offset", [1.73, -1.73, 3600.0])
+@pytest.mark.parametrize("shape", ["chirp", "steps"])
+def test_a_constant_offset_of_a_clock_is_reported_with_the_map_key(shape, offset):
+    found = timebase.offsets(servo_of(shape, offset=offset, seconds=20.0))
+    assert len(found) == 1 and "[tables.joint] offset = " in found[0]
+    assert float(found[0].split("offset = ")[1].split(",")[0]) == pytest.approx(-offset - 0.09, abs=0.05)
+    assert found[0] in timebase.audit(servo_of(shape, offset=offset, seconds=20.0)).findings
+
+
+@pytest.mark.parametrize("shape", ["chirp", "steps", "sine"])
+def test_no_offset_is_claimed_on_one_clock_or_on_a_steady_beat(shape):
+    assert not timebase.offsets(servo_of(shape, seconds=20.0))
+    assert not timebase.offsets(servo_of("sine", offset=1.73, seconds=20.0))
+
+
+def test_an_offset_of_the_camera_is_told_from_the_recoil_of_the_head():
+    trial = servo_of("chirp", seconds=20.0)
+    t = np.arange(0.5, 19, 1 / 60)
+    recoil = -0.1 * np.interp(t - 0.045, trial.tables["joint"]["t"], trial.tables["joint"]["j1"])
+    trial.tables["pose"] = {"t": t + 1.73, "x": 0.1 * t, "y": 0 * t, "yaw": recoil}
+    found = timebase.offsets(trial)
+    assert len(found) == 1 and "[tables.pose] offset = -1.7" in found[0]
+
+
+def test_a_joint_that_moves_before_its_command_has_another_clock():
+    findings = timebase.audit(planted(-0.19, shape="beat")).findings
+    assert any(f.startswith("joint moves 1") and "ms before cmd" in f for f in findings)
 
 
 def test_a_lag_is_not_claimed_between_channels_that_have_nothing_in_common():

@@ -17,6 +17,7 @@ from fishmj.log.folder import checked_meta, read_trial
 from fishmj.log.importers import gather, guess, guessed, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
+from fishmj.log.timebase import offsets
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
 from fishmj.store import Manifest, write_text
@@ -103,13 +104,7 @@ def options() -> console.Parser:
     rule = sub.add_mutually_exclusive_group()
     rule.add_argument("--one-trial", action="store_true", help="the files of one folder are one trial; default: by their columns")
     rule.add_argument("--trial-each", action="store_true", help="every file is a trial; default: by their columns")
-    bad = sub.add_mutually_exclusive_group()
-    bad.add_argument("--strict", action="store_true", help="any bad file ends the import with exit 2; default: --skip-bad")
-    bad.add_argument(
-        "--skip-bad",
-        action="store_true",
-        help="bad files are left out and listed; exit 2 only when nothing came in (the default)",
-    )
+    add("--skip-bad", action="store_true", help="leave bad files out and list them; default: any ends the import with exit 2")
     add("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
     return sub
 
@@ -138,8 +133,8 @@ def _run(args: Namespace) -> int:
             raise LogError(f"{args.out}: lies in {source}, which is imported and never changed; choose a place outside")
     meta = _meta(args)
     found = _found(args)
-    if args.strict and found.skipped:
-        raise LogError(f"{len(found.skipped)} bad file(s), --strict: " + _line("; ".join(list(found.skipped.values())[:3])))
+    if found.skipped and not args.skip_bad:
+        _refuse_bad(args, found)
     guessed.show(found.guesses)
     if args.write_map is not None:
         _write_map(args, found)
@@ -325,10 +320,11 @@ def _mapped(item: gather.Item, topics: Path | None) -> Trial:
 
 def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial:
     sheets = shelf.sheets_of(item)
-    clock = {table: f"{entry.t.column} of the file" for table, entry in wanted.tables.items()}
+    shift = {table: f", {entry.offset:+g} s" if entry.offset else "" for table, entry in wanted.tables.items()}
+    clock = {table: f"{entry.t.column} of the file{shift[table]}" for table, entry in wanted.tables.items()}
     meta = {"source": ", ".join(file.name for file in item.files)[:200], "clock": clock, **wanted.meta}
     made = convert(item.name, sheets, wanted, meta)
-    return replace(made, meta={**made.meta, "clock": {table: clock[table] for table in made.tables}})
+    return replace(made, notes=(*made.notes, *offsets(made)))
 
 
 def _page(sources: Sequence[Path]) -> dict:
@@ -359,11 +355,18 @@ def _told(notes: dict[str, list[str]]) -> list[str]:
     return [*map(_line, lines[:NOTES]), *more]
 
 
+def _refuse_bad(args: Namespace, found: ImportResult) -> NoReturn:
+    """What could not be read, in one line."""
+    told = list(found.skipped.values())
+    more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
+    others = not args.skip_bad and any(name not in found.skipped for name, _ in found.trials)
+    leave = "; import the others with --skip-bad" if others else ""
+    raise LogError(_line("; ".join(told[:3])) + more + leave)
+
+
 def _nothing(args: Namespace, found: ImportResult) -> NoReturn:
-    why = "; ".join(list(found.skipped.values())[:3])
-    more = f"; and {len(found.skipped) - 3} more" if len(found.skipped) > 3 else ""
-    if why:
-        raise LogError(_line(why) + more)
+    if found.skipped:
+        _refuse_bad(args, found)
     formats = "; ".join(f"{name}: {importer.about}" for name, importer in importers.FORMATS.items())
     raise LogError(
         f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial "
@@ -404,9 +407,9 @@ def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict]
                     checked_meta(args.out / name, trial.meta)
                     rows.append(_row(name, trial))
                 except FishmjError as error:
-                    if args.strict:
-                        raise
                     found.skipped[name] = str(error)
+                    if not args.skip_bad:
+                        _refuse_bad(args, found)
                     continue
                 notes[name] = list(trial.notes)
                 for key, values in said.items():

@@ -11,6 +11,8 @@ with the sum over windows w, and the peak from the parabola through the three hi
 shifted stretch: with a fixed one, a motion that grows would pull the lag.) A positive lag says that b comes later. The interval
 resamples windows with replacement. The drift is the slope of the windows' own lags over the session.
 
+The drift is one of the clocks only where frequency, amplitude and gain do not explain it: a mechanism's lag depends on them.
+
 Both rates get the same Gaussian, which shifts nothing. What the estimate cannot tell: whether the delay is of the clocks, of the
 transport or of the mechanism between the two channels; a first-order servo with time constant T shows up as about T.
 """
@@ -19,6 +21,8 @@ from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.stats import f as f_test
+from scipy.stats import t as student
 
 from fishmj.errors import LogError
 from fishmj.log.trial import Table, Trial, gaps, stacked
@@ -31,9 +35,14 @@ DRAWS = 400
 WEAK = 0.5  # peak correlation below which no lag is claimed
 WIDE = 0.1  # s, width of the interval above which none is claimed either
 RIVAL = 0.95  # a second peak this close to the first makes a periodic signal ambiguous
+EARLY = -0.02  # s; a joint that moves so long before its command has another clock
+LEAST = 4.0  # s of the shorter record from which on an offset is looked for
+SURE, OTHER, CLOSE = 0.6, 0.8, 0.25  # least correlation of an offset; part of it that no other shift reaches, but within CLOSE s
 PAUSE = 10.0  # s; a longer step is a pause: no rate and no lost row is counted in it
 LOST = 1.5  # steps longer than this many usual steps lack rows
 LOCAL = 10  # steps on either side that say what is usual
+STEADY = 0.01  # relative deviation over the windows below which frequency, amplitude or gain are taken for constant
+MOVING = 0.05  # of the median energy of a window; one with less tells no gain
 COUNTED = 5e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
 DRIFT = 5e-5  # s/s; less is what two quartz clocks do
 SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans differ by 20 %
@@ -128,13 +137,64 @@ def lag_between(
     near = max(round(0.5 * shift), 3)  # resampled peaks are looked for around the peak of the whole
     low, high = np.quantile([_near(sign * curve_of(d), at, near) for d in draws], [0.05, 0.95])
     own = np.stack([sign * curve_of([w]) for w in range(len(products))])
-    drift, bounds = _drift(own, np.clip(own.max(axis=1), 0, 1) * energy_a, at, near, size * step, draws)
+    gain = (sign * products).max(axis=1) / np.maximum(energy_a, 1e-300)
+    moves = _movements(rate_a, size, gain)
+    drift, bounds = _drift(own, np.clip(own.max(axis=1), 0, 1) * energy_a, at, near, size * step, *moves)
     where = lambda k: float((k - shift) * step)  # index on the curve -> lag [s]
     return Lag(
         *(name_a, name_b, where(at), where(low), where(high), float(sign * peak)),
         *(drift * step, bounds[0] * step, bounds[1] * step),
         *(len(products), _rival(sign * curve, at)),
     )
+
+
+def offset_between(
+    earlier: tuple[str, np.ndarray, np.ndarray], later: tuple[str, np.ndarray, np.ndarray], *, either_sign: bool = False
+) -> tuple[float, float] | None:
+    """(s by which the stamps of `later` are too large, correlation) where the motion tells of more than a lag, else None.
+
+    The whole records are laid over each other at every shift that leaves half of the shorter in common. The best must be beyond
+    `REACH`, and no other may be nearly as good: a steady beat fits itself one beat later.
+    """
+    (_, ta, a), (_, tb, b) = earlier, later
+    n = min(a.shape[1], b.shape[1])
+    if min(len(ta), len(tb)) < 8 or not n:
+        return None
+    step = max(float(np.median(np.diff(ta))), float(np.median(np.diff(tb))))
+    grids = [np.arange(t[0], t[-1], step) for t in (ta, tb)]
+    shortest = min(map(len, grids))
+    if shortest * step < LEAST or sum(map(len, grids)) > LONGEST:
+        return None
+    one, two = (_rates(t, v[:, :n], grid, 1.5) for t, v, grid in zip((ta, tb), (a, b), grids, strict=True))
+    length = 1 << int(np.ceil(np.log2(len(one) + len(two))))
+    spectrum = np.conj(np.fft.rfft(one, length, axis=0)) * np.fft.rfft(two, length, axis=0)
+    product = np.fft.irfft(spectrum, length, axis=0).sum(axis=1)
+    shifts = np.arange(-(len(one) - shortest // 2), len(two) - shortest // 2 + 1)  # rows of two behind those of one
+    first, last = np.maximum(0, -shifts), np.minimum(len(one), len(two) - shifts)
+    sums = [np.concatenate([[0.0], np.cumsum(np.sum(v**2, axis=1))]) for v in (one, two)]
+    energy = (sums[0][last] - sums[0][first]) * (sums[1][last + shifts] - sums[1][first + shifts])
+    curve = product[shifts] / np.sqrt(np.maximum(energy, 1e-6 * sums[0][-1] * sums[1][-1]) + 1e-300)
+    curve = np.abs(curve) if either_sign else curve
+    best = int(np.argmax(curve))
+    offset = float(tb[0] - ta[0] + shifts[best] * step)
+    inner = np.flatnonzero((curve[1:-1] >= curve[:-2]) & (curve[1:-1] > curve[2:])) + 1
+    others = curve[inner[np.abs(inner - best) * step > CLOSE]]
+    if abs(offset) <= REACH or curve[best] < SURE or np.any(others > OTHER * curve[best]):
+        return None
+    return offset, float(curve[best])
+
+
+def offsets(trial: Trial) -> list[str]:
+    """One sentence for every pair of channels whose motion tells that their clocks are apart."""
+    out = []
+    for earlier, later, either in _pairs(trial):
+        if found := offset_between(earlier, later, either_sign=either):
+            out.append(
+                f"{later[0]} is {abs(found[0]):.2f} s {'behind' if found[0] > 0 else 'ahead of'} {earlier[0]} by their motion, "
+                f"delays of servo and camera included (correlation {found[1]:.2f}): their clocks differ; state it in the map, "
+                f"[tables.{later[0]}] offset = {-found[0]:.2f}, and import again"
+            )
+    return out
 
 
 def _without_pauses(ta: np.ndarray, tb: np.ndarray, keep: float) -> tuple[np.ndarray, np.ndarray]:
@@ -207,23 +267,47 @@ def _near(curve: np.ndarray, at: float, reach: int) -> float:
     return start + _peak(curve[start : round(at) + reach + 1])[0]
 
 
+def _movements(rates: np.ndarray, size: int, gain: np.ndarray) -> tuple[np.ndarray, bool]:
+    """((K, W) mean frequency squared, amplitude, gain and its square of every window; whether the gain varies)."""
+    count = len(rates) // size
+    blocks = rates[: count * size].reshape(count, size, -1)
+    energy = np.sum(blocks**2, axis=(1, 2)) + 1e-300
+    frequency = np.sum(np.diff(blocks, axis=1) ** 2, axis=(1, 2)) / energy
+    moving = gain[energy > MOVING * np.median(energy)]
+    found = [v for v in (frequency, np.sqrt(energy), gain, gain**2) if np.std(v) > STEADY * np.mean(v)]
+    return np.array(found).reshape(-1, count), bool(np.std(moving) > STEADY * np.mean(moving))
+
+
 def _drift(
-    curves: np.ndarray, weights: np.ndarray, at: float, near: int, spacing: float, draws: np.ndarray
+    curves: np.ndarray, weights: np.ndarray, at: float, near: int, spacing: float, moves: np.ndarray, varies: bool
 ) -> tuple[float, tuple[float, float]]:
-    """Slope of the windows' own lags [samples/s], weighted, and its 90 % bootstrap interval."""
+    """Slope of the windows' own lags [samples/s], weighted, and its 99 % interval.
+
+    Where the gain varies, or the lags follow frequency and amplitude (an F test at 1 %), the mechanism between the channels does:
+    the slope is then what frequency, amplitude and gain leave unexplained, its interval that of all fits without one of them.
+    """
     lags = np.array([_near(row, at, near) for row in curves])
-    times = spacing * (np.arange(len(curves)) + 0.5)
+    times = spacing * (np.arange(len(lags)) - 0.5 * (len(lags) - 1)) / (spacing * len(lags))
+    moves = (moves - moves.mean(axis=1, keepdims=True)) / np.maximum(moves.std(axis=1, keepdims=True), 1e-12)
+    moves = moves[: max(len(lags) - 4, 0)]
+    root = np.sqrt(weights / max(float(weights.max()), 1e-300))
 
-    def slope(index: np.ndarray) -> float:
-        t, y, w = times[index], lags[index], weights[index]
-        if not w.sum():
-            return 0.0
-        t = t - np.average(t, weights=w)
-        spread = np.sum(w * t**2)
-        return float(np.sum(w * t * y) / spread) if spread > 1e-12 else 0.0
+    def fit(*more: np.ndarray) -> tuple[float, float, float, int]:
+        """(slope, half its interval, sum of squares that is left, degrees of freedom)."""
+        design = np.stack([times, np.ones(len(lags)), *more], axis=1) * root[:, None]
+        found, *_ = np.linalg.lstsq(design, root * lags, rcond=1e-9)
+        error, free = float(np.sum((root * lags - design @ found) ** 2)), len(lags) - design.shape[1]
+        spread = float(np.linalg.pinv(design.T @ design, rcond=1e-12)[0, 0])
+        return float(found[0]), float(student.ppf(0.995, free) * np.sqrt(error / free * spread)), error, free
 
-    low, high = np.quantile([slope(d) for d in draws], [0.05, 0.95])
-    return slope(np.arange(len(curves))), (float(low), float(high))
+    fits = [fit()]
+    if len(moves):
+        whole = fit(*moves)
+        ratio = (fits[0][2] - whole[2]) / len(moves) / max(whole[2] / whole[3], 1e-300)
+        if varies or f_test.sf(ratio, len(moves), whole[3]) < 0.01:
+            fits = [whole, *(fit(*np.delete(moves, k, axis=0)) for k in range(len(moves)))]
+    length = spacing * len(lags)
+    return fits[0][0] / length, (min(f[0] - f[1] for f in fits) / length, max(f[0] + f[1] for f in fits) / length)
 
 
 def _rival(curve: np.ndarray, at: float) -> bool:
@@ -296,7 +380,7 @@ def audit(trial: Trial) -> Audit:
         except LogError as error:
             findings.append(str(error))
     shared = _by_stamps(trial, clocks)
-    findings += _table_findings(shared) + _pair_findings(trial, shared) + _lag_findings(lags)
+    findings += offsets(trial) + _table_findings(shared) + _pair_findings(trial, shared) + _lag_findings(lags)
     return Audit(trial.name, clocks, tuple(lags), tuple(findings))
 
 
@@ -424,6 +508,8 @@ def _pair_findings(trial: Trial, clocks: list[Clock]) -> list[str]:
 def _lag_findings(lags: list[Lag]) -> list[str]:
     out = []
     for lag in lags:
+        if lag.found and (lag.earlier, lag.later) == ("cmd", "joint") and lag.high < EARLY:
+            out.append(f"joint moves {-1e3 * lag.lag:.0f} ms before cmd: one of the clocks is off; state its offset in the map")
         if lag.found and not lag.ambiguous and (lag.drift_low > 0 or lag.drift_high < 0) and abs(lag.drift) > DRIFT:
             out.append(
                 f"{lag.later} drifts against {lag.earlier} by {1e3 * lag.drift:+.3f} ms/s: their clocks run at different rates"

@@ -11,6 +11,7 @@
 
     [tables.pose]
     t = { column = "frame", scale = 0.01 }    # s a frame
+    offset = -1.73                            # s, added to the stamps of this table: its clock is 1.73 s ahead of the others
     columns.x = { column = "cam_u", unit = "px", scale = 0.0012, zero = 320 }
     columns.y = { column = "cam_v", unit = "px", scale = 0.0012, zero = 240, sign = -1 }   # rows of a picture count downwards
     columns.yaw = { constant = 0.0 }
@@ -31,7 +32,7 @@ from fishmj.log import toml
 from fishmj.log.importers.column_units import SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import bare, quoted, regular
-from fishmj.log.trial import TABLES, TableSpec, table_spec
+from fishmj.log.trial import TABLES, YEAR, TableSpec, table_spec
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 _KINDS = {"angle": "angle", "heading": "angle", "rate": "rate", "position": "length", "speed": "speed"}
@@ -126,11 +127,12 @@ class Stamp(_Strict):
 
 
 class TableMap(_Strict):
-    """One table: its stamps and columns, and the file (a pattern) where the columns alone do not tell."""
+    """One table: its stamps and columns, the file (a pattern) where the columns alone do not tell, and its clock's offset."""
 
     t: Stamp
     columns: Annotated[dict[str, Column], Field(min_length=1)]
     file: str | None = None
+    offset: Annotated[float, Field(ge=-YEAR, le=YEAR, allow_inf_nan=False, strict=True)] = 0.0  # s, added to its stamps
 
 
 class ColumnMap(_Strict):
@@ -213,5 +215,6 @@ def written(made: ColumnMap) -> str:
     for name, entry in plain["tables"].items():
         lines += ["", f"[tables.{name}]"]
         lines += [f"file = {toml.inline(entry['file'])}"] if "file" in entry else []
+        lines += [f"offset = {entry['offset']}"] if "offset" in entry else []
         lines += [f"t = {toml.inline(entry['t'])}", *(f"columns.{c} = {toml.inline(v)}" for c, v in entry["columns"].items())]
     return head + "\n".join(lines) + "\n"

@@ -16,7 +16,9 @@ from fishmj.log.limits import bare, quoted
 from fishmj.log.trial import Table, Trial, table_spec
 from fishmj.log.trial_check import Implausible, Place
 
-DAY = 86_400.0  # s; clocks further apart than this are different clocks
+DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3600.0  # s; clocks further apart than a day are different clocks
+NEAR, SLACK = 10, 0.01  # steps, or part of the period of a counter that may go by while it turns
+FEW = 3  # times that a clock which was set goes back; rows that are mixed do so more often
 SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
 SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
@@ -26,24 +28,19 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
     """One trial of the tables that the map names and these sheets hold.
 
     Raises:
-        LogError: no table found, a column is absent or in two files, or the values break the schema, with file, line and column.
+        LogError: a table or a column of the map is absent or in two files, or the values break the schema; file, line and column.
     """
     found: dict[str, tuple[Table, Place]] = {}
     absolute: dict[str, bool] = {}
     notes = [note for sheet in sheets for note in sheet.notes]
-    missing = []
     for table, entry in wanted.tables.items():
         sheet = _sheet(table, entry, sheets)
-        if sheet is None:
-            missing.append(table)
-            continue
         columns, place, told, absolute[table] = _table(table, sheet, entry)
         found[table] = (columns, place)
         notes += told
-    if not found:
-        raise LogError(_absent(wanted, sheets))
-    notes += [f"{table}: no file with the columns of [tables.{table}]; left out" for table in missing]
     notes += _zero({t: found[t][0] for t, is_absolute in absolute.items() if is_absolute})
+    for table, entry in wanted.tables.items():
+        found[table][0]["t"] = found[table][0]["t"] + entry.offset
     used = {c for entry in wanted.tables.values() for c in _sources(entry)} | set(wanted.skip)
     for sheet in sheets:
         if rest := [column for column in sheet.columns if column not in used]:
@@ -75,8 +72,12 @@ def _sources(entry: TableMap) -> list[str]:
     return [entry.t.column, *([entry.t.nanoseconds] if entry.t.nanoseconds else []), *columns]
 
 
-def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet | None:
-    """The one sheet that holds all columns of a table."""
+def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet:
+    """The one sheet that holds all columns of a table.
+
+    Raises:
+        LogError: none holds them all, or several do.
+    """
     wanted = set(_sources(entry))
     fitting = [sheet for sheet in sheets if wanted <= set(sheet.columns) and (entry.file is None or _fits(sheet, entry.file))]
     if len(fitting) > 1:
@@ -85,33 +86,34 @@ def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet | None
             f"{fitting[0].path.parent}: [tables.{table}]: {len(fitting)} files hold its columns ({names}); say which with "
             'file = "pattern", or import each file as a trial of its own with --trial-each'
         )
-    return fitting[0] if fitting else None
+    if not fitting:
+        raise LogError(_absent(table, entry, sheets))
+    return fitting[0]
 
 
 def _fits(sheet: Sheet, pattern: str) -> bool:
     return fnmatchcase(sheet.name.lower(), pattern.lower()) or fnmatchcase(sheet.path.name.lower(), pattern.lower())
 
 
-def _absent(wanted: ColumnMap, sheets: Sequence[Sheet]) -> str:
-    """Which column is missing, and the nearest there is."""
-    has = [column for sheet in sheets for column in sheet.columns]
-    table, entry = next(iter(wanted.tables.items()))
-    lacking = [column for column in _sources(entry) if column not in has]
-    text = [sheet for sheet in sheets for column in lacking if column in sheet.text]
-    where = sheets[0].where if sheets else "nothing"
-    if not lacking:
-        names, file = ", ".join(map(quoted, _sources(entry))), quoted(entry.file or "*")
-        return f"{where}: [tables.{table}]: no one file holds all of {names} (file = {file})"
-    near = get_close_matches(lacking[0], has, 1, 0.5)
+def _absent(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> str:
+    """Which column of a table is missing from the file that holds most of the others, and the nearest there is."""
+    wanted, remedy = _sources(entry), f"mend the map, or take [tables.{table}] out of it"
+    mine = [sheet for sheet in sheets if entry.file is None or _fits(sheet, entry.file)]
+    if not mine:
+        where = sheets[0].path.parent if sheets else "nothing"
+        return f"{where}: [tables.{table}]: no file is called {quoted(entry.file)}; {remedy}"
+    sheet = max(mine, key=lambda sheet: sum(column in sheet.columns for column in wanted))
+    lacking = [column for column in wanted if column not in sheet.columns]
+    near = get_close_matches(lacking[0], list(sheet.columns), 1, 0.5)
     hint = f"; did you mean {quoted(near[0])}?" if near else ""
-    told = "; it holds text" if text else ""
-    return f"{where}: [tables.{table}]: no column {quoted(lacking[0])}{told}{hint}; it has {', '.join(bare(c) for c in has[:12])}"
+    has = ", ".join(bare(c) for c in list(sheet.columns)[:12])
+    return f"{sheet.where}: [tables.{table}]: no column {', '.join(map(quoted, lacking[:4]))}{hint}; it has {has}; {remedy}"
 
 
 def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, list[str], bool]:
     """(columns in SI, their places, notes, whether the stamps count from 1970)."""
     t, absolute = _seconds(sheet, entry.t)
-    notes = []
+    notes: list[str] = []
     out: Table = {"t": t}
     names = {"t": entry.t.column}
     for column, source in entry.columns.items():
@@ -139,11 +141,12 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
         raise LogError(
             f"{sheet.place(int(rows[0]), entry.t.column)}: [tables.{table}]: one row only; it has no rate and moves nothing"
         )
-    t = t[rows]
+    t, told = _unwrapped(table, sheet, t[rows], rows, entry.t, absolute)
+    notes += told
     order, told = _rising(table, sheet, t, rows, entry.t.column)
     rows = rows[order]
     notes += told
-    columns = {column: values[rows] for column, values in out.items()}
+    columns = {column: values[rows] for column, values in out.items()} | {"t": t[order]}
     notes += _still(table, columns)
     if doubt := _switched(table, columns):
         raise LogError(
@@ -193,6 +196,32 @@ def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
     return t, dated or abs(float(finite[0])) > EPOCH
 
 
+def _unwrapped(
+    table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: Stamp, absolute: bool
+) -> tuple[np.ndarray, list[str]]:
+    """Stamps without the turns of a time of day or of a counter of 16, 31 or 32 bits, and a note where there were some."""
+    step = np.diff(t)
+    back = np.flatnonzero(step < 0)
+    if not len(back):
+        return t, []
+    of_day = absolute and abs(t[0]) <= DAY
+    turns = {"a time of day passes midnight": DAY}
+    if of_day:
+        turns |= {"a time of day without AM or PM passes twelve": HALF_DAY, "a time of day passes the hour": HOUR}
+    for unit, factor in (("us", 1e-6), ("ms", 1e-3), ("its unit", stamp.factor)):
+        turns |= {f"a counter of {bits} bits of {unit} begins again": 2.0**bits * factor for bits in (16, 31, 32)}
+    usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    for told, period in turns.items():
+        over = step[back] + period  # what went by from the row before to the turn and on
+        allowed = SLACK * period if of_day else max(NEAR * usual, min(1.0, SLACK * period))
+        if np.ptp(t) < period and 2 * usual < period and ((over > 0) & (over <= allowed)).all():
+            place = sheet.place(int(rows[back[0] + 1]), stamp.column)
+            times = f" {len(back)} times" if len(back) > 1 else ""
+            note = f"{table}: {place}: {told}{times}; {period:.15g} s added from there on"
+            return t + period * np.concatenate([[0], np.cumsum(step < 0)]), [note]
+    return t, []
+
+
 def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: str) -> tuple[np.ndarray, list[str]]:
     """The rows whose stamps rise; single strays and repeats are left out with a note, more is an error."""
     if len(t) < 2 or (np.diff(t) > 0).all():
@@ -209,10 +238,14 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
     if repeats == int(behind.sum()) and repeats <= 0.5 * len(t):  # stamps coarser than the rate, or rows sent twice
         return np.flatnonzero(~behind), [f"{table}: {told}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
     if stray.sum() > max(1, STRAY * len(t)) or len(t) - stray.sum() < 2:
-        raise LogError(
-            f"{told}; {int(stray.sum())} of {len(t)} rows are out of order. "
-            "Sort the rows by time, split the file where the clock was set, or name another column of time"
-        )
+        often = int(np.sum(np.diff(t) < 0))
+        if repeats > 0.5 * len(t):
+            advice = "The stamps are coarser than the rate; name another column of time"
+        elif often <= FEW:
+            advice = "The clock was set or the logger began again: split the file there, or name another column of time"
+        else:
+            advice = "Sort the rows by time, or name another column of time"
+        raise LogError(f"{told}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
     return np.flatnonzero(~stray), [f"{table}: {told}; {int(stray.sum())} such row(s) left out"]
 
 
@@ -221,8 +254,14 @@ def _zero(tables: dict[str, Table]) -> list[str]:
     if not tables:
         return []
     starts = {name: float(table["t"][0]) for name, table in tables.items()}
+    notes: list[str] = []
+    if max(starts.values()) < DAY:  # times of day: what began after midnight is a day on
+        for name in (name for name, start in starts.items() if max(starts.values()) - start > HALF_DAY):
+            tables[name]["t"] = tables[name]["t"] + DAY
+            notes.append(f"{name}: its times of day begin after midnight, others before; 24 h added")
+        starts = {name: float(table["t"][0]) for name, table in tables.items()}
     near = {name: start for name, start in starts.items() if max(starts.values()) - start < DAY}
-    zero, notes = min(near.values()), []
+    zero = min(near.values())
     for name, table in tables.items():
         own = zero if name in near else starts[name]
         if name not in near:

@@ -4,7 +4,8 @@
 - Text tables, Parquet and .npz that lie in one folder are one trial when no two of them have the same columns (commands,
   camera, battery), and a trial each when all of them have the same. Between the two the user says: one trial, or a trial each.
 - A message recording (MCAP, rosbag2) is a trial.
-- A folder in a folder is looked at by itself; hidden files and links that lead outside are passed over.
+- A folder in a folder is looked at by itself; hidden files and links that lead outside are passed over. So are pictures, films,
+  documents and programs, by name; data of other programs are refused.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from fishmj.errors import FishmjError, LogError
 from fishmj.log.folder import FLAT_FILE, META_FILE
 from fishmj.log.importers import delimited, guess, mcap, messages, other_files, rosbag2
 from fishmj.log.importers.quaternion import with_headings
-from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_table
+from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_tables
 from fishmj.log.limits import bare, most_bytes, quoted, regular
 from fishmj.log.trial import TABLES
 
@@ -105,7 +106,7 @@ def read_sheets(path: Path) -> list[Sheet]:
     if suffix in PARQUET:
         return read_parquet(path)
     if suffix in NPZ:
-        return [read_table(path)]
+        return read_tables(path)
     if text:
         return [delimited.read(path)]
     raise LogError(
@@ -154,7 +155,7 @@ def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: 
     here = f"{prefix}_{folder.name}".strip("_") if depth else folder.resolve().name
     whole = is_own(folder) or (rosbag2.sniff(folder) and (together is not False or (folder / rosbag2.METADATA).is_file()))
     if whole and (outside := leading_outside(folder)):
-        notes.append(f"{folder}: passed over: {outside[0].name} is a link that leads outside")
+        shelf.skipped[str(folder)] = f"{folder}: {bare(outside[0].name)} is a link that leads outside; put the file itself there"
         return []
     if is_own(folder):
         return [Item(here, (folder,), own=True)]
@@ -177,8 +178,9 @@ def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: 
             shelf.skipped[str(entry)] = f"{entry}: {other_files.advice(entry, kind)}"
         elif entry.name not in ("manifest.json", "measurements.toml"):
             other.append(entry.name)
-    if other and not depth:
-        notes.append(f"{folder}: passed over: {', '.join(bare(name) for name in other[:6])}{' ..' if len(other) > 6 else ''}")
+    if other:
+        more = f" and {len(other) - 6} more" if len(other) > 6 else ""
+        notes.append(f"{folder}: passed over: {', '.join(bare(name) for name in other[:6])}{more}")
     items = _heap(files, shelf, together, name=here, top=not depth) if files else []
     for sub in folders:
         items += _walk(sub, root, shelf, together, notes, "" if not depth else here, depth + 1)

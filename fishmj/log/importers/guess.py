@@ -126,7 +126,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
     out = _points(_once(out, found))
-    return _complete(_silent(out, found), found)
+    return _complete(_counts(_silent(out, found)), found)
 
 
 def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
@@ -286,6 +286,19 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
     return [replace(g, places=tuple(p.replace("#", "1") for p in g.places)) for g in out]
 
 
+def _counts(guesses: list[Guess]) -> list[Guess]:
+    """Fewer commands than joints, or fewer joints than commands: which joint each belongs to is asked."""
+    mine = {t: [i for i, g in enumerate(guesses) if g.state == TAKEN and g.place.startswith(t)] for t in ("cmd.c", "joint.j")}
+    few, many = sorted(mine, key=lambda t: len({guesses[i].place for i in mine[t]}))
+    if not mine[few] or len(mine[few]) == len(mine[many]):
+        return guesses
+    out = list(guesses)
+    for i in mine[few]:
+        why = f"{len(mine[few])} of {few}1.. beside {len(mine[many])} of {many}1..: which joint is it?"
+        out[i] = out[i] if out[i].said else out[i].unclear(why, places=tuple(f"{few}{n + 1}" for n in range(len(mine[many]))))
+    return out
+
+
 def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
     """A unit for every column that has a place: said by its name or file, else by the values of its family."""
     out = []
@@ -434,12 +447,12 @@ def _points(guesses: list[Guess]) -> list[Guess]:
 
 
 def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
-    """Tables that lack a column they need are left out, and so is everything of a file without stamps."""
+    """Asks for what would be lost: columns of a file without stamps, of a table that lacks another, of a table in two files."""
     out = list(guesses)
-    for k in range(len(found)):
+    for k, kind in enumerate(found):
         mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place not in ("t", NANOSECONDS)]
         if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
-            out = [g.left("the file has no column of time") if i in mine and not g.said else g for i, g in enumerate(out)]
+            out = _stampless(out, kind, k, mine)
             continue
         for table in {out[i].table for i in mine}:
             have = {g.place.partition(".")[2] for g in out if g.kind == k and g.state != LEFT and g.table == table}
@@ -447,12 +460,32 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             need = spec.fixed[1:] or tuple(t.replace("#", "1") for t in spec.numbered)
             lacking = [column for column in need if column not in have]
             if lacking:
-                why = f"table {table} also needs {', '.join(lacking)}"
-                out = [g.left(why) if i in mine and g.table == table and not g.said else g for i, g in enumerate(out)]
+                why = f"table {table} also needs {', '.join(lacking)}: say which columns they are, or skip this one"
+                out = [g.unclear(why) if i in mine and g.table == table and not g.said else g for i, g in enumerate(out)]
     first: dict[str, int] = {}
     for i, g in enumerate(out):
         table = g.table if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
         if table and first.setdefault(table, g.kind) != g.kind:
-            why = f"table {table} lies in another file already; a table of ours is one file with one clock"
-            out[i] = g.unclear(why) if g.said else g.left(why)
+            out[i] = g.unclear(
+                f"table {table} lies in another file already; a table of ours is one file with one clock: skip one"
+            )
+    return out
+
+
+def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]) -> list[Guess]:
+    """A file whose names say no time: its columns that rise may be the stamps, and are asked; without one all are."""
+    out = list(guesses)
+    for i, g in enumerate(out):
+        if g.kind == k and g.state == LEFT and not g.said:
+            values = kind.sheets[0].columns[g.column]
+            step = np.diff(values[np.isfinite(values)])
+            if len(step) and (step >= 0).all() and 2 * (step > 0).sum() > len(step):
+                rows = bool((step == 1).all())
+                why = "it counts the rows, say the seconds of one" if rows else "it rises"
+                out[i] = g.unclear(
+                    f"no column of time among the names; is it this one? {why}", places=("t",), fits=("s*SECONDS",) * rows
+                )
+    if not any(g.kind == k and g.state == UNCLEAR and g.place == "t" for g in out):
+        why = "its file has no column of time: skip it, or write one"
+        out = [g.unclear(why) if i in mine and not g.said else g for i, g in enumerate(out)]
     return out

@@ -133,9 +133,9 @@ def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     Raises:
         LogError: a column is unclear, or the user does not agree.
     """
-    doubts = [g for _, made in found for g in unclear(made)]
+    doubts = [(f"{bare(kinds[g.kind].sheets[0].name)}: " * (len(kinds) > 1), g) for kinds, made in found for g in unclear(made)]
     if doubts:
-        told = "; ".join(f"{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for g in doubts[:4])
+        told = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for file, g in doubts[:4])
         more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
         raise LogError(
             f"{source}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map "

@@ -10,7 +10,10 @@ from fishmj.log.importers.column_units import UNITS, measures, unit_of
 # In English, German, French, Spanish, Italian and Portuguese, as far as a word has one meaning in a log: `tension` (a tendon's)
 # and `cap` (a capacity) are left to the user.
 TIME = set("time t ts stamp timestamp tstamp clock elapsed utc epoch date datetime uptime".split())
-TIME |= set("zeit stempel uhrzeit datum temps tiempo tempo".split())
+TIME |= set("zeit stempel datum temps horodatage heure tiempo hora tempo ora tijd tid czas aika zaman idő čas timp".split())
+TIME |= set("время 时间 时间戳 時刻 時間 タイムスタンプ 시간".split())
+TIME_PARTS = ("zeit", "time", "stamp", "stempel", "tijd")  # of a compound that begins or ends with it: kamerazeit, frametime
+NO_STAMP = set("rx arrival received delay delta dt duration since exposure shutter timeout latency cycle lifetime loop".split())
 COMMAND = set("action cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted".split())
 COMMAND |= set("soll stell vorgabe consigne comando mandado".split())
 MEASURED = set("meas measured measurement measurements pos position actual act present fb feedback enc encoder real".split())
@@ -50,7 +53,6 @@ _GLUED = {  # names without a mark between their words; a unit comes last, so no
 AXES = {"x", "y", "z"}
 ARRAY = (("value",), ("data",), ("values",), ("field", "data"))  # words for an element of an array
 _BRACKET = re.compile(r"(.*?)\s*[\[(<{]([^\])>}]*)[\])>}]\s*\Z", re.DOTALL)
-_SPANS = set("ms us ns sec secs seconds millis micros msec usec nanos s".split())  # a unit alone: a stamp in it
 _RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m", "s2")}
 
 
@@ -79,7 +81,8 @@ def words(text: str) -> list[str]:
 def parse(raw: str) -> Header:
     """Words, number and unit of one column's name."""
     unit, name = "", raw
-    if (found := _BRACKET.match(raw[:200])) and not found[2].strip().isdecimal():  # data[0]: a number, no unit
+    found = _BRACKET.match(raw[:200])
+    if found and not found[2].strip().isdecimal() and found[2].strip().lower() not in AXES:  # data[0], v_{x}: indices
         name, unit = found[1], unit_of(found[2])
     said = words(name) or words(raw)
     rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
@@ -89,7 +92,7 @@ def parse(raw: str) -> Header:
         unit, said = unit_of(last), words(rest)  # as it is written: mV is no m V
     elif not unit and len(said) > 1 and unit_of(said[-1]) and said[-1] not in ("g", "min"):
         unit, said = unit_of(said[-1]), said[:-1]
-    elif len(said) == 1 and said[0] in _SPANS:
+    elif len(said) == 1 and unit_of(said[0]) in ("s", "ms", "us", "ns"):  # a unit alone: a stamp in it
         unit, said = unit_of(said[0]), ["time"]
     numbers = [int(word) for word in said if word.isdecimal() and len(word) < 4]
     plain = tuple(word for word in said if not word.isdecimal())
@@ -146,15 +149,16 @@ def _force(name: Header, context: set[str]) -> Role | None:
 
 
 def _time(name: Header, context: set[str]) -> Role | None:
-    if not name.has(TIME) or name.has(AXES | SERVO | JOINT) or measures(name.unit) not in ("", "time"):
+    compound = any(word.startswith(TIME_PARTS) or word.endswith(TIME_PARTS) for word in name.words)
+    if not (compound or name.has(TIME)) or name.has(AXES | SERVO | JOINT) or measures(name.unit) not in ("", "time"):
         return None
-    if name.has({"rx", "arrival", "received", "delay", "delta", "dt", "duration", "since"}):
+    if name.has(NO_STAMP):
         return Role(why="a time, but not the stamp of the row")
     return Role(("t",), "a word for time" + (" and its unit" if name.unit else ""))
 
 
 def _power(name: Header, context: set[str]) -> Role | None:
-    if name.has(CAMERA):  # cam_u, cam_v
+    if name.has(CAMERA) or (name.words[:-1] in (("v",), ("u",)) and name.has(AXES)):  # cam_u, cam_v; v_x
         return None
     said, alone = measures(name.unit), not name.has(SERVO | JOINT) and name.number is None
     battery = name.has(BATTERY) or not context.isdisjoint(BATTERY)
@@ -191,7 +195,8 @@ def _velocity(name: Header, context: set[str]) -> Role | None:
         return Role((f"velocity.{name.words[-1]}",), "a velocity of the body")
     if name.has(HEADING - {"theta"}) and name.has(RATE):
         return Role(("velocity.yaw_rate",), "the rate of the heading")
-    if (name.has(AXES) and name.has(RATE)) or name.words[-1:] in (("vx",), ("vy",), ("vz",)) or measures(name.unit) == "speed":
+    component = name.has(AXES) and (name.has(RATE) or name.words[:-1] in (("v",), ("u",)))
+    if component or name.words[-1:] in (("vx",), ("vy",), ("vz",)) or measures(name.unit) == "speed":
         return Role(why="a velocity that may be of the tank or of the body; the schema's is the body's surge and sway")
     return None
 
@@ -234,6 +239,7 @@ def _joint(name: Header, context: set[str]) -> Role | None:
     ):  # an array on a topic of angles
         known = bool(context & (SERVO | JOINT))
     numbered = name.number is not None and (name.has(COMMAND | MEASURED) or said == "angle")
+    known |= bool(name.words) and COMMAND.issuperset(name.words) or said == "angle" and name.has(COMMAND | MEASURED)
     if not (known or numbered) or said not in ("", "angle", "rate"):
         return Role(why=f"{name.unit} measures no angle") if known and said else None
     if name.has(RATE) or said == "rate":

@@ -205,25 +205,28 @@ def _numbers(pa, values) -> np.ndarray:
     return np.array(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
 
 
-def read_table(path: Path) -> Sheet:
-    """An `.npz`: arrays (T,) become columns, (T, K) become name_1..name_K; others are noted.
+def read_tables(path: Path) -> list[Sheet]:
+    """An `.npz`: a sheet for each length of its arrays. (T,) become columns, (T, K) become name_1..name_K; others are noted.
 
     Raises:
-        StoreError: damaged or pickled. LogError: no columns of one length.
+        StoreError: damaged or pickled. LogError: no columns.
     """
     regular(path)
     read = read_npz(path, widened=True)
-    arrays = {name: value for name, value in read.items() if value.dtype.kind in "fiub" and value.ndim in (1, 2)}
-    lengths = [len(value) for value in arrays.values() if len(value)]
-    rows = max(lengths, key=lengths.count, default=0)
-    columns, notes = {}, []
-    for name, value in arrays.items():
-        if len(value) != rows:
-            notes.append(f"{path.name}: array {quoted(name)} has {len(value)} rows, not {rows}; left out")
+    found: dict[int, Table] = {}
+    notes = []
+    for name, value in read.items():
+        if value.dtype.kind not in "fiub" or value.ndim not in (1, 2) or len(value) < 2 or value.size > COLUMNS * len(value):
+            notes.append(f"{path.name}: array {quoted(name)} of {value.dtype} {value.shape} is no column; left out")
         elif value.ndim == 1:
-            columns[name] = value.astype(float)
-        elif value.shape[1] <= COLUMNS:
-            columns |= {f"{name}_{k + 1}": value[:, k].astype(float) for k in range(value.shape[1])}
-    if not columns or len(columns) > COLUMNS:
-        raise LogError(f"{path}: {len(columns) or 'no'} columns of numbers of one length; expected 1 to {COLUMNS}")
-    return checked(Sheet(path, path.name, columns, notes=tuple(notes)))
+            found.setdefault(len(value), {})[name] = value.astype(float)
+        else:
+            columns = {f"{name}_{k + 1}": value[:, k].astype(float) for k in range(value.shape[1])}
+            found[len(value)] = found.get(len(value), {}) | columns
+    if not found or max(map(len, found.values())) > COLUMNS:
+        raise LogError(
+            f"{path}: {'more than' if found else 'no columns of numbers; expected 1 to'} {COLUMNS} columns of one length"
+        )
+    names = [path.name if len(found) == 1 else f"{path.name}, {rows} rows" for rows in found]
+    sheets = [checked(Sheet(path, name, columns)) for name, columns in zip(names, found.values(), strict=True)]
+    return [sheets[0].noted(*notes), *sheets[1:]]

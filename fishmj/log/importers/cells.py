@@ -1,0 +1,175 @@
+"""Cells of a text table: numbers as programs and spreadsheets of any country write them, dates, times of day, blanks.
+
+A cell may have two readings: `1,234` is 1.234 with a decimal comma and 1234 with a comma between thousands; `3/4/2026` is in
+March or in April. Both are given; the rest of its column, else of its file, decides (`decided`).
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.log.limits import quoted
+
+BLANKS = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "#nv", "<na>", "nat"}
+DAY = 86_400.0  # s
+_SPACED = re.compile(r"[+-]?\d{1,3}(?P<mark>['\u2019\x92\u00a0\u2009\u202f ])\d{3}(?:(?P=mark)\d{3})*(?:[.,]\d*)?", re.ASCII)
+_MARKS = re.compile(r"['\u2019\x92\u00a0\u2009\u202f ]")
+_EXPONENT = r"(?:[eEdD][+-]?\d+)?"
+_PLAIN = {
+    r"\.": re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", re.ASCII),
+    ",": re.compile(rf"[+-]?(?:\d+(?:,\d+)?|,\d+){_EXPONENT}", re.ASCII),
+}
+_GROUPED = {
+    (point, group): re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{group}\d{{3}})+(?:{point}\d*)?", re.ASCII)
+    for point, group in ((r"\.", ","), (",", r"\."))
+}
+_CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+|:\d{3})?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+_TIME_OF_DAY = re.compile(_CLOCK, re.ASCII)
+_MINUTES = re.compile(r"(\d{1,2}):(\d{2}[.,]\d+)", re.ASCII)
+_DATE = re.compile(rf"(\d{{1,4}})([./-])(\d{{1,2}}|[A-Za-z\u00e4]{{3,4}}\.?)\2(\d{{2}}|\d{{4}})[ T,]\s*{_CLOCK}")
+_MONTHS = {"jan": 1, "feb": 2, "mar": 3, "m\u00e4r": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9}
+_MONTHS |= {"oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12}
+
+
+class Reading(NamedTuple):
+    """Both values of a cell, NaN where it has none: with a decimal point or the day first; with a comma or the month first."""
+
+    first: float
+    second: float
+    grouped: bool = False  # it has marks between its thousands
+    date: bool = False
+
+    @property
+    def two(self) -> bool:
+        """The second value is there, and another than the first."""
+        return not math.isnan(self.second) and self.second != self.first
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number in any style."""
+    return number(text.strip()) is not None
+
+
+def is_value(text: str) -> bool:
+    """Whether a cell is a number, a date or a time of day."""
+    return read(text.strip()) is not None
+
+
+def read(text: str) -> Reading | None:
+    """The number, date or time of day of a cell without blanks around it; None for text."""
+    return number(text) or (_stamp(text) if ":" in text and len(text) <= 40 else None)
+
+
+def number(text: str) -> Reading | None:
+    """The number of a cell; None for text."""
+    text = text.replace("\u2212", "-")
+    spaced = bool(_SPACED.fullmatch(text))
+    text = _MARKS.sub("", text) if spaced else text
+    (first, one), (second, two) = _value(text, r"\.", ","), _value(text, ",", r"\.")
+    if math.isnan(first) and math.isnan(second):
+        return None
+    return Reading(first, second, spaced or one or two)
+
+
+def _value(text: str, point: str, group: str) -> tuple[float, bool]:
+    """(value in one style, NaN where the cell is none of it; whether it has marks between thousands)."""
+    grouped = bool(_GROUPED[point, group].fullmatch(text))
+    if not grouped and not _PLAIN[point].fullmatch(text):
+        return math.nan, False
+    text = text.replace(group[-1], "") if grouped else text
+    return float(text.replace(point[-1], ".").replace("D", "e").replace("d", "e")), grouped
+
+
+def _stamp(text: str) -> Reading | None:
+    """Seconds since 1970 of a date and time (UTC where no zone is named), or of the day for a time of day."""
+    if clock := _TIME_OF_DAY.fullmatch(text):
+        seconds = _of_day(clock)
+        return Reading(seconds, seconds, date=True)
+    if short := _MINUTES.fullmatch(text):
+        seconds = 60.0 * int(short[1]) + float(short[2].replace(",", "."))
+        return Reading(seconds, seconds, date=True)
+    if found := _DATE.fullmatch(text):
+        a, mark, b, c = found[1], found[2], found[3], found[4]
+        if len(a) == 4:
+            first = second = _since_1970(a, b, c, found)
+        elif mark == "." or not b.isdecimal():
+            first = second = _since_1970(c, b, a, found)
+        else:
+            first, second = _since_1970(c, b, a, found), _since_1970(c, a, b, found)
+        return None if math.isnan(first) and math.isnan(second) else Reading(first, second, date=True)
+    try:
+        moment = datetime.fromisoformat(text.replace(",", "."))
+        seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (OverflowError, ValueError):
+        return None
+    return Reading(seconds, seconds, date=True)
+
+
+def _of_day(clock: re.Match) -> float:
+    whole, mark, ms = clock["s"].rpartition(":")
+    seconds = float(whole) + 1e-3 * int(ms) if mark else float(ms.replace(",", "."))
+    hours = int(clock["h"])
+    if clock["half"]:
+        hours = hours % 12 + (12 if clock["half"][0] in "pP" else 0)
+    return 3600.0 * hours + 60.0 * int(clock["m"]) + seconds
+
+
+def _since_1970(year: str, month: str, day: str, clock: re.Match) -> float:
+    number = int(month) if month.isdecimal() else _MONTHS.get(month[:3].lower(), 0)
+    try:
+        moment = datetime(int(year) + (2000 if len(year) == 2 else 0), number, int(day), tzinfo=UTC)
+        return moment.timestamp() + _of_day(clock)
+    except (OverflowError, ValueError):
+        return math.nan
+
+
+def decided(
+    first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], dates: Mapping[str, object]
+) -> tuple[dict[str, np.ndarray], dict[str, int], list[str]]:
+    """Columns of one reading out of both.
+
+    Args:
+        first, second: column -> (T,), as in `Reading`; dates: the columns that hold dates.
+    Returns:
+        The columns; column -> its first row that has two readings, where nothing tells which; notes.
+    """
+    only = {
+        name: tuple(np.isfinite(a) & np.isnan(b) for a, b in ((first[name], second[name]), (second[name], first[name])))
+        for name in first
+    }
+    file = tuple(any(mine[k].any() for name, mine in only.items() if name not in dates) for k in (0, 1))
+    out, open_, notes = {}, {}, []
+    grouped = commas = False
+    for name, a in first.items():
+        b = second[name]
+        both = np.isfinite(a) & np.isfinite(b) & (a != b)
+        out[name] = np.where(np.isnan(a), b, a)
+        own = tuple(bool(mask.any()) for mask in only[name])
+        commas |= name not in dates and own[1]
+        if not both.any():
+            continue
+        if name in dates:
+            pick = 0 if own == (True, False) else 1 if own == (False, True) else _calmer(a, b)
+            if pick is None:
+                notes.append(f"column {quoted(name)}: day and month are not told apart; the date of the first row may be another")
+        else:
+            pick = next((said.index(True) for said in (own, file) if sum(said) == 1), -1)
+            larger = np.abs(a) > np.abs(b) if pick == 0 else np.abs(b) > np.abs(a)  # without its marks a number is larger
+            grouped |= pick >= 0 and bool((both & larger).any())
+            commas |= pick == 1 and bool((both & ~larger).any())
+        if pick == -1:
+            open_[name] = int(np.flatnonzero(both)[0])
+        out[name] = np.where(both, b, out[name]) if pick == 1 else out[name]
+    notes += ["marks between thousands left out"] if grouped else []
+    return out, open_, notes + (["decimal commas read as points"] if commas else [])
+
+
+def _calmer(day_first: np.ndarray, month_first: np.ndarray) -> int | None:
+    """The reading of dates in which no step is longer than a day; None where both are one day, -1 where neither tells."""
+    longest = [float(np.max(np.abs(np.diff(v[np.isfinite(v)])), initial=0.0)) for v in (day_first, month_first)]
+    calm = [value < DAY for value in longest]
+    return None if all(calm) else calm.index(True) if any(calm) else -1
