@@ -25,10 +25,9 @@ from scipy.stats import f as f_test
 from scipy.stats import t as student
 
 from fishmj.errors import LogError
+from fishmj.log.clock_offset import LONGEST, REACH, offset_between, rates
 from fishmj.log.trial import Table, Trial, gaps, stacked
 
-REACH = 0.4  # s, largest lag looked for
-LONGEST = 5_000_000  # points of the common grid: 83 minutes at 1 ms
 WINDOW = 2.0  # s, one bootstrap unit
 MIN_WINDOWS = 4
 DRAWS = 400
@@ -36,8 +35,6 @@ WEAK = 0.5  # peak correlation below which no lag is claimed
 WIDE = 0.1  # s, width of the interval above which none is claimed either
 RIVAL = 0.95  # a second peak this close to the first makes a periodic signal ambiguous
 EARLY = -0.02  # s; a joint that moves so long before its command has another clock
-LEAST = 4.0  # s of the shorter record from which on an offset is looked for
-SURE, OTHER, CLOSE = 0.6, 0.8, 0.25  # least correlation of an offset; part of it that no other shift reaches, but within CLOSE s
 PAUSE = 10.0  # s; a longer step is a pause: no rate and no lost row is counted in it
 LOST = 1.5  # steps longer than this many usual steps lack rows
 LOCAL = 10  # steps on either side that say what is usual
@@ -121,7 +118,7 @@ def lag_between(
         )
     grid = start + step * np.arange(count)
     blur = 1.5 * max(np.median(np.diff(ta)), np.median(np.diff(tb))) / step
-    rate_a, rate_b = (_rates(t, v[:, :n], grid, blur) for t, v in ((ta, a), (tb, b)))
+    rate_a, rate_b = (rates(t, v[:, :n], grid, blur) for t, v in ((ta, a), (tb, b)))
     if not (np.any(rate_a) and np.any(rate_b)):
         raise LogError(f"{name_b} behind {name_a}: one of them never moves, so there is no lag to see")
     products, energy_a, energy_b = _windows(rate_a, rate_b, size, shift)
@@ -146,42 +143,6 @@ def lag_between(
         *(drift * step, bounds[0] * step, bounds[1] * step),
         *(len(products), _rival(sign * curve, at)),
     )
-
-
-def offset_between(
-    earlier: tuple[str, np.ndarray, np.ndarray], later: tuple[str, np.ndarray, np.ndarray], *, either_sign: bool = False
-) -> tuple[float, float] | None:
-    """(s by which the stamps of `later` are too large, correlation) where the motion tells of more than a lag, else None.
-
-    The whole records are laid over each other at every shift that leaves half of the shorter in common. The best must be beyond
-    `REACH`, and no other may be nearly as good: a steady beat fits itself one beat later.
-    """
-    (_, ta, a), (_, tb, b) = earlier, later
-    n = min(a.shape[1], b.shape[1])
-    if min(len(ta), len(tb)) < 8 or not n:
-        return None
-    step = max(float(np.median(np.diff(ta))), float(np.median(np.diff(tb))))
-    grids = [np.arange(t[0], t[-1], step) for t in (ta, tb)]
-    shortest = min(map(len, grids))
-    if shortest * step < LEAST or sum(map(len, grids)) > LONGEST:
-        return None
-    one, two = (_rates(t, v[:, :n], grid, 1.5) for t, v, grid in zip((ta, tb), (a, b), grids, strict=True))
-    length = 1 << int(np.ceil(np.log2(len(one) + len(two))))
-    spectrum = np.conj(np.fft.rfft(one, length, axis=0)) * np.fft.rfft(two, length, axis=0)
-    product = np.fft.irfft(spectrum, length, axis=0).sum(axis=1)
-    shifts = np.arange(-(len(one) - shortest // 2), len(two) - shortest // 2 + 1)  # rows of two behind those of one
-    first, last = np.maximum(0, -shifts), np.minimum(len(one), len(two) - shifts)
-    sums = [np.concatenate([[0.0], np.cumsum(np.sum(v**2, axis=1))]) for v in (one, two)]
-    energy = (sums[0][last] - sums[0][first]) * (sums[1][last + shifts] - sums[1][first + shifts])
-    curve = product[shifts] / np.sqrt(np.maximum(energy, 1e-6 * sums[0][-1] * sums[1][-1]) + 1e-300)
-    curve = np.abs(curve) if either_sign else curve
-    best = int(np.argmax(curve))
-    offset = float(tb[0] - ta[0] + shifts[best] * step)
-    inner = np.flatnonzero((curve[1:-1] >= curve[:-2]) & (curve[1:-1] > curve[2:])) + 1
-    others = curve[inner[np.abs(inner - best) * step > CLOSE]]
-    if abs(offset) <= REACH or curve[best] < SURE or np.any(others > OTHER * curve[best]):
-        return None
-    return offset, float(curve[best])
 
 
 def offsets(trial: Trial) -> list[str]:
@@ -213,22 +174,6 @@ def _without_pauses(ta: np.ndarray, tb: np.ndarray, keep: float) -> tuple[np.nda
             cut_a[ta >= resume] -= spare
             cut_b[tb >= resume] -= spare
     return cut_a, cut_b
-
-
-def _rates(t: np.ndarray, values: np.ndarray, grid: np.ndarray, blur: float) -> np.ndarray:
-    """(G, N) smoothed rates on the grid; zero inside gaps and without their mean."""
-    reach = int(np.ceil(4 * blur))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(blur, 1e-9)) ** 2)
-    kernel /= kernel.sum()
-    step = grid[1] - grid[0]
-    out = np.zeros((len(grid), values.shape[1]))
-    for k in range(values.shape[1]):
-        curve = np.interp(grid, t, values[:, k])
-        smooth = np.convolve(np.pad(curve, reach, mode="edge"), kernel, mode="valid")
-        out[:, k] = np.gradient(smooth, step)
-    for i in gaps(t):
-        out[(grid > t[i] - 4 * blur * step) & (grid < t[i + 1] + 4 * blur * step)] = 0.0
-    return out - out.mean(axis=0)
 
 
 def _windows(a: np.ndarray, b: np.ndarray, size: int, shift: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
