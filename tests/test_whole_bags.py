@@ -238,8 +238,10 @@ def test_other_files_are_named_with_their_remedy(tmp_path, bring, name, start, m
     assert re.search(message, err), err
 
 
-def test_files_of_other_programs_in_a_folder_are_left_out_aloud(tmp_path, bring):
+def test_files_of_other_programs_in_a_folder_end_the_import(tmp_path, bring):
     lab_files.one(tmp_path / "lab" / "swim.csv", 40)
     (tmp_path / "lab" / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(200))
     code, _, err = bring(tmp_path / "lab", "--yes")
+    assert code == 2 and "old.bag: a ROS 1 bag" in err and "--skip-bad" in err
+    code, _, err = bring(tmp_path / "lab", "--yes", "--skip-bad")
     assert code == 0 and "left out" in err and "old.bag: a ROS 1 bag" in err
