@@ -353,6 +353,6 @@ def test_a_table_that_lies_in_two_files_is_not_pieced_together(tmp_path, bring):
     lab_files.write(tmp_path / "lab" / "a.csv", {"time_ms": 20.0 * N, "goal1_deg": 20 * WAVE, "goal2_deg": 20 * WAVE})
     lab_files.write(tmp_path / "lab" / "b.csv", {"time_ms": 10.0 * N, "goal3_deg": 20 * WAVE, "batt_V": 7.4 + 0 * WAVE})
     code, _, err = bring(tmp_path / "lab", "--yes")
-    assert code == 2 and "b.csv: goal3_deg: table cmd also needs c1" in err
+    assert code == 2 and "b.csv: goal3_deg: table cmd lies in another file already" in err
     assert bring(tmp_path / "lab", "--yes", "--set", "goal3_deg=skip")[0] == 0
     assert "c3" not in only(tmp_path / "set").tables["cmd"]
