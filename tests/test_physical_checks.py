@@ -154,6 +154,18 @@ def test_a_fish_that_lies_still_tells_nothing():
     assert "handedness" not in names(changed(drifting, "pose", y=lambda v: -v, yaw=lambda v: -v))
 
 
+def test_odd_tables_and_meta_data_are_no_fault_of_the_checks():
+    """One row, a pause of years, meta data of another kind: nothing to tell, and nothing raised."""
+    short = {name: {c: v[:1] for c, v in table.items()} for name, table in turning().tables.items()}
+    meta = {"origin": "measured", "push": "yes", "flow": {"speed": "fast", "direction": None}}
+    assert names(Trial(meta, short)) == {} and names(Trial(meta, {})) == {}
+    late = turning()
+    away = {n: {**c, "t": np.where(np.arange(len(c["t"])) > 300, c["t"] + 9e8, c["t"])} for n, c in late.tables.items()}
+    assert "handedness" not in names(replace(late, tables=away))
+    mixed = replace(turning(), tables={**turning().tables, "joint": {c: v[:1] for c, v in turning().tables["joint"].items()}})
+    assert names(mixed) == {}
+
+
 def test_a_trial_relaxes_a_check_by_its_bound():
     bad = changed(turning(), "pose", yaw=lambda v: np.pi / 2 - v)
     assert "heading" not in names(replace(bad, meta={**bad.meta, "plausible": {"course": 4.0}}))

@@ -25,7 +25,8 @@ def check(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     if not args.data.exists():
         raise LogError(f"{args.data}: no such file or folder; expected a data set, a trial folder or a samples.csv")
-    audits, broken, impossible = [], {}, {}
+    audits, broken = [], {}
+    impossible: dict[str, list[str]] = {}
     found, changed = _trials(args.data)
     for name, path in found.items():
         try:
@@ -37,10 +38,10 @@ def check(argv: list[str]) -> int:
             for problem in problems:
                 console.warn(f"{bare(name)}: {problem}")
             continue
-        found = physical_checks.examine(trial)
-        notes = [f"  ! {f.text}" for f in found if f.level == physical_checks.NOTE]
+        breaches = physical_checks.examine(trial)
+        notes = [f"  ! {f.text}" for f in breaches if f.level == physical_checks.NOTE]
         console.say(audits[-1].text(), *notes, *(f"  note: {note}" for note in trial.notes), "")
-        if wrong := [f.text for f in found if f.level != physical_checks.NOTE]:
+        if wrong := [f.text for f in breaches if f.level != physical_checks.NOTE]:
             impossible[name] = wrong
             for text in wrong:
                 console.warn(f"{bare(name)}: {text}")

@@ -14,9 +14,10 @@ passes.
     handedness      the head recoils against the tail's swing; a picture in a mirror shows it swing along
 """
 
+from cmath import phase
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from math import pi
+from math import log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from fishmj.log.trial import Table, Trial, stacked
 from fishmj.log.trial_check import Plausible, bounds_of
 
 IMPORT, USE, NOTE = "import", "use", "note"  # a finding refuses: the import and all after it; gap find and calibrate; nothing
+LONGEST = 3600.0  # s of a trial that are looked at
 GRID = 0.02  # s, step of the common clock on which channels are compared
 SHORT, OFTEN = 5, 3  # rows of one failed read at most; times that the same value must come back
 DRIVEN = 0.05  # rad, span of a command that moves a joint
@@ -303,7 +305,7 @@ def _handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     if trial.value("medium") == "air" or "pose" not in trial.tables or any(_heading(trial, bounds)):
         return
     pose, measured = trial.tables["pose"], "joint" in trial.tables
-    bent = trial.tables.get("joint", trial.tables.get("cmd"))
+    bent = trial.tables.get("joint", trial.tables.get("cmd", {}))
     angles = stacked(bent, "j#" if measured else "c#") if bent else np.zeros((0, 0))
     if min(len(pose["t"]), len(angles)) < 20 or float(np.median(np.diff(pose["t"]))) > 0.1 or not angles.shape[1]:
         return
@@ -340,7 +342,8 @@ JOINTS = ("failed read", "joint speed", "standing still", "stale reading", "join
 # ----------------------------------------------------------------------------------------------------------------- helpers
 def _grid(*stamps: np.ndarray) -> np.ndarray:
     """Common clock of several tables; empty where they do not overlap."""
-    return np.arange(max(t[0] for t in stamps), min(t[-1] for t in stamps), GRID)
+    start = max(float(t[0]) for t in stamps)
+    return np.arange(start, min(start + LONGEST, *(float(t[-1]) for t in stamps)), GRID)
 
 
 def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
@@ -388,8 +391,8 @@ def _fast(x: np.ndarray) -> np.ndarray:
 
 def _relation(angle: np.ndarray) -> tuple[float, float]:
     """Circular mean and scatter of angles, rad."""
-    mean = np.mean(np.exp(1j * angle))
-    return float(np.angle(mean)), float(np.sqrt(max(-2 * np.log(max(abs(mean), 1e-9)), 0.0)))
+    mean = complex(np.mean(np.exp(1j * angle)))
+    return phase(mean), sqrt(max(-2 * log(max(abs(mean), 1e-9)), 0.0))
 
 
 def _swims_ahead(trial: Trial) -> bool | None:
@@ -398,6 +401,8 @@ def _swims_ahead(trial: Trial) -> bool | None:
     if table is None:
         return None
     q = stacked(table, letter)
+    if len(q) < 3:
+        return False
     swing = np.std(q, axis=0)
     if not q.shape[1] or np.max(swing) < DRIVEN or np.any(np.abs(q.mean(0)) > np.max(swing)):
         return False
@@ -415,10 +420,11 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
     if len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
         return None
     t = np.asarray(pose["t"], float)
-    begin = np.arange(t[0], t[-1] - PACE, APART)
+    begin = np.arange(t[0], min(t[-1], t[0] + LONGEST) - PACE, APART)
     if len(begin) < FEWEST:
         return None
-    speed, bearing = (float(trial.value(f"flow.{key}", 0.0) or 0.0) for key in ("speed", "direction"))
+    stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
+    speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)
     if speed > 0 and trial.value("flow.known") is False:
         return None
     yaw = np.unwrap(np.asarray(pose["yaw"], float))
