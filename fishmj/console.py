@@ -130,7 +130,12 @@ def _of_the_machine(error: Exception) -> str:
     """What to say of an error that the file system or the memory made; empty for every other."""
     if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
         where = f"{shown(str(error.filename), 200)}: " if error.filename is not None else ""
-        return f"{where}{error.strerror or error}; choose another file or folder, or make room"
+        files = (frame.f_code.co_filename for frame, _ in traceback.walk_tb(error.__traceback__))
+        if any("/warp/_src/" in file for file in files):
+            remedy = "Warp keeps its machine code there; set WARP_CACHE_PATH to a folder that can be written"
+        else:
+            remedy = "choose another file or folder, or make room"
+        return f"{where}{error.strerror or error}; {remedy}"
     said = str(error)
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in said or "out of memory" in said.lower():
         details = shown(said.partition("\n")[0], 200) if said else "no details"

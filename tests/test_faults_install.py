@@ -1,5 +1,6 @@
 """Faults of an installation: packages that are missing, and what still works without them."""
 
+import importlib
 import json
 import os
 import re
@@ -12,8 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 import fishmj
-from fishmj.errors import ConfigError
-from fishmj.lbm_oracle.fluid import device
+from fishmj import console
 from fishmj.train.settings import change, preset
 from fishmj.train.training_run import TrainingRun
 
@@ -94,16 +94,12 @@ def test_a_module_that_is_missing_is_still_missing_beside_a_chosen_renderer(monk
     assert "MUJOCO_GL" not in done.stdout + done.stderr
 
 
-def test_warp_without_a_folder_for_its_machine_code_says_which_to_name(monkeypatch):
-    import warp
-
-    def refuse():
-        raise PermissionError(13, "Permission denied", "/nonexistent")
-
-    monkeypatch.setattr(warp, "init", refuse)
-    device._warp.cache_clear()
-    with pytest.raises(ConfigError, match="/nonexistent: Permission denied.*set WARP_CACHE_PATH to a folder that can be written"):
-        device.device_of("cpu")
+def test_warp_without_a_folder_for_its_machine_code_says_which_to_name(tmp_path, capsys):
+    (tmp_path / "file").write_text("no folder")
+    build = importlib.import_module("warp._src.build")
+    assert console.run(lambda argv: build.init_kernel_cache(str(tmp_path / "file" / "warp")), []) == console.BAD_INPUT
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "Not a directory" in said and said.endswith("set WARP_CACHE_PATH to a folder that can be written")
 
 
 def test_an_exact_pin_says_which_abi_or_format_asks_for_it():
