@@ -14,6 +14,8 @@ import pytest
 
 import fishmj
 from fishmj import console
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid import device
 from fishmj.train.settings import change, preset
 from fishmj.train.training_run import TrainingRun
 
@@ -100,6 +102,16 @@ def test_warp_without_a_folder_for_its_machine_code_says_which_to_name(tmp_path,
     assert console.run(lambda argv: build.init_kernel_cache(str(tmp_path / "file" / "warp")), []) == console.BAD_INPUT
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "Not a directory" in said and said.endswith("set WARP_CACHE_PATH to a folder that can be written")
+
+
+def test_the_solver_without_that_folder_says_it_from_python_too(monkeypatch):
+    def refuse():
+        raise PermissionError(13, "Permission denied", "/nonexistent")
+
+    monkeypatch.setattr("warp.init", refuse)
+    device._warp.cache_clear()
+    with pytest.raises(ConfigError, match="/nonexistent: Permission denied.*set WARP_CACHE_PATH to a folder that can be written"):
+        device.device_of("cpu")
 
 
 def test_an_exact_pin_says_which_abi_or_format_asks_for_it():
