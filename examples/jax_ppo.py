@@ -169,7 +169,9 @@ def main():
     p.add_argument("--seed", type=int, default=0)
     args = p.parse_args()
     # the quick closed form; water="fitted" is the water fitted to the flow solver
-    env, tune = (StationHold("fish", options=Options(turbulence="gust", box=box), water="structured") for box in ("train", "tune"))
+    env, tune = (
+        StationHold("fish", options=Options(turbulence="gust", box=box), water="structured") for box in ("train", "tune")
+    )
     iterations = max(1, args.steps // (ENVS * HORIZON))
     rate = optax.linear_schedule(RATE, 0.1 * RATE, iterations * EPOCHS * MINIBATCHES)
     optimiser = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(rate, eps=1e-5))
