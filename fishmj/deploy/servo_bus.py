@@ -198,7 +198,7 @@ class ServoBusLink:
         if now >= end or not servos:
             return {}, False
         self._write(self.bus.ask(question, servos))
-        until = min(now + ANSWER + 10 * (len(servos) - 1) * self.bus.size(question) / self.baud, end)
+        until = min(now + ANSWER + (len(servos) - 1) * (10 * self.bus.size(question) / self.baud + self.bus.delay), end)
         late = False  # the line is read once more after the time is up: a computer that was busy elsewhere finds answers there
         while self._port is not None and not late and len(found) < len(servos):
             late = self.clock.now() >= until
@@ -240,7 +240,7 @@ class ServoBusLink:
         asked = [self.ids] if bus.together else [(servo,) for servo in self.ids]
         size = sum(len(bus.ask(bus.each, group)) for group in asked) + len(self.ids) * bus.size(bus.each)
         size += max((len(bus.ask(question, one)) + bus.size(question) for question in bus.turns), default=0)
-        return 10 * size / self.baud
+        return 10 * size / self.baud + (len(self.ids) + bool(bus.turns)) * bus.delay
 
     def _write(self, data: bytes) -> None:
         if self._port is not None:

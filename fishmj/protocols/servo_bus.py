@@ -37,7 +37,8 @@ class ServoBus(Protocol):
 
     Attributes:
         name: as `[rig] bus` names it. baud: where nothing is said. most_id: of a servo. scale: of its counts.
-        lowest: V, below it the servos report their voltage, as delivered. moves_in_time: MOVE takes a time.
+        lowest: V, below it the servos report their voltage, as delivered. delay: s that a servo waits before it answers, as
+            delivered. moves_in_time: MOVE takes a time.
         first: question that every servo must answer before it is used, "" for none. each: asked of every servo at every tick.
         turns: asked of one servo a tick, in turn. together: whether one question may go to several servos.
     """
@@ -47,6 +48,7 @@ class ServoBus(Protocol):
     most_id: int
     scale: servo_counts.Scale
     lowest: float
+    delay: float
     moves_in_time: bool
     first: str
     each: str
@@ -76,6 +78,7 @@ class LxBus(ServoBus):
     """LX series."""
 
     name, baud, most_id, scale, lowest = "lx", lx_bus.BAUD, lx_bus.MOST_ID, servo_counts.LX, 4.5
+    delay = 0.0
     moves_in_time, together, first, each, turns = True, False, "", "position", ("volts", "degrees")
     _codes = {"position": Code.POS_READ, "volts": Code.VIN_READ, "degrees": Code.TEMP_READ}
     _questions = {code: question for question, code in _codes.items()}
@@ -138,7 +141,7 @@ X_MODELS, X_OTHERS, AX_MODELS = range(1000, 2000), (30, 311, 321), (12, 18, 300)
 class DynamixelBus(ServoBus):
     """What X and AX series share; all that is told goes by SYNC_WRITE, which no servo answers."""
 
-    moves_in_time, first, each = False, "identity", "state"
+    moves_in_time, first, each, delay = False, "identity", "state", 0.0005
     name: str
     wire: Protocol1 | Protocol2
     table: ControlTable
