@@ -19,6 +19,7 @@ from fishmj.deploy.tracker_process import line
 from fishmj.errors import ConfigError
 from fishmj.loopback.camera_frames import FishLook, FrameArtist, TagPlate
 from fishmj.loopback.shared_frames import FrameWriter
+from fishmj.mjcf.description import load_robot
 from fishmj.tracker.apriltag import AprilTagTracker
 from fishmj.tracker.calibration import overhead
 from fishmj.tracker.fix import Fix
@@ -171,7 +172,8 @@ def test_the_real_process_finds_the_fish_and_ends_when_its_host_is_killed(tmp_pa
     ring = FrameWriter(320, 240, 50.0)
     film, begun = Drawn(None), time.monotonic()
     args = options().parse_args(["--policy", "station", "--tracker", "tag"])
-    words = wiring.tracker_words(args, f"shm:{ring.name}", wiring.Loopback(0, 0, ring.name, tmp_path / "camera.toml"))
+    fish = wiring.Loopback(0, 0, ring.name, tmp_path / "camera.toml")
+    words = wiring.tracker_words(args, f"shm:{ring.name}", fish, load_robot("fish"))
     script = HOST.replace("sys.argv[1:]", "[*sys.argv[1:], f'--parent={__import__(\"os\").getpid()}']")
     host = subprocess.Popen([sys.executable, "-c", script, *words[:-1]], stdout=subprocess.PIPE, cwd=ROOT)
     try:
