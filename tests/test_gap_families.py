@@ -76,7 +76,7 @@ def test_only_effects_that_change_the_mean_are_named_for():
 
 
 def test_shards_are_disjoint_and_complete_and_keep_a_robot_together():
-    asked = {"cases": 240, "seed": 2, "kinds": KINDS, "logs": None, "small": False, "effects": None}
+    asked = {"cases": 240, "seed": 2, "kinds": KINDS, "logs": None, "small": False, "effects": None, "power": False}
     parts = [family_command.dealt(SimpleNamespace(**asked, shard=(i, 4)), ALL) for i in range(4)]
     whole = family_command.dealt(SimpleNamespace(**asked, shard=(0, 1)), ALL)
     ids = [case.id for part in parts for robot in part for case in robot.cases]
@@ -379,8 +379,8 @@ def test_a_case_is_the_same_twice_and_its_calibration_is_kept(tmp_path, monkeypa
     assert still(first) == still(second)
     assert len(list((tmp_path / "bench").glob("*.json"))) == 1 and second["robot_cpu_seconds"] < first["robot_cpu_seconds"]
     assert first["detectable"] > family_score.BOUND and first["answer"] in ANSWERS
-    known, model, facts = family_rows.questioned(one._replace(calibrate=False))
-    assert facts["calibrated"] is None and model.robot == known == load_robot("fish")
+    known, model, own, facts = family_rows.questioned(one._replace(calibrate=False))
+    assert own is None and facts["calibrated"] is None and model.robot == known == load_robot("fish")
     assert 0.0 < first["calibrated"]["value"] < 0.5 and family_score.score([first])["pooled"]["coverage"]["n"] == 1
 
 
