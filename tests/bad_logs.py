@@ -288,7 +288,7 @@ BAD: dict[str, tuple[Make, list[str], str]] = {
     "joints_as_text": (joints_as_text, IMPORT, "refused"),
     "nothing_moves": (nothing_moves, IMPORT, "noted"),
     "one_row": (one_row, IMPORT, "refused"),
-    "one_of_three": (one_of_three, LAB, "noted"),
+    "one_of_three": (one_of_three, [*LAB, "--skip-bad"], "noted"),
     "weighed_in_grams": (weighed_in_grams, [*MASS, "--out", "fish.toml", "--report", "page"], "refused"),
     "unequal_arrays": (unequal_arrays, NPZ, "refused"),
 }
