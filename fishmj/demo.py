@@ -57,7 +57,7 @@ def learn(args) -> dict:
     else:
         console.say(f"going on with the training in {folder}")
     learner = learner_of(settings)
-    left = settings.steps - (kept.step if same else 0)
+    left = settings.steps - (kept.step if kept is not None and same else 0)
     console.say(plan(steps_per_second(learner), left))
     return TrainingRun(settings, folder, resume=same, learner=learner, stop_when=holds).go()
 

@@ -237,13 +237,13 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         self._seen = np.zeros((num_envs, self.rules.n_obs), np.float32)  # the last observations
         self._over = np.zeros(num_envs, bool)
 
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The generator of each fish."""
         return tuple(self._rngs)
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The seed of each fish."""
         return tuple(self._seeds)
 

@@ -313,7 +313,7 @@ class Physics(dm_mujoco.Physics):
     def __setstate__(self, state: tuple) -> None:
         data, own = state
         super().__setstate__(data)
-        vars(self).update(own)
+        self.__dict__.update(own)
 
 
 def evaluator(robot: Robot, ch: chain.Chain):

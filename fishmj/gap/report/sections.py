@@ -69,7 +69,7 @@ def gap(m: ReportData) -> Section:
     """Before and after."""
     pair = lambda both: " → ".join(map(level, both if m.comparison.changed else both[:1]))
     shown_rows = {"all": gap_of(m), **m.channels}
-    rows = [{"channel": part("strong", k), "gap": part("strong", pair(both))} for k, both in shown_rows.items() if k == "all"]
+    rows: list[dict] = [{"channel": part("strong", "all"), "gap": part("strong", pair(shown_rows["all"]))}]
     rows += [{"channel": k, "gap": pair(both)} for k, both in m.channels.items()]
     about = "|z|² / m: mean square of measured minus model, whitened by what healthy robots differ from their models by, so that "
     about += f"they leave about 1 and hardly ever more than {level(m.gates.adequacy)}: up to there model and records agree. "
