@@ -28,7 +28,7 @@ from fishmj.water.hydro_model import HydroModel, robot_hash
 ROOT = Path(__file__).resolve().parent.parent
 NAN, INF = math.nan, math.inf
 LINE = re.compile(r"^(?P<file>\S+\.toml)(?P<block> \[\[?\w+\]?\](?: \d+(?: '[^']*')?)?)?(?P<key> \S+)?: got .+, expected .+; .+$")
-GONE = object()  # the key is taken out
+GONE = "the key is taken out"
 
 
 def whole() -> dict:
@@ -55,7 +55,7 @@ def put(place: tuple, value) -> dict:
     inside = table
     for part in place[:-1]:
         inside = inside[part]
-    if value is GONE:
+    if value == GONE:
         del inside[place[-1]]
     else:
         inside[place[-1]] = value

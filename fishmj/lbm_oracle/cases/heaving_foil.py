@@ -33,7 +33,7 @@ from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 REYNOLDS, HEAVE, ATTACK, PIVOT = 4e4, 0.75, radians(15.0), 1 / 3
-STREAM = 0.07  # lattice units; the foil heaves at pi St times that
+STREAM = 0.06  # lattice units; the foil heaves at pi St times that
 BOX, AHEAD = (10.0, 8.0), 0.35
 CYCLES, JUDGED, SAMPLES = 4, 2, 100
 TOWED = {0.2: 0.228, 0.25: 0.311, 0.3: 0.394, 0.35: 0.477, 0.4: 0.588}  # C_T over St
@@ -109,12 +109,12 @@ def heaving_foil_coarse(device):
     yield reported("eta at St 0.4, c = 32", found.efficiency, EFFICIENCY[0.4])
 
 
-@register("heaving_foil", rung=22.1, grid="1280 x 1024 x 1, c = 128", source=SOURCE, cost="GPU, 170 G updates", gpu=True)
+@register("heaving_foil", rung=22.1, grid="2560 x 2048 x 1, c = 256", source=SOURCE, cost="GPU, 1.6 T updates", gpu=True)
 def heaving_foil(device):
     """A heaving and pitching foil at Re 40,000 over St."""
     for strouhal in (0.2, 0.3, 0.4):
-        found = propel(128, strouhal, device)
-        yield about(f"C_T at St {strouhal:g}, c = 128", found.thrust, TOWED[strouhal], THRUST)
-        yield reported(f"eta at St {strouhal:g}, c = 128", found.efficiency, EFFICIENCY[strouhal])
-    coarse = propel(64, 0.3, device)
-    yield reported("C_T at St 0.3, c = 64", coarse.thrust, TOWED[0.3])
+        found = propel(256, strouhal, device)
+        yield about(f"C_T at St {strouhal:g}, c = 256", found.thrust, TOWED[strouhal], THRUST)
+        yield reported(f"eta at St {strouhal:g}, c = 256", found.efficiency, EFFICIENCY[strouhal])
+    coarse = propel(128, 0.3, device)
+    yield reported("C_T at St 0.3, c = 128", coarse.thrust, TOWED[0.3])
