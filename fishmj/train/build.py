@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj import plugins
 from fishmj.calib import constant
-from fishmj.engines import with_effects
+from fishmj.engines import fastest, with_effects
 from fishmj.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.mjcf.description import COMMAND_PATHS, check_timing, load_robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
@@ -32,16 +32,7 @@ def pick_engine(settings: Settings) -> str:
 
     if jax.default_backend() != "cpu":
         return "mjx"
-    return "compiled" if has_numba() else "planar"
-
-
-def has_numba() -> bool:
-    """Whether the compiled engine can be had."""
-    try:
-        import numba  # noqa: F401
-    except ImportError:
-        return False
-    return True
+    return fastest()
 
 
 def robot_for(settings: Settings):
