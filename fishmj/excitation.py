@@ -92,11 +92,14 @@ def mirrored(run: Excitation) -> Excitation:
     )
 
 
-def gait(frequency: float, amplitude: float, lag: float, bias: float = 0.0, seconds: float = 10.0) -> np.ndarray:
-    """Commands (T, 3) of a steady beat [Hz, rad, rad between neighbours, rad], faded in over a second."""
-    t = np.arange(round(seconds / PERIOD)) * PERIOD
-    wave = amplitude * np.sin(2 * np.pi * frequency * t[:, None] - lag * np.arange(JOINTS)) + bias
-    return _led(np.minimum(t, 1.0)[:, None] * wave)
+def gait(
+    frequency: float, amplitude: float, lag: float, bias: float = 0.0, seconds: float = 10.0, joints: int = JOINTS,
+    period: float = PERIOD,
+) -> np.ndarray:  # fmt: skip
+    """Commands (T, joints) of a steady beat [Hz, rad, rad between neighbours, rad], faded in over 1 s, one every `period` s."""
+    t = np.arange(round(seconds / period)) * period
+    wave = amplitude * np.sin(2 * np.pi * frequency * t[:, None] - lag * np.arange(joints)) + bias
+    return _led(np.minimum(t, 1.0)[:, None] * wave, period)
 
 
 def random_ramps(seed: int, seconds: float = 12.0, reach: float = 0.8, pause: tuple[float, float] = (0.2, 0.8)) -> np.ndarray:
@@ -108,10 +111,10 @@ def random_ramps(seed: int, seconds: float = 12.0, reach: float = 0.8, pause: tu
     return _led(np.stack([np.interp(t, knots, angles[:, j]) for j in range(JOINTS)], 1))
 
 
-def _led(commands: np.ndarray) -> np.ndarray:
+def _led(commands: np.ndarray, period: float = PERIOD) -> np.ndarray:
     """Commands behind LEAD seconds of their first row."""
     commands = np.asarray(commands, float)
-    return np.concatenate([np.repeat(commands[:1], round(LEAD / PERIOD), 0), commands])
+    return np.concatenate([np.repeat(commands[:1], round(LEAD / period), 0), commands])
 
 
 def _path(*points: tuple[float, float, float, float]) -> np.ndarray:

@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 
 from fishmj import console
-from fishmj.deploy import wiring
+from fishmj.deploy import swim_command, wiring
 from fishmj.deploy.__main__ import COMMANDS, main
 from fishmj.deploy.clock import MonotonicClock
+from fishmj.deploy.experiment import Gait
 from fishmj.deploy.links import Fishmj1Link, MishLink
 from fishmj.deploy.ros import RosPublisher, battery, placed, stamp
 from fishmj.deploy.servo_bus import ServoBusLink
+from fishmj.deploy.supervisor import State
 from fishmj.deploy.swim_command import options, target_warnings
 from fishmj.errors import ConfigError, MissingExtra
+from fishmj.excitation import LEAD
+from fishmj.log import read_trial
+from fishmj.loopback import in_step
 from fishmj.loopback.camera_frames import FishLook
 from fishmj.mjcf.description import RigSpec, load_robot
 from fishmj.studies.tracker import cases
@@ -193,3 +198,52 @@ def test_ros_messages_are_in_ros_units_and_signs():
     assert battery({}, 7.4, 0.5)["current"] == -0.5 and "current" not in battery({}, 7.4, None)
     turned = placed({}, SimpleNamespace(x=1.0, y=2.0, yaw=np.pi))["pose"]["orientation"]
     np.testing.assert_allclose([turned["z"], turned["w"]], [1.0, 0.0], atol=1e-12)
+
+
+def test_a_gait_swims_without_a_policy_and_meta_says_its_numbers(tmp_path, capsys):
+    words = ["--gait", "1,15,60,-5", "--link", "loopback", "--seconds", "3", "--loopback", "--body structured"]
+    words += ["--out", str(tmp_path / "swim")]
+    assert swim_command.main(words, in_step.wired) == console.OK
+    trial = read_trial(tmp_path / "swim")
+    cmd = trial.tables["cmd"]
+    beating = cmd["state"] == int(State.SWIMMING)
+    t, sent = cmd["t"][beating], np.stack([cmd[f"c{k + 1}"][beating] for k in range(3)], 1)
+    phase = 2 * np.pi * (t - t[0] - LEAD)
+    wanted = np.radians(15) * np.sin(phase[:, None] - np.radians(60) * np.arange(3)) + np.radians(-5)
+    steady = t - t[0] > LEAD + 1.0
+    assert steady.sum() > 50
+    np.testing.assert_allclose(sent[steady], wanted[steady], atol=np.radians(1.0))
+    meta = trial.meta
+    assert (meta["excitation"], meta["controller"], meta["policy_sha256"]) == ("sine_gait_1_15_60_-5", "open loop", "")
+    assert meta["gait"] == {"frequency": 1.0, "amplitude_deg": 15.0, "lag_deg": 60.0, "bias_deg": -5.0}
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    {
+        "": "one of --policy NAME and --gait",
+        "--policy station --gait 1,20,60": "not allowed with",
+        "--gait 1,20": "expected HZ,AMPLITUDE_DEG,LAG_DEG",
+        "--gait 0,20,60": "0 Hz; expected above 0",
+        "--gait 25,0.1,60": "below 25 Hz",
+        "--gait 1,0,60": "amplitude 0 deg; expected above 0",
+        "--gait 1,50,60,-11": "reach 61 deg, the servos of",
+        "--gait 3,20,60": "turns at 6.58 rad/s",
+        "--gait 1,nan,60": "--gait",
+        "--gait 1,20,60 --target 0.3,0": "--target is for --policy",
+        "--gait 1,20,60 --anyway": "--anyway is for --policy",
+    }.items(),
+)
+def test_a_gait_that_cannot_be_is_refused_in_one_line(words, told, tmp_path, capsys):
+    assert console.run(main, ["swim", *words.split(), "--out", str(tmp_path / "swim")]) == console.BAD_INPUT
+    assert told in capsys.readouterr().err.strip().splitlines()[-1] and not (tmp_path / "swim").exists()
+
+
+def test_a_gait_beats_each_joint_of_any_fish_at_its_own_ticks():
+    robot = load_robot("tendon_fish")
+    robot = replace(robot, timing=replace(robot.timing, bus_dt=0.01))
+    commands = Gait(1.0, 10.0, 90.0).commands(robot, 3.0)
+    assert commands.shape == (360, robot.n_joints)
+    np.testing.assert_allclose(commands[60 + 225], np.radians([10.0, 0.0]), atol=1e-9)  # 2.25 s: a quarter of a beat
+    with pytest.raises(ConfigError, match="finite numbers"):
+        Gait(1.0, float("nan"), 60.0).commands(robot, 3.0)

@@ -24,7 +24,7 @@ def trials(argv: list[str]) -> int | None:
 COMMANDS = {
     "swim": Command(
         "fishmj.deploy.swim_command",
-        "a policy swims: camera, 50 Hz bus, supervisor, trial folder",
+        "a policy or a sine gait swims: camera, 50 Hz bus, supervisor, trial folder",
         "fishmj deploy swim --policy station --link loopback --seconds 30",
     ),
     "flow-map": Command(

@@ -1,18 +1,19 @@
-"""Named excitations, open loop on the robot, as trials that `fishmj calibrate` and `fishmj gap find` read as they are.
+"""Named excitations and a sine gait, open loop on the robot, as trials that `fishmj calibrate` and `fishmj gap find` read.
 
 The host's own swim plays the commands, with its supervisor, limits and log; `kept` then cuts the trial to what was played, from
 the first command on, and says what was measured of the noise while the fish rested.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from math import inf, sqrt
+from math import degrees, inf, isfinite, pi, sqrt
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj import excitation
 from fishmj.deploy.arming import Refusal, examine
+from fishmj.deploy.limits import RATE
 from fishmj.deploy.links import Link
 from fishmj.deploy.pilot import PlayedPilot
 from fishmj.deploy.supervisor import State
@@ -74,14 +75,51 @@ def runs(asked: Sequence[str], repeats: int, joints: int) -> list[Run]:
     return [Run(f"{name}_{k + 1}", what, f"{name}_1" if k else "") for k in range(repeats) for name, what in found.items()]
 
 
+class Gait(NamedTuple):
+    """A sine gait: joint k beats with A sin(2 pi f t - k lag) + bias.
+
+    frequency: Hz. amplitude_deg, lag_deg, bias_deg: deg; the lag is between neighbours, a negative bias turns to the left.
+    """
+
+    frequency: float
+    amplitude_deg: float
+    lag_deg: float
+    bias_deg: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the excitation, with its numbers: two gaits are not repeats of each other, nor of the library's `gait`."""
+        return "_".join(["sine_gait", *(f"{value:g}" for value in self)])
+
+    def commands(self, robot: Robot, seconds: float) -> np.ndarray:
+        """Commands (T, J) rad for `seconds` s, one every bus tick.
+
+        Raises:
+            ConfigError: a number that is not finite, angles beyond the servos' range, or a beat that they cannot follow.
+        """
+        servo, (frequency, amplitude, lag, bias) = robot.servo, (self[0], *np.radians(self[1:]))
+        if not all(map(isfinite, self)):
+            raise ConfigError(f"gait {','.join(map(str, self))}: expected finite numbers, HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG]")
+        most = 0.5 / robot.timing.bus_dt
+        if not 0.0 < frequency < most:
+            raise ConfigError(f"gait: {frequency:g} Hz; expected above 0 and below {most:g} Hz, half the rate of the commands")
+        if not amplitude > 0.0:
+            raise ConfigError(f"gait: amplitude {self.amplitude_deg:g} deg; expected above 0")
+        if amplitude + abs(bias) > servo.range:
+            told = f"amplitude {self.amplitude_deg:g} and bias {self.bias_deg:g} deg reach {degrees(amplitude + abs(bias)):g} deg"
+            raise ConfigError(f"gait: {told}, the servos of {robot.name} {degrees(servo.range):g}; take less of either")
+        fastest = min(servo.speed_no_load, RATE)
+        if (needed := 2 * pi * frequency * amplitude) > fastest:
+            most = fastest / (2 * pi * amplitude)
+            told = f"{frequency:g} Hz at {self.amplitude_deg:g} deg turns at {needed:.3g} rad/s"
+            bound = f"a joint of {robot.name} at {fastest:.3g} at most"
+            raise ConfigError(f"gait: {told}, {bound}; take {most:.2g} Hz or less, or a smaller amplitude")
+        return excitation.gait(frequency, amplitude, lag, bias, seconds, robot.n_joints, robot.timing.bus_dt)
+
+
 def unpoliced(link: Link, robot: Robot, at_the_tank: bool) -> Callable[[RobotInfo | None], Refusal]:
     """What speaks against arming where no policy steers: joints, servo range and watchdog, as for a swim."""
-
-    def examined(info: RobotInfo | None) -> Refusal:
-        no_policy = cast(Any, None)  # only looked at where the firmware carries a policy
-        return examine(link, None if info is None else info._replace(policy_sha256=""), robot, no_policy, at_the_tank)
-
-    return examined
+    return lambda info: examine(link, info, robot, None, at_the_tank)
 
 
 def play(

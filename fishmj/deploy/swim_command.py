@@ -1,4 +1,4 @@
-"""`fishmj deploy swim`: a policy on a robot, or on the loopback robot; leaves a trial folder."""
+"""`fishmj deploy swim`: a policy or a sine gait on a robot, or on the loopback robot; leaves a trial folder."""
 
 import gc
 import sys
@@ -18,37 +18,44 @@ from fishmj.calib import constant
 from fishmj.controllers.learned import LearnedController
 from fishmj.deploy import arming, wiring
 from fishmj.deploy.clock import MonotonicClock, first_in_line
+from fishmj.deploy.experiment import Gait
 from fishmj.deploy.flow_map import FlowMap
 from fishmj.deploy.monitor_live import LiveMonitor, Watched, monitor_options, watched_of
-from fishmj.deploy.pilot import PolicyPilot
+from fishmj.deploy.pilot import Pilot, PlayedPilot, PolicyPilot
 from fishmj.deploy.status import StatusLine
 from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
 from fishmj.deploy.trial_log import TrialLog
 from fishmj.deploy.way_out import way_out
-from fishmj.errors import ConfigError
+from fishmj.errors import ConfigError, UsageError
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.source import made_by
 from fishmj.tracker.calibration import Calibration
 
 SWITCH = 5e-4  # s that another thread may keep the loop waiting where it holds the interpreter; Python's own 5 ms are too long
+HERE = (0.0, 0.0)  # m, the target where none is said
 BOUND = constant("task", "bound")  # m
 APART = 0.01  # m between a place and where its pixel is: farther apart, the lens was not calibrated there
 EXAMPLES = """examples:
   fishmj deploy swim --policy station --link loopback --camera loopback --seconds 30
   fishmj deploy swim --policy station --link udp://192.168.1.40 --camera 0 --calibration tank.toml --out runs/swim_01
+  fishmj deploy swim --gait 1,20,60 --link udp://192.168.1.40 --camera 0 --calibration tank.toml --out runs/gait_01
   fishmj deploy swim --policy station --link serial:/dev/ttyUSB0 --camera 0 --calibration tank.toml --i-am-at-the-tank"""
 
 
 def options() -> console.Parser:
     """The arguments."""
     made = console.parser(
-        "deploy swim", "A policy swims the robot: camera, 50 Hz bus, supervisor, trial folder.", examples=EXAMPLES
+        "deploy swim", "A policy or a sine gait swims the robot: camera, 50 Hz bus, supervisor, trial folder.", examples=EXAMPLES
     )
+    pilots = made.add_mutually_exclusive_group()
+    policy_option(pilots)
+    beat = "in place of --policy: joint k beats with A sin(2 pi f t - k lag) + bias, a negative bias turns left (default: none)"
+    pilots.add_argument("--gait", type=gait, metavar="HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG]", help=beat)
     swim_options(made)
     add = made.add_argument
-    add("--target", type=place, default=(0.0, 0.0), metavar="X,Y", help="where to hold station, m in the tank (default 0,0)")
-    add("--seconds", type=console.number(1, 36000), default=30.0, help="how long the policy steers")
+    add("--target", type=place, default=HERE, metavar="X,Y", help="where to hold station, m in the tank (default 0,0)")
+    add("--seconds", type=console.number(1, 36000), default=30.0, help="how long policy or gait steers")
     add("--out", type=console.out_folder, metavar="FOLDER", help="trial folder, must not exist (default runs/swim-DATE-TIME)")
     stream = "the stream, m/s and rad, or MAP@SETTING of a flow map and its pump (default: not known)"
     add("--flow", type=flow, metavar="SPEED,DIRECTION", help=stream)
@@ -57,10 +64,15 @@ def options() -> console.Parser:
     return made
 
 
+def policy_option(parser: Any, **how: bool) -> None:
+    """The option --policy of a parser or a group of one."""
+    about = "shipped policy, policy file, or folder of a training" + ("" if how else " (default: none)")
+    parser.add_argument("--policy", type=console.text, metavar="NAME", help=about, **how)
+
+
 def swim_options(parser: console.Parser) -> None:
-    """What every swim under a policy is asked: one swim (`deploy swim`) and many (`deploy trials`)."""
+    """What every swim is asked: one swim (`deploy swim`) and many (`deploy trials`)."""
     add = parser.add_argument
-    add("--policy", type=console.text, required=True, metavar="NAME", help="shipped policy, policy file, or folder of a training")
     add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
     about = f"m; a fish with |x| or |y| beyond it is stopped, a trial then failed (default {BOUND:g}, as far as it was trained)"
     add("--bound", type=console.number(0.1, 100), default=BOUND, metavar="M", help=about)
@@ -82,12 +94,11 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
     """
     args = options().parse_args(argv)
     robot = load_robot(args.robot)
-    controller = LearnedController(robot, args.policy, args.anyway)
-    warn_of_training(controller, robot)
+    controller, pilot = pilot_of(args, robot)
     out = args.out or Path("runs") / f"swim-{datetime.now():%Y%m%d-%H%M%S}"
     watched = watched_of(args, robot, args.flow, args.seconds)
     with undisturbed():
-        outcome = _swum(args, robot, controller, out, wire or wiring.wire, watched)
+        outcome = _swum(args, robot, controller, pilot, out, wire or wiring.wire, watched)
     if not outcome.cause and outcome.refused:
         raise ConfigError(f"swim: {outcome.words}")
     mcap = _mcap(out, robot) if args.mcap and outcome.cause else None
@@ -125,9 +136,27 @@ def warn_of_training(controller: LearnedController, robot: Robot) -> None:
             console.warn(f"policy {controller.name}: trained with another {what} ({there}, here {here})")
 
 
+def pilot_of(args: Any, robot: Robot) -> tuple[LearnedController | None, Pilot]:
+    """The policy that the options name and its pilot; (None, pilot) of a gait.
+
+    Raises:
+        UsageError: neither. ConfigError: no such policy, one for another robot, or a gait that this robot cannot beat.
+    """
+    if args.gait is None and args.policy is None:
+        raise UsageError("deploy swim: one of --policy NAME and --gait HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] is needed")
+    if args.gait is None:
+        controller = LearnedController(robot, args.policy, args.anyway)
+        warn_of_training(controller, robot)
+        return controller, PolicyPilot(controller)
+    if args.anyway or args.target != HERE:
+        raise ConfigError(f"--gait: {'--anyway' if args.anyway else '--target'} is for --policy; a gait steers to nowhere")
+    return None, PlayedPilot(args.gait.commands(robot, args.seconds))
+
+
 def _swum(
-    args: Any, robot: Robot, controller: LearnedController, out: Path, wire: Callable[..., wiring.Wired], watched: Watched | None
-) -> Outcome:
+    args: Any, robot: Robot, controller: LearnedController | None, pilot: Pilot, out: Path,
+    wire: Callable[..., wiring.Wired], watched: Watched | None,
+) -> Outcome:  # fmt: skip
     """Open everything, swim, close everything, whatever happens."""
     with ExitStack() as stack:
         wired = wire(args, robot, stack)
@@ -144,7 +173,7 @@ def _swum(
         stop = Event()
         plan = Plan(target=args.target, seconds=args.seconds, wait=args.wait, bound=args.bound)
         status = StatusLine(args.seconds)
-        swim = Swim(rig, PolicyPilot(controller), plan, log, stop=stop.is_set, status=status)
+        swim = Swim(rig, pilot, plan, log, stop=stop.is_set, status=status)
         if watched is not None:
             stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=stop.is_set))
 
@@ -173,7 +202,7 @@ def target_warnings(target: tuple[float, float], bound: float, calibration: Cali
     return told
 
 
-def meta_of(args: Any, robot: Robot, controller: LearnedController, wired: wiring.Wired) -> dict:
+def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired: wiring.Wired) -> dict:
     """The meta data of the trial, as far as it is known before the swim."""
     speed, direction = args.flow or (0.0, 0.0)
     meta = {
@@ -183,9 +212,9 @@ def meta_of(args: Any, robot: Robot, controller: LearnedController, wired: wirin
         "medium": "water",
         "water": "loopback" if wired.loopback else "tank",
         "flow": {"speed": speed, "direction": direction, "known": args.flow is not None},
-        "excitation": "policy",
-        "controller": controller.name,
-        "policy_sha256": controller.sha256,
+        "excitation": "policy" if controller else args.gait.name,
+        "controller": controller.name if controller else "open loop",
+        "policy_sha256": controller.sha256 if controller else "",
         "target": list(args.target),
         "seed": 0,
         "notes": args.notes or "",
@@ -194,7 +223,7 @@ def meta_of(args: Any, robot: Robot, controller: LearnedController, wired: wirin
         **made_by("numpy"),
         "host": {"link": args.link, "protocol": wired.link.name, "lacks": list(wired.link.lacks), "camera": args.camera or ""},
     }
-    return meta
+    return meta if controller else {**meta, "gait": args.gait._asdict()}
 
 
 def _mcap(out: Path, robot: Robot) -> Path:
@@ -221,6 +250,14 @@ def flow(text: str) -> tuple[float, float]:
         return water.speed, water.direction
     speed, direction = _two(text, "SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
     return console.number(0, 2)(speed), console.number(-2 * pi, 2 * pi)(direction)
+
+
+def gait(text: str) -> Gait:
+    """`1,20,60` or `1,20,60,-10`: Hz, amplitude, lag and bias in deg. Raises ArgumentTypeError."""
+    parts = text.split(",")
+    if len(parts) not in (3, 4):
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] such as 1,20,60")
+    return Gait(*(console.number(-360, 360)(part) for part in parts))
 
 
 def _two(text: str, expected: str) -> tuple[str, str]:

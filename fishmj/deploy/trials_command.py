@@ -25,7 +25,7 @@ from fishmj.deploy.rig_experiment import free_name
 from fishmj.deploy.rig_prompt import Person
 from fishmj.deploy.status import StatusLine
 from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
-from fishmj.deploy.swim_command import meta_of, swim_options, target_warnings, undisturbed, warn_of_training
+from fishmj.deploy.swim_command import meta_of, policy_option, swim_options, target_warnings, undisturbed, warn_of_training
 from fishmj.deploy.trial_log import TrialLog
 from fishmj.deploy.trials import HOST, KEPT, Place, Session, condition_of, counts, order, stream_direction, waters_of
 from fishmj.deploy.way_out import way_out
@@ -52,6 +52,7 @@ def options() -> console.Parser:
     made = console.parser(
         "deploy trials", "The 72 trials of the protocol on the robot, into the tables of evaluate.", examples=EXAMPLES
     )
+    policy_option(made, required=True)
     swim_options(made)
     add = made.add_argument
     about = "of the session: its logs, trials and tables; the same command goes on with it"
