@@ -13,6 +13,11 @@ COMMANDS = {
         "pictures of a board or of the tank's marks, for calibrate-camera",
         "fishmj deploy capture --camera 0 --count 12 --every 2 --out board",
     ),
+    "print-marks": Command(
+        "fishmj.deploy.print_command",
+        "tag and calibration board as a PDF at true scale",
+        "fishmj deploy print-marks --out marks.pdf",
+    ),
     "weigh": Command(
         "fishmj.deploy.rig_weigh",
         "scales, knife edge and pendulum: the page of weighings of a data set",

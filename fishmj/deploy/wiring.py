@@ -108,9 +108,7 @@ def tracker_options(parser: console.Parser) -> None:
     add = parser.add_argument
     add("--calibration", type=console.path, metavar="FILE", help="of the camera over the tank; needed but with loopback")
     add("--tracker", choices=("tag", "colour"), default="tag", help="AprilTag, or red head and yellow neck")
-    add("--tag-family", choices=("36h11", "16h5"), default="36h11", help="of the tag")
-    add("--tag-number", type=console.whole(0, 586), default=0, help="of the tag")
-    add("--tag-size", type=console.number(0.005, 1), default=0.06, help="outer side of its black border, m")
+    tag_options(parser)
     mount = "its middle in the body frame, m, and the turn of its x axis from the nose, rad"
     add("--tag-mount", type=numbers, default=(0.06, 0.0, 0.0), metavar="X,Y,YAW", help=mount)
     add("--tag-height", type=console.number(-1, 1), default=0.03, help="over the water, m")
@@ -118,6 +116,14 @@ def tracker_options(parser: console.Parser) -> None:
     for name in ("red", "yellow"):
         add(f"--{name}", type=bands, metavar="X:W,X:W", help=painted.format(name))
     add("--paint-height", type=console.number(-1, 1), help="of the paint over the water, m; default of [rig], else -0.005")
+
+
+def tag_options(parser: console.Parser) -> None:
+    """Which tag, and how large."""
+    add = parser.add_argument
+    add("--tag-family", choices=("36h11", "16h5"), default="36h11", help="of the tag")
+    add("--tag-number", type=console.whole(0, 586), default=0, help="of the tag")
+    add("--tag-size", type=console.number(0.005, 1), default=0.06, help="outer side of its black border, m")
 
 
 def loopback_options(parser: console.Parser) -> None:

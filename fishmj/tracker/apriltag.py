@@ -33,6 +33,21 @@ SATURATED = 250.0  # grey level of a glint
 BRIGHTER = 1.1  # times the white of the tag over its black: a glint
 
 
+def code_of(family: str, number: int) -> np.ndarray:
+    """Cells (n, n) of a tag with its black border, True where white, as printed.
+
+    Raises:
+        UnknownName: another family. ConfigError: a number that the family has not.
+    """
+    if family not in FAMILIES:
+        raise UnknownName("tag family", family, FAMILIES)
+    if not 0 <= number < FAMILIES[family][1]:
+        raise ConfigError(f"tag number {number}: {family} has 0 to {FAMILIES[family][1] - 1}")
+    aruco = opencv("the tag tracker").aruco
+    dictionary = aruco.getPredefinedDictionary(getattr(aruco, FAMILIES[family][0]))
+    return aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2, borderBits=1) > 127
+
+
 @dataclass
 class AprilTagTracker:
     """Finds one tag.
@@ -60,18 +75,14 @@ class AprilTagTracker:
     light: tuple[float, float] | None = field(default=None, repr=False)  # grey of black, and of white less that of black
 
     def __post_init__(self):
-        if self.family not in FAMILIES:
-            raise UnknownName("tag family", self.family, FAMILIES)
-        name, count = FAMILIES[self.family]
-        if not 0 <= self.number < count:
-            raise ConfigError(f"tag number {self.number}: {self.family} has 0 to {count - 1}")
+        self.code = code_of(self.family, self.number)
+        self.cells = len(self.code)
         if not 0.005 <= self.size <= 1.0:
             raise ConfigError(f"tag size {self.size:g} m, expected 0.005 to 1 m, the outer side of the black border")
         if not -1.0 <= self.height < self.calibration.camera[2]:
             raise ConfigError(f"tag height {self.height:g} m, expected -1 to {self.calibration.camera[2]:g} m, below the camera")
         cv2 = opencv("the tag tracker")
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-        self.cells = dictionary.markerSize + 2
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, FAMILIES[self.family][0]))
         self.least = max(SEEN, CELLS / self.cells**2)
         self.scale = self.calibration.metres_per_pixel(self.height)  # m/px
         self.cell = self.size / self.cells / self.scale  # px
@@ -82,7 +93,6 @@ class AprilTagTracker:
         self.reader = cv2.aruco.ArucoDetector(dictionary, settings)
         half = 0.5 * self.size
         self.square = self._on_body(np.array([(-half, half), (half, half), (half, -half), (-half, -half)]))  # OpenCV's order
-        self.code = cv2.aruco.generateImageMarker(dictionary, self.number, self.cells, borderBits=1) > 127
         self.pattern = self._pattern(cv2)
 
     def reset(self) -> None:
