@@ -1,25 +1,31 @@
 """The command line of `deploy`: what is missing or wrong is one line, before anything is opened; ROS hears every row."""
 
+import inspect
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fishmj import console
-from fishmj.deploy import swim_command, wiring
+from fishmj.deploy import ros, swim_command, wiring
 from fishmj.deploy.__main__ import COMMANDS, main
 from fishmj.deploy.clock import MonotonicClock
 from fishmj.deploy.experiment import Gait
 from fishmj.deploy.links import Fishmj1Link, MishLink
-from fishmj.deploy.ros import RosPublisher, battery, placed, stamp
+from fishmj.deploy.ros import TOPICS, RosPublisher, battery, placed, stamp
 from fishmj.deploy.servo_bus import ServoBusLink
 from fishmj.deploy.supervisor import State
 from fishmj.deploy.swim_command import options, target_warnings
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.excitation import LEAD
 from fishmj.log import read_trial
+from fishmj.log.export import _KIND
+from fishmj.log.foxglove import SCHEMAS
+from fishmj.log.importers.messages import KEPT
 from fishmj.loopback import in_step
 from fishmj.loopback.camera_frames import FishLook
 from fishmj.mjcf.description import RigSpec, load_robot
@@ -247,3 +253,17 @@ def test_a_gait_beats_each_joint_of_any_fish_at_its_own_ticks():
     np.testing.assert_allclose(commands[60 + 225], np.radians([10.0, 0.0]), atol=1e-9)  # 2.25 s: a quarter of a beat
     with pytest.raises(ConfigError, match="finite numbers"):
         Gait(1.0, float("nan"), 60.0).commands(robot, 3.0)
+
+
+def test_the_page_on_ros_lists_each_topic_and_type_both_ways():
+    page = (Path(__file__).resolve().parent.parent / "docs" / "guide" / "ros.md").read_text(encoding="utf-8")
+    assert dict(re.findall(r"\| `/fishmj/(\w+)` \| `([\w/]+)` \|", page)) == TOPICS
+    rows = [line.split("|")[1] for line in page.splitlines() if re.match(r"\| `\w+_msgs/msg/", line)]
+    listed = set()
+    for row in rows:
+        package = re.match(r" `(\w+)/msg/", row)[1]
+        listed |= {f"{package}/msg/{name.removeprefix(f'{package}/msg/')}" for name in re.findall(r"`([\w/]+)`", row)}
+    assert listed == KEPT
+    exported = {topic for topic in _KIND if f"`{topic}`" in page}
+    assert exported == set(_KIND) and all(f"`{schema}`" in page for schema in SCHEMAS)
+    assert not re.search(r"\.(subscribe|advertise)\(|Service\(", inspect.getsource(ros))
