@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from fishmj import calib, console, names
-from fishmj.errors import FishmjError, LogError, UsageError
+from fishmj.errors import FishmjError, LogError, UnknownName, UsageError
 from fishmj.log import importers, measurements, physical_checks
 from fishmj.log.dataset import write_dataset
-from fishmj.log.folder import checked_meta, read_trial
+from fishmj.log.folder import checked_meta
 from fishmj.log.importers import gather, guess, guessed, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert
@@ -90,7 +90,8 @@ def options() -> console.Parser:
         type=console.text,
         help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said",
     )
-    add("--excitation", help="name of the experiment, such as steps_1; default: not said")
+    about = "name of the experiment, such as steps: of every trial, or of one; may be repeated; default: not said"
+    add("--excitation", action="append", default=[], metavar="[TRIAL=]NAME", help=about)
     add("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
     add("--medium", choices=("water", "air"), help="default: not said")
     add("--origin", choices=("measured", "synthetic"), help="default: measured")
@@ -133,8 +134,11 @@ def _run(args: Namespace) -> int:
     for source in args.source:
         if args.out is not None and source.is_dir() and args.out.resolve().is_relative_to(source.resolve()):
             raise LogError(f"{args.out}: lies in {source}, which is imported and never changed; choose a place outside")
-    meta = _meta(args)
+    meta, each = _meta(args), gather.excitations(args.excitation)
     found = _found(args)
+    known = [name for name, _ in found.trials]
+    if each and (unknown := sorted(set(each) - {"", *known})):
+        raise UnknownName("trial of --excitation", unknown[0], known)
     if found.skipped and not args.skip_bad:
         _refuse_bad(args, found)
     guessed.show(found.guesses)
@@ -146,7 +150,7 @@ def _run(args: Namespace) -> int:
             return console.OK
     if found.guesses:
         guessed.check_agreed(found.guesses, args.source[0], args.yes)
-    rows, notes, told = _write(args, found, meta)
+    rows, notes, told = _write(args, found, meta, each)
     for where, message in found.skipped.items():
         console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
     left = f", {len(found.skipped)} left out" if found.skipped else ""
@@ -167,11 +171,7 @@ def _run(args: Namespace) -> int:
 # --------------------------------------------------------------------------------------------------------- what is said
 def _meta(args: Namespace) -> dict:
     """What is said of the recordings: robot, experiment, where the fish was put, bounds on magnitude."""
-    meta: dict = {
-        key: value for key in ("excitation", "medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None
-    }
-    if args.excitation is not None:
-        names.checked(args.excitation, "excitation", "--excitation")
+    meta: dict = {key: value for key in ("medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None}
     if args.robot is not None:
         meta["robot"], joints = robot_of(args.robot)
         meta |= {"joints": joints} if joints else {}
@@ -239,9 +239,10 @@ def _found(args: Namespace) -> ImportResult:
     for item in mapped:
         found.trials.append((item.name, partial(_mapped, item, args.topics)))
     items = [item for item in items if item not in mapped]
+    own = {item.files[0].resolve(): item.name for item in items if item.own}
     for item in items:
         if item.own:
-            found.trials.append((item.name, partial(read_trial, item.files[0])))
+            found.trials.append((item.name, partial(gather.read_own, item.files[0], own)))
     foreign = [item for item in items if not item.own and item.files]
     if args.columns:
         wanted = read_map(args.columns)
@@ -291,6 +292,7 @@ def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> ImportRes
             f"{sources[0]}: is in format {name}, which needs no map; leave --columns and --set out, or say --format {TABLE}"
         )
     found = ImportResult(name if name in importers.FORMATS else "own")  # the word that loads code stays out of the data set
+    tags = gather.tags_of(sources)
     for source in sources:
         if outside := gather.leading_outside(source):
             raise LogError(f"{outside[0]}: a link that leads outside {source}; put the file itself there")
@@ -303,8 +305,10 @@ def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> ImportRes
             if not trials:
                 raise error
             found.skipped |= bad
-        found.trials += [(key, partial(replace, trial)) for key, trial in trials.items()]
-    named = gather.renamed([gather.Item(key, ()) for key, _ in found.trials])
+        front = f"{tags[source]}_" if len(sources) > 1 and source.is_dir() else ""
+        found.trials += [(f"{front}{key}", partial(replace, trial)) for key, trial in trials.items()]
+    named, told = gather.renamed([gather.Item(key, ()) for key, _ in found.trials])
+    found.notes += told
     found.trials = [(item.name, load) for item, (_, load) in zip(named, found.trials, strict=True)]
     return found
 
@@ -394,7 +398,9 @@ def _write_map(args: Namespace, found: ImportResult) -> None:
     console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
 
 
-def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict], dict[str, list[str]], dict]:
+def _write(
+    args: Namespace, found: ImportResult, meta: dict, each: dict[str, str]
+) -> tuple[list[dict], dict[str, list[str]], dict]:
     """Write the trials that convert; what does not is remembered in `found.skipped`. Rows, notes, the manifest's meta."""
     rows: list[dict] = []
     notes: dict[str, list[str]] = {}
@@ -405,7 +411,8 @@ def _write(args: Namespace, found: ImportResult, meta: dict) -> tuple[list[dict]
         with console.Progress(len(found.trials), "import", unit="trials") as bar:
             for i, (name, load) in enumerate(found.trials):
                 try:
-                    trial = with_notes(_physical(_with_meta(load(), meta, name)))
+                    said_of = {"excitation": what} if (what := each.get(name, each.get(""))) else {}
+                    trial = with_notes(_physical(_with_meta(load(), {**meta, **said_of}, name)))
                     checked_meta(args.out / name, trial.meta)
                     rows.append(_row(name, trial))
                 except FishmjError as error:

@@ -4,22 +4,24 @@
 - Text tables, Parquet and .npz that lie in one folder are one trial when no two of them have the same columns (commands,
   camera, battery), and a trial each when all of them have the same. Between the two the user says: one trial, or a trial each.
 - A message recording (MCAP, rosbag2) is a trial.
+- Of several folders, each trial has its folder's name in front, with as many parents as tell the folders apart.
 - A folder in a folder is looked at by itself; hidden files and links that lead outside are passed over. So are pictures, films,
   documents and programs, by name; data of other programs are refused.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fishmj import console, names
-from fishmj.errors import FishmjError, LogError
-from fishmj.log.folder import FLAT_FILE, META_FILE
+from fishmj.errors import FishmjError, LogError, UsageError
+from fishmj.log.folder import FLAT_FILE, META_FILE, read_trial
 from fishmj.log.importers import delimited, guess, mcap, messages, other_files, rosbag2
 from fishmj.log.importers.quaternion import with_headings
 from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_tables
 from fishmj.log.limits import bare, most_bytes, quoted, regular
-from fishmj.log.trial import TABLES
+from fishmj.log.trial import TABLES, Trial
 
 SOON = 5.0  # s before progress shows
 DEEP = 12  # folders in folders
@@ -135,24 +137,56 @@ def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None)
     Args:
         together: the files of one folder are one trial (True), a trial each (False), or by the rule (None).
     Raises:
-        LogError: a source is absent, or the rule cannot tell.
+        LogError: a source is absent or given twice, or the rule cannot tell.
     """
     items: list[Item] = []
     notes: list[str] = []
     for source in sources:
         if not source.exists():
             raise LogError(f"{source}: no such file or folder")
+    tags = tags_of(sources)
     loose = [source for source in sources if not source.is_dir()]
     if loose:
-        items += _heap(loose, shelf, together, name="" if len(loose) > 1 else loose[0].stem, top=True)
-    for source in sources:
-        if source.is_dir():
-            items += _walk(source, source.resolve(), shelf, together, notes, "", 0)
-    return renamed(items), notes
+        items += _told_apart(_heap(loose, shelf, together, name="" if len(loose) > 1 else loose[0].stem, top=True))
+    folders = [source for source in sources if source.is_dir()]
+    for source in folders:
+        items += _walk(source, source.resolve(), shelf, together, notes, tags[source], 0, alone=len(folders) == 1)
+    named, told = renamed(items)
+    return named, [*notes, *told]
 
 
-def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: list[str], prefix: str, depth: int) -> list[Item]:
-    here = f"{prefix}_{folder.name}".strip("_") if depth else folder.resolve().name
+def tags_of(sources: Sequence[Path]) -> dict[Path, str]:
+    """A name for each source: its own, with as many parents in front as tell them all apart.
+
+    Raises:
+        LogError: one is given twice.
+    """
+    parts = {source: [names.nearest(part) or "root" for part in source.resolve().parts] for source in sources}
+    if len({source.resolve() for source in sources}) < len(sources):
+        again = next(source for k, source in enumerate(sources) if source.resolve() in [s.resolve() for s in sources[:k]])
+        raise LogError(f"{again}: is named twice; name each file or folder once")
+    tags = {source: path[-1] for source, path in parts.items()}
+    for depth in range(2, max(map(len, parts.values()), default=0) + 1):
+        if len({tag.lower() for tag in tags.values()}) == len(tags):
+            break
+        tags = {source: "_".join(path[-depth:]) for source, path in parts.items()}
+    return tags
+
+
+def _told_apart(items: list[Item]) -> list[Item]:
+    """Trials of single files; those of one name in several folders have the folder's name in front."""
+    parents = tags_of(list(dict.fromkeys(file.parent.resolve() for item in items for file in item.files)))
+    called = [(names.nearest(item.name) or "").lower() for item in items]
+    twice = {name for name, count in Counter(called).items() if count > 1 and len(parents) > 1}
+    front = [parents[item.files[0].parent.resolve()] if name in twice else "" for item, name in zip(items, called, strict=True)]
+    return [replace(item, name=_joined(tag, item.name)) for item, tag in zip(items, front, strict=True)]
+
+
+def _walk(
+    folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: list[str], prefix: str, depth: int, alone: bool = False
+) -> list[Item]:  # fmt: skip
+    """Trials below a folder. prefix: of their names, at depth 0 the folder's own; alone: of one folder names go without it."""
+    here = _joined(prefix, folder.name) if depth else prefix
     whole = is_own(folder) or (rosbag2.sniff(folder) and (together is not False or (folder / rosbag2.METADATA).is_file()))
     if whole and (outside := leading_outside(folder)):
         shelf.skipped[str(folder)] = f"{folder}: {bare(outside[0].name)} is a link that leads outside; put the file itself there"
@@ -181,9 +215,9 @@ def _walk(folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: 
     if other:
         more = f" and {len(other) - 6} more" if len(other) > 6 else ""
         notes.append(f"{folder}: passed over: {', '.join(bare(name) for name in other[:6])}{more}")
-    items = _heap(files, shelf, together, name=here, top=not depth) if files else []
+    items = _heap(files, shelf, together, name=here, top=alone) if files else []
     for sub in folders:
-        items += _walk(sub, root, shelf, together, notes, "" if not depth else here, depth + 1)
+        items += _walk(sub, root, shelf, together, notes, "" if alone else here, depth + 1)
     return items
 
 
@@ -268,19 +302,48 @@ def _joined(prefix: str, name: str) -> str:
     return f"{prefix}_{name}" if prefix else name
 
 
-def renamed(items: Sequence[Item]) -> list[Item]:
-    """Names that may stand in a path, none of them twice."""
+def renamed(items: Sequence[Item]) -> tuple[list[Item], list[str]]:
+    """Names that may stand in a path, none of them twice; a note on each that another trial had already."""
     taken: set[str] = set()
-    out = []
+    out, notes = [], []
     for item in items:
         base = names.nearest(item.name) or "trial"
         name, n = base, 1
         while name.lower() in taken:
             n += 1
             name = f"{base[:58]}_{n}"
+        if n > 1:
+            notes.append(
+                f"{item.files[0] if item.files else item.name}: its trial is called {name}, another one has the name {base}"
+            )
         taken.add(name.lower())
         out.append(replace(item, name=name))
-    return out
+    return out, notes
+
+
+def read_own(folder: Path, called: dict[Path, str]) -> Trial:
+    """A trial of our own format; what it repeats goes by the name that this import gives it. called: by folder."""
+    trial = read_trial(folder)
+    first = called.get(folder.resolve().parent / str(trial.value("replicate_of") or ""))
+    return replace(trial, meta={**trial.meta, "replicate_of": first}) if first else trial
+
+
+def excitations(texts: Sequence[str]) -> dict[str, str]:
+    """Names of experiments by trial, "" for every other trial, of `NAME` and `TRIAL=NAME`.
+
+    Raises:
+        ConfigError: no name that may stand in a path. UsageError: two names for one trial, or for all.
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        trial, mark, name = text.rpartition("=")
+        if mark and not trial:
+            raise UsageError(f"log import: --excitation {text[:80]}: no trial before the =; expected NAME or TRIAL=NAME")
+        if trial in found:
+            which = f"of trial {trial}" if trial else "of all trials"
+            raise UsageError(f"log import: --excitation {which} is said twice: {found[trial]} and {name}; say it once")
+        found[trial] = names.checked(name, "excitation", "--excitation")
+    return found
 
 
 def layouts(items: Sequence[Item], shelf: Shelf) -> dict[tuple, list[Item]]:

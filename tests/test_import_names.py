@@ -1,0 +1,91 @@
+"""Names of trials that are imported from several folders, and the experiments that are stated of them."""
+
+import lab_files
+import pytest
+
+from fishmj import log
+from fishmj.errors import ConfigError, UsageError
+from fishmj.log import Trial, write_trial
+from fishmj.log.importers.gather import excitations
+
+
+@pytest.fixture
+def bring(tmp_path, capsys, monkeypatch):
+    return lab_files.importer(tmp_path, capsys, monkeypatch)
+
+
+def days(root, *places):
+    """Folders with the files run_1 and run_2 each."""
+    for place in places:
+        for k in (1, 2):
+            lab_files.one(root / place / f"run_{k}.csv")
+    return [root / place for place in places]
+
+
+def names_in(folder):
+    return sorted(log.read_dataset(folder).names)
+
+
+def test_trials_of_two_folders_have_their_folder_in_front(tmp_path, bring):
+    monday, tuesday = days(tmp_path, "monday", "tuesday")
+    assert bring(tuesday, monday, "--yes")[0] == 0
+    assert names_in(tmp_path / "set") == ["monday_run_1", "monday_run_2", "tuesday_run_1", "tuesday_run_2"]
+
+
+def test_folders_of_one_name_are_told_apart_by_their_parents(tmp_path, bring):
+    assert bring(*days(tmp_path, "monday/logs", "tuesday/logs"), "--yes")[0] == 0
+    assert names_in(tmp_path / "set") == [f"{day}_logs_run_{k}" for day in ("monday", "tuesday") for k in (1, 2)]
+
+
+def test_files_of_two_folders_have_a_folder_in_front_where_names_meet(tmp_path, bring):
+    days(tmp_path, "monday", "tuesday")
+    assert bring(tmp_path / "monday/run_1.csv", tmp_path / "tuesday/run_1.csv", tmp_path / "tuesday/run_2.csv", "--yes")[0] == 0
+    assert names_in(tmp_path / "set") == ["monday_run_1", "run_2", "tuesday_run_1"]
+
+
+def test_a_trial_that_must_take_another_name_is_noted(tmp_path, bring):
+    lab_files.one(tmp_path / "lab" / "run 1.csv")
+    lab_files.one(tmp_path / "lab" / "run_1.csv")
+    code, out, _ = bring(tmp_path / "lab", "--yes")
+    assert code == 0 and names_in(tmp_path / "set") == ["run_1", "run_1_2"]
+    assert "run_1.csv: its trial is called run_1_2, another one has the name run_1" in out
+
+
+def test_a_folder_that_is_named_twice_is_refused(tmp_path, bring):
+    (monday,) = days(tmp_path, "monday")
+    code, _, err = bring(monday, monday / ".." / "monday", "--yes")
+    assert code == 2 and "is named twice" in err
+
+
+def test_repeats_of_two_data_sets_still_name_their_own_first(tmp_path, bring):
+    for day in ("monday", "tuesday"):
+        for k, first in ((1, ""), (2, "gait_1")):
+            tables = {"cmd": {"t": [0.0, 0.02, 0.04], "c1": [0.0, 0.1, 0.2]}}
+            write_trial(tmp_path / day / f"gait_{k}", Trial({"origin": "measured", "replicate_of": first}, tables))
+    assert bring(tmp_path / "monday", tmp_path / "tuesday")[0] == 0
+    data = log.read_dataset(tmp_path / "set")
+    assert {name: data[name].value("replicate_of") or "" for name in data.names} == {
+        "monday_gait_1": "", "monday_gait_2": "monday_gait_1", "tuesday_gait_1": "", "tuesday_gait_2": "tuesday_gait_1"
+    }  # fmt: skip
+
+
+def test_an_excitation_is_stated_of_all_trials_or_of_one(tmp_path, bring):
+    (monday,) = days(tmp_path, "monday")
+    assert bring(monday, "--yes", "--excitation", "steps", "--excitation", "run_2=gait")[0] == 0
+    data = log.read_dataset(tmp_path / "set")
+    assert {name: data[name].value("excitation") for name in data.names} == {"run_1": "steps", "run_2": "gait"}
+
+
+def test_an_excitation_of_a_trial_that_is_not_there_is_refused(tmp_path, bring):
+    (monday,) = days(tmp_path, "monday")
+    code, _, err = bring(monday, "--yes", "--excitation", "run_3=gait")
+    assert code == 2 and "run_3" in err and "run_2" in err and not (tmp_path / "set").exists()
+
+
+@pytest.mark.parametrize("texts", [["a=gait", "a=steps"], ["gait", "steps"], ["=gait"]])
+def test_an_excitation_with_two_readings_is_refused(texts):
+    with pytest.raises(UsageError):
+        excitations(texts)
+    with pytest.raises(ConfigError, match="excitation name"):
+        excitations(["a=ga it"])
+    assert excitations(["a=gait", "b=gait", "steps"]) == {"a": "gait", "b": "gait", "": "steps"}
