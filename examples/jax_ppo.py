@@ -30,7 +30,7 @@ SCALE_CRITIC = np.concatenate([SCALE, SCALE, [0.3, 0.3, 1, 0.1, 0.1]]).astype(np
 
 
 class Learner(NamedTuple):
-    """What a training carries from one iteration to the next."""
+    """State of a training between iterations."""
 
     weights: Any
     moments: Any  # of Adam
@@ -68,7 +68,7 @@ def forward(layers, x):
 
 
 def log_density(u, mean, log_sigma):
-    """Of N(mean, sigma) at u, summed over the joints."""
+    """Log density of N(mean, sigma) at u, summed over the joints."""
     return jnp.sum(-0.5 * ((u - mean) * jnp.exp(-log_sigma)) ** 2 - log_sigma - 0.5 * np.log(2 * np.pi), -1)
 
 

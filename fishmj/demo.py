@@ -63,7 +63,7 @@ def learn(args) -> dict:
 
 
 def holds(figures: dict) -> bool:
-    """Whether an assessment on the tuning flows is good enough to stop."""
+    """True where an assessment on the tuning flows is good enough to stop."""
     return figures["within"] >= ENOUGH
 
 

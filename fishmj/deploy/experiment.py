@@ -118,7 +118,7 @@ class Gait(NamedTuple):
 
 
 def unpoliced(link: Link, robot: Robot, at_the_tank: bool) -> Callable[[RobotInfo | None], Refusal]:
-    """What speaks against arming where no policy steers: joints, servo range and watchdog, as for a swim."""
+    """Returns the reasons against arming without a policy: joints, servo range and watchdog, as for a swim."""
     return lambda info: examine(link, info, robot, None, at_the_tank)
 
 

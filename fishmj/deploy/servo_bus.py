@@ -153,7 +153,7 @@ class ServoBusLink:
         )
 
     def _identified(self, now: float, end: float) -> bool:
-        """Whether every servo has said that it is one of this bus; asks those that have not."""
+        """Asks each servo what it is; True once all have said that they are of this bus."""
         if not self.bus.first:
             return True
         self._ask(self.bus.first, [servo for servo in self.ids if servo not in self._known], now, end, retries=1)
@@ -193,7 +193,7 @@ class ServoBusLink:
         return silent
 
     def _asked_once(self, question: str, servos: Sequence[int], end: float) -> tuple[dict[int, Answer], bool]:
-        """What servos answer by `end`, and whether there was time to ask."""
+        """Returns the answers of servos by `end`, and whether there was time to ask."""
         now, found = self.clock.now(), {}
         if now >= end or not servos:
             return {}, False

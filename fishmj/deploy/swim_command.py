@@ -71,7 +71,7 @@ def policy_option(parser: Any, **how: bool) -> None:
 
 
 def swim_options(parser: console.Parser) -> None:
-    """What every swim is asked: one swim (`deploy swim`) and many (`deploy trials`)."""
+    """Adds the options of every swim: of one (`deploy swim`) and of many (`deploy trials`)."""
     add = parser.add_argument
     add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
     about = f"m; a fish with |x| or |y| beyond it is stopped, a trial then failed (default {BOUND:g}, as far as it was trained)"

@@ -30,7 +30,7 @@ HELD_OUT = "the held-out fold, which the last fit saw: there were too few record
 
 
 class Written(NamedTuple):
-    """What came of a verdict. path: the version, the rejected candidate, or None where there was no candidate. gap_before,
+    """Outcome of applying a verdict. path: the version, the rejected candidate, or None where there was no candidate. gap_before,
     gap_after: the pair of the verdict."""
 
     path: "Path | None"
@@ -155,7 +155,7 @@ def settle(
 
 
 def verdict_on(answer: str, told: tuple, judged: tuple, over_floor: tuple, which: str = UNSEEN) -> tuple[bool, str]:
-    """Whether a candidate becomes a version, and why.
+    """Decides whether a candidate becomes a version, and says why.
 
     Args:
         told: the gap of the verdict; judged, over_floor: gap and residual on the records that judge, in words `which`. All are
