@@ -176,7 +176,8 @@ class Sim:
 
     def _send(self, command) -> np.ndarray:
         """Put a command on the bus, (J,) rad, as the servos will take it."""
-        sent = on_the_bus(self.robot.servo, checked_array("Sim.step: command, rad,", command, (self.robot.n_joints,)))
+        what = f"Sim.step: command, rad ({self.robot.name} has {self.robot.n_joints} joints),"
+        sent = on_the_bus(self.robot.servo, checked_array(what, command, (self.robot.n_joints,)))
         self.commands.append(sent)
         return sent
 

@@ -37,7 +37,7 @@ ROUND_OFF = 5e-5  # five times what rounding every population anew at every step
 # slices -------------------------------------------------------------------------------------------------------------
 def test_water_that_turns_as_a_whole_has_twice_its_rate_as_vorticity_at_every_node_and_in_a_moved_window():
     lattice = Lattice(dx=0.02, dt=0.004, corner=(-0.2, -0.1, -0.07))
-    water, rate = Fluid(lattice, (20, 12, 8), subgrid="none"), 0.7
+    water, rate = Fluid(lattice, (20, 12, 8), subgrid="wale"), 0.7
     place = lattice.to_si(np.stack(np.meshgrid(*map(np.arange, water.shape), indexing="ij"), -1))
     rising = place[..., 2]
     water.impose(np.stack([-rate * place[..., 1] + rising, rate * place[..., 0], 0 * rising], -1))
