@@ -12,7 +12,7 @@ import time
 from importlib.metadata import version
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from packaging.version import Version
 
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")  # s; JAX's own default is for longer programs
@@ -27,7 +27,8 @@ for asked in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(asked) is signal.SIG_IGN:
         signal.signal(asked, signal.default_int_handler if asked == signal.SIGINT else signal.SIG_DFL)
 
-settings.register_profile("fishmj", derandomize=True, deadline=None)
+# no test fails because the machine is slow: neither by a deadline nor by the time that examples take to draw
+settings.register_profile("fishmj", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("fishmj")
 
 QUICK, LISTED = 5.0, 10  # s of CPU of a test without the mark `slow`; tests listed at the end

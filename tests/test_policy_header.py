@@ -341,7 +341,7 @@ JSON = st.recursive(
 KEYS = sorted(set(header()) - {"schema"})
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.dictionaries(st.sampled_from(KEYS), JSON, min_size=1, max_size=3), st.sampled_from([None, "structure"]), JSON)
 def test_any_header_is_either_a_controller_or_one_line(changes, part, value):
     """Generated values under the known keys, and inside the structure: a controller or a FishmjError, nothing else."""
