@@ -248,6 +248,7 @@ def test_nothing_hidden_and_nothing_swum_show_nothing():
 
 
 # ------------------------------------------------------------ the score
+@pytest.mark.slow
 def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_seen_the_solver(sets, tmp_path, monkeypatch):
     asked, fitted = [], []
 
