@@ -1,14 +1,20 @@
 """The table of power: which cases are dealt, how an effect is scaled to a strength, what counts as found, and the score."""
 
 import json
+from functools import partial
+from itertools import islice
 
 import pytest
 
 from fishmj import console
 from fishmj.errors import SimDiverged
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot
 from fishmj.studies.gap_benchmark import command, families, family_command, family_rows, power
 from fishmj.studies.gap_benchmark.cases import Case
+from fishmj.studies.gap_benchmark.drawn_robots import every, number_of
 
 DRAG = Case("x", "single", {"quadratic_drag": {"coefficient": 0.5}}, 1.0, ("gait",), 7, 20.0)
 
@@ -24,6 +30,7 @@ def test_every_effect_is_dealt_at_all_strengths_before_one_comes_twice():
     assert [case.times for case in singles[:4]] == list(power.TIMES)
     assert all(robot.cases[0].kind == "none" and not robot.cases[0].times for robot in dealt)
     assert len({case.id for robot in dealt for case in robot.cases}) == 2000
+    assert [number_of(case) for case in dealt[0].cases] == list(range(len(dealt[0].cases)))
     assert power.robots(400, 3, ("foil",), None, 6) == power.robots(2000, 3, ("foil",), None, 6)[:30] + [
         dealt[30]._replace(cases=dealt[30].cases[:10])
     ]
@@ -130,3 +137,18 @@ def test_rows_of_power_are_kept_resumed_and_scored(tmp_path, monkeypatch, capsys
     assert told["times"]["20"]["named"]["hits"] == 2 and told["healthy"]["hits"] == 0
     assert command.main(["--score", str(tmp_path)]) == console.FAILED_CHECK
     assert "in its class" in "".join(capsys.readouterr())
+
+
+# ------------------------------------------------------------ one case whole
+@pytest.mark.slow
+def test_added_drag_is_named_where_healthy_swims_are_given():
+    robot = next(islice(every(77, ("morison",), 6), 1, None))
+    known, model, healthy, _ = family_rows.questioned(family_rows.Asked(robot))
+    drag = {"quadratic_drag": {"coefficient": 8.0}}  # N s2/m2, 44 times what noise and healthy robots differ by
+    case = robot.cases[0]._replace(effects=drag)
+    trials = families.trials(robot.family, drag, case.logs, robot.seed, known, first=family_rows.APART, noise=case.noise)
+    null = SimulatedNull(noise=case.noise, without=robot.family)
+    asked = partial(investigate, model, trials, gates=frozen(), null=null, seed=robot.seed, mass_known=False)
+    given, alone = (asked(healthy=one).verdict for one in (healthy, healthy._replace(swims=None)))
+    assert given.answer == "NAMED" and [effect.name for effect in given.effects] == ["quadratic_drag"]
+    assert alone.answer == "AGREES"  # by the widths of other waters: what this case was missed for

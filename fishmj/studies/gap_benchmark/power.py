@@ -38,13 +38,12 @@ def robots(many: int, seed: int, able: tuple[str, ...], effects: tuple[str, ...]
         pool = [name for name in source if effects is None or name in effects]
         rng = np.random.default_rng([robot.seed, 17])
         chosen = list(dict.fromkeys(dealt(decks[robot.family], pool, rng) for _ in range(min(EFFECTS, len(pool)))))
-        healthy = robot.cases[0]._replace(id=f"{robot.id}-none", kind="none", effects={})
+        healthy = robot.cases[0]._replace(kind="none", effects={})
         cases = [healthy]
         for name in chosen:
             drawn = source[name].draw(rng, 1.0)
-            cases += [
-                healthy._replace(id=f"{robot.id}-{name}-{t:g}", kind="single", effects={name: drawn}, times=t) for t in TIMES
-            ]
+            cases += [healthy._replace(kind="single", effects={name: drawn}, times=t) for t in TIMES]
+        cases = [case._replace(id=f"{robot.id}-{k}") for k, case in enumerate(cases)]  # `drawn_robots.number_of` reads it
         left = many - sum(len(one.cases) for one in out)
         out.append(robot._replace(cases=tuple(cases[:left])))
         if left <= len(cases):
