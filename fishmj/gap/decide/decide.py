@@ -100,11 +100,12 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.certain_gain) for n in effects}
     dropped = negligible(found, effects, stand, doubts, gates)
     checks |= held_out_checks(e, found)
-    # Healthy robots of another water leave a gap, too, and something of the catalogue always explains a part of it.
+    # Healthy robots of another water leave a gap, too, and something of the catalogue always explains a part of it. That excuses
+    # no gain of a robot whose own healthy swims are known: what they leave is taken off already.
     usual = as_in_healthy_robots(e, stand)
     if usual | dropped < set(stand):
         dropped |= usual
-    elif usual and checks["closure"] < gates.closure:
+    elif usual and e.drawn and checks["closure"] < gates.closure:
         most = max(usual, key=lambda name: stand[name].gain)
         why = f"{title(most)} gains {number(stand[most].gain)}, as an effect of its stage may in a healthy robot of another water"
         if checks["adequacy"] <= gates.adequacy:

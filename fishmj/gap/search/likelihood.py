@@ -60,7 +60,7 @@ class Likelihood:
         self.origin = self
         self.form = limits.model_error if form is None else form
         self.runs = len(null)
-        self.drawn = True  # the first factors are the null runs, each by itself
+        self.drawn = True  # the first factors are the null runs, each by itself; not so where healthy swims are given
         self.layout = ResidualLayout(records)
         # One set of draws, kept: whatever is linearised later is compared with the origin draw by draw, so that their
         # difference is not the draws'.
