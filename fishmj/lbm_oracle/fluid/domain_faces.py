@@ -24,9 +24,10 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from fishmj.calib import constant
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.lbm_oracle.fluid.guard import numbers
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import CS, VELOCITIES, mirrored, opposite
+from fishmj.options import checked_name, shown_value
 
 SPONGE, RATE = constant("oracle", "sponge"), constant("oracle", "sponge_rate")  # cells, 1
 _CS = wp.constant(CS)
@@ -160,9 +161,14 @@ class Boundaries:
     sponge_rate: float = RATE
 
     def __post_init__(self):
-        for kind in self.kinds:
-            if kind not in FACES:
-                raise UnknownName("kind of face", kind, tuple(FACES))
+        for name in "xyz":
+            faces = getattr(self, name)
+            if not isinstance(faces, tuple | list) or len(faces) != 2:
+                raise ConfigError(f"boundaries: {name} = {shown_value(faces)}; expected Axis(low, high), its two faces")
+            object.__setattr__(self, name, Axis(*(checked_name("kind of face", kind, FACES) for kind in faces)))
+        numbers("boundaries: wall_velocity_lu", self.wall_velocity_lu, (3,))
+        whole_numbers("boundaries: sponge", self.sponge, low=0)
+        numbers("boundaries: sponge_rate", self.sponge_rate, low=0.0, high=1.0)
         for name in "xyz":
             for kind in getattr(self, name):
                 FACES[kind].check(self, name)
@@ -170,9 +176,6 @@ class Boundaries:
             raise ConfigError(
                 f"boundaries: wall_velocity_lu = {self.wall_velocity_lu} and no face is `moving`; make one of them so"
             )
-        numbers("boundaries: wall_velocity_lu", self.wall_velocity_lu, (3,))
-        if self.sponge < 0 or not 0 <= self.sponge_rate <= 1:
-            raise ConfigError(f"boundaries: sponge = {self.sponge} cells (>= 0), sponge_rate = {self.sponge_rate} (0 to 1)")
 
     @property
     def axes(self) -> tuple[Axis, Axis, Axis]:
