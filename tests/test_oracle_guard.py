@@ -336,7 +336,7 @@ def test_snapshot_of_other_arrays_or_storage_is_refused():
         ({}, "a snapshot without f, u, origin, steps"),
         (None, "fluid: a snapshot = None; expected builtins.dict"),
         ({**good, "u": np.zeros(3)}, "u of a snapshot has the shape"),
-        ({**good, "f": np.full_like(good["f"], np.nan)}, r"f of a snapshot\[0, 0, 0, 0\] = nan"),
+        ({**good, "f": np.full_like(good["f"], np.nan)}, "f of a snapshot is not finite"),
         ({**good, "f": good["f"].astype(np.float16)}, "a snapshot of float16 does not fit storage of float32"),
     ):
         with pytest.raises(ConfigError, match=said):

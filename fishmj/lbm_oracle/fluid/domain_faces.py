@@ -17,6 +17,7 @@ Sources: Ladd 1994, J. Fluid Mech. 271:285 (bounce-back); Poinsot and Lele 1992,
 Israeli and Orszag 1981, J. Comput. Phys. 41:115 (sponge).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -176,6 +177,15 @@ class Boundaries:
             raise ConfigError(
                 f"boundaries: wall_velocity_lu = {self.wall_velocity_lu} and no face is `moving`; make one of them so"
             )
+
+    def check_room(self, shape: Sequence[int]) -> None:
+        """Raises ConfigError where the sponges of open faces leave no water between them in a box of `shape` (3,) cells."""
+        for name, axis, n in zip("xyz", self.axes, shape, strict=True):
+            if self.sponge and self.sponge * sum(completes(axis)) >= n:
+                raise ConfigError(
+                    f"fluid: {n} cells along {name} and a sponge of {self.sponge} behind each open face; expected water between"
+                    " them: enlarge the box, or take a thinner sponge"
+                )
 
     @property
     def axes(self) -> tuple[Axis, Axis, Axis]:

@@ -5,7 +5,7 @@ n % 2 and writes the other, so a captured graph holds an even number of steps. T
 accelerator, one a core on the CPU, each a slab of x.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -19,9 +19,9 @@ from fishmj.errors import ConfigError, UnknownName
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid import fields
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries, completes
+from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey, Surveyor
-from fishmj.lbm_oracle.fluid.guard import Watch, check_density, check_speed, check_tau, numbers, whole_numbers
+from fishmj.lbm_oracle.fluid.guard import Watch, check_density, check_snapshot, check_speed, check_tau, numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
 from fishmj.lbm_oracle.fluid.lattice import Lattice, Q, vec19i
 from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
@@ -167,7 +167,7 @@ class Fluid:
         check_tau(lattice, subgrid, "fluid")
         check_speed(lattice, float(np.linalg.norm(boundaries.wall_velocity_lu)) * lattice.velocity, "fluid: moving wall")
         check_speed(lattice, float(np.linalg.norm(body_acceleration)) * lattice.dt, "fluid: body_acceleration, in a step")
-        _check_sponge(boundaries, shape)
+        boundaries.check_room(shape)
         self.lattice, self.boundaries, self.subgrid = lattice, boundaries, subgrid
         self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
         self.device = device if isinstance(device, wp.Device) else device_of(device, BYTES_PER_CELL * int(np.prod(shape)))
@@ -469,32 +469,11 @@ class Fluid:
         Raises:
             ConfigError: it was taken in a box of another shape or storage, or is no snapshot.
         """
-        wanted = {"f": (Q, *self.shape), "u": (*self.shape, 3), "origin": (3,), "steps": ()}
-        if missing := [name for name in wanted if name not in checked_kind("fluid: a snapshot", state, dict, needed=True)]:
-            raise ConfigError(f"fluid: a snapshot without {', '.join(missing)}; expected {', '.join(wanted)}")
-        if state["f"].shape != wanted["f"]:
-            raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.shape}")
-        stored = wp.dtype_to_numpy(self.f.dtype)
-        if state["f"].dtype != stored:
-            raise ConfigError(
-                f"fluid: a snapshot of {state['f'].dtype} does not fit storage of {np.dtype(stored)}; use its dtype"
-            )
-        for name, shape in wanted.items():
-            numbers(f"fluid: {name} of a snapshot", state[name], shape)
+        check_snapshot(state, (Q, *self.shape), wp.dtype_to_numpy(self.f.dtype))
         self.f.assign(state["f"])
         self._keep(state["u"])
         self._place(np.array(state["origin"], int))
         self.set_steps(int(state["steps"]))
-
-
-def _check_sponge(boundaries: Boundaries, shape: Sequence[int]) -> None:
-    """Raise ConfigError where the sponges of open faces leave no water between them."""
-    for name, axis, n in zip("xyz", boundaries.axes, shape, strict=True):
-        if boundaries.sponge and boundaries.sponge * sum(completes(axis)) >= n:
-            raise ConfigError(
-                f"fluid: {n} cells along {name} and a sponge of {boundaries.sponge} behind each open face; expected water between"
-                " them: enlarge the box, or take a thinner sponge"
-            )
 
 
 def _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend) -> Params:

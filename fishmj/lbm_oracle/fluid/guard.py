@@ -19,7 +19,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import TICK
 from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
-from fishmj.options import checked_name, shown_value
+from fishmj.options import checked_kind, checked_name, shown_value
 
 MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
 TAU = constant("oracle", "tau_least")
@@ -123,6 +123,21 @@ def check_density(rho: np.ndarray, what: str) -> None:
         raise OracleUnstable(
             f"{what}: density {low:.3f} to {high:.3f} of still water's; expected {RHO[0]} to {RHO[1]}", limit="density"
         )
+
+
+def check_snapshot(state: Any, shape: tuple[int, ...], stored: type) -> None:
+    """Raise ConfigError for anything else than a snapshot of water whose populations have this shape and type."""
+    wanted = {"f": shape, "u": (*shape[1:], 3), "origin": (3,), "steps": ()}
+    if missing := [name for name in wanted if name not in checked_kind("fluid: a snapshot", state, dict, needed=True)]:
+        raise ConfigError(f"fluid: a snapshot without {', '.join(missing)}; expected {', '.join(wanted)}")
+    if state["f"].shape != shape:
+        raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {shape[1:]}")
+    if state["f"].dtype != stored:
+        raise ConfigError(f"fluid: a snapshot of {state['f'].dtype} does not fit storage of {np.dtype(stored)}; use its dtype")
+    for name, size in wanted.items():
+        _check_shape(f"fluid: {name} of a snapshot", np.asarray(state[name]), size)
+        if not np.isfinite(state[name]).all():
+            raise ConfigError(f"fluid: {name} of a snapshot is not finite; take one from before the water blew up")
 
 
 def step_for(lattice: Lattice, speed: float) -> float:
