@@ -348,6 +348,14 @@ def test_water_of_mujoco_and_mocap_bodies_are_refused_by_name():
         immersed(spec.compile(), (32, 24, 24))
 
 
+@pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf])
+def test_model_of_impossible_mass_is_refused(mass):
+    model = spheres((-1,), PLACES[:1], [FLOATING])
+    model.body_mass[1] = mass
+    with pytest.raises(ConfigError, match="mass"):
+        immersed(model, (24, 24, 24))
+
+
 def test_push_through_mujocos_own_fields_is_refused_not_lost():
     ball = immersed(spheres((-1,), PLACES[:1], [FLOATING]), (24, 24, 24))
     for name, at in (("qfrc_applied", 0), ("xfrc_applied", (1, 0))):

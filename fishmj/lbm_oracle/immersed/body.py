@@ -363,11 +363,12 @@ def _refuse_what_is_left_out(m: mujoco.MjModel) -> None:
     """Raise ConfigError for a model with more in it than the coupled step holds."""
     turns = np.isin(m.jnt_type, (HINGE, BALL))
     crowded = [b for b in m.jnt_bodyid[m.jnt_type == BALL] if turns[m.jnt_bodyid == b].sum() > 1]
-    water = m.opt.density or m.opt.viscosity
+    water, masses = m.opt.density or m.opt.viscosity, np.concatenate([m.body_mass, m.body_inertia.ravel()])
     left_out = {
         "no degree of freedom": m.nv == 0,
         "water of MuJoCo's own beside the solver's (option density, viscosity: set both to 0)": water,
         "a mocap body": m.nmocap,
+        "a mass or moment of inertia below zero or not finite": not bool(((0 <= masses) & (masses < np.inf)).all()),
         "an integrator other than Euler": m.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER,
         "the implicit damping of the Euler integrator switched off": m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP,
         f"a ball joint beside another rotation in body {m.body(crowded[0]).name!r}" if crowded else "": crowded,
