@@ -94,7 +94,7 @@ def checked_array(where: str, value: Any, shape: tuple[int, ...]) -> Any:
     import numpy as np
 
     try:
-        given = np.asarray(value, float)
+        given = np.full((), math.nan) if np.iscomplexobj(value) else np.asarray(value, float)
     except (TypeError, ValueError):
         given = np.full((), math.nan)
     if given.shape != shape or not np.isfinite(given).all():
@@ -102,9 +102,9 @@ def checked_array(where: str, value: Any, shape: tuple[int, ...]) -> Any:
     return given
 
 
-def checked_kind(where: str, value: Any, kind: type) -> Any:
-    """Returns `value`, an object of this class or None. Raises ConfigError."""
-    if value is not None and not isinstance(value, kind):
+def checked_kind(where: str, value: Any, kind: type, *, needed: bool = False) -> Any:
+    """Returns `value`, an object of this class, or None where it is not `needed`. Raises ConfigError."""
+    if (needed or value is not None) and not isinstance(value, kind):
         raise ConfigError(f"{where} = {shown_value(value)}; expected {kind.__module__}.{kind.__name__}(...)")
     return value
 

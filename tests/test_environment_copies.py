@@ -53,6 +53,16 @@ def test_a_vector_environment_goes_on_alike(way):
     np.testing.assert_array_equal(swim(twin, 7), swim(envs, 7))
 
 
+@ALL_WAYS
+@pytest.mark.parametrize("make", [FishEnv, FishVectorEnv])
+def test_environment_that_has_drawn_a_picture_can_be_copied(make, way):
+    pytest.importorskip("cv2")
+    env = make(engine="batch", render_mode="rgb_array")
+    env.reset(seed=1)
+    picture = np.asarray(env.render())
+    np.testing.assert_array_equal(np.asarray(WAYS[way](env).render()), picture)
+
+
 @pytest.mark.slow  # compiles
 @ALL_WAYS
 def test_a_fish_with_effects_goes_on_alike(way):

@@ -17,6 +17,7 @@ from fishmj.tasks.episode import TaskOptions, TaskSpec
 
 NAN, TASK = float("nan"), "station_hold"
 fish = lambda name=TASK, kwargs=None, environment_kwargs=None: suite.load("fish", name, kwargs, environment_kwargs)
+begun = lambda env: (env.reset(seed=0), env)[1]
 station = lambda *given, **named: StationHold(ROBOT, *given, **named)
 
 JAX = [
@@ -47,9 +48,16 @@ JAX = [
     (lambda: station(Raft(), wG=NAN), "wG = nan"),
     (lambda: environment().reset(KEY, 0), "n = 0; expected a whole number from 1"),
     (lambda: environment().reset(KEY, 2.5), "n = 2.5"),
-    (lambda: environment().reset(0, 2), "key of shape"),
+    (lambda: environment().reset(0, 2), "key = 0; expected jax.random.key"),
+    (lambda: environment().reset("a", 2), "key = 'a'"),
+    (lambda: environment().reset(jax.random.split(KEY), 2), "key = Array"),
+    (lambda: environment().reset(KEY, [2]), r"n = \[2\]"),
     (lambda: environment().step(environment().reset(KEY, 2), push(3)), r"expected an array \(2, 3\)"),
     (lambda: environment().step(environment().reset(KEY, 2), [[0, 0, 0]]), r"expected an array \(2, 3\)"),
+    (lambda: environment().step(environment().reset(KEY, 2), "a"), r"action 'a'; expected an array \(2, 3\)"),
+    (lambda: environment().step(environment().reset(KEY, 2), np.full((2, 3), None)), r"expected an array \(2, 3\)"),
+    (lambda: environment().step(environment().reset(KEY, 2), np.zeros((2, 3), complex)), r"expected an array \(2, 3\)"),
+    (lambda: environment().step(None, push(2)), r"state = None; expected fishmj.tasks.env.EnvState"),
 ]
 TASKS = [
     (lambda: TaskOptions(flow_direction="west"), "flow_direction = 'west'; expected a finite number"),
@@ -78,6 +86,10 @@ GYM = [
     (lambda: FishEnv().reset(options=[1]), "expected a dict"),
     (lambda: FishEnv().reset(options={"pose": "abc"}), "pose = 'abc'; expected shape"),
     (lambda: FishEnv().reset(options={"speed": -0.1}), "speed = -0.1; expected a number from 0 to 5"),
+    (lambda: FishEnv().reset(options={"pose": (5, 5, 0)}), "expected a place inside the task's domain"),
+    (lambda: begun(FishEnv()).step([[0], [0, 0], 0]), r"action = .*expected finite numbers of shape \(1, 3\)"),
+    (lambda: begun(FishEnv()).step(np.zeros(3, complex)), r"action = .*expected finite numbers of shape \(1, 3\)"),
+    (lambda: begun(FishVectorEnv(2)).step([[0], [0, 0]]), r"action = .*expected finite numbers of shape \(2, 3\)"),
 ]
 SUITE = [
     (lambda: fish(kwargs=3), "task_kwargs = 3; expected a dict"),
@@ -104,7 +116,7 @@ SIM = [
     (lambda: Sim(swimmer=3), "swimmer = 3"),
     (lambda: Sim(hybrid=3), "hybrid has the options of water 'hybrid'"),
     (lambda: Sim(injection=3), "unknown injection 3"),
-    (lambda: Sim().step("abc"), r"command, rad, = 'abc'; expected finite numbers of shape \(3,\)"),
+    (lambda: Sim().step("abc"), r"command, rad.*= 'abc'; expected finite numbers of shape \(3,\)"),
     (lambda: Sim().run(3, 1.0), r"commands = 3; expected finite numbers of shape \(0, 3\)"),
     (lambda: Sim().run(np.zeros((100, 3)), NAN), "seconds = nan"),
     (lambda: Sim().run(np.zeros((100, 2)), 1.0), "commands"),

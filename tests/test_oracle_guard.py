@@ -11,22 +11,22 @@ import pytest
 wp = pytest.importorskip("warp")
 
 from fishmj import console
-from fishmj.errors import ConfigError, OracleUnstable, UnknownName
+from fishmj.errors import ConfigError, FishmjError, OracleUnstable, UnknownName
 from fishmj.flow import Flow
 from fishmj.lbm_oracle import __main__ as verbs
 from fishmj.lbm_oracle import cases
 from fishmj.lbm_oracle.cases.sphere import ball
 from fishmj.lbm_oracle.fluid import device, guard
 from fishmj.lbm_oracle.fluid.device import device_of
-from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries
+from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import Sharpness, fish_markers, sphere_markers
+from fishmj.lbm_oracle.immersed.markers import Markers, Sharpness, fish_markers, sphere_markers
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run import stability
-from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.lbm_oracle.run.domain import Domain, preset, tank
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.studies.solver_grid import converge
 
 pytestmark = pytest.mark.oracle
@@ -279,3 +279,100 @@ def test_unknown_cases_and_verbs_are_named():
         cases.main(["poisseuille"])
     with pytest.raises(UnknownName, match="cases"):
         verbs.main(["case"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"lattice": {"dx": 1.0}}, r"fluid: lattice = .*expected fishmj.*Lattice\(...\)"),
+        ({"boundaries": "wall"}, "fluid: boundaries = 'wall'; expected fishmj.*Boundaries"),
+        ({"flow": 0.1}, "fluid: flow = 0.1; expected fishmj.flow.Flow"),
+        ({"device": None}, "unknown device 'None'"),
+        ({"boundaries": channel(sponge=4)}, "fluid: 8 cells along x and a sponge of 4 behind each open face"),
+        ({"body_acceleration": (9.0, 0.0, 0.0)}, "fluid: body_acceleration, in a step: Mach 15.59"),
+    ],
+)
+def test_fluid_of_other_objects_or_without_free_water_is_refused(options, said):
+    with pytest.raises(FishmjError, match=said):
+        Fluid(**({"lattice": ONE, "shape": (8, 8, 8)} | options))
+
+
+def test_water_of_impossible_pressure_clock_or_parts_is_refused():
+    water, rest = Fluid(ONE, (8, 8, 8)), np.zeros((8, 8, 8, 3))
+    with pytest.raises(OracleUnstable, match="fluid: pressure: density 31.000 to 31.000") as error:
+        water.impose(rest, np.full((8, 8, 8), 10.0))
+    assert error.value.limit == "density"
+    for make, said in (
+        (lambda: water.set_flow(0.1), "fluid: flow = 0.1; expected fishmj.flow.Flow"),
+        (lambda: water.set_steps(np.nan), "fluid: steps has the type float64"),
+        (lambda: water.step(((5, 5, 5), (1, 1, 1))), "its low corner first"),
+        (lambda: water.finer(0), "factor of finer steps = 0"),
+        (lambda: water.finer(1.5), "factor of finer steps has the type float64"),
+        (lambda: water.planes(0.5, 2), "fluid: planes has the type float64"),
+        (lambda: guard.Watch(every=0), "watch: every = 0"),
+        (lambda: guard.Watch(every=np.nan), "watch: every has the type float64"),
+        (lambda: Lattice(dx="1", dt=1.0), "lattice: dx = '1'; expected a finite number"),
+        (lambda: Lattice(dx=1.0, dt=1.0, corner=(0.0, None, 0.0)), "lattice: corner"),
+        (lambda: Boundaries(x="slip"), "boundaries: x = 'slip'; expected Axis"),
+        (lambda: Boundaries(sponge=2.5), "boundaries: sponge has the type float64"),
+        (lambda: Boundaries(sponge_rate=np.nan), "boundaries: sponge_rate = nan"),
+        (lambda: Boundaries(wall_velocity_lu=0.1), "boundaries: wall_velocity_lu has the shape"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            make()
+    assert Boundaries(x=("slip", "wall")).x == Axis("slip", "wall")
+    box = np.array([[0, 0, 0], [4, 4, 4]])
+    water.step(box)
+    box[1] = 2  # the same array with other numbers is another box
+    water.step(box)
+    assert water.box.numpy().tolist() == [0, 0, 0, 2, 2, 2]
+
+
+def test_snapshot_of_other_arrays_or_storage_is_refused():
+    """Half precision holds scaled populations: read as single precision they would be another water."""
+    water = Fluid(ONE, (8, 8, 8), subgrid="none")
+    good = water.snapshot()
+    for state, said in (
+        ({}, "a snapshot without f, u, origin, steps"),
+        (None, "fluid: a snapshot = None; expected builtins.dict"),
+        ({**good, "u": np.zeros(3)}, "u of a snapshot has the shape"),
+        ({**good, "f": np.full_like(good["f"], np.nan)}, "f of a snapshot is not finite"),
+        ({**good, "f": good["f"].astype(np.float16)}, "a snapshot of float16 does not fit storage of float32"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            water.restore(state)
+    water.restore(good)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Domain(name="t", shape=(48, 30), dx=0.02, dt=0.004), r"domain t: shape has the shape \(2,\)"),
+        (lambda: Domain(name="t", shape=(48.5, 30, 16), dx=0.02, dt=0.004), "domain t: shape has the type float64"),
+        (lambda: Domain(name="t", shape=(48, 30, 16), dx=0.0, dt=0.004), "domain t: dx = 0"),
+        (lambda: Domain(name="t", shape=(48, 30, 16), dx=0.02, dt=0.004, sides="moving"), "unknown kind of side 'moving'"),
+        (lambda: Domain(name="t", shape=(48, 30, 16), dx=0.02, dt=0.004, fine=(1, 1)), r"fine has the shape \(2,\)"),
+        (lambda: Domain(name="t", shape=(48, 30, 16), dx=0.02, dt=0.004, finer=((0.1,) * 3,)), "finer boxes in no box"),
+        (lambda: preset("laptop").changed(depth=-1.0), "domain: depth = -1"),
+        (lambda: preset("laptop").changed(dx=0.0), "domain: dx = 0"),
+        (lambda: preset(["laptop"]), "unknown domain"),
+        (lambda: tank("t", (-1, 1, 1), 0.02, 0.004), r"domain: size\[0\] = -1"),
+        (lambda: Gait(frequency=np.inf), "gait: frequency = inf"),
+        (lambda: Gait(amplitude=np.nan), "gait: amplitude = nan"),
+        (lambda: Gait(bias=(0.0, 0.0, np.nan)), r"gait: bias\[2\] = nan"),
+        (lambda: Gait(lag=(1, 2)), r"gait: lag has the shape \(2,\)"),
+        (lambda: Gait(joints=2.5), "gait: joints has the type float64"),
+        (lambda: SwimSetup(domain="laptop"), "oracle: domain = 'laptop'; expected fishmj.*Domain"),
+        (lambda: SwimSetup(flow=0.1), "oracle: flow = 0.1"),
+        (lambda: SwimSetup(pose=(0.0, 0.0)), r"oracle: pose has the shape \(2,\)"),
+        (lambda: SwimSetup(sharpness="sharp"), "oracle: sharpness = 'sharp'"),
+        (lambda: fish_markers(sharpness="sharp"), "markers: sharpness = 'sharp'"),
+        (lambda: stability.check(preset("laptop"), speed=0.3, subgrid="wal"), "unknown subgrid model 'wal'"),
+        (lambda: stability.check(preset("laptop"), speed="a"), "guard: speed = 'a'"),
+        (lambda: Markers.rigid(3, [[0, 0, 1]], 1.0), r"markers: rest has the shape \(\)"),
+        (lambda: Markers.rigid([[0, 0, 0]], [[0, 0, 1]], "x"), r"markers: area = array\(\['x'\]"),
+    ],
+)
+def test_set_up_of_a_swim_is_checked_where_it_is_made(make, said):
+    with pytest.raises(FishmjError, match=said):
+        make()

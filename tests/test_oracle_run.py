@@ -122,8 +122,13 @@ def test_water_that_is_not_finite_stops_the_run():
 
 
 def test_a_command_that_is_no_angle_is_refused():
-    with pytest.raises(ConfigError, match="3 finite joint angles"):
-        Run(pond("cpu")).tick([0.1, np.nan, 0.0])
+    run = Run(pond("cpu"))
+    for command in ([0.1, np.nan, 0.0], [0.1, 0.0], ["a", 0, 0], "abc", None):
+        with pytest.raises(ConfigError, match=r"run: command.* expected finite numbers of shape \(3,\)"):
+            run.tick(command)
+    for option in ("prescribed", "follow"):
+        with pytest.raises(ConfigError, match=f"run: {option} = 3; expected a function"):
+            Run(run.coupled, **{option: 3})
 
 
 def test_clocks_that_do_not_nest_are_refused():

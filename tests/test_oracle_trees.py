@@ -18,6 +18,7 @@ from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody, farthe
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
 from fishmj.lbm_oracle.immersed.markers import Markers, sphere_markers
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 
 pytestmark = pytest.mark.oracle
 wp.config.quiet = True
@@ -328,3 +329,101 @@ def test_marker_outside_the_water_is_refused_before_the_step():
     row.body.data.qpos[0] = np.nan
     with pytest.raises(ConfigError, match=r"qpos = \[nan, 0.0, 0.0\]"):
         row.body.forward()
+
+
+def test_water_of_mujoco_and_mocap_bodies_are_refused_by_name():
+    """A model with its own fluid would be dragged twice; a mocap body would move without a velocity."""
+    for name, value in (("density", 1000.0), ("viscosity", 1e-3)):
+        model = spheres((-1,), PLACES[:1], [FLOATING])
+        setattr(model.opt, name, value)
+        with pytest.raises(ConfigError, match="water of MuJoCo's own.*option density, viscosity"):
+            immersed(model, (24, 24, 24))
+    spec = mujoco.MjSpec()
+    for mocap in (False, True):
+        body = spec.worldbody.add_body(name=f"b{mocap}", mocap=mocap, pos=PLACES[int(mocap)])
+        body.mass, body.inertia, body.explicitinertial = MASS, [0.4 * MASS * RADIUS**2] * 3, True
+        if not mocap:
+            body.add_joint(type=SLIDE, axis=[1, 0, 0])
+    with pytest.raises(ConfigError, match="a mocap body"):
+        immersed(spec.compile(), (32, 24, 24))
+
+
+@pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf])
+def test_model_of_impossible_mass_is_refused(mass):
+    model = spheres((-1,), PLACES[:1], [FLOATING])
+    model.body_mass[1] = mass
+    with pytest.raises(ConfigError, match="mass"):
+        immersed(model, (24, 24, 24))
+
+
+def test_push_through_mujocos_own_fields_is_refused_not_lost():
+    ball = immersed(spheres((-1,), PLACES[:1], [FLOATING]), (24, 24, 24))
+    for name, at in (("qfrc_applied", 0), ("xfrc_applied", (1, 0))):
+        getattr(ball.body.data, name)[at] = 0.5
+        with pytest.raises(ConfigError, match="a push from outside goes into `body.applied`"):
+            ball.step()
+        getattr(ball.body.data, name)[at] = 0.0
+    ball.body.applied[0] = 0.5
+    assert ball.step()[0] > 1e-4 and ball.step()[0] > 2e-4
+
+
+def test_body_that_stands_feels_what_a_held_one_feels():
+    """A body without joints is an obstacle: it counts as a link."""
+
+    def force(joints) -> np.ndarray:
+        slides = [(SLIDE, [1, 0, 0]), (SLIDE, [0, 1, 0]), (SLIDE, [0, 0, 1])]
+        pair = immersed(spheres((-1, -1), PLACES[:2], [slides, slides if joints else []]), (32, 24, 24))
+        pair.fluid.impose(np.broadcast_to([0.0, 0.05, 0.0], (32, 24, 24, 3)))
+        for _ in range(3):
+            pair.step(np.ones(pair.body.dofs), np.zeros(pair.body.dofs))
+        return pair.take_wrench(3.0)[0]
+
+    np.testing.assert_allclose(force(False), force(True), rtol=1e-5, atol=1e-5)
+
+
+def test_wrench_of_any_joints_is_the_impulse_that_the_solve_found():
+    """sum_l J_l^T W_l = -(K v + b0), with MuJoCo's own Jacobians, for links with several joints off their origins."""
+    rng = np.random.default_rng(3)
+    spec, bodies = mujoco.MjSpec(), []
+    spec.option.gravity = [0, 0, 0]
+    for i, kinds in enumerate(((FREE,), (SLIDE, BALL), (HINGE, HINGE), (), (FREE,))):
+        above = bodies[i - 1] if i and kinds != (FREE,) else spec.worldbody
+        body = above.add_body(pos=PLACES[2 * (i == 4)] if kinds == (FREE,) else 4 * rng.normal(size=3), quat=rng.normal(size=4))
+        body.mass, body.inertia, body.explicitinertial = MASS, [0.4 * MASS * RADIUS**2] * 3, True
+        for kind in kinds:
+            body.add_joint(type=kind, axis=rng.normal(size=3), pos=[0, 0, 0] if kind == FREE else rng.normal(size=3))
+        bodies.append(body)
+    model = spec.compile()
+    tree = immersed(model, (40, 24, 24))
+    tree.body.place(tree.body.data.qpos + 0.3 * rng.normal(size=model.nq), 0.003 * rng.normal(size=model.nv))
+    jacobian = np.zeros((5, 6, model.nv))
+    for link in range(5):
+        mujoco.mj_jacBody(model, tree.body.data, jacobian[link, :3], jacobian[link, 3:], link + 1)
+    velocity = tree.step()
+    response, rest = tree.boundary.response
+    found = np.einsum("lij,li->j", jacobian, tree.take_wrench(WATER.dt)[0])
+    np.testing.assert_allclose(found, -(response @ velocity + rest), atol=1e-6 * np.abs(found).max())
+
+
+def test_objects_of_other_classes_are_refused_by_name():
+    good = immersed(spheres((-1,), PLACES[:1], [FLOATING]), (24, 24, 24))
+    water, body, markers = good.fluid, good.body, good.boundary.markers
+    for make, said in (
+        (lambda: FluidStructure(body, water, markers), r"coupled: fluid = .*expected fishmj.*Fluid"),
+        (lambda: FluidStructure(water, None, markers), "coupled: body = None"),
+        (lambda: FluidStructure(water, body, None), "coupled: markers = None"),
+        (lambda: FluidStructure(water, body, markers, slip="a"), "slip = 'a'; expected numbers"),
+        (lambda: ImmersedBody("<mujoco/>", body.water, 1.0), "body: model = '<mujoco/>'; expected mujoco.*MjModel"),
+        (lambda: ImmersedBody(body.model, None, 1.0), "body: water = None"),
+        (lambda: replace(body.water, points=3), "displaced water: points = 3"),
+        (lambda: ImmersedBody.on_slides("x", 1.0, (1, 1, 9), 1.0, (1, 1, 1), 1.0), "no moment above the sum of the other two"),
+        (lambda: ImmersedBody.on_slides(3, 1.0, (1, 1, 1), 1.0, (1, 1, 1), 1.0), "body: axes = 3"),
+        (lambda: body.place(body.data.qpos, interior_speed="a"), "body: interior_speed = 'a'"),
+        (lambda: good.take_wrench(0.0), "seconds of a wrench = 0"),
+        (lambda: RefinedFluid(None, (4, 4, 4), (8, 8, 8)), "refined: outer = None"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            make()
+    fine = RefinedFluid(Fluid(replace(WATER, dx=2.0, dt=2.0), (16, 16, 16), subgrid="none"), (4, 4, 4), (8, 8, 8))
+    with pytest.raises(ConfigError, match="take RefinedStructure"):
+        FluidStructure(fine, body, markers)

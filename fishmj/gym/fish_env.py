@@ -82,7 +82,8 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
     """What `reset(options=...)` fixes of n starts, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
 
     Raises:
-        ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself.
+        ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose where the
+            episode would end at once.
     """
     widths = {"pose": (3,), "target": (2,), "speed": (), "direction": ()}
     own = getattr(rules.course, "decides", ())
@@ -102,6 +103,10 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
             ) from error
         if not np.isfinite(fixed[name]).all():
             raise ConfigError(f"reset: option {name} = {shown_value(value)} is not finite")
+    if "pose" in fixed and np.any(rules.outside(np, fixed["pose"])):
+        raise ConfigError(
+            f"reset: option pose = {shown_value(fixed['pose'].tolist())}; expected a place inside the task's domain"
+        )
     for speed in fixed.get("speed", ()):
         checked("reset: option speed", speed, 0, LARGEST_OPTIONS["flow_speed"])
     return fixed
@@ -110,6 +115,15 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
 def start_distance(episodes: Episodes) -> np.ndarray:
     """Distances (n,) m to the targets where the episodes began; of use while they are at their start."""
     return np.linalg.norm(episodes.scenario.launch.start.pose[:, :2] - episodes.target, axis=-1)
+
+
+def _at_zero(actions: Any, rows: np.ndarray) -> Any:
+    """Actions with those of the fish `rows` (n,) bool at zero; anything else than numbers as it is, for the step to refuse."""
+    try:
+        given = np.asarray(actions, float)
+    except (TypeError, ValueError):
+        return actions
+    return np.where(rows[:, None], 0.0, given) if given.ndim == 2 and len(given) == len(rows) else given
 
 
 class _Fish:
@@ -150,6 +164,10 @@ class _Fish:
         self._picture = self._picture or Picture(self.rules.robot)
         return self._picture.draw(self.episodes.fish.q[i], self.episodes.target[i])
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the drawing, which is made again when it is asked for: OpenCV cannot be copied."""
+        return {**self.__dict__, "_picture": None}
+
     def _need_reset(self) -> None:
         if not self._begun:
             raise ResetNeeded("gym: step before the first reset; call reset()")
@@ -188,7 +206,7 @@ class FishEnv(_Fish, gymnasium.Env):
     def step(self, action):
         """One control step."""
         self._need_reset()
-        out = self.episodes.step(np.asarray(action)[None])
+        out = self.episodes.step([action])
         info = {"distance": float(out.distance[0]), "power": float(out.power[0]), "diverged": bool(out.diverged[0])}
         return self._observe(), float(out.reward[0]), bool(out.terminated[0]), bool(out.truncated[0]), info
 
@@ -280,10 +298,7 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
                 ' call reset(options={"reset_mask": terminated | truncated}) before the next step'
             )
         again = self._over if self.mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, bool)
-        actions = np.asarray(actions)
-        if again.any() and actions.ndim == 2 and len(actions) == self.num_envs:
-            actions = np.where(again[:, None], 0.0, actions)
-        out, final, fresh = self.episodes.step(actions), {}, None
+        out, final, fresh = self.episodes.step(_at_zero(actions, again) if again.any() else actions), {}, None
         reward, terminated, truncated = (np.where(again, a.dtype.type(0), a) for a in (out.reward, out.terminated, out.truncated))
         self._over = terminated | truncated
         if self.mode is AutoresetMode.SAME_STEP and self._over.any():

@@ -133,30 +133,39 @@ class StationHold:
         """Width of what a privileged critic sees besides the policy's input."""
         return self.n_obs + 5
 
-    @partial(jax.jit, static_argnums=(0, 2, 3))
     def reset(self, key, n: int, stagger: bool = False) -> EnvState:
         """n fresh episodes from a key of `jax.random`; with `stagger` their clocks start anywhere in the episode, so that they do
         not end together. Raises ConfigError: no key, or no whole n of 1 at least."""
-        checked("reset: n", n, 1, whole=True)
-        kind, shape = getattr(key, "dtype", type(key)), getattr(key, "shape", ())
-        if not (jnp.issubdtype(kind, jax.dtypes.prng_key) or (len(shape) == 1 and kind == jnp.uint32)):
-            raise ConfigError(f"reset: key of shape {shape}, {kind}; expected jax.random.key(SEED)")
+        n = checked("reset: n", n, 1, whole=True)
+        kind, shape = getattr(key, "dtype", None), getattr(key, "shape", None)
+        if not (shape == () and jnp.issubdtype(kind, jax.dtypes.prng_key)) and not (shape == (2,) and kind == jnp.uint32):
+            raise ConfigError(f"reset: key = {shown_value(key)}; expected jax.random.key(SEED)")
+        return self._reset(key, n, bool(stagger))
+
+    @partial(jax.jit, static_argnums=(0, 2, 3))
+    def _reset(self, key, n: int, stagger: bool) -> EnvState:
         key, k_start, k_clock = jax.random.split(key, 3)
         state = self._fresh(k_start, n)
         if stagger:
             state = state._replace(count=jax.random.randint(k_clock, (n,), 0, self.limit))
         return state._replace(key=key)
 
-    @partial(jax.jit, static_argnums=0)
     def step(self, state: EnvState, action) -> EnvState:
         """One control step of 0.2 s with action (B, J), clipped to [-1, 1].
 
         An episode whose action is not finite is dropped as one whose physics diverges: `diverged`, and a fresh one begins.
-        Raises ConfigError: an action of another shape.
+        Raises ConfigError: no state of `reset` or `step`, or an action that is no array of numbers of this shape.
         """
-        n = len(state.count)
-        if getattr(action, "shape", None) != (n, self.n_act):
+        n = len(checked_kind("task: state", state, EnvState, needed=True).count)
+        kind = getattr(action, "dtype", None)
+        real = kind is not None and any(jnp.issubdtype(kind, of) for of in (jnp.floating, jnp.integer, jnp.bool_))
+        if not real or action.shape != (n, self.n_act):
             raise ConfigError(f"task: action {shown_value(action)}; expected an array ({n}, {self.n_act}), one row a fish")
+        return self._step(state, action)
+
+    @partial(jax.jit, static_argnums=0)
+    def _step(self, state: EnvState, action) -> EnvState:
+        n = len(state.count)
         key, k_noise, k_fresh = jax.random.split(state.key, 3)
         sane = jnp.all(jnp.isfinite(action), -1)
         action = jnp.clip(jnp.where(sane[:, None], action, 0.0), -1.0, 1.0)

@@ -17,6 +17,7 @@ Sources: Ladd 1994, J. Fluid Mech. 271:285 (bounce-back); Poinsot and Lele 1992,
 Israeli and Orszag 1981, J. Comput. Phys. 41:115 (sponge).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -24,9 +25,10 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from fishmj.calib import constant
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.lbm_oracle.fluid.guard import numbers
+from fishmj.errors import ConfigError
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import CS, VELOCITIES, mirrored, opposite
+from fishmj.options import checked_name, shown_value
 
 SPONGE, RATE = constant("oracle", "sponge"), constant("oracle", "sponge_rate")  # cells, 1
 _CS = wp.constant(CS)
@@ -160,9 +162,14 @@ class Boundaries:
     sponge_rate: float = RATE
 
     def __post_init__(self):
-        for kind in self.kinds:
-            if kind not in FACES:
-                raise UnknownName("kind of face", kind, tuple(FACES))
+        for name in "xyz":
+            faces = getattr(self, name)
+            if not isinstance(faces, tuple | list) or len(faces) != 2:
+                raise ConfigError(f"boundaries: {name} = {shown_value(faces)}; expected Axis(low, high), its two faces")
+            object.__setattr__(self, name, Axis(*(checked_name("kind of face", kind, FACES) for kind in faces)))
+        numbers("boundaries: wall_velocity_lu", self.wall_velocity_lu, (3,))
+        whole_numbers("boundaries: sponge", self.sponge, low=0)
+        numbers("boundaries: sponge_rate", self.sponge_rate, low=0.0, high=1.0)
         for name in "xyz":
             for kind in getattr(self, name):
                 FACES[kind].check(self, name)
@@ -170,9 +177,15 @@ class Boundaries:
             raise ConfigError(
                 f"boundaries: wall_velocity_lu = {self.wall_velocity_lu} and no face is `moving`; make one of them so"
             )
-        numbers("boundaries: wall_velocity_lu", self.wall_velocity_lu, (3,))
-        if self.sponge < 0 or not 0 <= self.sponge_rate <= 1:
-            raise ConfigError(f"boundaries: sponge = {self.sponge} cells (>= 0), sponge_rate = {self.sponge_rate} (0 to 1)")
+
+    def check_room(self, shape: Sequence[int]) -> None:
+        """Raises ConfigError where the sponges of open faces leave no water between them in a box of `shape` (3,) cells."""
+        for name, axis, n in zip("xyz", self.axes, shape, strict=True):
+            if self.sponge and self.sponge * sum(completes(axis)) >= n:
+                raise ConfigError(
+                    f"fluid: {n} cells along {name} and a sponge of {self.sponge} behind each open face; expected water between"
+                    " them: enlarge the box, or take a thinner sponge"
+                )
 
     @property
     def axes(self) -> tuple[Axis, Axis, Axis]:

@@ -21,19 +21,19 @@ from fishmj.lbm_oracle.fluid import fields
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey, Surveyor
-from fishmj.lbm_oracle.fluid.guard import Watch, check_speed, check_tau, numbers, whole_numbers
+from fishmj.lbm_oracle.fluid.guard import Watch, check_density, check_snapshot, check_speed, check_tau, numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
 from fishmj.lbm_oracle.fluid.lattice import Lattice, Q, vec19i
 from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
 from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
 from fishmj.lbm_oracle.fluid.step import Params, stream_collide
 from fishmj.lbm_oracle.fluid.storage import STORAGE, decoded, encoded, velocity_type
+from fishmj.options import checked_kind, shown_value
 
 MOST = 16  # cores that one box keeps busy
 _POOL = ThreadPoolExecutor(max_workers=MOST, thread_name_prefix="slab")
 THINNEST = 4  # planes of x in a slab, at least
 ROWS = 40_000  # cells from which on a CPU goes by rows: twice as fast, and longer to compile
-SUBGRID = ("wale", "none")
 CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
@@ -145,8 +145,8 @@ class Fluid:
         keep_velocity: bool = True,
         threads: int | None = None,
     ):
-        if subgrid not in SUBGRID:
-            raise UnknownName("subgrid model", subgrid, SUBGRID)
+        checked_kind("fluid: lattice", lattice, Lattice, needed=True)
+        checked_kind("fluid: boundaries", boundaries, Boundaries, needed=True)
         if dtype not in STORAGE:
             raise UnknownName("storage", dtype, STORAGE)
         if subgrid != "none" and not keep_velocity:
@@ -166,10 +166,12 @@ class Fluid:
             whole_numbers("fluid: threads", threads, low=1)
         check_tau(lattice, subgrid, "fluid")
         check_speed(lattice, float(np.linalg.norm(boundaries.wall_velocity_lu)) * lattice.velocity, "fluid: moving wall")
+        check_speed(lattice, float(np.linalg.norm(body_acceleration)) * lattice.dt, "fluid: body_acceleration, in a step")
+        boundaries.check_room(shape)
         self.lattice, self.boundaries, self.subgrid = lattice, boundaries, subgrid
         self.shape = shape = (int(shape[0]), int(shape[1]), int(shape[2]))
-        self.device = device_of(device, BYTES_PER_CELL * int(np.prod(shape))) if isinstance(device, str) else device
-        self.flow = flow or Flow()
+        self.device = device if isinstance(device, wp.Device) else device_of(device, BYTES_PER_CELL * int(np.prod(shape)))
+        self.flow = checked_kind("fluid: flow", flow, Flow) or Flow()
         make, self._plane = kernel_for(shape, self.device)
         self._kernel, self._paired = make(boundaries.axes, subgrid == "wale", dtype, keep_velocity), make is stream_collide_pairs
         self._keeps = keep_velocity
@@ -184,7 +186,7 @@ class Fluid:
             self._clock = [wp.zeros(1, dtype=int) for _ in range(2)]
             self.force = wp.zeros(shape, dtype=wp.vec3)
             self.box, self.origin = wp.zeros(6, dtype=int), wp.zeros(6, dtype=int)
-        self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, NOWHERE
+        self.origin_lu, self.parity, self.steps, self._box = np.zeros(3, int), 0, 0, ([0] * 3, [0] * 3)
         self._launches: list[list[Any]] | None = None
         self._parts: dict[tuple[int, int, int], Any] = {}
         self._graphs: dict[int, wp.Graph] = {}
@@ -253,16 +255,17 @@ class Fluid:
         """Change the background flow from now on; the water inside follows through the sponge.
 
         Raises:
-            OracleUnstable: it is faster than the Mach limit of this grid.
+            ConfigError: no `Flow`. OracleUnstable: it is faster than the Mach limit of this grid.
         """
+        checked_kind("fluid: flow", flow, Flow, needed=True)
         check_speed(self.lattice, flow.speed, "fluid: background flow")
         self.flow = flow
         self._inflow = inflow_of(flow, self.lattice, self.device)
         self._launches, self._graphs, self._parts = None, {}, {}
 
     def set_steps(self, steps: int) -> None:
-        """The clock, in steps since the start; the water stays as it is."""
-        self.steps = int(steps)
+        """The clock, in steps since the start; the water stays as it is. Raises ConfigError: no whole number."""
+        self.steps = int(whole_numbers("fluid: steps", steps))
         self.clock.fill_(self.steps)
 
     def settle(self) -> None:
@@ -277,11 +280,14 @@ class Fluid:
         """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them.
 
         Raises:
-            ConfigError: another shape, or not finite. OracleUnstable: a speed beyond the Mach limit.
+            ConfigError: another shape, or not finite. OracleUnstable: a speed beyond the Mach limit, or a pressure with a density
+                that the watch would stop.
         """
         u = numbers("fluid: velocity", u, (*self.shape, 3))
         check_speed(self.lattice, float(np.sqrt((u * u).sum(-1).max())), "fluid: velocity")
-        pressure = None if pressure is None else numbers("fluid: pressure", pressure, self.shape)
+        if pressure is not None:
+            pressure = numbers("fluid: pressure", pressure, self.shape)
+            check_density(1 + pressure * 3 / self.lattice.pressure, "fluid: pressure")
         u_lu = np.asarray(u, np.float32) / self.lattice.velocity
         drho = np.zeros(self.shape, np.float32) if pressure is None else pressure * 3 / self.lattice.pressure
         rolled = np.roll(u_lu, self.origin_lu, (0, 1, 2))
@@ -297,16 +303,18 @@ class Fluid:
 
     def step(self, box: Box | None = None) -> None:
         """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
-        self.set_box(box or NOWHERE)
+        self.set_box(NOWHERE if box is None else box)
         self.stream_collide()
         self.watch.after_step(self)
 
     def set_box(self, box: Box) -> None:
-        """The world nodes where `force` acts, until told otherwise."""
-        if box != self._box:
-            whole_numbers("fluid: box", box, (2, 3))
-            self.box.assign(np.ravel(box).astype(np.int32))
-            self._box = box
+        """The world nodes where `force` acts, until told otherwise. Raises ConfigError: no low and high corner."""
+        low, high = whole_numbers("fluid: box", box, (2, 3)).tolist()
+        if any(a > b for a, b in zip(low, high, strict=True)):
+            raise ConfigError(f"fluid: box = {shown_value(box)}; expected its low corner first, then the high one")
+        if (low, high) != self._box:
+            self.box.assign(np.array([*low, *high], np.int32))
+            self._box = low, high
 
     def stream_collide(self) -> None:
         """One time step with the force in `self.box`; no host transfer, so that a graph can capture it."""
@@ -320,6 +328,7 @@ class Fluid:
 
         The parts of a step may come in any order: each reads what the step before left.
         """
+        whole_numbers("fluid: planes", (first, count), (2,))
         key = self.parity, first, count
         if key not in self._parts:
             if not 0 <= first < first + count <= self.shape[0]:
@@ -439,7 +448,8 @@ class Fluid:
         return self._surveyor.result()
 
     def finer(self, factor: int) -> "Fluid":
-        """Undisturbed water in a box of the same cells, faces and options, with steps `factor` times finer."""
+        """Undisturbed water in a box of the same cells, faces and options, with steps `factor` times finer, a whole number."""
+        factor = int(whole_numbers("fluid: factor of finer steps", factor, low=1))
         old = self.lattice
         lattice = replace(old, dt=old.dt / factor)
         x, y, z = self.boundaries.wall_velocity_lu  # in lattice units a wall of the same m/s is slower
@@ -457,10 +467,9 @@ class Fluid:
         """Continue from a snapshot, bit for bit.
 
         Raises:
-            ConfigError: it was taken in a box of another shape.
+            ConfigError: it was taken in a box of another shape or storage, or is no snapshot.
         """
-        if state["f"].shape != (Q, *self.shape):
-            raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {self.shape}")
+        check_snapshot(state, (Q, *self.shape), wp.dtype_to_numpy(self.f.dtype))
         self.f.assign(state["f"])
         self._keep(state["u"])
         self._place(np.array(state["origin"], int))

@@ -19,9 +19,11 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError, OracleUnstable
 from fishmj.flow import TICK
 from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
+from fishmj.options import checked_kind, checked_name, shown_value
 
 MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
 TAU = constant("oracle", "tau_least")
+SUBGRID = ("wale", "none")
 SPACING = constant("oracle", "spacing")  # of dx
 EVERY = constant("oracle", "watch")  # steps between two looks
 RHO = constant("oracle", "density_stop")
@@ -60,9 +62,9 @@ def _array(what: str, value: Any, kinds: str) -> np.ndarray:
     try:
         array = np.asarray(value)
     except ValueError:  # rows of different lengths
-        raise ConfigError(f"{what} = {value!r:.60}; expected numbers, all rows of one length") from None
+        raise ConfigError(f"{what} = {shown_value(value)}; expected numbers, all rows of one length") from None
     if array.dtype.kind not in kinds:
-        raise ConfigError(f"{what} = {value!r:.60}; expected numbers, got the type {array.dtype}")
+        raise ConfigError(f"{what} = {shown_value(value)}; expected numbers, got the type {array.dtype}")
     return array
 
 
@@ -94,8 +96,8 @@ def check_speed(lattice: Lattice, speed: float, what: str) -> None:
 
 
 def check_tau(lattice: Lattice, subgrid: str, what: str) -> None:
-    """Raise OracleUnstable for a relaxation time below the limit, without an eddy viscosity."""
-    if subgrid == "none" and not lattice.tau >= TAU:
+    """Raise OracleUnstable for a relaxation time below the limit, without an eddy viscosity; UnknownName for none of SUBGRID."""
+    if checked_name("subgrid model", subgrid, SUBGRID) == "none" and not lattice.tau >= TAU:
         dx = 3 * lattice.nu / ((TAU - 0.5) * lattice.velocity)
         raise OracleUnstable(
             f"{what}: tau = {lattice.tau:.5f} with dx = {lattice.dx:g} m, dt = {lattice.dt:g} s and no subgrid model; at least"
@@ -114,6 +116,30 @@ def check_spacing(lattice: Lattice, spacing: float, what: str) -> None:
         )
 
 
+def check_density(rho: np.ndarray, what: str) -> None:
+    """Raise OracleUnstable for densities over that of still water that the watch would stop."""
+    low, high = float(rho.min()), float(rho.max())
+    if not (RHO[0] < low and high < RHO[1]):
+        raise OracleUnstable(
+            f"{what}: density {low:.3f} to {high:.3f} of still water's; expected {RHO[0]} to {RHO[1]}", limit="density"
+        )
+
+
+def check_snapshot(state: Any, shape: tuple[int, ...], stored: type) -> None:
+    """Raise ConfigError for anything else than a snapshot of water whose populations have this shape and type."""
+    wanted = {"f": shape, "u": (*shape[1:], 3), "origin": (3,), "steps": ()}
+    if missing := [name for name in wanted if name not in checked_kind("fluid: a snapshot", state, dict, needed=True)]:
+        raise ConfigError(f"fluid: a snapshot without {', '.join(missing)}; expected {', '.join(wanted)}")
+    if state["f"].shape != shape:
+        raise ConfigError(f"fluid: a snapshot of shape {state['f'].shape[1:]} does not fit a box of {shape[1:]}")
+    if state["f"].dtype != stored:
+        raise ConfigError(f"fluid: a snapshot of {state['f'].dtype} does not fit storage of {np.dtype(stored)}; use its dtype")
+    for name, size in wanted.items():
+        _check_shape(f"fluid: {name} of a snapshot", np.asarray(state[name]), size)
+        if not np.isfinite(state[name]).all():
+            raise ConfigError(f"fluid: {name} of a snapshot is not finite; take one from before the water blew up")
+
+
 def step_for(lattice: Lattice, speed: float) -> float:
     """The longest time step [s] that keeps `speed` within the Mach limit; below a bus tick one that divides it."""
     longest = MACH * lattice.dx / (speed * sqrt(3))
@@ -127,6 +153,7 @@ class Watch:
     `look` waits for the device; `begin` does not, and `end` judges what it saw once the device has gone on.
 
     Raises:
+        ConfigError: `every` is no whole number of 1 at least.
         OracleUnstable: at `look` and `end`, with `limit` one of lost, speed, density, mass.
     """
 
@@ -134,6 +161,9 @@ class Watch:
     fastest: float = 0.0  # greatest speed seen, m/s
     looks: int = 0
     pending: tuple | None = None  # fluid and step of a look that was begun
+
+    def __post_init__(self):
+        whole_numbers("watch: every", self.every, low=1)
 
     def due(self, fluid, since: int = 1) -> bool:
         """Whether this is a step to look after, or one of the last `since` was."""

@@ -12,12 +12,12 @@ an odd i is i + 1 and of an even i > 0 is i - 1.
 """
 
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 import warp as wp
 
 from fishmj.errors import ConfigError
+from fishmj.options import checked, checked_array
 from fishmj.units import WATER_DENSITY, WATER_VISCOSITY
 
 Q = 19
@@ -78,11 +78,9 @@ class Lattice:
 
     def __post_init__(self):
         for name in ("dx", "dt", "rho", "nu"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
+            if not checked(f"lattice: {name}", value := getattr(self, name)) > 0:
                 raise ConfigError(f"lattice: {name} = {value}; expected a positive number in SI units")
-        if np.shape(self.corner) != (3,) or not np.isfinite(self.corner).all():
-            raise ConfigError(f"lattice: corner = {self.corner}; expected three finite numbers, m")
+        checked_array("lattice: corner", self.corner, (3,))
 
     @property
     def velocity(self) -> float:

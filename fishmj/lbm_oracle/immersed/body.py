@@ -25,6 +25,7 @@ from fishmj.lbm_oracle.immersed import link_dynamics
 from fishmj.lbm_oracle.immersed.kernels import Points
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.mjcf import build, geometry_of, load_robot, passive_slot
+from fishmj.options import checked_kind, shown_value
 
 FREE, BALL, SLIDE, HINGE = (
     int(kind)
@@ -52,7 +53,7 @@ class DisplacedWater:
         room = 1e-9 * np.abs(self.inertia).max(initial=0.0)
         if np.abs(self.inertia - turned).max(initial=0.0) > room or (np.linalg.eigvalsh(self.inertia) < -room).any():
             raise ConfigError("displaced water: inertia is no symmetric matrix without negative moments, for each link")
-        if self.points is not None:
+        if checked_kind("displaced water: points", self.points, Points) is not None:
             _check_points(self.points, len(self.mass))
 
     @classmethod
@@ -84,6 +85,8 @@ class ImmersedBody:
     """
 
     def __init__(self, model: mujoco.MjModel, water: DisplacedWater, dt: float):
+        checked_kind("body: model", model, mujoco.MjModel, needed=True)
+        checked_kind("body: water", water, DisplacedWater, needed=True)
         self.model, self.data, self.water = model, mujoco.MjData(model), water
         self.links, self.dofs = model.nbody - 1, model.nv
         _refuse_what_is_left_out(model)
@@ -126,10 +129,12 @@ class ImmersedBody:
         Raises:
             ConfigError: axes that are none of `xyz` or stand there twice; masses or moments that cannot be.
         """
-        if not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
+        if not isinstance(axes, str) or not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
             raise ConfigError(f"body: axes = {axes!r}; expected one to three of 'xyz', each once")
         mass = float(numbers("body: mass", mass, low=1e-300))
         inertia = numbers("body: inertia", inertia, (3,), low=1e-300)
+        if 2 * inertia.max() > inertia.sum() * (1 + 1e-9):
+            raise ConfigError(f"body: inertia = {inertia.tolist()}; expected no moment above the sum of the other two")
         inside = np.diag(numbers("body: inertia_displaced", inertia_displaced, (3,), low=0.0))[None]
         spec = mujoco.MjSpec()
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -157,9 +162,10 @@ class ImmersedBody:
             ConfigError: another shape, or not finite.
         """
         qpos = numbers("body: qpos", qpos, (self.model.nq,))
-        self.data.qvel[:] = 0.0 if qvel is None else numbers("body: qvel", qvel, (self.dofs,))
-        self.data.qpos[:] = qpos
-        self.interior_speed[:] = interior_speed
+        qvel = 0.0 if qvel is None else numbers("body: qvel", qvel, (self.dofs,))
+        if np.shape(interior_speed) not in ((), (self.links,)) or np.asarray(interior_speed).dtype.kind not in "iuf":
+            raise ConfigError(f"body: interior_speed = {shown_value(interior_speed)}; expected ({self.links},) m/s, nan for none")
+        self.data.qpos[:], self.data.qvel[:], self.interior_speed[:] = qpos, qvel, interior_speed
         self._weigh()
         self.forward()
         self.momentum[:] = self._now
@@ -195,6 +201,11 @@ class ImmersedBody:
         """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
         if not np.isfinite(self.data.ctrl).all():  # MuJoCo would take 0 for it, with a line in a log file
             raise ConfigError(f"body: ctrl = {self.data.ctrl.tolist()} at t = {self.data.time:.4g} s; expected finite numbers")
+        if self.data.qfrc_applied.any() or self.data.xfrc_applied.any():  # `advance` would write over it
+            raise ConfigError(
+                f"body: data.qfrc_applied or xfrc_applied is set at t = {self.data.time:.4g} s; a push from outside goes into"
+                " `body.applied`, (n,) N and N m"
+            )
         mujoco.mj_fwdActuation(self.model, self.data)  # ctrl may be newer than the state
         mujoco.mj_fullM(self.model, self.data, self.system)
         self._balance[interior].launch()
@@ -266,6 +277,7 @@ class ImmersedBody:
             message = f"oracle: velocity of joint {joint!r} is {velocity[at]:.3g} at t = {d.time:.4g} s (limit {RUNAWAY:g})"
             raise SimDiverged(message, time=float(d.time), term="coupling", link=joint)
         mujoco.mj_step2(self.model, d)
+        d.qfrc_applied[:] = 0.0
         self._compare.launch()
         if not check[1] < EXACT:
             off = check[1] * (1 + check[0])
@@ -351,8 +363,12 @@ def _refuse_what_is_left_out(m: mujoco.MjModel) -> None:
     """Raise ConfigError for a model with more in it than the coupled step holds."""
     turns = np.isin(m.jnt_type, (HINGE, BALL))
     crowded = [b for b in m.jnt_bodyid[m.jnt_type == BALL] if turns[m.jnt_bodyid == b].sum() > 1]
+    water, masses = m.opt.density or m.opt.viscosity, np.concatenate([m.body_mass, m.body_inertia.ravel()])
     left_out = {
         "no degree of freedom": m.nv == 0,
+        "water of MuJoCo's own beside the solver's (option density, viscosity: set both to 0)": water,
+        "a mocap body": m.nmocap,
+        "a mass or moment of inertia below zero or not finite": not bool(((0 <= masses) & (masses < np.inf)).all()),
         "an integrator other than Euler": m.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER,
         "the implicit damping of the Euler integrator switched off": m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP,
         f"a ball joint beside another rotation in body {m.body(crowded[0]).name!r}" if crowded else "": crowded,

@@ -21,7 +21,7 @@ from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.guard import check_spacing, whole_numbers
+from fishmj.lbm_oracle.fluid.guard import check_spacing, numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import fsi_solve, kernels
 from fishmj.lbm_oracle.immersed.kernels import check_width
@@ -39,7 +39,7 @@ def slip_here(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004
     c [m/s] is the wall stress over rho and the slip velocity, so that neither the time step nor the cell changes the friction.
     slip = 1 is a frictionless wall and 0 no slip on every grid.
     """
-    if not 0 <= slip <= 1:
+    if not 0 <= numbers("slip", slip) <= 1:
         raise ConfigError(f"slip = {slip}; expected 0 (no slip) to 1 (free slip)")
     return float(slip ** ((lattice.dt / lattice.dx) * (dx / dt))) if slip > 0 else 0.0
 

@@ -27,6 +27,7 @@ from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.early_water import EarlyWater
 from fishmj.lbm_oracle.immersed.markers import Markers
+from fishmj.options import checked_kind
 
 SCHEMES = ("implicit", "explicit")
 # of a step: what the device does between two things that the host does; or several steps without it (device_steps.py)
@@ -51,6 +52,10 @@ class FluidStructure:
     def __init__(
         self, fluid: Fluid, body: ImmersedBody, markers: Markers, *, slip=1.0, width=3, passes=2, scheme="implicit", interior=True
     ):
+        for name, value, kind in (("fluid", fluid, Fluid), ("body", body, ImmersedBody), ("markers", markers, Markers)):
+            checked_kind(f"coupled: {name}", value, kind, needed=True)
+        if len(fluid.levels) > 1 and type(self) is FluidStructure:
+            raise ConfigError("coupled: the water has finer cells; take RefinedStructure, which keeps the body inside their box")
         if scheme not in SCHEMES:
             raise UnknownName("coupling scheme", scheme, SCHEMES)
         if abs(fluid.lattice.dt - body.dt) > 1e-12:
@@ -207,7 +212,11 @@ class FluidStructure:
 
         World frame, N, and N m about the link's origin. First the impulse that the markers exchanged (raw), then with the
         momentum of the interior water added: the force of the real water on a hull that holds none.
+
+        Raises:
+            ConfigError: no positive number of seconds.
         """
+        numbers("coupled: seconds of a wrench", seconds, low=1e-300)
         raw = self.boundary.take_wrench() / seconds
         gain, self.gain = self.gain / seconds, np.zeros(self.gain.shape)
         turn = (self.body.centre - self.body.data.xpos[1:])[:, NEXT] * gain[:, LAST]

@@ -23,8 +23,14 @@ class DrivenBody(ImmersedBody):
         model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
 
     def set_masses(self, mass, centre, inertia) -> None:
-        """Mass kg, centre of mass along the link m, moment of inertia about the vertical axis there kg m2 of each link, (L,)."""
-        m = self.model
+        """Mass kg, centre of mass along the link m, moment of inertia about the vertical axis there kg m2 of each link, (L,).
+
+        Raises:
+            ConfigError: another shape, below zero, or not finite.
+        """
+        m, size = self.model, (self.links,)
+        mass, inertia = (numbers(f"driven body: {name}", v, size, low=0.0) for name, v in (("mass", mass), ("inertia", inertia)))
+        centre = numbers("driven body: centre", centre, size)
         m.body_mass[1:], m.body_ipos[1:, 0], m.body_inertia[1:, 2] = mass, centre, inertia
         mujoco.mj_setConst(m, mujoco.MjData(m))  # of its own: it goes to the reference pose
         self.place(self.data.qpos.copy(), self.data.qvel.copy())

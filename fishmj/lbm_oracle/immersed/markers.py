@@ -29,6 +29,7 @@ from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 from fishmj.mjcf.skin import bend
+from fishmj.options import checked_kind
 
 HELD = {3: 0.7, 4: 0.9}  # cells that markers are drawn in where the water sticks, by the width of the kernel
 SLIDING = {3: 0.45, 4: 0.55}  # and where it slides freely
@@ -131,12 +132,14 @@ class Markers:
     @classmethod
     def rigid(cls, rest, normal, area, *, link: int = 0, sheet=False, sharpness: Sharpness = PLAIN) -> "Markers":
         """Markers of one rigid link, already drawn in; `sharpness` gives their slip lengths."""
+        rest = numbers("markers: rest", rest, (None, 3))
         n, index = len(rest), np.full(len(rest), whole_numbers("markers: link", link, low=0), np.int32)
-        sheet = np.broadcast_to(np.asarray(sheet), n).copy()
+        spread = lambda value: np.full(n, value) if np.ndim(value) == 0 else np.array(value)
+        sheet = spread(sheet)
         return cls(
-            rest=np.asarray(rest, float),
-            normal=np.asarray(normal, float),
-            area=np.broadcast_to(np.asarray(area, float), n).copy(),
+            rest=rest,
+            normal=normal,
+            area=spread(area),
             pivot=np.zeros((n, 3)),
             before=index,
             after=index,
@@ -210,6 +213,7 @@ def chain_markers(
 ) -> Markers:
     """`fish_markers` of a chain that is taken as it is: it may have more links than a description of a robot."""
     numbers("markers: dx", dx, low=1e-300), numbers("markers: spacing", spacing, low=1e-3)
+    checked_kind("markers: sharpness", sharpness, Sharpness, needed=True)
     g = geometry_of(robot)
     (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
     parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness.edges)]

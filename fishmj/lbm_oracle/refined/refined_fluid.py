@@ -28,6 +28,7 @@ from fishmj.lbm_oracle.fluid.pairs import split_by
 from fishmj.lbm_oracle.refined import exchange
 from fishmj.lbm_oracle.refined.crossings import Cells, lists_of
 from fishmj.lbm_oracle.refined.exchange import BLOCK, GHOST, Nest
+from fishmj.options import checked_kind
 
 ROOM = 2  # coarse cells between R and a face of the coarse water
 AXES = {"f": (1, 2, 3), "u": (0, 1, 2)}  # x, y, z in the fields of a snapshot
@@ -71,6 +72,10 @@ class RefinedFluid(Fluid):
         numbers: int | None = None,
     ):
         whole_numbers("refined: low", low, (3,)), whole_numbers("refined: size", size, (3,), low=1)
+        checked_kind("refined: outer", outer, Fluid, needed=True)
+        for name, value, least in (("threads", threads, 1), ("numbers", numbers, 0)):
+            if value is not None:
+                whole_numbers(f"refined: {name}", value, low=least)
         self._made = False
         self.outer, self.size_lu = outer, np.array(size, int)
         options = outer._options

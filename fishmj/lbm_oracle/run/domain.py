@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 
 from fishmj.calib import constant
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.errors import ConfigError
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE, Axis, Boundaries, channel
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.refined.refined_fluid import RATIO
+from fishmj.options import checked_name
 from fishmj.units import wrap
 
 TURN = 0.5  # rad/s, greatest rate at which the window's lead follows the heading
 LEAD = 0.15  # of the window's length: the fish sits this far behind the middle and leaves its wake the longer part
 BOTTOMS = ("slip", "wall")
+SIDES = ("open", "wall", "slip", "periodic")
 AROUND = {  # m, box of finer cells round a fish of 0.54 m at any heading
     "paper": (1.0, 1.0, 0.4),
     "forcemap": (1.0, 1.0, 0.4),
@@ -63,8 +66,18 @@ class Domain:
     finer: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self):
-        if self.bottom not in BOTTOMS:
-            raise UnknownName("kind of bottom", self.bottom, BOTTOMS)
+        """Raises ConfigError, UnknownName: a number or a kind of face that cannot be."""
+        what = f"domain {self.name}"
+        whole_numbers(f"{what}: shape", self.shape, (3,), low=1)
+        numbers(f"{what}: dx", self.dx, low=1e-300), numbers(f"{what}: dt", self.dt, low=1e-300)
+        checked_name("kind of bottom", self.bottom, BOTTOMS)
+        checked_name("kind of side", self.sides, SIDES)
+        for name, size in (("fine", self.fine), *(("finer", size) for size in self.finer)):
+            if size is not None:
+                numbers(f"{what}: {name}", size, (3,), low=1e-300)
+        if self.finer and self.fine is None:
+            raise ConfigError(f"{what}: finer boxes in no box; give the size of the first as fine, (3,) m")
+        self.boundaries  # noqa: B018  (checks the sponge)
         if self.follows and self.sides != "open":
             raise ConfigError(f"domain {self.name}: a window moves through open water; sides = {self.sides!r}, expected 'open'")
 
@@ -119,13 +132,16 @@ class Domain:
 
     def changed(self, *, depth: float | None = None, dx: float | None = None, dt: float | None = None, **more: Any) -> "Domain":
         """The same box with another depth [m], cell or time step; a new cell keeps the size and, unless dt is given, dx / dt."""
-        dx_new, (x, y, z) = dx or self.dx, self.size
-        nx, ny, nz = (max(1, round(s / dx_new)) for s in (x, y, depth or z))
-        return replace(self, shape=(nx, ny, nz), dx=dx_new, dt=dt or self.dt * dx_new / self.dx, **more)
+        given = {"depth": depth, "dx": dx, "dt": dt}
+        length = {name: float(numbers(f"domain: {name}", v, low=1e-300)) for name, v in given.items() if v is not None}
+        dx_new, (x, y, z) = length.get("dx", self.dx), self.size
+        nx, ny, nz = (max(1, round(s / dx_new)) for s in (x, y, length.get("depth", z)))
+        return replace(self, shape=(nx, ny, nz), dx=dx_new, dt=length.get("dt", self.dt * dx_new / self.dx), **more)
 
 
 def tank(name: str, size, dx: float, dt: float, **more: Any) -> Domain:
-    """A fixed box of `size` (3,) m."""
+    """A fixed box of `size` (3,) m. Raises ConfigError: a length that is not positive."""
+    numbers("domain: size", size, (3,), low=1e-300), numbers("domain: dx", dx, low=1e-300)
     return Domain(name=name, shape=tuple(round(s / dx) for s in size), dx=dx, dt=dt, **more)
 
 
@@ -165,9 +181,7 @@ def preset(name: str) -> Domain:
         UnknownName: none of them.
     """
     table = _presets() | _refined()
-    if name not in table:
-        raise UnknownName("domain", name, table)
-    return table[name]
+    return table[checked_name("domain", name, table)]
 
 
 class Follower:

@@ -30,6 +30,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.model import reference_pose
 from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.options import checked_array, shown_value
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
 PATIENCE = 2000  # turns that other tanks are given while one's device works
@@ -132,6 +133,9 @@ class Run:
         self.on_device = coupled.fluid.device.is_cuda if on_device is None else on_device
         self._at_once: dict[int, DeviceSteps] = {}  # by how many times finer the steps are
         self.coupled, self.robot = coupled, load_robot(robot)
+        for name, does in (("prescribed", prescribed), ("follow", follow)):
+            if not (does is None or callable(does)):
+                raise ConfigError(f"run: {name} = {shown_value(does)}; expected a function, or None")
         self.tethered, self.prescribed, self.follow = tethered, prescribed, follow
         timing, dt = self.robot.timing, coupled.body.dt
         self.steps = round(timing.bus_dt / dt)
@@ -328,10 +332,8 @@ class Run:
 
     def _send(self, command) -> np.ndarray:
         """Put a command on the bus, (J,) rad as it is sent."""
-        wanted = np.asarray(self.prescribed(self.time) if self.prescribed else command, float)
-        if wanted.shape != (self.joints,) or not np.isfinite(wanted).all():
-            raise ConfigError(f"run: command {wanted.tolist()}; expected {self.joints} finite joint angles in rad")
-        sent = on_the_bus(self.robot.servo, wanted)
+        wanted = self.prescribed(self.time) if self.prescribed else command
+        sent = on_the_bus(self.robot.servo, checked_array("run: command, joint angles in rad", wanted, (self.joints,)))
         self.commands.append(sent)
         return sent
 

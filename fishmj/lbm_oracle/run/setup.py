@@ -1,7 +1,7 @@
 """A fish in a box of water, put together: movement, domain, flow, markers, coupling and what happens at the edge."""
 
 from dataclasses import dataclass, field, replace
-from math import pi, radians
+from math import inf, pi, radians
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from fishmj.calib import constant
 from fishmj.errors import ConfigError
 from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid.fluid import Fluid, blend_at
+from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
@@ -23,6 +24,7 @@ from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.solver_water import boundary_name
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
+from fishmj.options import checked_kind
 
 LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
 
@@ -44,11 +46,15 @@ class Gait:
     ramp: float = 1.0
 
     def __post_init__(self):
+        """Raises ConfigError: a number that cannot be, or not one for each joint."""
+        whole_numbers("gait: joints", self.joints, low=1)
+        for name, low in (("frequency", 1e-300), ("ramp", 0.0), ("lag", -inf)):
+            numbers(f"gait: {name}", getattr(self, name), low=low)
         for name in ("amplitude", "bias"):
-            if np.size(getattr(self, name)) not in (1, self.joints):
-                raise ConfigError(f"gait: {name} has {np.size(getattr(self, name))} values; expected 1 or {self.joints}")
-        if not (self.frequency > 0 and self.ramp >= 0):
-            raise ConfigError(f"gait: frequency = {self.frequency} Hz must be positive, ramp = {self.ramp} s not negative")
+            size = np.size(value := getattr(self, name))
+            if size not in (1, self.joints):
+                raise ConfigError(f"gait: {name} has {size} values; expected 1 or {self.joints}")
+            numbers(f"gait: {name}", value, np.shape(value))
 
     @classmethod
     def of_the_paper(cls, second: bool = True, joints: int = 3) -> "Gait":
@@ -87,6 +93,14 @@ class SwimSetup:
     spacing: float = 1.0
     sharpness: Sharpness = PLAIN
     storage: str = "float32"
+
+    def __post_init__(self):
+        """Raises ConfigError: an object of another class, or numbers that cannot be."""
+        for name, kind in (("domain", Domain), ("flow", Flow), ("sharpness", Sharpness)):
+            checked_kind(f"oracle: {name}", getattr(self, name), kind, needed=True)
+        numbers("oracle: pose", self.pose, (3,))
+        if np.size(self.joints):
+            numbers("oracle: joints", self.joints, (None,))
 
     def assembled(self, body: ImmersedBody) -> FluidStructure:
         """Fish and water at t = 0, the undisturbed flow, the fish at rest over ground; whether it would run is not looked at."""

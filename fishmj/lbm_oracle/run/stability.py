@@ -7,11 +7,12 @@
 A refusal names the nearest set-up that would pass.
 """
 
+from math import inf
 from typing import NamedTuple
 
 from fishmj.calib import constant
-from fishmj.errors import ConfigError, OracleUnstable
-from fishmj.lbm_oracle.fluid.guard import MACH, MACH_WARN, check_spacing, check_speed, check_tau
+from fishmj.errors import OracleUnstable
+from fishmj.lbm_oracle.fluid.guard import MACH, MACH_WARN, check_spacing, check_speed, check_tau, numbers
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain
 
 CLEARANCE = constant("oracle", "clearance")  # cells
@@ -66,12 +67,13 @@ def check(
     """Warnings for a set-up that may run; `speed` is the fastest expected [m/s], `clearance` of the fish from the faces [cells].
 
     Raises:
-        OracleUnstable: it would not run; the message has the numbers and the nearest set-up that would pass.
+        ConfigError, UnknownName: no such number or subgrid model. OracleUnstable: it would not run; the message has the numbers
+            and the nearest set-up that would pass.
     """
+    for name, value in (("speed", speed), ("spacing", spacing), ("clearance", clearance)):
+        if value is not None:
+            numbers(f"guard: {name}", value, low=-inf if name == "clearance" else 0.0)
     lat, mach = domain.lattice, domain.lattice.mach(speed)
-    if not speed >= 0:
-        raise ConfigError(f"guard: speed = {speed} m/s; expected a fastest speed of at least 0")
-
     try:
         check_speed(lat, speed, domain.name)
         check_tau(lat, subgrid, domain.name)
