@@ -15,7 +15,7 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from math import degrees, radians
 from pathlib import Path
 from typing import Any
@@ -313,7 +313,7 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         words += shlex.split(args.loopback or "")
     except ValueError as error:
         raise ConfigError(f"--loopback {str(args.loopback)[:80]!r}: {error}") from error
-    console.warn("starting the loopback robot; the first start on a machine compiles its water for up to a minute")
+    tell_start()
     told = stack.enter_context(open(errors, "w", encoding="utf-8"))
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=told, text=True, start_new_session=True)
     stack.callback(_end, process)
@@ -327,6 +327,12 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         said = errors.read_text(encoding="utf-8").strip().splitlines()
         why = said[-1].removeprefix("fishmj: ") if said else "it ended without a word"
         raise ConfigError(f"loopback robot: does not start: {why}") from None
+
+
+@cache
+def tell_start() -> None:
+    """Say once what the first seconds are for."""
+    console.warn("starting the loopback robot; the first start on a machine compiles its water for up to a minute")
 
 
 def _end(process: "subprocess.Popen[str]") -> None:
