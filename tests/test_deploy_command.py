@@ -224,7 +224,7 @@ def test_the_ros_bridge_publishes_what_the_log_takes_in(tmp_path, monkeypatch):
     names = {name for name, _, _ in fake.published}
     assert names == {f"/fishmj/{name}" for name in ("pose", "joints", "commands", "battery", "state")}
     kinds = {name: kind for name, kind, _ in fake.published}
-    assert kinds["/fishmj/commands"] == "sensor_msgs/JointState"
+    assert kinds["/fishmj/commands"] == "sensor_msgs/msg/JointState"
     sent = [message["position"] for name, _, message in fake.published if name == "/fishmj/commands"]
     np.testing.assert_allclose(sent[-1], bench.robot.sent[-1])
     assert bench.log.listeners == [] and publisher[0].dropped == 0
