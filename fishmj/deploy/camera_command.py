@@ -128,7 +128,8 @@ def marks(path: Path) -> list[Mark]:
         if not known:
             expected = "expected pixel = [u, v] and point = [x, y], finite numbers, and perhaps name"
             raise ConfigError(f"{path}: [[mark]] {k + 1}: {expected}; got {str(row)[:120]}")
-        found.append(Mark(str(row.get("name", k + 1))[:40], pixel, point))
+        (u, v), (x, y) = pixel, point
+        found.append(Mark(str(row.get("name", k + 1))[:40], (u, v), (x, y)))
     return found
 
 
