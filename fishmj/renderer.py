@@ -5,6 +5,7 @@ fishmj draws nothing with it but dm_control's own pictures. `watch` turns such a
 
 import os
 import sys
+import warnings
 from importlib.abc import MetaPathFinder
 
 from fishmj.errors import ConfigError
@@ -15,9 +16,13 @@ CHOICES = "egl (GPU), osmesa, glfw (screen) or disabled"
 
 
 def watch() -> None:
-    """Look at the imports of `WATCHED` from now on; a second call changes nothing."""
+    """Look at the imports of `WATCHED` from now on; a second call changes nothing.
+
+    GLFW's warning that there is no screen is left out: dm_control then takes another renderer.
+    """
     if not any(isinstance(finder, _Watch) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Watch())
+        warnings.filterwarnings("ignore", r"\(65550\) .*DISPLAY environment variable is missing")
 
 
 def said_of(error: Exception) -> str:

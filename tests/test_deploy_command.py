@@ -3,6 +3,7 @@
 import inspect
 import re
 import sys
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +21,7 @@ from fishmj.deploy.ros import TOPICS, RosPublisher, battery, placed, stamp
 from fishmj.deploy.servo_bus import ServoBusLink
 from fishmj.deploy.supervisor import State
 from fishmj.deploy.swim_command import options, target_warnings
-from fishmj.errors import ConfigError, MissingExtra
+from fishmj.errors import ConfigError, MissingExtra, StoreError
 from fishmj.excitation import LEAD
 from fishmj.log import read_trial
 from fishmj.log.export import _KIND
@@ -116,6 +117,45 @@ def test_paint_comes_from_the_rig_and_an_unpainted_head_is_asked_for():
     assert wiring.make_tracker(read("--red", "0.09:0.05,0.15:0.03"), camera, painted).paint.head[0] == (0.09, 0.05)
 
 
+BANDS = {
+    "0.09:0.05,0.5:0.03": "paint at x = 0.5 m; the head link of tendon_fish lies from",
+    "-0.5:0.05,0.1:0.03": "paint at x = -0.5 m",
+    "0.09:0.3,0.15:0.03": "paint of 0.3 m at x = 0.09 m; tendon_fish is",
+}
+
+
+@pytest.mark.parametrize("red", BANDS)
+def test_paint_off_the_head_link_is_refused(red):
+    given = options().parse_args(["--policy", "station", "--tracker", "colour", f"--red={red}", "--yellow=-0.02:0.05,0.03:0.06"])
+    camera = overhead((1280, 720), 0.0028, 3.0)
+    with pytest.raises(ConfigError, match=BANDS[red]):
+        wiring.make_tracker(given, camera, "tendon_fish")
+    bands = tuple(tuple(map(float, row.split(":"))) for row in red.split(","))
+    painted = replace(load_robot("tendon_fish"), rig=RigSpec(red=bands, yellow=((-0.02, 0.05), (0.03, 0.06))))
+    with pytest.raises(ConfigError, match=r"\[rig\] red: (got )?paint"):
+        wiring.make_tracker(options().parse_args(["--policy", "station", "--tracker", "colour"]), camera, painted)
+
+
+def test_a_zero_beyond_the_travel_of_the_servo_is_refused():
+    words = ["--policy", "station", "--link", "serial:/dev/x", "--servo-zeros-deg", "0,-70"]
+    with pytest.raises(ConfigError, match="a zero of 70 deg and commands of .-60 deg; a servo of lx turns .-120 deg"):
+        wiring.make_link(options().parse_args(words), load_robot("tendon_fish"), MonotonicClock(), None)
+
+
+def test_servo_numbers_are_refused_before_the_loopback_robot_starts(monkeypatch):
+    monkeypatch.setattr(wiring, "_loopback", lambda *_: pytest.fail("the loopback robot was started"))
+    words = ["--policy", "station", "--link", "loopback", "--protocol", "servo-bus", "--servo-ids", "7,7,8"]
+    with ExitStack() as stack, pytest.raises(ConfigError, match="two servos of one number"):
+        wiring.wire(options().parse_args(words), load_robot("fish"), stack)
+
+
+def test_a_trial_that_is_there_is_refused_before_anything_is_opened(tmp_path, capsys):
+    opened = lambda *_: pytest.fail("the robot was opened")
+    words = ["--gait", "1,10,60", "--link", "loopback", "--out", str(tmp_path)]
+    with pytest.raises(StoreError, match="exists; choose another name"):
+        swim_command.main(words, opened)
+
+
 def test_the_servo_bus_of_two_joints_asks_for_two_servos():
     robot, clock = load_robot("tendon_fish"), MonotonicClock()
     words = ["--policy", "station", "--link", "serial:/dev/x"]
@@ -184,7 +224,7 @@ def test_the_ros_bridge_publishes_what_the_log_takes_in(tmp_path, monkeypatch):
     names = {name for name, _, _ in fake.published}
     assert names == {f"/fishmj/{name}" for name in ("pose", "joints", "commands", "battery", "state")}
     kinds = {name: kind for name, kind, _ in fake.published}
-    assert kinds["/fishmj/commands"] == "sensor_msgs/JointState"
+    assert kinds["/fishmj/commands"] == "sensor_msgs/msg/JointState"
     sent = [message["position"] for name, _, message in fake.published if name == "/fishmj/commands"]
     np.testing.assert_allclose(sent[-1], bench.robot.sent[-1])
     assert bench.log.listeners == [] and publisher[0].dropped == 0

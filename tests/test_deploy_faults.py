@@ -73,6 +73,27 @@ SERVO = {
 }
 
 
+LOW = {
+    "fishmj-1": {"voltage": 6.1},
+    "servo bus": {"voltage": None, "state": None, "servo_voltage": (6.0, 6.1, 6.2)},
+}
+
+
+@pytest.mark.parametrize("told", LOW)
+def test_a_robot_whose_battery_is_low_gets_no_torque(tmp_path, told):
+    bench = Bench(tmp_path / "swim", plan={"wait": 2.0})
+    bench.robot.changes.update(LOW[told])
+    outcome = bench.swim()
+    assert not outcome.cause and bench.robot.sent == [] and not bench.folder.exists()
+    assert "BATTERY_LOW (6.10 V, low_voltage is 6.4 V: charge it" in outcome.words
+
+
+def test_a_low_battery_that_ends_a_swim_is_told_with_its_voltage(tmp_path):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: bench.robot.changes.update(voltage=6.1))
+    assert "ended by BATTERY_LOW (6.10 V, low_voltage is 6.4 V" in bench.swim().words
+
+
 @pytest.mark.parametrize("name", SERVO)
 def test_fault_24_each_fault_of_a_servo_or_the_battery_ends_in_neutral(tmp_path, name):
     changes, cause, after = SERVO[name]

@@ -272,5 +272,5 @@ def test_a_bus_without_servos_says_nothing():
 
 
 def test_ids_that_stand_twice_are_refused():
-    with pytest.raises(ConfigError, match="expected one of each"):
+    with pytest.raises(ConfigError, match="two servos of one number answer at the same time"):
         ServoBusLink(lambda: None, FakeClock(), (1, 1, 2))

@@ -54,7 +54,11 @@ def test_the_pages_have_the_size_of_their_sheets_and_a_rule(tmp_path, capsys):
     out = tmp_path / "marks.pdf"
     assert console.run(main, ["print-marks", "--out", str(out), "--tag-size", "0.3"]) == console.OK
     said = capsys.readouterr().out
-    assert "black border 300 mm, A2" in said and "squares of 25 mm, A4" in said and "rule of 100 mm" in said
+    assert (
+        "black border 300 mm; right edge to the nose (--tag-mount X,Y,0), A2" in said
+        and "squares of 25 mm, A4" in said
+        and "rule of 100 mm" in said
+    )
     boxes = [tuple(map(float, box)) for box in re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", out.read_bytes())]
     np.testing.assert_allclose(np.array(boxes) / 72 * 25.4, [(420, 594), (297, 210)], atol=0.01)
     assert out.read_bytes() == pdf([tag_page("36h11", 0, 0.3), board_page(9, 6, 0.025)])

@@ -1,5 +1,7 @@
 """The end of a swim: the torque goes off, at once where it must, and the last line says where nobody knows that it did."""
 
+import io
+import re
 from threading import Event
 
 import numpy as np
@@ -187,6 +189,25 @@ def test_a_terminal_that_is_gone_does_not_end_the_swim(tmp_path, monkeypatch):
     bench.robot.changes["temperature"] = None
     monkeypatch.setattr(console, "warn", gone)
     assert bench.swim(status=status).complete
+
+
+def test_the_status_line_tells_the_wait_and_then_the_time_left(tmp_path):
+    bench = Bench(tmp_path / "swim", seconds=3.0)
+    bench.eyes.blind, shown, clock = True, io.StringIO(), bench.clock
+    status = StatusLine(3.0)
+    status._bar = console.Progress(3.0, "swim", "s", stream=shown, clock=clock.now, every=0.5)
+    fixes = bench.eyes.fixes
+
+    def late(now):
+        bench.eyes.blind = now < 105.0
+        return fixes(now)
+
+    bench.eyes.fixes = late
+    assert bench.swim(status=status).complete
+    lines = shown.getvalue().splitlines()
+    assert "waiting for robot and camera, LINKED: POSE_LOST" in lines[1]
+    left = [float(re.search(r"([0-9.]+) s left", line)[1]) for line in lines if " left" in line]
+    assert left and max(left) < 3.2
 
 
 def test_letting_go_blindly_goes_on_where_the_link_fails(tmp_path):

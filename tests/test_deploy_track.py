@@ -111,6 +111,40 @@ def test_a_mark_that_was_measured_wrongly_is_named(tmp_path, capsys):
     assert "mark m5: without it" in said and said.strip().split("\n")[-1].endswith("is written all the same")
 
 
+MARKS = {
+    "": ("", "got 0 marks"),
+    "marks": ("[[marks]]\npixel = [1, 2]\npoint = [0, 0]\n", "expected blocks \\[\\[mark\\]\\]"),
+    "nan": ("[[mark]]\npixel = [1, 2]\npoint = [nan, 0]\n", "mark\\]\\] 1: expected .*finite numbers"),
+    "key": ("[[mark]]\npixel = [1, 2]\npoint = [0, 0]\nhight = 1\n", "mark\\]\\] 1: expected .*hight"),
+}
+
+
+@pytest.mark.parametrize("case", MARKS)
+def test_bad_marks_are_refused_by_their_number(tmp_path, case):
+    from fishmj.deploy.camera_command import marks
+    from fishmj.errors import ConfigError
+
+    text, said = MARKS[case]
+    (tmp_path / "marks.toml").write_text(text, encoding="utf-8")
+    if not text:
+        assert marks(tmp_path / "marks.toml") == []
+        return
+    with pytest.raises(ConfigError, match=said):
+        marks(tmp_path / "marks.toml")
+
+
+@pytest.mark.parametrize(("count", "more", "said"), [(4, [], "4 marks always fit"), (6, ["--camera", "0,0,30"], "27.50 m from")])
+def test_what_the_marks_cannot_check_is_told(tmp_path, capsys, count, more, said):
+    board_pictures(tmp_path / "board")
+    points = [(-0.8, -0.6), (0.8, -0.6), (0.8, 0.6), (-0.8, 0.6), (0.1, 0.2), (-0.3, 0.4)][:count]
+    rows = [f"[[mark]]\npixel = [{319.5 + 280 * x}, {239.5 - 280 * y}]\npoint = [{x}, {y}]\n" for x, y in points]
+    (tmp_path / "marks.toml").write_text("".join(rows), encoding="utf-8")
+    words = ["calibrate-camera", "--pictures", str(tmp_path / "board"), "--board", "9x6", "--square", "0.03"]
+    words += ["--marks", str(tmp_path / "marks.toml"), "--out", str(tmp_path / "tank.toml"), *more]
+    assert console.run(main, words) == console.OK
+    assert said in capsys.readouterr().err
+
+
 BAD = {
     "--board 9": "expected COLUMNSxROWS",
     "--board 9x6 --pictures nowhere": "no picture there",

@@ -164,6 +164,7 @@ RELATIONS = [
     (("rig", "signs"), [1, -1], "3, one a joint"),
     (("rig", "signs"), [1, -1, 0], "each 1 or -1"),
     (("rig", "zeros_deg"), [0.0, 190.0, 0.0], "each from -180 to 180"),
+    (("rig", "zeros_deg"), [0.0, 70.0, 0.0], "mount its horn nearer to the middle"),
     (("rig", "zeros"), [0.0, 90.0, 0.0], "in degrees go into zeros_deg"),
     (("rig", "bus"), "can", "'lx', 'dynamixel-x' or 'dynamixel-ax'"),
     (("rig", "baud"), 57601, "a baud rate"),
@@ -384,6 +385,25 @@ def test_a_low_battery_is_that_of_its_cells(volts, low):
     robot = replace(shipped, servo=replace(shipped.servo, voltage=volts))
     assert robot.low_voltage == pytest.approx(low) and robot.servo_ids == (1, 2, 3)
     assert replace(robot, rig=RigSpec(low_voltage=3.3)).low_voltage == 3.3
+
+
+def test_a_servo_number_that_the_bus_has_not_is_refused():
+    table = put(("rig", "servo_ids"), [1, 2, 253])
+    assert robot_from_dict(table, "fish.toml").servo_ids == (1, 2, 253)
+    table["rig"] |= {"bus": "dynamixel-x", "baud": 1000000}
+    with pytest.raises(DescriptionError, match="0 to 252 on dynamixel-x"):
+        robot_from_dict(table, "fish.toml")
+
+
+@pytest.mark.parametrize(("low", "told"), [(6.4, True), (5.0, True), (2.4, True), (4.9, False), (2.5, False)])
+def test_a_low_voltage_that_the_servos_never_have_is_told(low, told):
+    shipped = load_robot("fish")
+    ratio = 5.0 / shipped.servo.voltage
+    servo = replace(
+        shipped.servo, voltage=5.0, constant=shipped.servo.constant * ratio, resistance=shipped.servo.resistance * ratio**2
+    )
+    notes = load_robot(replace(shipped, servo=servo, rig=RigSpec(low_voltage=low))).notes
+    assert any("[rig] low_voltage" in note and "[servo] voltage" in note for note in notes) is told
 
 
 @pytest.mark.parametrize("water", ["swift", "swift-noslip", "tendon_fish"])

@@ -82,6 +82,13 @@ def test_a_renderer_that_does_not_load_is_one_line_with_its_remedy(module):
     assert "unset the variable, or set it to another of egl (GPU), osmesa" in last
 
 
+def test_a_computer_without_a_screen_hears_no_warning_of_glfw():
+    environ = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    words = "import fishmj, warnings; warnings.warn('(65550) b\\'X11: The DISPLAY environment variable is missing\\'')"
+    done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, cwd=ROOT, env=environ)
+    assert done.returncode == 0 and "DISPLAY" not in done.stderr
+
+
 def test_a_command_with_a_wrong_renderer_is_bad_input_and_no_fault():
     environ = {**os.environ, "MUJOCO_GL": "nonsense"}
     command = [sys.executable, "-m", "fishmj", "evaluate", "drift", "--repeats", "1", "--los", "0", "--speeds", "0.1"]

@@ -4,6 +4,7 @@ import configparser
 import re
 import subprocess
 
+import pytest
 from firmware_library import COMPILER, FIRMWARE, SOURCES, STRICT, compiled, needs_compiler
 
 from fishmj.mjcf.description import load_robot
@@ -23,8 +24,8 @@ def flags() -> dict[str, str]:
     return dict(re.findall(r"-D (\w+)=(\S+)", found["env:esp32s3"]["build_flags"]))
 
 
-def defined() -> list[str]:
-    words = {**flags(), "FJ_WIFI_SSID": '"tank"', "FJ_WIFI_PASSWORD": '"password"'}
+def defined(**changed: str) -> list[str]:
+    words = {**flags(), **changed, "FJ_WIFI_SSID": '"tank"', "FJ_WIFI_PASSWORD": '"password"'}
     return [f"-D{name}={value}" for name, value in words.items()]
 
 
@@ -34,9 +35,20 @@ def test_main_compiles_strictly_against_declarations_of_esp_idf():
     assert done.returncode == 0, done.stderr[-4000:]
 
 
+@pytest.mark.parametrize("changed", [{"FJ_SERVO_SIGNS": "1.0f,1.0f"}, {"FJ_SERVO_IDS": "1,2"}, {"FJ_SERVO_ZEROS": "0.0f"}])
+def test_main_does_not_compile_without_a_sign_and_a_zero_for_each_servo(changed):
+    words = [COMPILER, *STRICT, *defined(**changed), "-I", FIRMWARE, "-I", STUBS, "-fsyntax-only", MAIN]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode != 0 and "each_servo_has_a" in done.stderr
+
+
+def test_low_battery_of_the_firmware_is_that_of_the_shipped_fish():
+    assert float(flags()["FJ_LOW_BATTERY"].rstrip("f")) == load_robot("fish").low_voltage
+
+
 def test_main_takes_every_flag_of_platformio_and_the_parts_that_cmake_lists():
     text = MAIN.read_text(encoding="utf-8")
-    assert set(re.findall(r"FJ_(?:PIN|SERVO|WIFI)_\w+|FJ_SHUNT_OHM|FJ_MOST_AMPERE", text)) == set(flags())
+    assert set(re.findall(r"FJ_(?:PIN|SERVO|WIFI)_\w+|FJ_SHUNT_OHM|FJ_MOST_AMPERE|FJ_LOW_BATTERY", text)) == set(flags())
     listed = set(re.findall(r"\.\./(\w+\.c)", (MAIN.parent / "CMakeLists.txt").read_text(encoding="utf-8")))
     assert listed == {source.name for source in SOURCES} - {"policy.c"}
     assert "CONFIG_FREERTOS_HZ=1000\n" in (FIRMWARE / "sdkconfig.defaults").read_text(encoding="utf-8")

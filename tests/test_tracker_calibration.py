@@ -14,7 +14,7 @@ POINTS = [(-1.5, -0.8), (1.5, -0.8), (1.5, 0.8), (-1.5, 0.8), (0.1, 0.2), (-0.7,
 
 
 def camera(**changes) -> Calibration:
-    return overhead((1280, 720), 0.0028, 3.0, **{"distortion": LENS, "tilt": (0.05, -0.03), "turn": 0.4} | changes)
+    return overhead((1280, 720), 0.0028, 3.0, **{"distortion": LENS, "tilt": (0.05, -0.03), "turn": 0.05} | changes)
 
 
 @pytest.mark.parametrize("height", [0.3, 0.03, 0.0, -0.01, -0.5])
@@ -86,6 +86,9 @@ def test_four_marks_leave_nothing_to_check():
     [
         (POINTS[:3], "4 at least"),
         ([(x, 0.5 * x) for x in (-1.0, -0.4, 0.2, 1.0)], "one line"),
+        ([*((x, 0.5 * x) for x in (-1.0, -0.4, 0.2, 1.0)), (0.3, -0.6)], "all marks but one"),
+        ([*POINTS[:4], POINTS[2]], "m2 and m4 have one pixel"),
+        ([*POINTS[:4], (3.0, 0.1)], "m4: pixel .* outside of the picture, 1280 x 720 px"),
     ],
 )
 def test_marks_that_cannot_do_are_refused(points, said):
@@ -93,6 +96,29 @@ def test_marks_that_cannot_do_are_refused(points, said):
     marks = [Mark(f"m{k}", tuple(truth.to_pixel([p])[0]), p) for k, p in enumerate(points)]
     with pytest.raises(ConfigError, match=said):
         homography_from_marks(marks, truth.size, truth.matrix, truth.distortion)
+
+
+@pytest.mark.parametrize(("unit", "said"), [(100.0, "give the points of the marks in m"), (1000.0, "expected 0.05 to 100 m")])
+def test_marks_in_another_unit_are_refused(unit, said):
+    truth = camera()
+    marks = [Mark(f"m{k}", tuple(truth.to_pixel([p])[0]), (unit * p[0], unit * p[1])) for k, p in enumerate(POINTS)]
+    with pytest.raises(ConfigError, match=said):
+        homography_from_marks(marks, truth.size, truth.matrix, truth.distortion)
+
+
+def test_marks_that_no_camera_sees_so_are_refused():
+    truth = camera()
+    marks = [Mark(f"m{k}", tuple(truth.to_pixel([p])[0]), (1.3 * p[0], p[1])) for k, p in enumerate(POINTS)]
+    with pytest.raises(ConfigError, match="no camera with this lens sees the marks so: 1 m along x would be 0.77 times"):
+        homography_from_marks(marks, truth.size, truth.matrix, truth.distortion)
+
+
+def test_marks_read_a_pixel_off_still_calibrate():
+    truth, rng = camera(), np.random.default_rng(0)
+    for _ in range(50):
+        marks = [Mark(f"m{k}", tuple(truth.to_pixel([p])[0] + rng.normal(0, 1.0, 2)), p) for k, p in enumerate(POINTS[:6])]
+        found = homography_from_marks(marks, truth.size, truth.matrix, truth.distortion).calibration
+        assert abs(found.camera[2] / 3.0 - 1) < 0.1
 
 
 def test_marks_that_mirror_the_tank_are_refused():

@@ -41,6 +41,9 @@
 static const char *const TAG = "fishmj";
 static const uint8_t SERVO_IDS[] = {FJ_SERVO_IDS};
 static const float SERVO_SIGNS[] = {FJ_SERVO_SIGNS}, SERVO_ZEROS[] = {FJ_SERVO_ZEROS};
+/* one sign and one zero a servo: an array of a negative size does not compile */
+typedef char each_servo_has_a_sign[sizeof SERVO_SIGNS == sizeof SERVO_IDS * sizeof(float) ? 1 : -1];
+typedef char each_servo_has_a_zero[sizeof SERVO_ZEROS == sizeof SERVO_IDS * sizeof(float) ? 1 : -1];
 static fj_board board;
 static i2c_master_dev_handle_t meter;
 static int radio = -1;
@@ -201,6 +204,7 @@ void app_main(void) {
     }
     parts.shunt_ohm = FJ_SHUNT_OHM;
     parts.most_ampere = FJ_MOST_AMPERE;
+    parts.low_battery = FJ_LOW_BATTERY;
     begin_servos();
     begin_meter();
     begin_radio();

@@ -1,7 +1,10 @@
 """`fishmj deploy calibrate-camera`: from pictures of a board and marks of the tank to the calibration that a tracker needs."""
 
 from argparse import ArgumentTypeError
+from math import isfinite
 from pathlib import Path
+
+import numpy as np
 
 from fishmj import console
 from fishmj.calib import read_toml
@@ -9,9 +12,12 @@ from fishmj.deploy.cameras import cv2
 from fishmj.deploy.wiring import numbers
 from fishmj.errors import ConfigError, StoreError
 from fishmj.tracker import Board, Mark, calibrate_intrinsics, homography_from_marks
+from fishmj.tracker.calibration import PAIRS, camera_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 ROUGH = 5e-3  # m, rms of the marks beyond which the calibration is worse than a tracker needs
+FEWEST = 4  # marks that any homography meets
+OFF = 0.2  # of its height, m/m, that a camera may be from where the marks put it
 WRONG = 0.5  # of the rms that is left without a mark: then it is that one
 EXAMPLES = """marks, four at least and better six, each in the picture and in the tank:
   [[mark]]
@@ -55,10 +61,17 @@ def main(argv: list[str]) -> int:
     )
     fit.calibration.write(args.out)
     x, y, high = fit.calibration.camera
-    worst = float(fit.residual.max())
+    worst, k = float(fit.residual.max()), int(fit.residual.argmax())
     if fit.without is not None and fit.rms > ROUGH and fit.without.min() < WRONG * fit.rms:
         k = int(fit.without.argmin())
-        console.warn(f"mark {named[k].name}: without it the rms is {1e3 * fit.without[k]:.1f} mm; measure it again")
+        console.warn(f"mark {named[k].name}: without it the rms is {1e3 * fit.without[k]:.1f} mm")
+    if len(named) == FEWEST:
+        console.warn(f"{FEWEST} marks always fit: a wrong one shows with five or more, and is named with six")
+    if (
+        args.camera is not None
+        and (off := np.abs(camera_of(fit.calibration.homography, lens.matrix) - args.camera).max()) > OFF * high
+    ):
+        console.warn(f"--camera lies {off:.2f} m from where the marks put the camera; measure again which of them is right")
     console.say(
         f"lens: {len(lens.used)} pictures, rms {lens.rms:.2f} px, focal length {lens.matrix[0, 0]:.1f} px"
         f" +- {lens.focal_sigma:.1f}",
@@ -73,7 +86,7 @@ def main(argv: list[str]) -> int:
         return console.OK
     console.warn(
         f"the marks fit to {1e3 * fit.rms:.1f} mm rms, a tracker needs {1e3 * ROUGH:g} mm: measure mark"
-        f" {named[int(fit.residual.argmax())].name} and its pixel again; {args.out} is written all the same"
+        f" {named[k].name} and its pixel again; {args.out} is written all the same"
     )
     return console.FAILED_CHECK
 
@@ -102,13 +115,21 @@ def marks(path: Path) -> list[Mark]:
     Raises:
         ConfigError: no such file, or an entry that is no mark.
     """
-    rows, found = read_toml(path).get("mark", []), []
-    for k, row in enumerate(rows if isinstance(rows, list) else []):
+    table, found = read_toml(path), []
+    rows = table.get("mark", [])
+    if set(table) - {"mark"} or not isinstance(rows, list):
+        raise ConfigError(f"{path}: got {', '.join(sorted(table))[:80]}, expected blocks [[mark]] and nothing else")
+    for k, row in enumerate(rows):
         try:
-            (u, v), (x, y) = row["pixel"], row["point"]
-            found.append(Mark(str(row.get("name", k + 1))[:40], (float(u), float(v)), (float(x), float(y))))
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"{path}: [[mark]] {k + 1}: expected pixel = [u, v] and point = [x, y], numbers") from error
+            pixel, point = (tuple(float(value) for value in row[name]) for name in PAIRS)
+            known = len(pixel) == len(point) == 2 and all(map(isfinite, (*pixel, *point))) and not set(row) - {"name", *PAIRS}
+        except (KeyError, TypeError, ValueError):
+            known = False
+        if not known:
+            expected = "expected pixel = [u, v] and point = [x, y], finite numbers, and perhaps name"
+            raise ConfigError(f"{path}: [[mark]] {k + 1}: {expected}; got {str(row)[:120]}")
+        (u, v), (x, y) = pixel, point
+        found.append(Mark(str(row.get("name", k + 1))[:40], (u, v), (x, y)))
     return found
 
 

@@ -37,7 +37,8 @@ def tag_page(family: str, number: int, size: float) -> Page:
         UnknownName: another family. ConfigError: a number that the family has not, or a tag that fits on no sheet.
     """
     code = code_of(family, number)
-    return _page(~code, 1e3 * size / len(code), f"AprilTag {family}, number {number}, black border {1e3 * size:g} mm", rim=1)
+    label = f"AprilTag {family}, number {number}, black border {1e3 * size:g} mm; right edge to the nose (--tag-mount X,Y,0)"
+    return _page(~code, 1e3 * size / len(code), label, rim=1)
 
 
 def board_page(columns: int, rows: int, square: float) -> Page:

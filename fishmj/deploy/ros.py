@@ -1,10 +1,10 @@
 """A bridge to ROS 2 over rosbridge, behind the extra `ros`: what the host hears and sends, as standard messages.
 
-    /fishmj/pose        geometry_msgs/PoseStamped      accepted fixes, frame `tank`
-    /fishmj/joints      sensor_msgs/JointState         measured joint angles
-    /fishmj/commands    sensor_msgs/JointState         commands as they left
-    /fishmj/battery     sensor_msgs/BatteryState       voltage and current
-    /fishmj/state       std_msgs/String                the supervisor's changes
+    /fishmj/pose        geometry_msgs/msg/PoseStamped    accepted fixes, frame `tank`
+    /fishmj/joints      sensor_msgs/msg/JointState       measured joint angles
+    /fishmj/commands    sensor_msgs/msg/JointState       commands as they left
+    /fishmj/battery     sensor_msgs/msg/BatteryState     voltage and current
+    /fishmj/state       std_msgs/msg/String              the supervisor's changes
 
 One way only: nothing that ROS says moves the fish. A thread publishes, so a slow bridge delays no tick; what it cannot take
 in time is dropped and counted. Stamps are wall-clock time.
@@ -21,15 +21,16 @@ import numpy as np
 from fishmj.deploy.observer import Pose
 from fishmj.deploy.supervisor import Event, named
 from fishmj.deploy.trial_log import TrialLog
+from fishmj.deploy.watch import supply
 from fishmj.errors import ConfigError, MissingExtra
 from fishmj.protocols.messages import Telemetry
 
 TOPICS = {
-    "pose": "geometry_msgs/PoseStamped",
-    "joints": "sensor_msgs/JointState",
-    "commands": "sensor_msgs/JointState",
-    "battery": "sensor_msgs/BatteryState",
-    "state": "std_msgs/String",
+    "pose": "geometry_msgs/msg/PoseStamped",
+    "joints": "sensor_msgs/msg/JointState",
+    "commands": "sensor_msgs/msg/JointState",
+    "battery": "sensor_msgs/msg/BatteryState",
+    "state": "std_msgs/msg/String",
 }
 WAITING = 200  # messages that may wait
 CONNECT = 5.0  # s
@@ -93,8 +94,8 @@ class RosPublisher:
     def heard(self, t: float, packet: Telemetry) -> None:
         """A packet that arrived."""
         self._put("joints", joints(self._stamp(t), packet.joint))
-        if packet.voltage is not None:
-            self._put("battery", battery(self._stamp(t), packet.voltage, packet.current))
+        if (volts := supply(packet)) is not None:
+            self._put("battery", battery(self._stamp(t), volts, packet.current))
 
     def fix(self, pose: Pose) -> None:
         """A fix that was accepted."""
@@ -132,21 +133,21 @@ def stamp(seconds: float) -> Message:
 
 
 def joints(at: Message, angles: Any) -> Message:
-    """sensor_msgs/JointState of angles (J,) rad."""
+    """sensor_msgs/msg/JointState of angles (J,) rad."""
     values = [float(angle) for angle in angles]
     names = [f"j{k + 1}" for k in range(len(values))]
     return {"header": {"stamp": at, "frame_id": "fish"}, "name": names, "position": values, "velocity": [], "effort": []}
 
 
 def placed(at: Message, pose: Pose) -> Message:
-    """geometry_msgs/PoseStamped in the frame `tank`."""
+    """geometry_msgs/msg/PoseStamped in the frame `tank`."""
     turn = {"x": 0.0, "y": 0.0, "z": sin(pose.yaw / 2), "w": cos(pose.yaw / 2)}
     place = {"x": float(pose.x), "y": float(pose.y), "z": 0.0}
     return {"header": {"stamp": at, "frame_id": "tank"}, "pose": {"position": place, "orientation": turn}}
 
 
 def battery(at: Message, volts: float, amperes: float | None) -> Message:
-    """sensor_msgs/BatteryState; a current that drains is negative there."""
+    """sensor_msgs/msg/BatteryState; a current that drains is negative there."""
     said = {"voltage": float(volts), "present": True, "power_supply_technology": UNKNOWN}
     current = {} if amperes is None else {"current": -float(amperes)}
     return {"header": {"stamp": at, "frame_id": "fish"}, **said, **current}

@@ -53,7 +53,9 @@ class ServoBusLink:
         self.ids, self.zeros = tuple(ids), tuple(zeros or (0.0,) * len(ids))
         self.signs = tuple(signs or (1,) * len(ids))
         self.bus, self.name, self.baud, self.budget = bus, f"{bus.name}-bus", baud or bus.baud, SHARE * tick
-        if len(set(self.ids)) != len(self.ids) or not len(self.ids) == len(self.zeros) == len(self.signs):
+        if len(set(self.ids)) != len(self.ids):
+            raise ConfigError(f"servo bus: ids {_listed(self.ids)}; two servos of one number answer at the same time")
+        if not len(self.ids) == len(self.zeros) == len(self.signs):
             raise ConfigError(f"servo bus: ids {self.ids}, zeros {self.zeros}, signs {self.signs}; expected one of each a joint")
         if not all(0 <= servo <= bus.most_id for servo in self.ids):
             raise ConfigError(f"servo bus: ids {_listed(self.ids)}; {bus.name} has 0 to {bus.most_id}")

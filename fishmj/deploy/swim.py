@@ -85,7 +85,7 @@ class Outcome:
         swum: s under the policy. figures: counts and times for the log and for people.
         released: whether the robot said that its torque is off; None where its protocol cannot say, or it never was armed.
         lets_go: whether it can be told to let go at all. camera: why no more poses came, "" while they did.
-        servos: which of them said a fault when it ended, "" for none.
+        faulty: servos that said a fault when it ended, and the voltage of a low battery; "" for none.
     """
 
     cause: Condition
@@ -95,7 +95,7 @@ class Outcome:
     released: bool | None = None
     lets_go: bool = True
     camera: str = ""
-    servos: str = ""
+    faulty: str = ""
 
     @property
     def complete(self) -> bool:
@@ -106,8 +106,8 @@ class Outcome:
     def words(self) -> str:
         """One line for people."""
         if self.cause:
-            servos = f" ({self.servos})" if self.servos else ""
-            return f"swam {self.swum:.1f} s; ended by {named(self.cause)}{servos}{self._blind}{self._torque}"
+            faulty = f" ({self.faulty})" if self.faulty else ""
+            return f"swam {self.swum:.1f} s; ended by {named(self.cause)}{faulty}{self._blind}{self._torque}"
         return f"not armed: {'; '.join(self.refused) or 'stopped'}{self._blind}"
 
     @property
@@ -159,7 +159,7 @@ class Swim:
         self._asked_arm = self._stopped = False
         self._unguarded: tuple[str, ...] = ()
         self._trouble, self._ask_again, self._told = NONE, 0.0, False
-        self._servos = ""
+        self._faulty = ""
         self._person = person
 
     def run(self) -> Outcome:
@@ -273,6 +273,8 @@ class Swim:
             return False
         if decide(State.LINKED, true | Condition.ASK_ARM).state is not State.ARMED:
             return False
+        if self.watch.undecided(now):
+            return False
         if self.watch.unguarded(now) and self.watch.first is not None and now - self.watch.first < GUARDS:
             return False
         if newest.state is RobotState.ARMED and self._asked_arm:
@@ -308,7 +310,7 @@ class Swim:
         if after is State.SWIMMING:
             self.began = now
         if after is State.NEUTRAL:
-            self.home, self._servos = now, self._at_fault()
+            self.home, self._faulty = now, self._at_fault(self.supervisor.cause)
             self.swum = now - self.began if self.began is not None else 0.0
         self.log.event(self.supervisor.events[-1])
 
@@ -317,9 +319,10 @@ class Swim:
         if self.refusal is not None and self.refusal.reasons or Condition.OPERATOR_STOP in true:
             self.over = True
         elif now - self.start > self.plan.wait:
-            reasons = named(decide(State.LINKED, true).because & ~Condition.HEARD)
-            if reasons and (servos := self._at_fault()):
-                reasons += f" ({servos})"
+            because = decide(State.LINKED, true).because & ~Condition.HEARD
+            reasons = named(because)
+            if reasons and (faulty := self._at_fault(because)):
+                reasons += f" ({faulty})"
             if self.supervisor.state is State.DOWN:
                 reasons = f"nothing heard of the robot in {self.plan.wait:g} s"
                 if silence := self.rig.link.silence():
@@ -328,9 +331,11 @@ class Swim:
             self.refusal = Refusal(NONE, (reasons or f"the robot did not arm in {self.plan.wait:g} s{why}",))
             self.over = True
 
-    def _at_fault(self) -> str:
-        """Servos that say a fault, by their numbers on the bus."""
-        return servos_at_fault(self.watch.newest, self.info.servo_ids if self.info is not None else self.rig.robot.servo_ids)
+    def _at_fault(self, because: Condition) -> str:
+        """Servos that say a fault, by their numbers on the bus, and the voltage of a low battery."""
+        servos = servos_at_fault(self.watch.newest, self.info.servo_ids if self.info is not None else self.rig.robot.servo_ids)
+        battery = self.watch.battery() if Condition.BATTERY_LOW in because else ""
+        return "; ".join(told for told in (servos, battery) if told)
 
     def command(self, tick: Tick, decision: Decision) -> None:
         """Send what the action wants."""
@@ -420,5 +425,5 @@ class Swim:
         self.log.meta["host"] = {**self.log.meta.get("host", {}), **figures}
         return Outcome(
             cause=self.supervisor.cause, refused=refused, swum=self.swum, figures=figures, released=released, lets_go=lets_go,
-            camera=str(getattr(self.rig.localiser, "failed", None) or ""), servos=self._servos,
+            camera=str(getattr(self.rig.localiser, "failed", None) or ""), faulty=self._faulty,
         )  # fmt: skip

@@ -24,7 +24,7 @@ from fishmj.deploy.monitor_live import LiveMonitor, Watched, monitor_options, wa
 from fishmj.deploy.pilot import Pilot, PlayedPilot, PolicyPilot
 from fishmj.deploy.status import StatusLine
 from fishmj.deploy.swim import Outcome, Plan, Rig, Swim
-from fishmj.deploy.trial_log import TrialLog
+from fishmj.deploy.trial_log import TrialLog, refuse_taken
 from fishmj.deploy.way_out import way_out
 from fishmj.errors import ConfigError, UsageError
 from fishmj.mjcf.description import Robot, load_robot
@@ -96,6 +96,7 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
     robot = load_robot(args.robot)
     controller, pilot = pilot_of(args, robot)
     out = args.out or Path("runs") / f"swim-{datetime.now():%Y%m%d-%H%M%S}"
+    refuse_taken(out)
     watched = watched_of(args, robot, args.flow, args.seconds)
     with undisturbed():
         outcome = _swum(args, robot, controller, pilot, out, wire or wiring.wire, watched)

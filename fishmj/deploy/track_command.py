@@ -4,6 +4,8 @@ from pathlib import Path
 
 from fishmj import console
 from fishmj.deploy import wiring
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.identity import robot_sha256
 from fishmj.tracker.video import track_video
 
 EXAMPLES = """examples:
@@ -20,7 +22,7 @@ def options() -> console.Parser:
     add("video", type=console.path, help="a file that OpenCV reads")
     add("--out", type=console.out_folder, required=True, metavar="FOLDER", help="trial folder")
     add("--overlay", type=console.out_file, metavar="FILE", help="MP4 with what was found drawn over it (default none)")
-    add("--robot", type=console.text, default="fish", help="name of the robot for meta.toml")
+    add("--robot", type=console.text, default="fish", help="its description, shipped name or TOML file; or a name for meta.toml")
     add("--overwrite", action="store_true", help="replace a trial that is there")
     wiring.tracker_options(made)
     return made
@@ -29,7 +31,8 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """The command. Exit code 0: the fish is in 90 % of the frames at least; 1: in fewer."""
     args = options().parse_args(argv)
-    tracker = wiring.make_tracker(args, wiring.calibration_of(args, None), args.robot)
+    robot = load_robot(args.robot) if args.robot.endswith(".toml") else args.robot
+    tracker = wiring.make_tracker(args, wiring.calibration_of(args, None), robot)
     with console.Progress(1, "track", "frames") as bar:
 
         def progress(done: int, total: int, fixes: int) -> None:
@@ -42,6 +45,8 @@ def main(argv: list[str]) -> int:
                 )
 
         meta = {"robot": args.robot, "medium": "water"}
+        if isinstance(robot, Robot):
+            meta |= {"robot": robot.name, "robot_sha256": robot_sha256(robot)}
         found = track_video(
             args.video, tracker, args.out, overlay=args.overlay, meta=meta, overwrite=args.overwrite, progress=progress
         )

@@ -77,6 +77,12 @@ class Rows:
         self.count -= count
 
 
+def refuse_taken(folder: Path) -> None:
+    """Raises StoreError where a folder that is to become a trial is there already."""
+    if folder.exists():
+        raise StoreError(f"{folder}: exists; choose another name for the trial")
+
+
 class TrialLog:
     """One trial folder under way.
 
@@ -90,8 +96,7 @@ class TrialLog:
     """
 
     def __init__(self, folder: Path, meta: Mapping[str, Any], joints: int, *, every: float = EVERY):
-        if folder.exists():
-            raise StoreError(f"{folder}: exists; choose another name for the trial")
+        refuse_taken(folder)
         self.folder, self.meta, self.every = folder, dict(meta), every
         each = lambda letter: [f"{letter}{k + 1}" for k in range(joints)]
         self.joints = joints

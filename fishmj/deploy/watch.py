@@ -150,6 +150,19 @@ class Watch:
             return False
         return max(volts for _, volts in self._volts) < self.limits.battery_low
 
+    def undecided(self, now: float) -> bool:
+        """Whether the newest reading of the battery is too low, and too few came yet to tell that from a sag."""
+        volts = supply(self.newest) if self.newest is not None else None
+        if volts is None or volts >= self.limits.battery_low or self.first is None:
+            return False
+        return now - self.first < self.limits.sag + self.limits.quiet
+
+    def battery(self) -> str:
+        """The newest voltage beside its bound, for a line that names BATTERY_LOW."""
+        volts = supply(self.newest) if self.newest is not None else None
+        told = f"{volts:.2f} V, " if volts is not None else ""
+        return f"{told}low_voltage is {self.limits.battery_low:g} V: charge it, or state the bound of this battery in [rig]"
+
     def _stuck(self) -> bool:
         """A joint that hardly moves while commands do, or stands still away from them."""
         limits, motion = self.limits, self._motion

@@ -15,10 +15,12 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
-from math import radians
+from functools import cache, partial
+from math import degrees, radians
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fishmj import console
 from fishmj.deploy.cameras import Camera, Device, SharedFrames, VideoFile
@@ -28,9 +30,11 @@ from fishmj.deploy.localiser import InProcess, Localiser
 from fishmj.deploy.servo_bus import ServoBusLink
 from fishmj.deploy.transports import UdpTransport, open_serial
 from fishmj.errors import ConfigError
+from fishmj.mjcf import geometry_of
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.protocols import mish
 from fishmj.protocols.servo_bus import BUSES
+from fishmj.protocols.servo_counts import travel
 from fishmj.store import temporary_beside
 from fishmj.tracker.calibration import Calibration
 from fishmj.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
@@ -40,6 +44,8 @@ SERVO_BUS = "servo-bus"
 PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)
 PORTS = {"fishmj-1": 2334}  # of the robot where the link names none; mish has its own
 STARTS = 60.0  # s that the loopback robot may take: it compiles its water at its first start
+NEAR = 0.005  # m that a painted band may stand off the head link, by the ruler
+WIDER = 1.25  # times the head's width: a round hull, painted down its sides
 WAIT = 0.002  # s that a read of the servo bus waits
 
 
@@ -139,6 +145,8 @@ def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
         ConfigError: something is not there, or options do not go together. MissingExtra: a package is not installed.
     """
     clock = MonotonicClock()
+    if args.link.startswith("serial:") or args.protocol == SERVO_BUS:
+        servo_link(args, robot, clock, partial(open_serial, "", WAIT))  # refuses numbers that cannot be before a robot is started
     fish = _loopback(args, robot, stack) if args.link == "loopback" else None
     camera = camera_of(args.camera, fish)
     link, calibration = make_link(args, robot, clock, fish), calibration_of(args, fish)
@@ -183,8 +191,16 @@ def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], An
     ids, signs = args.servo_ids or robot.servo_ids, args.servo_signs or rig.signs
     for name, given in (("--servo-ids", ids), ("--servo-zeros-deg", zeros), ("--servo-signs", signs)):
         if given is not None and len(given) != robot.n_joints:
-            raise ConfigError(f"{name}: {len(given)} numbers; {robot.name} has {robot.n_joints} joints")
+            joints = f"{robot.n_joints} joint{'s' * (robot.n_joints > 1)}"
+            raise ConfigError(f"{name}: {len(given)} number{'s' * (len(given) > 1)}; {robot.name} has {joints}")
     bus = BUSES[rig.bus]
+    most = max(map(abs, zeros or (0.0,)))
+    if most + robot.servo.range > travel(bus.scale) + 1e-9:
+        raise ConfigError(
+            f"servo bus: a zero of {degrees(most):.3g} deg and commands of +-{degrees(robot.servo.range):.3g} deg; a servo of"
+            f" {bus.name} turns +-{degrees(travel(bus.scale)):.3g} deg: mount its horn nearer to the middle, or give [servo] a"
+            " smaller range"
+        )
     lasting = robot.timing.bus_dt if robot.timing.command_path == "move_time" else 0.0
     baud = args.baud or rig.baud or bus.baud
     return ServoBusLink(partial(opened, baud), clock, ids, zeros, signs, lasting, bus=bus, baud=baud, tick=robot.timing.bus_dt)
@@ -244,6 +260,7 @@ def paint_of(args: Any, robot: "str | Robot") -> tuple[Paint, float]:
     if red is None or yellow is None or height is None:
         described = load_robot(robot)
         rig = described.rig
+        given = red, yellow
         red, yellow = red or rig.red, yellow or rig.yellow
         height = rig.paint_height if height is None else height
         if (red is None or yellow is None) and described.links[0].sections != load_robot("fish").links[0].sections:
@@ -251,7 +268,23 @@ def paint_of(args: Any, robot: "str | Robot") -> tuple[Paint, float]:
                 f"--tracker colour: [rig] of {described.name} does not say where it is painted; write red and yellow there, rows"
                 " [x, width] in m, or give --red and --yellow"
             )
+        for name, option, rows in zip(("red", "yellow"), given, (red, yellow), strict=True):
+            off_the_head(described, f"--{name}" if option else f"[rig] {name}", rows or ())
     return Paint(head=red or PAPER_FISH.head, neck=yellow or PAPER_FISH.neck), height
+
+
+def off_the_head(robot: Robot, name: str, rows: Bands) -> None:
+    """Raises ConfigError where a painted band (x, width), m, is not on the head link, or wider than it."""
+    head, hinge = robot.links[0], float(geometry_of(robot).origin[1])
+    nose = hinge + head.length
+    station, width = ([row[k] for row in head.sections] for k in (0, 2))
+    for x, wide in rows:
+        if not hinge - NEAR <= x <= nose + NEAR:
+            place = f"the head link of {robot.name} lies from {hinge:.3f} to {nose:.3f} m"
+            raise ConfigError(f"{name}: paint at x = {x:g} m; {place}, from its hinge to the nose")
+        hull = float(np.interp(nose - x, station, width))
+        if wide > WIDER * hull + NEAR:
+            raise ConfigError(f"{name}: paint of {wide:g} m at x = {x:g} m; {robot.name} is {hull:.3f} m wide there")
 
 
 def make_tracker(args: Any, calibration: Calibration, robot: "str | Robot" = "fish") -> Tracker:
@@ -280,6 +313,7 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         words += shlex.split(args.loopback or "")
     except ValueError as error:
         raise ConfigError(f"--loopback {str(args.loopback)[:80]!r}: {error}") from error
+    tell_start()
     told = stack.enter_context(open(errors, "w", encoding="utf-8"))
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=told, text=True, start_new_session=True)
     stack.callback(_end, process)
@@ -293,6 +327,12 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         said = errors.read_text(encoding="utf-8").strip().splitlines()
         why = said[-1].removeprefix("fishmj: ") if said else "it ended without a word"
         raise ConfigError(f"loopback robot: does not start: {why}") from None
+
+
+@cache
+def tell_start() -> None:
+    """Say once what the first seconds are for."""
+    console.warn("starting the loopback robot; the first start on a machine compiles its water for up to a minute")
 
 
 def _end(process: "subprocess.Popen[str]") -> None:

@@ -106,6 +106,9 @@ class Verdict:
 
     def yardstick(self) -> str:
         """What the size of the gap says by itself: a gap as healthy robots leave is none only where nothing was found in it."""
+        after = self.gap[1]
+        if self.answer == "UNEXPLAINED" and after is not None and after <= self.gap_allowed < self.gap_before:
+            return f"healthy robots leave up to {level(self.gap_allowed)}; that little is left, but by no formula that holds"
         if self.answer == "AGREES" or self.gap_before > self.gap_allowed:
             return f"up to {level(self.gap_allowed)} agrees"
         return f"no more than the {level(self.gap_allowed)} that healthy robots leave, but not like theirs"

@@ -46,6 +46,7 @@ class Inquiry:
     gates: Gates = field(default_factory=frozen)  # by which it was decided
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
 def investigate(
     model,
     trials: list[Trial],

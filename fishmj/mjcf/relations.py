@@ -5,13 +5,15 @@ And what is possible, but unlikely: a note says it once, and the description is 
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from math import isfinite, pi, radians
+from math import degrees, isfinite, pi, radians
 from typing import Any
 
 from fishmj import calib, names
 from fishmj.calib import constant
 from fishmj.mjcf.description_schema import Fault, shown
 from fishmj.plain_file import trouble
+from fishmj.protocols.servo_bus import BUSES
+from fishmj.protocols.servo_counts import travel
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
@@ -21,6 +23,7 @@ RESERVED = ("world",)  # MuJoCo's own body
 # beyond these it is unlikely
 LONG, HEAVY = (0.05, 3.0), (0.01, 300.0)  # m, kg: of robotic fish
 WIDTHS = (0.8, 1.25)  # factor on the widths that lets the fish float
+CHARGED = 0.5  # of the servos' voltage: a battery that counts as low only below it is never low
 JUMP = 2.0  # times, of heights at a hinge
 MOTOR = 3.0  # times: figures of one motor that differ by more do not belong together
 
@@ -42,7 +45,8 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Faul
     if ("timing", None) not in bad:
         yield from timing(table.get("timing", {}))
     if ("rig", None) not in bad:
-        yield from _rig(table.get("rig", {}), len(links) - 1 if whole and listed else None)
+        reach = servo_of(table.get("servo", {}))["range"] if ("servo", None) not in bad else 0.0
+        yield from _rig(table.get("rig", {}), len(links) - 1 if whole and listed else None, reach)
     if ("water", None) not in bad:
         yield from _water(table.get("water", {}), len(links) if whole else None)
     if ("effect", None) not in bad:
@@ -231,7 +235,9 @@ def timing(given: Mapping[str, Any]) -> Iterator[Fault]:
         yield Fault("timing", None, "command_path", path, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")
 
 
-def _rig(given: Mapping[str, Any], n_joints: int | None) -> Iterator[Fault]:
+def _rig(given: Mapping[str, Any], n_joints: int | None, reach: float) -> Iterator[Fault]:
+    """Errors of a rig; reach: rad, of a command to either side."""
+    bus = BUSES[given.get("bus", "lx")]
     yield from _both("rig", given, "zeros")
     for key in ("servo_ids", "signs", "zeros", "zeros_deg"):
         if n_joints is not None and key in given and len(given[key]) != n_joints:
@@ -243,6 +249,15 @@ def _rig(given: Mapping[str, Any], n_joints: int | None) -> Iterator[Fault]:
     ids = given.get("servo_ids", [])
     if len(set(ids)) < len(ids):
         yield Fault("rig", None, "servo_ids", shown(ids), "each number once", "two servos of one number answer at the same time")
+    if any(number > bus.most_id for number in ids):
+        yield Fault("rig", None, "servo_ids", shown(ids), f"0 to {bus.most_id} on {bus.name}", "number its servos again")
+    zeros = [*given.get("zeros", ()), *map(radians, given.get("zeros_deg", ()))]
+    if (most := max(map(abs, zeros), default=0.0)) and most + reach > travel(bus.scale) + 1e-9:
+        got = f"a zero of {degrees(most):.3g} deg and commands of +-{degrees(reach):.3g} deg"
+        expected = f"+-{degrees(travel(bus.scale)):.3g} deg in all, what a servo of {bus.name} turns"
+        yield Fault(
+            "rig", None, "zeros_deg", got, expected, "mount its horn nearer to the middle, or give [servo] a smaller range"
+        )
     for key in ("red", "yellow"):
         rows = given.get(key, [])
         if any(row[1] <= 0 for row in rows) or any(b[0] <= a[0] for a, b in zip(rows, rows[1:], strict=False)):
@@ -350,6 +365,12 @@ def unlikely(table: Mapping[str, Any]) -> Iterator[Fault]:
         yield Fault("body", None, "density_water", f"{rho:g} kg/m3", "about 1000 kg/m3 in fresh water, 1025 in the sea")
     yield from _unlikely_servo(servo)
     yield from _unlikely_timing(table.get("timing", {}))
+    low, volts = table.get("rig", {}).get("low_voltage"), servo["voltage"]
+    if low is not None and not CHARGED * volts <= low < volts:
+        todo = "below it a swim ends, and no robot arms; right only where the voltage that is measured is not that of the servos"
+        yield Fault(
+            "rig", None, "low_voltage", f"{low:g} V", f"from {CHARGED * volts:g} V to below {volts:g} V, [servo] voltage", todo
+        )
 
 
 def _unlikely_outline(links: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:

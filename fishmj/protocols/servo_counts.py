@@ -53,6 +53,11 @@ def angle(position: int, zero: float = 0.0, scale: Scale = LX) -> float:
     return (position - scale.centre) * scale.step - zero
 
 
+def travel(scale: Scale) -> float:
+    """rad that a servo turns to either side of its middle."""
+    return min(scale.centre, scale.span - scale.centre) * scale.step
+
+
 def offset_counts(trim: float) -> int:
     """The servo's own offset nearest to `trim`, rad. Raises ProtocolError beyond +- 30 deg."""
     if not abs(trim) <= (MOST_OFFSET + 0.5) * RAD_PER_COUNT:

@@ -11,6 +11,8 @@ at height H over its foot f. A mark at height h above the plane lies nearer to t
 For small angles the second is a scale about the foot, 1 + d / (n H): the refraction scale.
 """
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -29,6 +31,10 @@ WATER = 1.333  # refractive index of water
 KEYS = ("schema", "size", "matrix", "distortion", "homography", "camera", "refractive_index", "lag", "marks_rms", "notes")
 NEEDED = ("size", "matrix", "distortion", "homography", "camera")
 NARROW = 8.0  # px: marks that lie closer to one line tell nothing across it
+POSED = 0.02  # least singular value of the marks' equations, of coordinates of size one: below it three of four lie in a line
+APART = 2.0  # px between two marks; closer ones are the same
+SQUARE = 0.1  # by which the tank's axes may differ in length, and the cosine between them, as this lens sees the marks
+HIGH = (0.05, 100.0)  # m, a camera over a tank
 TURNS = 20  # of the search for the undistorted point; a lens of a camera converges in five
 
 
@@ -192,6 +198,9 @@ def folding(size: tuple[int, int], matrix: np.ndarray, distortion: np.ndarray) -
     )
 
 
+PAIRS = ("pixel", "point")  # of a mark, two numbers each
+
+
 class Mark(NamedTuple):
     """A mark of the tank, on the water plane."""
 
@@ -230,13 +239,14 @@ def homography_from_marks(
         camera: (3,) m, foot and height where a ruler measured them; None takes them from the homography.
 
     Raises:
-        ConfigError: fewer than four marks, three of four in a line, or marks that mirror the tank.
+        ConfigError: fewer than four marks, three of four in a line, a mark twice or outside of the picture, marks that mirror
+            the tank, that no camera with this lens sees so, or in another unit than m.
     """
     cv2 = opencv("the camera tracker")
     if len(marks) < 4:
         raise ConfigError(f"homography: got {len(marks)} marks, expected 4 at least, spread over the tank")
-    pixels = _numbers("pixels of marks", [m.pixel for m in marks], (len(marks), 2))
-    points = _numbers("points of marks", [m.point for m in marks], (len(marks), 2))
+    pixels, points = (_numbers(f"{name}s of marks", [getattr(m, name) for m in marks], (len(marks), 2)) for name in PAIRS)
+    _distinct(marks, pixels, points, size)
     matrix, distortion = _numbers("matrix", matrix, (3, 3)), _numbers("distortion", distortion, (5,))
     lens = Calibration(size=size, matrix=matrix, distortion=distortion, homography=np.eye(3), camera=np.array([0, 0, 1]), lag=lag)
     plain = lens.to_plane(pixels)
@@ -247,17 +257,63 @@ def homography_from_marks(
     if np.linalg.det(step[1:] - step[0]) > 0:  # image y points down: a view from above turns the pair of axes over
         raise ConfigError("homography: the marks mirror the tank; check that x, y, up is right-handed and no mark is swapped")
     residual = np.hypot(*(at - points).T)
-    without = None
-    if len(marks) > 5:  # any homography meets four
-        rest = [np.arange(len(marks)) != k for k in range(len(marks))]
-        left = [_projected(_homography(cv2, plain[rows], points[rows]), plain[rows]) - points[rows] for rows in rest]
-        without = np.array([np.sqrt(np.mean(np.sum(error**2, 1))) for error in left])
-    where = camera_of(fitted, matrix) if camera is None else _numbers("camera", camera, (3,))
     rms = float(np.sqrt(np.mean(residual**2)))
+    without = _without(cv2, plain, points) if len(marks) > 5 else None  # any homography meets four
+    if wrong := _no_view(fitted, matrix):
+        hint = "" if without is None else f"; the rest agrees best without {marks[int(without.argmin())].name}"
+        raise ConfigError(f"homography: {wrong}; check each mark's pixel and point, and that the lens is this camera's{hint}")
+    where = camera_of(fitted, matrix)
+    if not HIGH[0] <= where[2] <= HIGH[1]:
+        raise ConfigError(
+            f"homography: the marks put the camera {where[2]:.3g} m over the water, expected {HIGH[0]:g} to {HIGH[1]:g} m;"
+            " give the points of the marks in m"
+        )
+    where = where if camera is None else _numbers("camera", camera, (3,))
     found = Calibration(
         size=size, matrix=matrix, distortion=distortion, homography=fitted, camera=where, lag=lag, marks_rms=rms, notes=notes
     )
     return MarksFit(found, residual, without)
+
+
+def _distinct(marks: Sequence[Mark], pixels: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> None:
+    """Raises ConfigError where a mark lies outside of the picture, or two of them in one place."""
+    for k, mark in enumerate(marks):
+        if not np.all((pixels[k] >= -0.5) & (pixels[k] <= np.array(size) - 0.5)):
+            seen, (wide, high) = "{:g}, {:g}".format(*pixels[k]), size
+            raise ConfigError(f"homography: mark {mark.name}: pixel {seen} lies outside of the picture, {wide} x {high} px")
+        for j in range(k):
+            if (near := np.hypot(*(pixels[k] - pixels[j])) < APART) or not np.any(points[k] - points[j]):
+                what = "pixel" if near else "point"
+                raise ConfigError(f"homography: marks {marks[j].name} and {mark.name} have one {what}; leave one of them out")
+
+
+def _without(cv2, plain: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n,) m, rms of the other marks without each; infinite where the others tell no plane."""
+    left = np.full(len(plain), np.inf)
+    for k in range(len(plain)):
+        rest = np.arange(len(plain)) != k
+        with suppress(ConfigError):
+            error = _projected(_homography(cv2, plain[rest], points[rest]), plain[rest]) - points[rest]
+            left[k] = np.sqrt(np.mean(np.sum(error**2, 1)))
+    return left
+
+
+def _axes(homography: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """(3, 3): [r1 r2 t] of the inverse of the homography K [r1 r2 t], up to a scale."""
+    return np.linalg.inv(matrix) @ np.linalg.inv(homography)
+
+
+def _no_view(homography: np.ndarray, matrix: np.ndarray) -> str:
+    """Why no camera with this matrix sees the tank so, "" where one does: r1 and r2 are of one length and at right angles."""
+    first, second = _axes(homography, matrix)[:, :2].T
+    ratio = np.linalg.norm(first) / np.linalg.norm(second)
+    cosine = first @ second / (np.linalg.norm(first) * np.linalg.norm(second))
+    if abs(np.log(ratio)) <= SQUARE and abs(cosine) <= SQUARE:
+        return ""
+    return (
+        f"no camera with this lens sees the marks so: 1 m along x would be {ratio:.2f} times 1 m along y, and the angle between"
+        f" them {np.degrees(np.arccos(cosine)):.0f} deg"
+    )
 
 
 def camera_of(homography: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -266,7 +322,7 @@ def camera_of(homography: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     The inverse of the homography is K [r1 r2 t] up to a scale; the two axes have length one and r3 = r1 x r2; the camera is at
     -R' t.
     """
-    axes = np.linalg.inv(matrix) @ np.linalg.inv(homography)
+    axes = _axes(homography, matrix)
     axes = axes / np.sqrt(np.linalg.norm(axes[:, 0]) * np.linalg.norm(axes[:, 1]))
     if axes[2, 2] < 0:  # the tank lies in front of the camera
         axes = -axes
@@ -315,7 +371,17 @@ def _homography(cv2, plain: np.ndarray, points: np.ndarray) -> np.ndarray:
     spread = np.linalg.svd(plain - plain.mean(0), compute_uv=False)[-1] / np.sqrt(len(plain))  # px, across their longest line
     if found is None or not np.isfinite(found).all() or spread < NARROW or abs(np.linalg.det(found)) < 1e-15:
         raise ConfigError("homography: the marks lie in one line or in one place; spread them over the tank")
+    if _posed(plain, points) < POSED:
+        raise ConfigError("homography: all marks but one lie in one line; spread them over the tank, four of them as a square")
     return found
+
+
+def _posed(plain: np.ndarray, points: np.ndarray) -> float:
+    """The eighth singular value of the equations of a homography, of coordinates about their mean and of mean square 2."""
+    p, q = ((a - a.mean(0)) / max(float(np.sqrt(np.mean(np.sum((a - a.mean(0)) ** 2, 1)) / 2)), 1e-12) for a in (plain, points))
+    one, none = np.c_[p, np.ones(len(p))], np.zeros((len(p), 3))
+    rows = np.r_[np.c_[one, none, -q[:, :1] * one], np.c_[none, one, -q[:, 1:] * one]]
+    return float(np.linalg.svd(rows, compute_uv=False)[7] / np.sqrt(len(p)))
 
 
 def _projected(homography: np.ndarray, points: np.ndarray) -> np.ndarray:

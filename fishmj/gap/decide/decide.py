@@ -141,7 +141,8 @@ def _answer(
     checks: dict, gates: Gates, kept, stand: dict[str, Support], rivals, warnings, shrinks: bool = True
 ) -> tuple[str, str]:
     """(answer, reason) once something was found. shrinks: the residual gets smaller with it."""
-    claim = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else "does not lower the residual"
+    unseen = "does not lower the residual of records that it was not fitted to"
+    claim = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else unseen
     if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
         return "UNEXPLAINED", f"the best of the catalogue {claim}; it is tentative"
     if checks["rest"] > residual_allowed(checks, gates):
