@@ -170,7 +170,7 @@ def test_topics_of_one_number_for_each_joint_are_put_together(tmp_path, bring, l
     name = "std_msgs/msg/Float64"
     one = lambda i, k: bytes(types().serialize_cdr(types().types[name](ANGLES[i, k - 1]), name))
     sent = [(i, k) for i in range(ROWS) for k in (2, 3, 1) if not (late and k == 3 and i % 2)]
-    messages = [(f"/joint{k}_controller/command", name, stamp(i) + 1_000_000 * k, one(i, k)) for i, k in sent]
+    messages = [(f"/joint{k}_controller/command", name, stamp(i) + 300_000 * k, one(i, k)) for i, k in sent]
     got, out, err = bring(bag(tmp_path / "bag", messages), "--yes")
     assert got == code, err
     if code:

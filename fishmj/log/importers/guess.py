@@ -151,7 +151,8 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         if found.places and not np.isfinite(kind.values(column)).any() and not _of_a_joint(found.places):
             found = Role(why="holds no number")
         places = tuple(place.replace("#", str(name.number)) if name.number is not None else place for place in found.places)
-        doubt = kind.doubt(column)
+        other = f"{name.other} is no unit that is known: say one with a scale, such as m*0.3" if name.other and not told else ""
+        doubt = kind.doubt(column) or other
         state = LEFT if not places else TAKEN if len(places) == 1 and not doubt else UNCLEAR
         out.append(Guess(k, column, state, places, told or name.unit, why=doubt or found.why))
     return out

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from fishmj.log.importers.column_units import UNITS, measures, unit_of
+from fishmj.log.importers.column_units import UNITS, measures, other_unit, unit_of
 
 # In English, German, French, Spanish, Italian and Portuguese, as far as a word has one meaning in a log: `tension` (a tendon's)
 # and `cap` (a capacity) are left to the user.
@@ -63,6 +63,7 @@ _GLUED = {  # names without a mark between their words; a unit comes last, so no
     **{"accx": "acc x", "accy": "acc y", "accz": "acc z", "gyrox": "gyro x", "gyroy": "gyro y", "gyroz": "gyro z"},
     **{"ψ": "psi", "θ": "theta"},
 }
+NO_SUFFIX = {"g", "min", "h", "in"}  # units that a name may end with and mean another thing
 AXES = {"x", "y", "z"}
 TRANSLATION = {"tx": "x", "ty": "y", "tz": "z"}  # of the trajectories of TUM, as evo writes them
 ARRAY = (("value",), ("data",), ("values",), ("field", "data"))  # words for an element of an array
@@ -77,6 +78,7 @@ class Header:
     words: tuple[str, ...]
     number: int | None = None
     unit: str = ""
+    other: str = ""  # unit that has no factor here: 0.1 deg, BL
 
     def has(self, words: set[str]) -> bool:
         """Whether one of `words` is among its own."""
@@ -94,23 +96,23 @@ def words(text: str) -> list[str]:
 
 def parse(raw: str) -> Header:
     """Words, number and unit of one column's name."""
-    unit, name = "", raw
+    unit, other, name = "", "", raw
     found = _BRACKET.match(raw[:200])
     if found and not found[2].strip().isdecimal() and found[2].strip().lower() not in AXES:  # data[0], v_{x}: indices
-        name, unit = found[1], unit_of(found[2])
+        name, unit, other = found[1], unit_of(found[2]), other_unit(found[2])
     said = words(name) or words(raw)
     rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
     if not unit and len(said) > 2 and tuple(said[-2:]) in _RATES:
         unit, said = unit_of(" ".join(said[-2:])), said[:-2]
-    elif not unit and mark and last and unit_of(last) and words(rest) and last.lower() not in ("g", "min"):
+    elif not unit and not other and mark and last and unit_of(last) and words(rest) and last.lower() not in NO_SUFFIX:
         unit, said = unit_of(last), words(rest)  # as it is written: mV is no m V
-    elif not unit and len(said) > 1 and unit_of(said[-1]) and said[-1] not in ("g", "min"):
+    elif not unit and not other and len(said) > 1 and unit_of(said[-1]) and said[-1] not in NO_SUFFIX:
         unit, said = unit_of(said[-1]), said[:-1]
     elif len(said) == 1 and unit_of(said[0]) in ("s", "ms", "us", "ns"):  # a unit alone: a stamp in it
         unit, said = unit_of(said[0]), ["time"]
     numbers = [int(word) for word in said if word.isdecimal() and len(word) < 4]
     plain = tuple(word for word in said if not word.isdecimal())
-    return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "")
+    return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "", other)
 
 
 def nose_to_tail(names: Sequence[Header]) -> list[int] | None:

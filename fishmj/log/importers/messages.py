@@ -27,6 +27,7 @@ DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different cloc
 DEPTH, WIDTH = 8, 64  # of a message that is spread over columns
 NAMES = ("name", "names", "joint_names")  # keys of lists of names beside lists of values
 NAMED = ("name", "joint_name", "child_frame_id", "id", "joint_id", "servo_id")  # keys of the name of one object in a list
+BESIDE = 2e6  # ns between the messages of one burst; a shift of 2 ms in a stamp is seen as damping
 OVERTAKEN, OVERTAKES = 3, 10**9  # messages at least, and ns at most, by which one publisher's stamps fall behind another's
 ABSENT = object()  # the value of a joint that a message does not name
 TRAJECTORY, PLANS = "trajectory_msgs/msg/JointTrajectory", "trajectories of several points"
@@ -335,7 +336,7 @@ def _together(rows: dict[str, _Rows], kinds: dict[str, str]) -> dict[str, _Rows]
         period = float(np.median(np.diff(rows[topics[0]].stamps))) if len(rows[topics[0]].stamps) > 1 else 0.0
         bursts: list[dict[str, tuple[int, str, tuple]]] = []
         for one in sent:
-            if not bursts or one[1] in bursts[-1] or one[0] - next(iter(bursts[-1].values()))[0] > period / 2:
+            if not bursts or one[1] in bursts[-1] or one[0] - next(iter(bursts[-1].values()))[0] > min(period / 2, BESIDE):
                 bursts.append({})
             bursts[-1][one[1]] = one
         whole = [burst for burst in bursts if len(burst) == len(topics)]
