@@ -1,6 +1,7 @@
 """Text tables of laboratories, in the layouts and number styles of their programs: read right, asked, or refused. Synthetic."""
 
 import math
+import zipfile
 
 import lab_files
 import numpy as np
@@ -157,6 +158,14 @@ def test_a_place_with_thousands_separators_does_not_jump(tmp_path, bring):
     text = "time_s;x_mm;y_mm;yaw_deg\n" + rows(lambda i: (f"{T[i]:.3f}", f"{980 + i:,}", "300", f"{2 + 0.1 * i:.2f}"), ";")
     assert bring(file(tmp_path, text), "--yes")[0] == 0
     near(only(tmp_path / "set").tables["pose"]["x"], 0.98 + 0.001 * np.arange(120))
+
+
+def test_points_between_thousands_are_refused_where_a_place_would_fall(tmp_path):
+    text = "time_ms;x_mm;y_mm\n" + rows(lambda i: (f"{20 * i}", f"{980 + i:,}".replace(",", "."), "300"), ";")
+    with pytest.raises(LogError, match=r"log.csv:22:x_mm: '1.000' may be 1 or 1000"):
+        read(file(tmp_path, text))
+    steps = "time_ms;x_mm;y_mm\n" + rows(lambda i: (f"{20 * i}", "100" if i % 9 else "1.250", "300"), ";")
+    near(read(file(tmp_path, steps)).columns["x_mm"][:2], [1.25, 100])
 
 
 # ------------------------------------------------------------------------------------------------------------------ clocks
@@ -324,6 +333,91 @@ def test_a_map_with_one_missing_column_is_refused_with_its_file(tmp_path, bring)
     assert not (tmp_path / "set").exists()
 
 
+def test_a_file_that_lacks_one_column_of_the_map_is_refused(tmp_path, bring):
+    (tmp_path / "MAP.toml").write_text(MAP)
+    folder = camera_and_servo(tmp_path / "lab")
+    lab_files.write(folder / "zz.csv", {"Kamerazeit_ms": 20.0 * N, "x_m": WAVE, "y_m": WAVE, "yaw": WAVE})
+    code, _, err = bring(folder, "--columns", tmp_path / "MAP.toml")
+    assert code == 2 and "zz.csv: [tables.pose]: no column 'yaw_rad'; did you mean 'yaw'" in err, err
+    (folder / "zz.csv").unlink()
+    lab_files.write(folder / "waypoints.csv", {"time_ms": 20.0 * N, "x_m": WAVE})
+    assert bring(folder, "--columns", tmp_path / "MAP.toml")[0] == 0
+
+
+def test_files_without_an_instant_in_common_are_refused_with_the_offset(tmp_path, bring):
+    """Local time in one file, UTC in the other."""
+    lab_files.write(tmp_path / "lab" / "servo.csv", {"time_s": 0.02 * N, "servo1_deg": 20 * WAVE})
+    lab_files.write(tmp_path / "lab" / "camera.csv", {"time_s": 7200 + 0.02 * N, "x_m": WAVE, "y_m": WAVE})
+    code, _, err = bring(tmp_path / "lab", "--yes")
+    assert code == 2 and "(2 h apart: two time zones?). State the offset in a map, [tables.markers] offset = -7200" in err
+
+
+def test_parts_of_one_table_are_put_together_in_the_order_of_their_numbers(tmp_path, bring):
+    for k in range(12):
+        part = slice(8 * k, 8 * k + 8)
+        lab_files.write(tmp_path / "lab" / f"swim_{k}.csv", {"time_ms": 20.0 * N[part], "servo1_deg": 20 * WAVE[part]})
+    code, out, _ = bring(tmp_path / "lab", "--yes", out=tmp_path / "each")
+    assert code == 0 and "swim_0.csv to swim_11.csv: each begins where the one before ends; --one-trial makes the 12 files" in out
+    code, out, err = bring(tmp_path / "lab", "--yes", "--one-trial")
+    assert code == 0 and "swim_0.csv to swim_11.csv: 12 files of the same columns" in out, err
+    cmd = only(tmp_path / "set").tables["cmd"]
+    near(cmd["t"], 0.02 * N[:96])
+    near(cmd["c1"], np.radians(20 * WAVE[:96]))
+
+
+@pytest.mark.parametrize("name", ["tick_ms", "Ticks [ms]"])
+def test_ticks_of_a_microcontroller_are_stamps(tmp_path, bring, name):
+    wrapped = (65_000 + 20 * N.astype(int)) % 2**16
+    assert bring(lab_files.write(tmp_path / "log.csv", {name: wrapped, "servo1_deg": 20 * WAVE}), "--yes")[0] == 0
+    cmd = only(tmp_path / "set").tables["cmd"]
+    near(cmd["t"] - cmd["t"][0], 0.02 * N)
+
+
+@pytest.mark.parametrize(("names", "size"), [(("sec", "nanosec"), 1e9), (("tv_sec", "tv_usec"), 1e6)])
+def test_seconds_and_their_parts_in_two_columns_are_one_stamp(tmp_path, bring, names, size):
+    t = 99.5 + 0.02 * N
+    columns = {names[0]: t // 1, names[1]: np.round(t % 1 * size), "servo1_deg": 20 * WAVE}
+    path, written = lab_files.write(tmp_path / "log.csv", columns), tmp_path / "MAP.toml"
+    assert bring(path, "--write-map", written, out=None)[0] == 0
+    code, _, err = bring(path, "--columns", written)
+    assert code == 0, err
+    cmd = only(tmp_path / "set").tables["cmd"]
+    near(cmd["t"] - cmd["t"][0], 0.02 * N)
+
+
+@pytest.mark.parametrize("low", [0.0, -180.0])
+def test_an_encoder_that_passes_its_seam_is_unwrapped(tmp_path, bring, low):
+    true = np.stack([30 * WAVE + 2, 25 * WAVE - 4], 1) + (0 if low == 0 else 180)
+    turned = (true - low) % 360 + low
+    columns = {"time_ms": 20.0 * N, **{f"meas{k + 1}_deg": turned[:, k] for k in (0, 1)}}
+    code, out, err = bring(lab_files.write(tmp_path / "log.csv", columns), "--yes", "--plausible", "angle=4")
+    assert code == 0 and "j1 passes the seam of a turn" in out, err
+    joint = only(tmp_path / "set").tables["joint"]
+    off = np.degrees(np.stack([joint["j1"], joint["j2"]], 1)) - true
+    near(off, off[0] * np.ones_like(off), 1e-3)
+    assert np.abs(np.sin(np.radians(off[0] / 2))).max() < 1e-5
+
+
+@pytest.mark.parametrize(("names", "asked"), [(("tail", "nose"), ""), (("mass A", "mass B"), "which point is it")])
+def test_points_called_after_parts_of_the_body_count_from_the_nose(tmp_path, bring, names, asked):
+    columns = {"t_s": 0.02 * N} | {f"{name} {axis} (m)": WAVE + k for k, name in enumerate(names) for axis in "xy"}
+    code, _, err = bring(lab_files.write(tmp_path / "log.csv", columns), "--yes")
+    if asked:
+        assert code == 2 and asked in err and "markers.p1x:m or markers.p2x:m" in err
+        return
+    assert code == 0, err
+    near(only(tmp_path / "set").tables["markers"]["p1x"], WAVE + 1)
+
+
+def test_trajectory_of_tum_is_a_pose(tmp_path, bring):
+    row = lambda i: (f"{T[i]}", f"{X[i]}", f"{Y[i]}", "0", "0", "0", f"{math.sin(YAW[i] / 2)}", f"{math.cos(YAW[i] / 2)}")
+    code, _, err = bring(file(tmp_path, "# timestamp tx ty tz qx qy qz qw\n" + rows(row, " "), "swim.txt"), "--yes")
+    assert code == 0, err
+    pose = only(tmp_path / "set").tables["pose"]
+    near(pose["x"], X)
+    near(pose["yaw"], YAW)
+
+
 def test_one_command_beside_two_joints_is_asked(tmp_path, bring):
     columns = {"time_ms": 20.0 * N, "cmd_deg": 20 * WAVE, "joint1_deg": 19 * WAVE, "joint2_deg": 18 * WAVE}
     path = lab_files.write(tmp_path / "log.csv", columns)
@@ -350,3 +444,24 @@ def test_data_of_other_programs_in_a_folder_are_no_silent_loss(tmp_path, bring):
     (tmp_path / "lab" / "a" / "camera.xlsx").write_bytes(b"PK\x03\x04")
     code, _, err = bring(tmp_path / "lab", "--yes", out=tmp_path / "two")
     assert code == 2 and "camera.xlsx: " in err and "--skip-bad" in err
+
+
+@pytest.mark.parametrize("packed", ["camera.csv.gz", "monday.zip"])
+def test_packed_tables_are_refused_and_other_archives_passed_over(tmp_path, bring, packed):
+    lab_files.one(tmp_path / "lab" / "log.csv")
+    with zipfile.ZipFile(tmp_path / "lab" / "drawings.zip", "w") as archive:
+        archive.writestr("fish.step", "x")
+    assert bring(tmp_path / "lab", "--yes")[0] == 0
+    with zipfile.ZipFile(tmp_path / "lab" / packed, "w") as archive:
+        archive.writestr("camera.csv", "t,x\n0,1\n")
+    code, _, err = bring(tmp_path / "lab", "--yes", out=tmp_path / "two")
+    assert code == 2 and f"{packed}: an archive" in err and "unpack it" in err
+    (tmp_path / "lab" / "log.csv").unlink()
+    code, _, err = bring(tmp_path / "lab", "--yes", out=tmp_path / "three")
+    assert code == 2 and f"{packed}: an archive" in err and "nothing to import" not in err
+
+
+def test_an_angle_called_after_a_part_of_the_body_is_asked(tmp_path, bring):
+    columns = {"time_ms": 20.0 * N, "meas1_deg": 20 * WAVE, "meas2_deg": 19 * WAVE, "peduncle_deg": 18 * WAVE}
+    code, _, err = bring(lab_files.write(tmp_path / "log.csv", columns), "--yes")
+    assert code == 2 and "peduncle_deg" in err and "which joint is it?" in err

@@ -5,7 +5,7 @@ import math
 import lab_files
 import numpy as np
 import pytest
-from lab_files import WAVE, N, guessed, only
+from lab_files import WAVE, N, guessed, near, only
 
 from fishmj import log
 from fishmj.errors import LogError
@@ -47,6 +47,40 @@ def test_what_only_sounds_like_a_column_of_ours_is_left_out(name):
 @pytest.mark.parametrize("name", ["akku", "batt", "winkel1", "gelenk1"])
 def test_a_name_with_two_meanings_is_asked(name):
     assert len(role(header.parse(name), set()).places) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "size"),
+    [
+        *(("x [ft]", "pose.x", 0.3048), ("x (inch)", "pose.x", 0.0254), ("x_dm", "pose.x", 0.1), ("x_um", "pose.x", 1e-6)),
+        *(("meas1 [gon]", "joint.j1", np.pi / 200), ("meas1_mdeg", "joint.j1", np.radians(1e-3)), ("time_cs", "t", 0.01)),
+        *(("meas1_cdeg", "joint.j1", np.radians(0.01)), ("time [h]", "t", 3600.0), ("time (days)", "t", 86400.0)),
+    ],
+)
+def test_rare_units_of_a_name_are_converted(tmp_path, bring, name, place, size):
+    values = 0.02 * N if place == "t" else 0.3 * WAVE
+    beside = {"pose.x": ("time_s,y_m,yaw_deg", "{t},0.1,2"), "joint.j1": ("time_s", "{t}"), "t": ("meas1_rad", "{w}")}[place]
+    rows = [f"{beside[1].format(t=0.02 * i, w=WAVE[i])},{v:.12g}" for i, v in enumerate(values / size)]
+    (tmp_path / "log.csv").write_text("\n".join([f"{beside[0]},{name}", *rows]) + "\n")
+    code, _, err = bring(tmp_path / "log.csv", "--yes")
+    assert code == 0, err
+    table, _, column = ("joint.t" if place == "t" else place).partition(".")
+    near(only(tmp_path / "set").tables[table][column], values, 2e-6)
+
+
+@pytest.mark.parametrize("name", ["x [BL]", "x [10 mm]", "x (0.1 m)"])
+def test_a_unit_without_a_factor_is_asked_with_a_scale(tmp_path, bring, name):
+    path = lab_files.write(tmp_path / "log.csv", {"time_ms": 20.0 * N, name: WAVE, "y_m": WAVE, "yaw_deg": 10 * WAVE})
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and "is no unit that is known: say one with a scale" in err
+    assert bring(path, "--yes", "--set", f"{name}=pose.x:m*0.5")[0] == 0
+    near(only(tmp_path / "set").tables["pose"]["x"], 0.5 * WAVE)
+
+
+def test_a_unit_without_a_factor_in_a_row_of_units_is_asked(tmp_path, bring):
+    (tmp_path / "log.csv").write_text("t,x,y,yaw\ns,BL,BL,deg\n" + "".join(f"{0.02 * i},{0.01 * i},0,5\n" for i in range(50)))
+    code, _, err = bring(tmp_path / "log.csv", "--yes")
+    assert code == 2 and "x [BL]: BL is no unit that is known" in err
 
 
 def test_a_battery_in_millivolts_under_a_name_without_a_unit_is_told_by_its_values(tmp_path):

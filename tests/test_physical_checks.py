@@ -125,12 +125,53 @@ def test_steps_of_a_servo_are_no_failed_reads():
         (("joint", {"j3": lambda v: 0 * v + 0.01}), "standing still", "use", "j3 stands still"),
         (("joint", {"j1": lambda v: np.where(np.arange(len(v)) > 300, v + 2 * np.pi, v)}), "joint speed", "import", "unwrap"),
         (("joint", {"j2": lambda v: np.where(np.arange(len(v)) % 20 == 7, np.roll(v, 1), v)}), "stale reading", "note", "j2"),
+        (("joint", {"j2": lambda v: np.where(np.arange(len(v)) > 300, v[300], v)}), "standing still", "use", "lose its power"),
+        (("joint", {"j2": lambda v: 3 * v}), "joint scale", "use", "j2 moves by 2.8"),
+        (("joint", {"j1": lambda v: np.where(np.arange(len(v)) % 2, 1.05 * np.roll(v, -9), v)}), "two sources", "import", "j1"),
+        (("pose", {"x": lambda v: np.where(np.arange(len(v)) % 2, v + 0.3, v)}), "two sources", "import", "x alternates"),
+        (("pose", {"yaw": lambda v: 0 * v + 0.4}), "heading", "use", "heading of the camera"),
+        (("pose", {"yaw": lambda v: np.where(np.arange(len(v)) > 300, v + np.pi, v)}), "lost pose", "use", "tail for the head"),
     ],
 )
 def test_what_no_swimming_robot_does_is_told_with_its_remedy(change, check, level, said):
     table, columns = change
     bad = changed(turning(), table, **columns)
     assert levels(bad).get(check) == level and said in names(bad)[check], names(bad)
+
+
+def test_exchanged_joints_follow_the_command_of_the_other():
+    trial = turning()
+    one, two = (trial.tables["joint"][name] for name in ("j1", "j2"))
+    assert "j1 follows c2 and j2 follows c1" in names(changed(trial, "joint", j1=lambda v: two, j2=lambda v: one))["joint order"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows"),
+    [
+        ({"x": 0.0, "y": 0.0, "yaw": 0.0}, slice(200, 210)),  # a tag that is not seen is at the origin
+        ({"x": -1.0, "y": -1.0, "yaw": -0.017}, slice(200, 290)),  # longer than a second, one pose all along
+        ({"x": 9.0}, slice(300, 302)),
+        ({"x": 0.0, "y": 0.0, "yaw": 0.0}, slice(0, 60)),  # until it is seen first
+        ({"yaw": None}, slice(400, 430)),  # head and tail taken for each other
+    ],
+)
+def test_rows_in_which_the_fish_was_lost_are_left_out(columns, rows):
+    trial = changed(turning(), "pose", x=lambda v: v + 2.0, y=lambda v: v + 1.5)
+    pose = {name: np.array(v) for name, v in trial.tables["pose"].items()}
+    for name, value in columns.items():
+        pose[name][rows] = pose[name][rows] + np.pi if value is None else value
+    mended, notes = physical_checks.without_failed_reads(replace(trial, tables={**trial.tables, "pose": pose}))
+    kept = np.delete(np.arange(len(pose["t"])), rows)
+    assert all(np.array_equal(mended.tables["pose"][name], trial.tables["pose"][name][kept]) for name in pose), notes
+    assert "the fish was lost" in notes[0] and names(mended) == {}
+
+
+def test_noise_quick_turns_and_fixes_that_hold_are_no_lost_poses():
+    trial, draw = turning(rate=2.5), np.random.default_rng(3)
+    noisy = changed(trial, "pose", x=lambda v: v + 0.01 * draw.normal(size=len(v)), yaw=lambda v: np.angle(np.exp(1j * v)))
+    held = changed(trial, "pose", **{name: lambda v: v[np.arange(len(v)) // 50 * 50] for name in ("x", "y", "yaw")})
+    for good in (trial, noisy, held):
+        assert physical_checks.without_failed_reads(good) == (good, [])
 
 
 @pytest.mark.parametrize("name", ["swim_gait_1", "water_square_1", "swim_gait_slow_2"])

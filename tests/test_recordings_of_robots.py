@@ -19,6 +19,7 @@ from robot_recordings import (
     stamp,
     swim,
     table,
+    types,
 )
 
 from fishmj.errors import LogError
@@ -130,6 +131,55 @@ def test_names_in_a_list_of_objects_are_followed(tmp_path, bring):
 
     assert bring(json_recording(tmp_path / "a.mcap", message, "/feedback"), "--yes")[0] == 0
     angles_are_right(tmp_path / "set")
+
+
+def test_numbers_in_a_list_of_objects_are_followed(tmp_path, bring):
+    def message(i):
+        return {"servos": [{"id": k + 1, "position": ANGLES[i, k]} for k in ((0, 1, 2), (2, 0, 1))[i % 2]]}
+
+    assert bring(json_recording(tmp_path / "a.mcap", message, "/servo_states"), "--yes")[0] == 0
+    angles_are_right(tmp_path / "set")
+
+
+def trajectory(i, points=1):
+    """(topic, type, time [ns], CDR) of a JointTrajectory of two joints in the order 2, 1."""
+    kinds, name = types().types, "trajectory_msgs/msg/JointTrajectory"
+    none, at = np.zeros(0), kinds["builtin_interfaces/msg/Duration"](sec=0, nanosec=20_000_000)
+    point = kinds["trajectory_msgs/msg/JointTrajectoryPoint"](ANGLES[i, [1, 0]], none, none, none, at)
+    header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](0, 0), "")  # 0: begin at once
+    message = kinds[name](header, ["joint_2", "joint_1"], [point] * points)
+    return "/controller/joint_trajectory", name, stamp(i), bytes(types().serialize_cdr(message, name))
+
+
+def test_trajectories_of_one_point_are_commands_by_their_names(tmp_path, bring):
+    code, _, err = bring(bag(tmp_path / "bag", [trajectory(i) for i in range(ROWS)]), "--yes")
+    assert code == 0, err
+    cmd = only(tmp_path / "set").tables["cmd"]
+    near(np.stack([cmd["c1"], cmd["c2"]], 1), ANGLES[:, :2])
+    near(cmd["t"], T)
+
+
+def test_trajectories_of_several_points_are_asked(tmp_path, bring):
+    code, _, err = bring(bag(tmp_path / "bag", [trajectory(i, 2) for i in range(ROWS)]), "--yes")
+    assert code == 2 and "command.joint_2: trajectories of several points" in err
+
+
+@pytest.mark.parametrize(("late", "code"), [(0, 0), (1, 2)])
+def test_topics_of_one_number_for_each_joint_are_put_together(tmp_path, bring, late, code):
+    """Sent side by side they are one table; where one has half the rate, none is lost in silence."""
+    name = "std_msgs/msg/Float64"
+    one = lambda i, k: bytes(types().serialize_cdr(types().types[name](ANGLES[i, k - 1]), name))
+    sent = [(i, k) for i in range(ROWS) for k in (2, 3, 1) if not (late and k == 3 and i % 2)]
+    messages = [(f"/joint{k}_controller/command", name, stamp(i) + 300_000 * k, one(i, k)) for i, k in sent]
+    got, out, err = bring(bag(tmp_path / "bag", messages), "--yes")
+    assert got == code, err
+    if code:
+        assert "/joint2_controller/command" in err and "--set" in err
+        return
+    cmd = only(tmp_path / "set").tables["cmd"]
+    near(np.stack([cmd["c1"], cmd["c2"], cmd["c3"]], 1), ANGLES)
+    near(cmd["t"], T)
+    assert "are one row, stamped by the last, in 40 of 40 messages" in out
 
 
 @pytest.mark.parametrize(("column", "names"), [("joint_name", ("head", "tail")), ("servo_id", (1, 2))])

@@ -14,9 +14,11 @@ from fishmj.errors import FishmjError, LogError, UnknownName, UsageError
 from fishmj.log import importers, measurements, physical_checks
 from fishmj.log.dataset import write_dataset
 from fishmj.log.folder import checked_meta
-from fishmj.log.importers import gather, guess, guessed, registry
+from fishmj.log.importers import gather, guess, guessed, other_files, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
-from fishmj.log.importers.convert import convert
+from fishmj.log.importers.convert import convert, go_on, in_order
+from fishmj.log.importers.set_option import overrides
+from fishmj.log.limits import bare
 from fishmj.log.timebase import offsets
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
@@ -261,7 +263,7 @@ def _found(args: Namespace) -> ImportResult:
 
 def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: ImportResult) -> None:
     """One guess for every layout of files."""
-    said = guess.overrides(args.set)
+    said = overrides(args.set)
     for group in gather.layouts(items, shelf).values():
         kinds = guess.kinds(sheet for item in group for sheet in shelf.sheets_of(item))
         here = {name: value for name, value in said.items() if any(kind.called(name) for kind in kinds)}
@@ -277,6 +279,12 @@ def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, fou
             continue
         found.guesses.append((kinds, made))
         found.maps.append(wanted)
+        parts = in_order([sheet for item in group for sheet in shelf.sheets_of(item)]) if len(kinds) == 1 else []
+        if len(parts) == len(group) and go_on(parts, next(iter(wanted.tables.values())).t.column):
+            names = f"{bare(parts[0].name)} to {bare(parts[-1].name)}"
+            found.notes.append(
+                f"{names}: each begins where the one before ends; --one-trial makes the {len(parts)} files one trial"
+            )
         for item in group:
             found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
     if unknown := [name for name in said if not any(kind.called(name) for kinds, _ in found.guesses for kind in kinds)]:
@@ -373,6 +381,10 @@ def _refuse_bad(args: Namespace, found: ImportResult) -> NoReturn:
 def _nothing(args: Namespace, found: ImportResult) -> NoReturn:
     if found.skipped:
         _refuse_bad(args, found)
+    inside = sorted(args.source[0].iterdir()) if args.source[0].is_dir() else []
+    for file in inside:
+        if file.is_file() and (kind := other_files.kind_of(file)):
+            raise LogError(f"{file}: {other_files.advice(file, kind)}")
     formats = "; ".join(f"{name}: {importer.about}" for name, importer in importers.FORMATS.items())
     raise LogError(
         f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial "

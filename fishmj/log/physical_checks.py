@@ -6,11 +6,15 @@ every threshold is a bound of `data/calib/plausible.toml` (unit and source stand
 passes.
 
     failed read     reading that leaves the joint's path and returns within a few rows: the servo did not answer
+    lost pose       pose that jumps away and comes back: the camera lost the fish, or took its tail for its head
+    two sources     rows that alternate between two paths: two publishers on one topic
     joint speed     steps that no servo can follow
-    standing still  commands move, the joint does not
+    standing still  commands move, the joint does not, in all of the trial or from some time on
     stale reading   a moving joint repeats its last value
     joint sign      a joint that runs against its command at every plausible delay
-    heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees
+    joint scale     a joint that moves by a multiple of its command
+    joint order     two joints that follow each other's commands
+    heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body
     handedness      the head recoils against the tail's swing; a picture in a mirror shows it swing along
 """
 
@@ -22,13 +26,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.log.trial import Table, Trial, stacked
+from fishmj.log.trial import Trial, stacked
 from fishmj.log.trial_check import Plausible, bounds_of
+from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, is_sound, joints, lost_poses, speeds
 
 IMPORT, USE, NOTE = "import", "use", "note"  # a finding refuses: the import and all after it; gap find and calibrate; nothing
 LONGEST = 3600.0  # s of a trial that are looked at
 GRID = 0.02  # s, step of the common clock on which channels are compared
-SHORT, OFTEN = 5, 3  # rows of one failed read at most; times that the same value must come back
 DRIVEN = 0.05  # rad, span of a command that moves a joint
 FOLLOWS = np.arange(0.0, 0.31, GRID)  # s by which a joint follows its command
 SEEN = np.arange(0.0, 0.21, GRID)  # s by which a camera's heading is late behind the joints; behind the commands: FOLLOWS
@@ -39,6 +43,9 @@ TURN = 0.5  # rad that a course must turn through before a heading's sense is to
 CLEAR = 0.25  # rad, scatter of course against heading that still counts as one relation
 FEWEST = 8  # courses
 NEAR = 20.0  # deg from a quarter turn that still is one
+APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
+STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
+FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 
 
 class Finding(NamedTuple):
@@ -77,123 +84,74 @@ def examine(trial: Trial, only: Iterable[str] = ()) -> list[Finding]:
 
 
 def without_failed_reads(trial: Trial) -> tuple[Trial, list[str]]:
-    """The trial without the rows in which a joint was not read, and a note on them; the trial itself where there are none."""
-    table = trial.tables.get("joint")
-    if table is None:
-        return trial, []
-    bad, notes = failed_reads(table, bounds_of(trial.meta, trial.name or "trial"))
-    if not bad.any():
-        return trial, []
-    kept = {column: np.asarray(values)[~bad] for column, values in table.items()}
-    return replace(trial, tables={**trial.tables, "joint": kept}), notes
-
-
-def failed_reads(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
-    """(T,) bool rows of `joint` in which a joint was not read, and one note where there are some; none of a damaged table."""
-    names = [name for name in ("t", *_joints(table)) if name in table]
-    columns = [np.asarray(table[name]) for name in names]
-    sound = names[:1] == ["t"] and all(c.ndim == 1 and c.dtype.kind in "fiub" and np.isfinite(c).all() for c in columns)
-    if not sound or len({len(c) for c in columns}) > 1:
-        return np.zeros(len(columns[0]) if columns else 0, bool), []
-    t = columns[0].astype(float)
-    bad, told = np.zeros(len(t), bool), []
-    for name in _joints(table):
-        x = np.asarray(table[name], float)
-        rows = _failed(t, x, bounds)
-        if rows.any():
-            first = int(np.argmax(rows))
-            values = sorted(set(np.round(x[rows], 4)))
-            seen = f"{values[0]:g} rad" if len(values) == 1 else f"{values[0]:g} to {values[-1]:g} rad"
-            fast = _speeds(t, x)[rows[1:] | rows[:-1]].max()
-            told.append(f"{name} {int(rows.sum())} times ({seen}, first at t = {t[first]:.3f} s, a jump of {fast:.3g} rad/s)")
-            bad |= rows
-    if bad.all():
-        bad[:] = False
-    if not bad.any():
-        return bad, []
-    return bad, [f"joint: {int(bad.sum())} of {len(t)} rows left out, failed reads of {'; '.join(told)}"]
-
-
-def _joints(table: Table, letter: str = "j") -> list[str]:
-    return [name for name in table if name[0] == letter and name[1:].isdecimal()]
-
-
-def _speeds(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    return np.abs(np.diff(x)) / np.maximum(np.diff(t), 1e-6)
-
-
-def _failed(t: np.ndarray, x: np.ndarray, bounds: Plausible) -> np.ndarray:
-    """(T,) bool: readings that leave the path and return within a few rows."""
-    bad = np.zeros(len(x), bool)
-    for _ in range(4):  # what a driver answers again and again first: beside it a good reading looks like a spike
-        rows = np.flatnonzero(~bad)
-        if len(rows) < 12:
-            break
-        found = _recurring(x[rows], bounds)
-        if not found.any():
-            found = _spikes(t[rows], x[rows], bounds)
-        if not found.any():
-            break
-        bad[rows[found]] = True
-    return bad
-
-
-def _peaks(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """(runs,) first and last row of each run of equal values, how far it stands out on both sides, and what is usual."""
-    start = np.flatnonzero(np.r_[True, np.diff(x) != 0])
-    end = np.r_[start[1:], len(x)] - 1
-    v = x[start]
-    if len(v) < 5:
-        return start, end, np.zeros(len(v)), np.inf
-    up, down = v[1:-1] - v[:-2], v[1:-1] - v[2:]
-    out = np.where(up * down > 0, np.minimum(np.abs(up), np.abs(down)), 0.0)
-    ends = np.abs([v[0] - v[1], v[-1] - v[-2]])  # the first and the last row have one neighbour
-    peak = np.r_[ends[0], out, ends[1]]
-    return start, end, np.where(end - start < SHORT, peak, 0.0), float(np.quantile(np.abs(up + down) / 2, 0.75))
-
-
-def _recurring(x: np.ndarray, bounds: Plausible) -> np.ndarray:
-    """Rows of one value that comes back exactly, in short runs, each time far from its neighbours."""
-    start, _, peak, _ = _peaks(x)
-    large = peak > bounds.spike
-    values, counts = np.unique(x[start[large]], return_counts=True)
-    for value in values[np.argsort(-counts)][:3]:
-        mine, others = x == value, np.flatnonzero(x != value)
-        alone, rest = peak[large & (x[start] == value)], x[others]
-        if len(alone) < OFTEN or len(rest) < len(x) / 2:
-            continue
-        usual = _peaks(rest)[3]
-        far = np.abs(rest - value).min() > max(0.5, np.ptp(rest))  # beyond all others: wherever it stands
-        if far or np.median(alone) > max(bounds.spike, 5 * usual):
-            off = np.abs(value - np.interp(np.arange(len(x)), others, rest))  # a joint may pass through it
-            return mine & (far | (off > max(bounds.spike / 3, 5 * usual)))
-    return np.zeros(len(x), bool)
-
-
-def _spikes(t: np.ndarray, x: np.ndarray, bounds: Plausible) -> np.ndarray:
-    """Rows of peaks that the joint cannot reach and leave in the time that there is."""
-    start, end, peak, usual = _peaks(x)
-    step = np.abs(np.diff(x[start]))
-    fast = step > bounds.rate * (t[start[1:]] - t[end[:-1]])
-    found = (peak > max(bounds.spike, 5 * usual)) & np.r_[True, fast] & np.r_[fast, True]
-    return np.repeat(found, np.diff(np.r_[start, len(x)]))
+    """The trial without the rows in which a joint was not read or the fish was not seen, and a note on each table."""
+    bounds = bounds_of(trial.meta, trial.name or "trial")
+    tables, notes = dict(trial.tables), []
+    for name in (name for name in UNREAD if name in tables):
+        bad, told = UNREAD[name](tables[name], bounds)
+        if bad.any():
+            tables[name] = {column: np.asarray(values)[~bad] for column, values in tables[name].items()}
+            notes += told
+    return (replace(trial, tables=tables), notes) if notes else (trial, [])
 
 
 # ------------------------------------------------------------------------------------------------------------------ checks
-def _failed_reads(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    if "joint" in trial.tables:
-        rows, notes = failed_reads(trial.tables["joint"], bounds)
-        n, total = int(rows.sum()), len(rows)
-        yield from ((USE, note.replace(f"{n} of {total} rows left out, ", f"{n} of {total} rows hold ")) for note in notes)
+def _failed_reads(trial: Trial, bounds: Plausible, name: str = "joint") -> Iterator[tuple[str, str]]:
+    if name in trial.tables:
+        _, notes = UNREAD[name](trial.tables[name], bounds)
+        yield from ((USE, note.replace(" left out, ", " to leave out, ")) for note in notes)
+
+
+def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    yield from _failed_reads(trial, bounds, "pose")
+    pose = trial.tables.get("pose", {})
+    if not is_sound(pose, ["t", "x", "y", "yaw"]):
+        return
+    lost, _ = lost_poses(pose, bounds)
+    t, yaw = (np.asarray(pose[name], float)[~lost] for name in ("t", "yaw"))
+    turn = np.abs(np.angle(np.exp(1j * np.diff(yaw))))
+    rows = np.flatnonzero((turn > 1.5) & (turn > bounds.rate * np.diff(t)))
+    if 0 < len(rows) < max(4, len(t) / 50):
+        yield (
+            USE,
+            f"pose: yaw jumps by {np.degrees(turn[rows[0]]):.0f} deg at t = {t[rows[0] + 1]:.3f} s ({len(rows)} such rows) and"
+            " stays there: did the tracker take the tail for the head? Split the file there",
+        )
+
+
+def _two_sources(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    for table, letters in (("cmd", "c"), ("joint", "j"), ("pose", "xy")):
+        columns = trial.tables.get(table, {})
+        for name in columns:
+            if name[0] not in letters or not (name in ("x", "y") or name[1:].isdecimal()) or len(columns["t"]) < 20:
+                continue
+            t, x = np.asarray(columns["t"], float), np.asarray(columns[name], float)
+            near, far = (float(np.median(np.abs(_between(t, x, rows)))) for rows in (1, 2))
+            if near > APART_BY[name[0]] and near > bounds.alternate * far:
+                unit = "m" if table == "pose" else "rad"
+                yield (
+                    IMPORT,
+                    f"{table}: {name} alternates row by row between two paths, {near:.2g} {unit} apart in the median (within each"
+                    f" {far:.2g}): two publishers on one topic, or commands among the measurements? Record each on its own topic,"
+                    " or leave one out",
+                )
+                break
+
+
+def _between(t: np.ndarray, x: np.ndarray, rows: int) -> np.ndarray:
+    """What each value is off the line between those so many rows before and after it."""
+    early, late = slice(None, -2 * rows), slice(2 * rows, None)
+    part = (t[rows:-rows] - t[early]) / (t[late] - t[early])
+    return x[rows:-rows] - (1 - part) * x[early] - part * x[late]
 
 
 def _joint_speed(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     table = trial.tables.get("joint", {})
-    for name in _joints(table):
+    for name in joints(table):
         t, x = np.asarray(table["t"], float), np.asarray(table[name], float)
-        good = ~_failed(t, x, bounds)
+        good = ~failed_rows(t, x, bounds)
         t, x = t[good], x[good]
-        step, speed = np.abs(np.diff(x)), _speeds(t, x)
+        step, speed = np.abs(np.diff(x)), speeds(t, x)
         usual = float(np.quantile(np.abs(np.diff(x, 2)), 0.75)) if len(x) > 2 else 0.0
         rows = np.flatnonzero((speed > bounds.rate) & (step > max(2 * bounds.spike, 5 * usual if usual < bounds.spike else 0.0)))
         if len(rows):
@@ -216,11 +174,29 @@ def _standing_still(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]
                 " is the servo unpowered or jammed, or is it another column?"
             )
             yield USE, text
+        elif (stretches := _still_stretches(t, c, j, bounds)) and moved >= bounds.still * told:
+            text = (
+                f"joint: {name} stands still at t = {stretches[0]:.3g} s, {(len(stretches) - 1) * STRIDE + STRETCH:.3g} s in all,"
+                f" while c{name[1:]} moves: did the servo lose its power, or jam?"
+            )
+            yield USE, text
+
+
+def _still_stretches(t: np.ndarray, c: np.ndarray, j: np.ndarray, bounds: Plausible) -> list[float]:
+    """Begins [s] of the stretches of `STRETCH` in which a command moves within the joint's reach and the joint does not."""
+    rows, late = round(STRETCH / GRID), round(FOLLOWS[-1] / GRID)
+    out = []
+    for i in range(0, len(t) - rows, round(STRIDE / GRID)):
+        told, moved = c[i : i + rows - late], float(np.ptp(j[i : i + rows]))
+        within = np.clip(told, j.min(), j.max())
+        if t[i + rows] - t[i] < 1.5 * STRETCH and np.ptp(within) > 4 * DRIVEN and moved < bounds.still * np.ptp(within):
+            out.append(float(t[i]))
+    return out
 
 
 def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     table = trial.tables.get("joint", {})
-    names = _joints(table)
+    names = joints(table)
     if len(names) < 2:
         return
     values = np.stack([np.asarray(table[name], float) for name in names], 1)
@@ -256,6 +232,37 @@ def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             yield IMPORT, text
 
 
+def _joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    for name, t, c, j in _pairs(trial):
+        if np.ptp(c) < 2 * DRIVEN or t[-1] - t[0] < 1.0:
+            continue
+        times, best = float(np.std(j) / np.std(c)), max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS)
+        if times > bounds.gain and best > FOLLOWED:
+            text = (
+                f"joint: {name} moves by {times:.3g} times its command c{name[1:]} (correlation {best:.2f}; at most"
+                f" {bounds.gain:g} times is plausible): another unit, or a gear between? Give columns.{name} a scale in the map"
+            )
+            yield USE, text
+
+
+def _joint_order(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    pairs = [pair for pair in _pairs(trial) if np.ptp(pair[2]) > 2 * DRIVEN and len(pair[1]) > 50]
+    if len({len(t) for _, t, _, _ in pairs}) != 1 or bounds.against >= 1.0:
+        return
+    own, cross = (
+        np.array([[max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS) for _, _, _, j in pairs] for _, _, c, _ in pairs]),
+        [(a, b) for a in range(len(pairs)) for b in range(a)],
+    )
+    for a, b in cross:
+        if min(own[a, b], own[b, a]) > SWAPPED and min(own[a, a], own[b, b]) < FOLLOWED:
+            one, two = pairs[b][0], pairs[a][0]
+            text = (
+                f"joint: {one} follows c{two[1:]} and {two} follows c{one[1:]} (correlations {own[a, b]:.2f} and {own[b, a]:.2f};"
+                f" their own {own[b, b]:.2f} and {own[a, a]:.2f}): are the two columns exchanged? Change them over in the map"
+            )
+            yield USE, text
+
+
 def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     found = _courses(trial)
     if found is None:
@@ -284,6 +291,13 @@ def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             yield IMPORT, text
             return
     ahead = _swims_ahead(trial)
+    if turned > TURN and ahead and np.ptp(yaw) < bounds.still * turned and bounds.course < pi:
+        text = (
+            f"pose: yaw stays within {np.degrees(np.ptp(yaw)):.2g} deg while the course turns by {np.degrees(turned):.0f} deg: is"
+            " it the heading of the camera or of another body? Name another column, or leave the pose out"
+        )
+        yield USE, text
+        return
     if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False or (turned <= TURN and not ahead):
         return
     told = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
@@ -329,14 +343,18 @@ def _handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
 
 CHECKS = (
     PhysicalCheck("failed read", "a reading leaves the joint's path and returns within 5 rows", "spike", _failed_reads),
+    PhysicalCheck("lost pose", "x, y or yaw jumps away and back within 1 s, faster than a fish", "leap", _lost_poses),
+    PhysicalCheck("two sources", "distance between alternate rows over that within each source", "alternate", _two_sources),
     PhysicalCheck("joint speed", "a step between two rows is faster than any servo", "rate", _joint_speed),
     PhysicalCheck("standing still", "the joint moves by less than this share of its command", "still", _standing_still),
     PhysicalCheck("stale reading", "share of moving rows that repeat the last value", "stale", _stale),
     PhysicalCheck("joint sign", "correlation with the command, negative at every delay to 0.3 s", "against", _joint_sign),
+    PhysicalCheck("joint scale", "movement of a joint over that of its command", "gain", _joint_scale),
+    PhysicalCheck("joint order", "two joints follow each other's commands and not their own", "against", _joint_order),
     PhysicalCheck("heading", "course over ground against yaw: sense, offset, unit", "course", _heading),
     PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", _handedness),
 )
-JOINTS = ("failed read", "joint speed", "standing still", "stale reading", "joint sign")  # those that need no camera
+JOINTS = tuple(check.name for check in CHECKS if check.name not in ("lost pose", "heading", "handedness"))  # need no camera
 
 
 # ----------------------------------------------------------------------------------------------------------------- helpers
@@ -349,7 +367,7 @@ def _grid(*stamps: np.ndarray) -> np.ndarray:
 def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
     """(name, grid, command, joint) of each joint that has a command, less its mean, while its torque is on."""
     cmd, joint = trial.tables.get("cmd", {}), trial.tables.get("joint", {})
-    for name in _joints(joint):
+    for name in joints(joint):
         number = name[1:]
         if f"c{number}" not in cmd or len(cmd["t"]) < 2 or len(joint["t"]) < 2:
             continue

@@ -65,6 +65,9 @@ class Plausible:
     against: float  # correlation
     course: float  # rad
     hand: float  # correlation
+    leap: float  # m/s, of a pose that comes back
+    alternate: float  # distance between two sources over that within each
+    gain: float  # movement of a joint over that of its command
 
     def span(self, name: str) -> tuple[float, float]:
         """(least, largest) of a bound."""

@@ -6,7 +6,7 @@ March or in April. Both are given; the rest of its column, else of its file, dec
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -173,3 +173,24 @@ def _calmer(day_first: np.ndarray, month_first: np.ndarray) -> int | None:
     longest = [float(np.max(np.abs(np.diff(v[np.isfinite(v)])), initial=0.0)) for v in (day_first, month_first)]
     calm = [value < DAY for value in longest]
     return None if all(calm) else calm.index(True) if any(calm) else -1
+
+
+def may_hide_thousands(values: np.ndarray) -> bool:
+    """True for a column in which `1.020` may follow `980`: whole numbers beside numbers of three decimals beyond 1."""
+    v = values[np.isfinite(values)]
+    broken = v[v != np.round(v)]
+    whole = v[v == np.round(v)]
+    decimals = np.abs(1e3 * broken - np.round(1e3 * broken)) < 1e-6
+    return bool(len(broken) and len(whole) and np.abs(broken).min() > 1 and np.abs(whole).max() > 99 and decimals.all())
+
+
+def hidden_thousands(texts: Sequence[str]) -> int:
+    """The first row whose point stands between thousands, as the other rows tell by the jumps that go; -1 where none does."""
+    both = [number(text) or Reading(math.nan, math.nan) for text in texts]
+    first = np.array([cell.first for cell in both])
+    second = np.array([cell.second if cell.two else cell.first for cell in both])
+    marked = first != second
+    if any("." in text and not mark for text, mark in zip(texts, marked, strict=True)) or not marked.any():
+        return -1
+    jumps = [float(np.max(np.abs(np.diff(v[np.isfinite(v)])), initial=0.0)) for v in (first, second)]
+    return int(np.argmax(marked)) if jumps[1] < 0.2 * jumps[0] else -1

@@ -108,6 +108,7 @@ class Stamp(_Strict):
     unit: Unit = ""
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0  # s a frame
     nanoseconds: str | None = None  # a second column that is added, as ROS writes them
+    microseconds: str | None = None  # the same, as a struct timeval has them
 
     @model_validator(mode="before")
     @classmethod
@@ -124,6 +125,11 @@ class Stamp(_Strict):
     def factor(self) -> float:
         """To s."""
         return self.scale * (1.0 if self.unit in ("", DATE) else UNITS[self.unit][1])
+
+    @property
+    def parts(self) -> dict[str, float]:
+        """Columns that are added to it, and the seconds of one count."""
+        return {c: size for c, size in ((self.nanoseconds, 1e-9), (self.microseconds, 1e-6)) if c}
 
 
 class TableMap(_Strict):

@@ -5,6 +5,7 @@ Where no name says it, the numbers do: by size, by spread from the first row, by
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -20,10 +21,14 @@ SI = {  # what is measured -> the schema's unit
 _DEG = math.pi / 180
 UNITS: dict[str, tuple[str, float]] = {  # unit -> (what is measured, factor to SI)
     **{"s": ("time", 1.0), "ms": ("time", 1e-3), "us": ("time", 1e-6), "ns": ("time", 1e-9), "min": ("time", 60.0)},
+    **{"cs": ("time", 1e-2), "h": ("time", 3600.0), "day": ("time", 86400.0)},
     **{"rad": ("angle", 1.0), "mrad": ("angle", 1e-3), "deg": ("angle", _DEG), "rev": ("angle", 2 * math.pi)},
+    **{"mdeg": ("angle", 1e-3 * _DEG), "cdeg": ("angle", 1e-2 * _DEG), "gon": ("angle", 0.9 * _DEG)},
     **{"rad/s": ("rate", 1.0), "deg/s": ("rate", _DEG), "rpm": ("rate", 2 * math.pi / 60)},
     **{"m": ("length", 1.0), "cm": ("length", 1e-2), "mm": ("length", 1e-3), "px": ("length", math.nan)},
+    **{"um": ("length", 1e-6), "dm": ("length", 0.1), "km": ("length", 1e3), "in": ("length", 0.0254), "ft": ("length", 0.3048)},
     **{"m/s": ("speed", 1.0), "cm/s": ("speed", 1e-2), "mm/s": ("speed", 1e-3)},
+    **{"km/h": ("speed", 1 / 3.6), "kn": ("speed", 1852 / 3600)},
     **{"V": ("voltage", 1.0), "mV": ("voltage", 1e-3), "A": ("current", 1.0), "mA": ("current", 1e-3)},
     **{"m/s^2": ("acceleration", 1.0), "g": ("acceleration", 9.80665), "Hz": ("frequency", 1.0)},
     **{"deg C": ("temperature", 1.0)},
@@ -36,6 +41,19 @@ _SPELLED = {
     **dict.fromkeys(("µs", "μs", "usec", "usecs", "micros", "microsec", "microseconds", "microsecond"), "us"),
     **dict.fromkeys(("nsec", "nsecs", "nanos", "nanosec", "nanoseconds", "nanosecond"), "ns"),
     **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("hour", "hours", "hr", "hrs", "stunde", "stunden"), "h"),
+    **dict.fromkeys(("days", "tag", "tage"), "day"),
+    **dict.fromkeys(("csec", "centisec", "centiseconds"), "cs"),
+    **dict.fromkeys(("millideg", "millidegrees"), "mdeg"),
+    **dict.fromkeys(("centideg", "centidegrees"), "cdeg"),
+    **dict.fromkeys(("gradian", "gradians", "gons"), "gon"),
+    **dict.fromkeys(("µm", "μm", "micron", "microns", "micrometre", "micrometer"), "um"),
+    **dict.fromkeys(("decimetre", "decimeter"), "dm"),
+    **dict.fromkeys(("kilometre", "kilometer"), "km"),
+    **dict.fromkeys(("inch", "inches"), "in"),
+    **dict.fromkeys(("foot", "feet"), "ft"),
+    **dict.fromkeys(("kmh", "kph"), "km/h"),
+    **dict.fromkeys(("knot", "knots", "kt", "kts"), "kn"),
     **dict.fromkeys(("radian", "radians", "rads"), "rad"),
     **dict.fromkeys(("degree", "degrees", "degs", "grad", "°", "º"), "deg"),
     **dict.fromkeys(("revs", "turn", "turns"), "rev"),
@@ -63,6 +81,8 @@ _SPELLED = {
     **dict.fromkeys(("ticks", "tick", "counts", "raw"), "count"),
 }
 _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("mV", "mA")} | {"mv": "mV", "ma": "mA"}
+BODY = set("bl bls bodylength bodylengths l".split()) | {"body length", "body lengths"}
+RARE = set("rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn".split())  # taken where a name says so, only
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 400.0
@@ -79,6 +99,13 @@ def unit_of(text: str) -> str:
     return text if text in UNITS else _SPELLED.get(lower, "") or _LOWER.get(lower, "")
 
 
+def other_unit(text: str) -> str:
+    """The text of a name's brackets where it is a multiple of a unit, or a length of the body: no factor is known; else ""."""
+    text = text.strip()
+    scaled = re.fullmatch(r"[x*]?\s*\d+(?:[.,]\d+)?(?:e-?\d+)?\s*[x*/]?\s*(\D+)", text, re.IGNORECASE)
+    return text if text.lower() in BODY or (scaled and unit_of(scaled[1])) else ""
+
+
 def measures(unit: str) -> str:
     """What a unit measures; "" for none."""
     return UNITS[unit][0] if unit in UNITS else ""
@@ -91,7 +118,7 @@ def of_kind(what: str) -> list[str]:
 
 def likely(what: str) -> list[str]:
     """Those that a laboratory's column is in; the others are taken where its name says so."""
-    return [unit for unit in of_kind(what) if unit not in ("rev", "mrad", "min", "rpm", "g")]
+    return [unit for unit in of_kind(what) if unit not in RARE]
 
 
 def fitting(what: str, value: float, unit: str, span: tuple[float, float]) -> list[str]:

@@ -1,8 +1,11 @@
 """Sheets and a map become a checked trial: SI units, seconds, nothing resampled; what was left out is noted."""
 
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +20,9 @@ from fishmj.log.trial import Table, Trial, table_spec
 from fishmj.log.trial_check import Implausible, Place
 
 DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3600.0  # s; clocks further apart than a day are different clocks
+AHEAD = 60.0  # s, between the last command and the first row of the swim
 NEAR, SLACK = 10, 0.01  # steps, or part of the period of a counter that may go by while it turns
+_PIECES = re.compile(r"(\d+)")
 FEW = 3  # times that a clock which was set goes back; rows that are mixed do so more often
 SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
 SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
@@ -32,15 +37,24 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
     """
     found: dict[str, tuple[Table, Place]] = {}
     absolute: dict[str, bool] = {}
+    taken: set[str] = set()
     notes = [note for sheet in sheets for note in sheet.notes]
     for table, entry in wanted.tables.items():
         sheet = _sheet(table, entry, sheets)
+        taken.add(sheet.name)
         columns, place, told, absolute[table] = _table(table, sheet, entry)
         found[table] = (columns, place)
-        notes += told
+        notes += [*(note for note in sheet.notes if note not in notes), *told]
     notes += _zero({t: found[t][0] for t, is_absolute in absolute.items() if is_absolute})
     for table, entry in wanted.tables.items():
         found[table][0]["t"] = found[table][0]["t"] + entry.offset
+    _refuse_apart(name, {table: columns for table, (columns, _) in found.items()})
+    for sheet in sheets:
+        for table, entry in wanted.tables.items() if sheet.name not in taken else ():
+            here = set(_sources(entry)) & sheet.columns.keys()
+            missed = 2 * len(here) > len(set(_sources(entry))) > len(here) and entry.t.column in here
+            if missed and (entry.file is None or _fits(sheet, entry.file)):
+                raise LogError(f'{_absent(table, entry, [sheet])}, or give it file = "pattern" of the files that it is in')
     used = {c for entry in wanted.tables.values() for c in _sources(entry)} | set(wanted.skip)
     for sheet in sheets:
         if rest := [column for column in sheet.columns if column not in used]:
@@ -69,7 +83,7 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
 
 def _sources(entry: TableMap) -> list[str]:
     columns = [c.column for c in entry.columns.values() if c.column is not None]
-    return [entry.t.column, *([entry.t.nanoseconds] if entry.t.nanoseconds else []), *columns]
+    return [entry.t.column, *entry.t.parts, *columns]
 
 
 def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet:
@@ -80,6 +94,8 @@ def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet:
     """
     wanted = set(_sources(entry))
     fitting = [sheet for sheet in sheets if wanted <= set(sheet.columns) and (entry.file is None or _fits(sheet, entry.file))]
+    if len(fitting) > 1 and (whole := _of_parts(fitting, entry)):
+        return whole
     if len(fitting) > 1:
         names = ", ".join(quoted(sheet.name) for sheet in fitting[:4])
         raise LogError(
@@ -89,6 +105,34 @@ def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet:
     if not fitting:
         raise LogError(_absent(table, entry, sheets))
     return fitting[0]
+
+
+def in_order(sheets: Sequence[Sheet]) -> list[Sheet]:
+    """Files in the order of the numbers in their names: swim_2 before swim_10."""
+    return sorted(sheets, key=lambda sheet: [(int(p), "") if p.isdecimal() else (0, p) for p in _PIECES.split(sheet.name)])
+
+
+def go_on(sheets: Sequence[Sheet], column: str) -> bool:
+    """True for files of which each begins at most three rows after the one before ends, by their column of time."""
+    stamps = [sheet.columns[column][np.isfinite(sheet.columns[column])] for sheet in sheets]
+    if len(stamps) < 2 or min(map(len, stamps)) < 3:
+        return False
+    return all(0 < b[0] - a[-1] <= 3 * float(np.median(np.diff(a))) for a, b in pairwise(stamps))
+
+
+def _of_parts(sheets: Sequence[Sheet], entry: TableMap) -> Sheet | None:
+    """Files of the same columns put together in the order of their numbers; None where their stamps do not go on."""
+    ordered = in_order(sheets)
+    first = ordered[0]
+    stamps = [_seconds(sheet, entry.t)[0] for sheet in ordered]
+    if any(np.nanmax(a) >= np.nanmin(b) for a, b in pairwise(stamps)) or any(
+        s.columns.keys() != first.columns.keys() for s in ordered
+    ):
+        return None
+    columns = {name: np.concatenate([sheet.columns[name] for sheet in ordered]) for name in first.columns}
+    name = f"{first.name} to {ordered[-1].name}"
+    whole = replace(first, path=first.path.parent, name=name, columns=columns, lines=None)
+    return whole.noted(f"{name}: {len(ordered)} files of the same columns, put together in the order of their names")
 
 
 def _fits(sheet: Sheet, pattern: str) -> bool:
@@ -147,6 +191,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     rows = rows[order]
     notes += told
     columns = {column: values[rows] for column, values in out.items()} | {"t": t[order]}
+    notes += _across_the_seam(table, columns)
     notes += _still(table, columns)
     if doubt := _switched(table, columns):
         raise LogError(
@@ -154,6 +199,20 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
         )
     place = renamed(lambda row, column: sheet.place(int(rows[row]) if 0 <= row < len(rows) else -1, column), names)
     return columns, place, notes, absolute
+
+
+def _across_the_seam(table: str, columns: Table) -> list[str]:
+    """Unwraps angles of joints that pass from 360 degrees to 0, or from 180 to -180, in place; a note on each."""
+    notes = []
+    for name in (name for name in columns if table in ("cmd", "joint") and name[0] in "cj" and name[1:].isdecimal()):
+        angle = columns[name]
+        step = np.abs(np.diff(angle))
+        wraps = step > 1.5 * np.pi
+        if wraps.any() and np.ptp(angle) <= 2 * np.pi + 1e-6 and not (step[~wraps] > 0.5 * np.pi).any():
+            whole = np.unwrap(angle)
+            columns[name] = whole - 2 * np.pi * np.round(np.median(whole) / (2 * np.pi))
+            notes.append(f"{table}: {name} passes the seam of a turn {int(wraps.sum())} times; unwrapped")
+    return notes
 
 
 def _still(table: str, columns: Table) -> list[str]:
@@ -188,8 +247,8 @@ def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
     raw = sheet.columns[stamp.column]
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
     t = raw * (1.0 if dated else stamp.factor)
-    if stamp.nanoseconds:
-        t = t + 1e-9 * sheet.columns[stamp.nanoseconds]
+    for column, size in stamp.parts.items():
+        t = t + size * sheet.columns[column]
     finite = t[np.isfinite(t)]
     if not len(finite):
         raise LogError(f"{sheet.place(0, stamp.column)}: column {quoted(stamp.column)} of time stamps holds no number")
@@ -247,6 +306,25 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
             advice = "Sort the rows by time, or name another column of time"
         raise LogError(f"{told}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
     return np.flatnonzero(~stray), [f"{table}: {told}; {int(stray.sum())} such row(s) left out"]
+
+
+def _refuse_apart(name: str, tables: dict[str, Table]) -> None:
+    """Refuse tables of one swim without an instant in common; commands may be sent a minute ahead of it.
+
+    Raises:
+        LogError: with the tables, and the offset that would lay them side by side.
+    """
+    spans = {table: (float(columns["t"][0]), float(columns["t"][-1])) for table, columns in tables.items()}
+    for early, (_, end) in spans.items():
+        for late, (begin, _) in spans.items():
+            seen = {early, late} <= {"cmd", "joint", "pose", "imu", "velocity", "markers"}
+            if seen and begin - end > (AHEAD if early == "cmd" else 0.0):
+                apart = begin - spans[early][0]
+                hours = f" ({round(apart / HOUR)} h apart: two time zones?)" if apart > 0.9 * HOUR else ""
+                raise LogError(
+                    f"{name}: {early} ends at {end:.6g} s, {late} begins at {begin:.6g} s: they have no instant in common"
+                    f"{hours}. State the offset in a map, [tables.{late}] offset = {-apart:.6g}, or import one of them alone"
+                )
 
 
 def _zero(tables: dict[str, Table]) -> list[str]:

@@ -8,6 +8,7 @@ import codecs
 import re
 import sys
 from array import array
+from bisect import bisect_left
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -230,6 +231,11 @@ class _Reader:
             for column, row in unclear.items():
                 self._refuse_two(column, int(self.lines[row]))
             notes += [f"{name}: {note}" for note in told]
+        else:
+            for column in (c for c, values in columns.items() if c not in self.dates and cells.may_hide_thousands(values)):
+                texts = [self._cell_of(line, column) for line in self._lines_again()]
+                if (row := cells.hidden_thousands(texts)) >= 0:
+                    self._refuse_two(column, int(self.lines[row]))
         marks = f"{name}: marks between thousands left out"
         notes += [marks] if self.grouped and marks not in notes else []
         named = {column: told for column, told in self.joints.items() if self.counts[column] or column.lower().endswith("id")}
@@ -248,10 +254,17 @@ class _Reader:
         both = np.array(values, float).reshape(len(self.lines), len(self.names))
         return {column: both[:, k].copy() for k, column in enumerate(self.names)}
 
-    def _refuse_two(self, column: str, number: int) -> NoReturn:
+    def _lines_again(self, first: int = 0) -> Iterator[str]:
+        """The lines of the rows, read again from line number `first` on."""
+        wanted = set(self.lines[bisect_left(self.lines, first) :])
         with open(self.path, encoding=_encoding(self.path)[0], newline=None) as file:
-            line = next(line for n, line in enumerate(file, start=1) if n == number).rstrip("\r\n")
-        text = self.layout.cut(line)[self.layout.names.index(column)].strip()
+            yield from (line.rstrip("\r\n") for n, line in enumerate(file, start=1) if n in wanted)
+
+    def _cell_of(self, line: str, column: str) -> str:
+        return self.layout.cut(_ARROW.sub("", line, count=1) if self.arrows else line)[self.layout.names.index(column)].strip()
+
+    def _refuse_two(self, column: str, number: int) -> NoReturn:
+        text = self._cell_of(next(self._lines_again(number)), column)
         found = cells.read(text) or Reading(np.nan, np.nan)
         may = "day and month, or month and day" if found.date else f"{found.first:g} or {found.second:g}"
         form = "the year first" if found.date else "decimal points and no marks between thousands"

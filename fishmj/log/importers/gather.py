@@ -208,7 +208,9 @@ def _walk(
             other.append(entry.name)
         elif entry.suffix.lower() in TABLE_FILES or is_recording(entry):
             files.append(entry)
-        elif (kind := other_files.kind_of(entry)) in other_files.RECORDINGS:
+        elif (kind := other_files.kind_of(entry)) in other_files.RECORDINGS or (
+            kind == "archive" and other_files.holds_tables(entry)
+        ):
             shelf.skipped[str(entry)] = f"{entry}: {other_files.advice(entry, kind)}"
         elif entry.name not in ("manifest.json", "measurements.toml"):
             other.append(entry.name)

@@ -10,16 +10,16 @@ import numpy as np
 
 from fishmj.errors import LogError, UnknownName
 from fishmj.log.importers import column_units, header
-from fishmj.log.importers.column_map import is_column, measured
-from fishmj.log.importers.column_units import SI, measures, unit_of
+from fishmj.log.importers.column_map import measured
+from fishmj.log.importers.column_units import SI, measures
 from fishmj.log.importers.header import Role, role
 from fishmj.log.importers.joint_names import STATE
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted
-from fishmj.log.trial import TABLES, table_spec
+from fishmj.log.trial import table_spec
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
-NANOSECONDS = "t.nanoseconds"  # the place of a second column of the stamp
+PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6)}  # places of a second column of the stamp; in a second
 _NUMBER = re.compile(r"\d+")
 ROWS = 200_000  # of one file that the statistics look at
 
@@ -125,42 +125,8 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     out = _commanded_or_measured(out)
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
-    out = _points(_once(out, found))
+    out = _once(_points(out), found)
     return _complete(_counts(_silent(out, found)), found)
-
-
-def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
-    """`servo1=cmd.c1:deg`, `u=pose.x:px*0.0012`, `foo=skip` -> column: (place, unit, scale).
-
-    Raises:
-        LogError: no such table, column or unit, with the nearest.
-    """
-    out = {}
-    for text in texts:
-        column, mark, target = text.rpartition("=")
-        place, _, rest = target.partition(":")
-        unit, _, factor = rest.partition("*")
-        where = f"--set {quoted(text)}"
-        if not mark or not column.strip():
-            raise LogError(f"{where}: expected COLUMN=TABLE.COLUMN:UNIT, for example servo1=cmd.c1:deg, or COLUMN=skip")
-        if place not in ("t", "skip"):
-            table, _, ours = place.partition(".")
-            if table not in TABLES:
-                raise UnknownName(f"table in {where}:", table[:40], TABLES)
-            if ours == "t":
-                place = "t"
-            elif not is_column(table_spec(table), ours):
-                raise LogError(f"{where}: table {table!r} has no column {quoted(ours)}; expected {table_spec(table).describe()}")
-        if unit and unit != DATE and not unit_of(unit):
-            raise LogError(f"{where}: unit {quoted(unit)} is not known")
-        try:
-            scale = float(factor) if factor else 1.0
-        except ValueError:
-            scale = 0.0
-        if not 0 < scale < 1e12:
-            raise LogError(f"{where}: scale {quoted(factor)}; expected a positive number, such as px*0.0012")
-        out[column.strip()] = (place, DATE if unit == DATE else unit_of(unit), scale)
-    return out
 
 
 def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
@@ -185,7 +151,8 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         if found.places and not np.isfinite(kind.values(column)).any() and not _of_a_joint(found.places):
             found = Role(why="holds no number")
         places = tuple(place.replace("#", str(name.number)) if name.number is not None else place for place in found.places)
-        doubt = kind.doubt(column)
+        other = f"{name.other} is no unit that is known: say one with a scale, such as m*0.3" if name.other and not told else ""
+        doubt = kind.doubt(column) or other
         state = LEFT if not places else TAKEN if len(places) == 1 and not doubt else UNCLEAR
         out.append(Guess(k, column, state, places, told or name.unit, why=doubt or found.why))
     return out
@@ -379,12 +346,14 @@ def _family(place: str) -> str:
 
 
 def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tuple[int, int] | None:
-    """The columns of seconds and of the nanoseconds within them, as ROS exports stamps."""
+    """The columns of seconds and of the nano- or microseconds within them, as ROS and C export stamps."""
     whole, part = sorted(stamps, key=lambda i: guesses[i].unit != "s")
-    if (guesses[whole].unit, guesses[part].unit) != ("s", "ns") or guesses[part].said:
+    if guesses[whole].unit != "s" or guesses[part].unit not in PARTS or guesses[part].said:
         return None
-    low, high = (float(f(kind.values(guesses[part].column))) for f in (np.nanmin, np.nanmax))
-    return (whole, part) if 0 <= low and high < 1e9 else None
+    seconds, within = (kind.values(guesses[i].column) for i in (whole, part))
+    if not (np.nan_to_num(seconds) % 1 == 0).all():
+        return None
+    return (whole, part) if 0 <= np.nanmin(within) and np.nanmax(within) < PARTS[guesses[part].unit][1] else None
 
 
 def _of_header(tied: list[int], guesses: list[Guess], kind: FileKind) -> list[int]:
@@ -401,7 +370,8 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     for k in {g.kind for g in out}:
         stamps = [i for i, g in enumerate(out) if g.kind == k and g.place == "t" and g.state != LEFT]
         if len(stamps) == 2 and (pair := _split_stamp(out, stamps, found[k])):
-            out[pair[1]] = replace(out[pair[1]], places=(NANOSECONDS,), why="added to the seconds beside it")
+            place = PARTS[out[pair[1]].unit][0]
+            out[pair[1]] = replace(out[pair[1]], places=(place,), why="added to the seconds beside it")
             stamps = [pair[0]]
         if len(stamps) > 1:
             rank = [(not out[i].said, out[i].state != TAKEN, header.parse(out[i].column).unit == "", i) for i in stamps]
@@ -415,7 +385,7 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
                     out[i] = out[i].left("another column of time is taken")
     places: dict[str, list[int]] = {}
     for i, g in enumerate(out):
-        if g.place and g.place not in ("t", NANOSECONDS) and g.state == TAKEN:
+        if g.place and g.table != "t" and g.state == TAKEN:
             places.setdefault(g.place, []).append(i)
     for place, mine in places.items():
         said = [i for i in mine if out[i].said]
@@ -437,20 +407,32 @@ def _points(guesses: list[Guess]) -> list[Guess]:
         return guesses
     if any(g.place.startswith("markers.") for g in guesses):
         return guesses
-    swap = {"pose.x": "markers.p1x", "pose.y": "markers.p1y"}
-    return [
-        replace(g, places=(swap[g.place],), why=g.why + "; no heading, so a point and no pose")
-        if g.place in swap and not g.said
-        else g
-        for g in guesses
-    ]
+    out = list(guesses)
+    for k in kinds_:
+        mine = [i for i, g in enumerate(guesses) if g.kind == k and g.place in ("pose.x", "pose.y") and not g.said]
+        names = {i: header.parse(guesses[i].column) for i in mine if guesses[i].state != LEFT}
+        points = list(dict.fromkeys(_point(name) for name in names.values()))
+        order = header.nose_to_tail(points) if len(points) > 1 else [1]
+        for i, name in names.items():
+            axis, why = guesses[i].place[-1], guesses[i].why + "; no heading, so a point and no pose"
+            if order:
+                out[i] = replace(guesses[i], places=(f"markers.p{order[points.index(_point(name))]}{axis}",), why=why)
+            else:
+                places = tuple(f"markers.p{n + 1}{axis}" for n in range(len(points)))
+                out[i] = guesses[i].unclear("which point is it, counted from the nose?", places=places)
+    return out
+
+
+def _point(name: header.Header) -> header.Header:
+    """The name of a point without its axis and unit."""
+    return header.Header(tuple(word for word in name.words if word not in header.AXES), name.number)
 
 
 def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     """Asks for what would be lost: columns of a file without stamps, of a table that lacks another, of a table in two files."""
     out = list(guesses)
     for k, kind in enumerate(found):
-        mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.place not in ("t", NANOSECONDS)]
+        mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.table != "t"]
         if mine and not any(g.kind == k and g.place == "t" and g.state != LEFT for g in out):
             out = _stampless(out, kind, k, mine)
             continue
@@ -464,7 +446,7 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
                 out = [g.unclear(why) if i in mine and g.table == table and not g.said else g for i, g in enumerate(out)]
     first: dict[str, int] = {}
     for i, g in enumerate(out):
-        table = g.table if g.state != LEFT and g.place not in ("t", NANOSECONDS) else ""
+        table = g.table if g.state != LEFT and g.table != "t" else ""
         if table and first.setdefault(table, g.kind) != g.kind:
             out[i] = g.unclear(
                 f"table {table} lies in another file already; a table of ours is one file with one clock: skip one"

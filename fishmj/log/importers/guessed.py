@@ -10,7 +10,7 @@ from fishmj import console
 from fishmj.errors import LogError
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
-from fishmj.log.importers.guess import LEFT, NANOSECONDS, TAKEN, UNCLEAR, FileKind, Guess
+from fishmj.log.importers.guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import bare
 
@@ -39,8 +39,8 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
         for g in mine:
             if g is stamp:
                 continue
-            if g.place == NANOSECONDS:
-                t["nanoseconds"] = g.column
+            if g.table == "t":
+                t[g.place.removeprefix("t.")] = g.column
                 continue
             table, _, column = g.place.partition(".")
             entry = tables.setdefault(table, {"t": t, "columns": {}, "kind": k})

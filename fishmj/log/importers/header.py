@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from fishmj.log.importers.column_units import UNITS, measures, unit_of
+from fishmj.log.importers.column_units import UNITS, measures, other_unit, unit_of
 
 # In English, German, French, Spanish, Italian and Portuguese, as far as a word has one meaning in a log: `tension` (a tendon's)
 # and `cap` (a capacity) are left to the user.
 TIME = set("time t ts stamp timestamp tstamp clock elapsed utc epoch date datetime uptime".split())
+TIME |= set("tick ticks tv".split())
 TIME |= set("zeit stempel datum temps horodatage heure tiempo hora tempo ora tijd tid czas aika zaman idő čas timp".split())
 TIME |= set("время 时间 时间戳 時刻 時間 タイムスタンプ 시간".split())
 TIME_PARTS = ("zeit", "time", "stamp", "stempel", "tijd")  # of a compound that begins or ends with it: kamerazeit, frametime
@@ -20,10 +21,22 @@ MEASURED = set("meas measured measurement measurements pos position actual act p
 MEASURED |= set("state states sensor sensed read ist gemessen mesure medido".split())
 SERVO = set("servo servos motor motors servomotor".split())
 JOINT = set("joint joints angle angles ang theta q dof hinge phi winkel gelenk articulation".split())
-ALONG = {"head": 0, "kopf": 0, "body": 1, "trunk": 1, "torso": 1, "rumpf": 1, "peduncle": 2, "tail": 3, "schwanz": 3}
+ALONG = {
+    "nose": -1,
+    "snout": -1,
+    "head": 0,
+    "kopf": 0,
+    "body": 1,
+    "trunk": 1,
+    "torso": 1,
+    "rumpf": 1,
+    "peduncle": 2,
+    "tail": 3,
+    "schwanz": 3,
+}
 ALONG |= {"caudal": 4, "fin": 4, "flosse": 4, "fluke": 4}  # parts of a fish's body in their order from the nose
 BESIDE = set("left right pectoral pelvic dorsal anal ventral side links rechts".split())  # fins that are in no chain
-PART = set("tail fin hinge schwanz flosse".split())  # what a joint may be called after
+PART = set("peduncle caudal fluke tail fin hinge schwanz flosse".split())  # what a joint may be called after
 RATE = set("twist vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())
 CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body kamera".split())
 HEADING = set("yaw heading hdg theta psi orientation kurs gier orientierung ausrichtung lacet rumbo".split())
@@ -50,7 +63,9 @@ _GLUED = {  # names without a mark between their words; a unit comes last, so no
     **{"accx": "acc x", "accy": "acc y", "accz": "acc z", "gyrox": "gyro x", "gyroy": "gyro y", "gyroz": "gyro z"},
     **{"ψ": "psi", "θ": "theta"},
 }
+NO_SUFFIX = {"g", "min", "h", "in"}  # units that a name may end with and mean another thing
 AXES = {"x", "y", "z"}
+TRANSLATION = {"tx": "x", "ty": "y", "tz": "z"}  # of the trajectories of TUM, as evo writes them
 ARRAY = (("value",), ("data",), ("values",), ("field", "data"))  # words for an element of an array
 _BRACKET = re.compile(r"(.*?)\s*[\[(<{]([^\])>}]*)[\])>}]\s*\Z", re.DOTALL)
 _RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m", "s2")}
@@ -63,6 +78,7 @@ class Header:
     words: tuple[str, ...]
     number: int | None = None
     unit: str = ""
+    other: str = ""  # unit that has no factor here: 0.1 deg, BL
 
     def has(self, words: set[str]) -> bool:
         """Whether one of `words` is among its own."""
@@ -80,23 +96,23 @@ def words(text: str) -> list[str]:
 
 def parse(raw: str) -> Header:
     """Words, number and unit of one column's name."""
-    unit, name = "", raw
+    unit, other, name = "", "", raw
     found = _BRACKET.match(raw[:200])
     if found and not found[2].strip().isdecimal() and found[2].strip().lower() not in AXES:  # data[0], v_{x}: indices
-        name, unit = found[1], unit_of(found[2])
+        name, unit, other = found[1], unit_of(found[2]), other_unit(found[2])
     said = words(name) or words(raw)
     rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
     if not unit and len(said) > 2 and tuple(said[-2:]) in _RATES:
         unit, said = unit_of(" ".join(said[-2:])), said[:-2]
-    elif not unit and mark and last and unit_of(last) and words(rest) and last.lower() not in ("g", "min"):
+    elif not unit and not other and mark and last and unit_of(last) and words(rest) and last.lower() not in NO_SUFFIX:
         unit, said = unit_of(last), words(rest)  # as it is written: mV is no m V
-    elif not unit and len(said) > 1 and unit_of(said[-1]) and said[-1] not in ("g", "min"):
+    elif not unit and not other and len(said) > 1 and unit_of(said[-1]) and said[-1] not in NO_SUFFIX:
         unit, said = unit_of(said[-1]), said[:-1]
     elif len(said) == 1 and unit_of(said[0]) in ("s", "ms", "us", "ns"):  # a unit alone: a stamp in it
         unit, said = unit_of(said[0]), ["time"]
     numbers = [int(word) for word in said if word.isdecimal() and len(word) < 4]
     plain = tuple(word for word in said if not word.isdecimal())
-    return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "")
+    return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "", other)
 
 
 def nose_to_tail(names: Sequence[Header]) -> list[int] | None:
@@ -202,7 +218,7 @@ def _velocity(name: Header, context: set[str]) -> Role | None:
 
 
 def _place(name: Header, context: set[str]) -> Role | None:
-    axis = next((word for word in reversed(name.words) if word in AXES), "")
+    axis = next((word for word in reversed(name.words) if word in AXES), TRANSLATION.get(" ".join(name.words), ""))
     if not axis or measures(name.unit) not in ("", "length"):
         return None
     if axis == "z":
@@ -231,12 +247,7 @@ def _heading(name: Header, context: set[str]) -> Role | None:
 def _joint(name: Header, context: set[str]) -> Role | None:
     said = measures(name.unit)
     known = name.has(SERVO | JOINT | PART) or name.words[:1] == ("action",) or name.words[:2] == ("observation", "state")
-    if name.number is not None and name.words in (
-        ("value",),
-        ("data",),
-        ("values",),
-        ("field", "data"),
-    ):  # an array on a topic of angles
+    if name.number is not None and name.words in ARRAY:  # an array on a topic of angles
         known = bool(context & (SERVO | JOINT))
     numbered = name.number is not None and (name.has(COMMAND | MEASURED) or said == "angle")
     known |= bool(name.words) and COMMAND.issuperset(name.words) or said == "angle" and name.has(COMMAND | MEASURED)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fishmj.errors import LogError
 from fishmj.log.importers import motive
 from fishmj.log.importers.cells import BLANKS, is_number, is_value
-from fishmj.log.importers.column_units import unit_of
+from fishmj.log.importers.column_units import other_unit, unit_of
 from fishmj.log.importers.header import TIME, words
 from fishmj.log.limits import COLUMNS, quoted
 
@@ -100,7 +100,9 @@ def find(path, head: Lines, comment: str, said: str) -> Layout:
     names, told = _checked(path, line, names)
     if above := row - used:
         notes.append(f"{above} row(s) of titles above the names of the columns left out")
-    known = {name: unit for name, unit in zip(names, units, strict=False) if unit}
+    units = units[: len(names)] + [""] * (len(names) - len(units))
+    names = [f"{name} [{unit}]" if other_unit(unit) else name for name, unit in zip(names, units, strict=True)]
+    known = {name: unit for name, unit in zip(names, units, strict=True) if unit and not other_unit(unit)}
     return Layout(mark, names, known, first, line, (*notes, *told, *_separated(mark)), settings)
 
 
@@ -168,7 +170,7 @@ def _units(cells: Sequence[str]) -> list[str]:
     """The units of a row of units, "" where a cell names none; empty where it is no such row."""
     bare = [cell.strip().strip(_BRACKETS) for cell in cells]
     filled = [cell for cell in bare if cell]
-    units = [unit_of(cell) for cell in bare]
+    units = [unit_of(cell) or other_unit(cell) for cell in bare]
     known = sum(map(bool, units))
     named = any(is_number(cell) or not TIME.isdisjoint(words(cell)) for cell in filled)  # t (s) is a name
     return units if known and 2 * known >= len(filled) and not named else []

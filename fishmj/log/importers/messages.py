@@ -1,6 +1,7 @@
 """Recordings of messages (MCAP, rosbag2): topics become tables as a mapping says (`topics.py`), or sheets to be guessed at."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -25,16 +26,19 @@ from fishmj.log.trial import Table, Trial, table_spec
 DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different clocks
 DEPTH, WIDTH = 8, 64  # of a message that is spread over columns
 NAMES = ("name", "names", "joint_names")  # keys of lists of names beside lists of values
-NAMED = ("name", "joint_name", "child_frame_id")  # keys of the name of one object in a list of objects
+NAMED = ("name", "joint_name", "child_frame_id", "id", "joint_id", "servo_id")  # keys of the name of one object in a list
+BESIDE = 2e6  # ns between the messages of one burst; a shift of 2 ms in a stamp is seen as damping
 OVERTAKEN, OVERTAKES = 3, 10**9  # messages at least, and ns at most, by which one publisher's stamps fall behind another's
 ABSENT = object()  # the value of a joint that a message does not name
+TRAJECTORY, PLANS = "trajectory_msgs/msg/JointTrajectory", "trajectories of several points"
+SINGLE = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # one number, which its topic names
 KEPT = {  # types that are spread over sheets without a mapping; any other standard type can be mapped
     *("sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"),
     *("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Pose", "geometry_msgs/msg/Pose2D"),
     *("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/Vector3Stamped"),
     "geometry_msgs/msg/TransformStamped",
     *("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/TwistStamped"),
-    *("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64", "std_msgs/msg/Float32"),
+    *(TRAJECTORY, *SINGLE, "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray"),
 }
 
 
@@ -236,7 +240,8 @@ def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
     for topic in sorted(foreign) if foreign < set(rows) else ():
         notes.append(f"{topic}: the stamps of its headers are on another clock; stamped by its receipt, as other topics are")
         rows[topic].stamps = rows[topic].receipts
-    out = [read.sheet(path, topic, found[topic].type) for topic, read in rows.items()]
+    rows = _together(rows, {topic: found[topic].type for topic in rows})
+    out = [read.sheet(path, topic, found[topic].type if topic in found else "") for topic, read in rows.items()]
     return [out[0].noted(*notes), *out[1:]]
 
 
@@ -269,12 +274,18 @@ class _Rows:
         if kind.startswith("sensor_msgs/") and kind.endswith("/JointState"):
             units |= {f"joint.{key}": "rad" for key in _joints_of(columns)}
             units |= {f"joint.{key}.velocity": "rad/s" for key in _joints_of(columns)}
+        units |= {key: "rad" for key in columns if kind == TRAJECTORY}
         if not any(header.parse(key).words in (("t",), ("time",), ("timestamp",)) for key in columns):
             columns = {"stamp": np.array(stamps, float) * 1e-9, **columns}
             units["stamp"] = DATE
         units = {key: unit for key, unit in units.items() if key in columns}
-        told = tuple(f"{topic}: {note}, in {n} of {len(self.values)} messages" for note, n in self.notes.items())
-        return checked(Sheet(path, topic, columns, units, notes=told, doubts=_unnamed(columns)))
+        told = tuple(f"{topic}: {note}, in {n} of {len(self.values)} messages" for note, n in self.notes.items() if n)
+        return checked(Sheet(path, topic, columns, units, notes=told, doubts=_unnamed(columns) | self._planned(columns)))
+
+    def _planned(self, columns: Iterable[str]) -> dict[str, str]:
+        """Doubts about trajectories of several points."""
+        why = "trajectories of several points, of which this is the first: map none of them, or publish one point a message"
+        return dict.fromkeys((key for key in columns if key.startswith("command.")), why) if self.notes[PLANS] else {}
 
     def _in_order(self) -> list[tuple[int, dict[str, float]]]:
         """Stamps and values; sorted where publishers overtake one another, as left where the clock was set back once."""
@@ -294,7 +305,10 @@ def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
     for i, (log_time, _, _) in enumerate(channel.messages):
         where, content = f"{path}:{topic}[{i}]", decode(i)
         own.append(_own_stamp(content))
-        row = _joints(where, content, out.notes) if _is_joint_state(content) else _TYPED.get(channel.type, _flat)(content)
+        if channel.type == TRAJECTORY:
+            row = _trajectory(where, content, out.notes)
+        else:
+            row = _joints(where, content, out.notes) if _is_joint_state(content) else _TYPED.get(channel.type, _flat)(content)
         keys |= row.keys()
         if len(keys) > WIDTH * WIDTH:
             raise LogError(f"{where}: over {WIDTH * WIDTH} different fields; map the ones you need with --topics")
@@ -304,6 +318,34 @@ def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
         out.notes["no stamp in its header, so that all are stamped by their receipt"] = sum(not stamp for stamp in own)
     out.stamps = [stamp for stamp in own if stamp] if all(own) else out.receipts
     return out if keys else None
+
+
+def _together(rows: dict[str, _Rows], kinds: dict[str, str]) -> dict[str, _Rows]:
+    """The topics; those of one number a joint (`/joint1/command`, `/joint2/command`), sent side by side, are put together."""
+    groups: dict[str, list[str]] = {}
+    for topic, kind in kinds.items():
+        said = header.words(topic)
+        if kind in SINGLE and not (header.SERVO | header.JOINT).isdisjoint(said):
+            rows[topic].values = [{" ".join(said): value for value in row.values()} for row in rows[topic].values]
+            groups.setdefault(re.sub(r"\d+", "#", topic), []).append(topic)
+    out = dict(rows)
+    for name, topics in groups.items():
+        sent = sorted(
+            (s, t, v) for t in topics for s, row in zip(rows[t].stamps, rows[t].values, strict=True) for v in row.items()
+        )
+        period = float(np.median(np.diff(rows[topics[0]].stamps))) if len(rows[topics[0]].stamps) > 1 else 0.0
+        bursts: list[dict[str, tuple[int, str, tuple]]] = []
+        for one in sent:
+            if not bursts or one[1] in bursts[-1] or one[0] - next(iter(bursts[-1].values()))[0] > min(period / 2, BESIDE):
+                bursts.append({})
+            bursts[-1][one[1]] = one
+        whole = [burst for burst in bursts if len(burst) == len(topics)]
+        if len(topics) > 1 and len(whole) >= max(2, 0.99 * len(bursts)):
+            last = [max(one[0] for one in burst.values()) for burst in whole]
+            values = [dict(one[2] for one in burst.values()) for burst in whole]
+            notes = Counter({f"messages of {', '.join(topics)} are one row, stamped by the last": len(whole)})
+            out = {topic: read for topic, read in out.items() if topic not in topics} | {name: _Rows(last, last, values, notes)}
+    return out
 
 
 def _joints_of(columns: Iterable[str]) -> list[str]:
@@ -349,7 +391,8 @@ def _flat(value, prefix: str = "", depth: int = 0, names: list[str] | None = Non
 def _names_of(items: list) -> list[str]:
     """Names of the objects in a list, where each has one of its own; else none."""
     for key in NAMED:
-        names = [item[key] for item in items if isinstance(item, dict) and isinstance(item.get(key), str)]
+        named = [item[key] for item in items if isinstance(item, dict) and type(item.get(key)) in (str, int)]
+        names = list(map(str, named))
         if len(names) == len(items) == len(set(names)):
             return names
     return []
@@ -383,6 +426,20 @@ def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
             if isinstance(value, int | float) and abs(value) < 1e300:
                 out[column_of(name[:80], key)] = float(value)
     return out
+
+
+def _trajectory(where: str, content: dict, notes: Counter) -> dict[str, float]:
+    """Columns `command.NAME` by the message's own names: the angles of its first point.
+
+    Raises:
+        LogError: there are angles for some of the names only.
+    """
+    names, points = _names(content) or [], content.get("points") or [{}]
+    values = points[0].get("positions") or []
+    if len(values) != len(names) or len(set(names)) < len(names):
+        raise LogError(f"{where}: {len(values)} positions for the names {', '.join(map(quoted, names))}; record it again")
+    notes[PLANS] += len(points) > 1
+    return {f"command.{name[:80]}": float(value) for name, value in zip(names, values, strict=True)}
 
 
 def _battery(content: dict) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Files of a laboratory that are not read: what each is, and how its numbers become a file that is."""
 
+import zipfile
 from pathlib import Path
 
 KINDS: dict[str, tuple[str, str]] = {  # name -> (what it is, what to do)
@@ -28,6 +29,7 @@ KINDS: dict[str, tuple[str, str]] = {  # name -> (what it is, what to do)
     "recording": ("an MCAP recording", "give its name the end .mcap"),
 }
 RECORDINGS = set("ros1 active matlab hdf5 workbook numpy feather px4 dataflash tdms mocap sqlite".split())
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".npz", ".mcap", ".db3", ".bag")
 _STARTS = {  # first bytes -> name
     **{b"#ROSBAG V": "ros1", b"MATLAB 5.0": "matlab", b"\x89HDF\r\n": "hdf5", b"\xd0\xcf\x11\xe0": "workbook"},
     **{b"\x93NUMPY": "numpy", b"ARROW1": "feather", b"ULog": "px4", b"\xa3\x95\x80": "dataflash", b"TDSm": "tdms"},
@@ -72,6 +74,17 @@ def kind_of(path: Path, *, text: bool = False) -> str:
     if start.startswith(b"PK\x03\x04"):
         return by_name or ("workbook" if _is_workbook(path) else "archive")
     return by_bytes or by_name
+
+
+def holds_tables(path: Path) -> bool:
+    """True for an archive of recordings: `camera.csv.gz`, or a zip file with one inside."""
+    if any(suffix in _TABLES for suffix in map(str.lower, path.suffixes[-2:-1])):
+        return True
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return any(Path(name).suffix.lower() in _TABLES for name in archive.namelist()[:1000])
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
+        return False
 
 
 def _is_workbook(path: Path) -> bool:

@@ -10,9 +10,9 @@ import numpy as np
 
 from fishmj import plugins
 from fishmj.errors import FishmjError, LogError, OwnCodeError
-from fishmj.log.physical_checks import failed_reads
 from fishmj.log.trial import Table, Trial
 from fishmj.log.trial_check import Implausible, Place, bounds_of, check_counts, check_table
+from fishmj.log.unread_rows import UNREAD
 from fishmj.names import is_name, nearest
 
 
@@ -166,9 +166,9 @@ def trial_of(
         LogError: a table breaks the schema; the message begins with the place in the source file.
     """
     found, bounds, tables = list(notes), bounds_of(meta, name), dict(tables)
-    if "joint" in tables:
-        bad, told = failed_reads(tables["joint"][0], bounds)
-        tables["joint"], found = (_kept(*tables["joint"], ~bad) if told else tables["joint"]), [*found, *told]
+    for table in (table for table in UNREAD if table in tables):
+        bad, told = UNREAD[table](tables[table][0], bounds)
+        tables[table], found = (_kept(*tables[table], ~bad) if told else tables[table]), [*found, *told]
     for table, (columns, place) in tables.items():
         try:
             found += check_table(table, columns, place, bounds)

@@ -1,0 +1,44 @@
+"""The option --set: what the user decides on columns, as text."""
+
+from collections.abc import Iterable
+
+from fishmj.errors import LogError, UnknownName
+from fishmj.log.importers.column_map import is_column
+from fishmj.log.importers.column_units import unit_of
+from fishmj.log.importers.sheet import DATE
+from fishmj.log.limits import quoted
+from fishmj.log.trial import TABLES, table_spec
+
+
+def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
+    """`servo1=cmd.c1:deg`, `u=pose.x:px*0.0012`, `foo=skip` -> column: (place, unit, scale).
+
+    Raises:
+        LogError: no such table, column or unit, with the nearest.
+    """
+    out = {}
+    for text in texts:
+        column, mark, target = text.rpartition("=")
+        place, _, rest = target.partition(":")
+        unit, _, factor = rest.partition("*")
+        where = f"--set {quoted(text)}"
+        if not mark or not column.strip():
+            raise LogError(f"{where}: expected COLUMN=TABLE.COLUMN:UNIT, for example servo1=cmd.c1:deg, or COLUMN=skip")
+        if place not in ("t", "skip"):
+            table, _, ours = place.partition(".")
+            if table not in TABLES:
+                raise UnknownName(f"table in {where}:", table[:40], TABLES)
+            if ours == "t":
+                place = "t"
+            elif not is_column(table_spec(table), ours):
+                raise LogError(f"{where}: table {table!r} has no column {quoted(ours)}; expected {table_spec(table).describe()}")
+        if unit and unit != DATE and not unit_of(unit):
+            raise LogError(f"{where}: unit {quoted(unit)} is not known")
+        try:
+            scale = float(factor) if factor else 1.0
+        except ValueError:
+            scale = 0.0
+        if not 0 < scale < 1e12:
+            raise LogError(f"{where}: scale {quoted(factor)}; expected a positive number, such as px*0.0012")
+        out[column.strip()] = (place, DATE if unit == DATE else unit_of(unit), scale)
+    return out
