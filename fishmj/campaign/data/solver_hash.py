@@ -32,7 +32,9 @@ SHORT = "c63b5116c9559a46382897a7ee2f9759b3ea29edb743ac06f51b4422d0969719"  # ve
 STREAMS = "0b62f72826c3f69cffcc5e1ec632c483d844b5ee2ad952876fb6f311a6f29445"  # a tick done again waits for its own tank only
 EDGED = "8d1566379f522052afc1869614e2bd3c600135bae1a091e6c0ef7b90241a1b46"  # an option, edges of hulls; the rest to the bit
 TREES = "a49ee31bb533b9700cbc0e882b344be74349a904f5cbd0fa116445696fbb3cc3"  # bodies of any shape, checks; a fish to the bit
-SAME = dict.fromkeys((REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES), SHIPPED)
+CHECKED = "3f5d5c786db440eda181170c089b18802b7fee14a50425a13bee6734b368ec5e"  # every object and number is checked; to the bit
+LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED)
+SAME = dict.fromkeys(LATER, SHIPPED)
 
 
 @cache
