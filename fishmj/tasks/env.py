@@ -137,7 +137,7 @@ class StationHold:
         """n fresh episodes from a key of `jax.random`; with `stagger` their clocks start anywhere in the episode, so that they do
         not end together. Raises ConfigError: no key, or no whole n of 1 at least."""
         n = checked("reset: n", n, 1, whole=True)
-        kind, shape = getattr(key, "dtype", None), getattr(key, "shape", None)
+        kind, shape = getattr(key, "dtype", float), getattr(key, "shape", None)
         if not (shape == () and jnp.issubdtype(kind, jax.dtypes.prng_key)) and not (shape == (2,) and kind == jnp.uint32):
             raise ConfigError(f"reset: key = {shown_value(key)}; expected jax.random.key(SEED)")
         return self._reset(key, n, bool(stagger))
