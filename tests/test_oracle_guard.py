@@ -366,6 +366,7 @@ def test_snapshot_of_other_arrays_or_storage_is_refused():
         (lambda: SwimSetup(flow=0.1), "oracle: flow = 0.1"),
         (lambda: SwimSetup(pose=(0.0, 0.0)), r"oracle: pose has the shape \(2,\)"),
         (lambda: SwimSetup(sharpness="sharp"), "oracle: sharpness = 'sharp'"),
+        (lambda: SwimSetup(joints=(0.0, 9.0, 0.0)), r"oracle: joints.* = 9; expected a finite number"),
         (lambda: fish_markers(sharpness="sharp"), "markers: sharpness = 'sharp'"),
         (lambda: stability.check(preset("laptop"), speed=0.3, subgrid="wal"), "unknown subgrid model 'wal'"),
         (lambda: stability.check(preset("laptop"), speed="a"), "guard: speed = 'a'"),

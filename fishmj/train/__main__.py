@@ -13,7 +13,7 @@ from fishmj.water import choice
 LOOKS = 10  # assessments in an algorithm's own budget of steps
 SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
 EXAMPLES = """examples:
-  fishmj train                                   a policy for your laptop; three minutes on two idle cores
+  fishmj train                                   a policy for your laptop; three to six minutes on two idle cores
   fishmj train --preset paper --engine planar    the paper's network on a GPU
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --algo sac                        soft actor-critic, with its own million of steps

@@ -95,7 +95,7 @@ class Settings:
 
 
 PRESETS = {
-    # a laptop: small network, gusts as strong as the demo's; less than three minutes on two cores
+    # a laptop: small network, gusts as strong as the demo's; three to six minutes on two cores
     "quick": Settings(
         preset="quick", task={"turbulence": "gust", "intensity": (0.0, 0.15)}, algorithm={"hidden": (64, 64), "envs": 512}
     ),

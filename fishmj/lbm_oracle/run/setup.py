@@ -100,7 +100,7 @@ class SwimSetup:
             checked_kind(f"oracle: {name}", getattr(self, name), kind, needed=True)
         numbers("oracle: pose", self.pose, (3,))
         if np.size(self.joints):
-            numbers("oracle: joints", self.joints, (None,))
+            numbers("oracle: joints", self.joints, (None,), low=-pi, high=pi)
 
     def assembled(self, body: ImmersedBody) -> FluidStructure:
         """Fish and water at t = 0, the undisturbed flow, the fish at rest over ground; whether it would run is not looked at."""
