@@ -67,11 +67,10 @@ def main(argv: list[str]) -> int:
         console.warn(f"mark {named[k].name}: without it the rms is {1e3 * fit.without[k]:.1f} mm")
     if len(named) == FEWEST:
         console.warn(f"{FEWEST} marks always fit: a wrong one shows with five or more, and is named with six")
-    if (
-        args.camera is not None
-        and (off := np.abs(camera_of(fit.calibration.homography, lens.matrix) - args.camera).max()) > OFF * high
-    ):
-        console.warn(f"--camera lies {off:.2f} m from where the marks put the camera; measure again which of them is right")
+    if args.camera is not None:
+        off = np.abs(camera_of(fit.calibration.homography, lens.matrix) - args.camera).max()
+        if off > OFF * high:
+            console.warn(f"--camera lies {off:.2f} m from where the marks put the camera; measure again which of them is right")
     console.say(
         f"lens: {len(lens.used)} pictures, rms {lens.rms:.2f} px, focal length {lens.matrix[0, 0]:.1f} px"
         f" +- {lens.focal_sigma:.1f}",

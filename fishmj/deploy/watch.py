@@ -151,7 +151,7 @@ class Watch:
         return max(volts for _, volts in self._volts) < self.limits.battery_low
 
     def undecided(self, now: float) -> bool:
-        """Whether the newest reading of the battery is too low, and too few came yet to tell that from a sag."""
+        """True while the newest voltage is too low and the readings are too few to rule out a sag."""
         volts = supply(self.newest) if self.newest is not None else None
         if volts is None or volts >= self.limits.battery_low or self.first is None:
             return False

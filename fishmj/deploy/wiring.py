@@ -33,7 +33,7 @@ from fishmj.errors import ConfigError
 from fishmj.mjcf import geometry_of
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.protocols import mish
-from fishmj.protocols.servo_bus import BUSES
+from fishmj.protocols.servo_bus import BUSES, NEARER, beyond_travel
 from fishmj.protocols.servo_counts import travel
 from fishmj.store import temporary_beside
 from fishmj.tracker.calibration import Calibration
@@ -194,13 +194,8 @@ def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], An
             joints = f"{robot.n_joints} joint{'s' * (robot.n_joints > 1)}"
             raise ConfigError(f"{name}: {len(given)} number{'s' * (len(given) > 1)}; {robot.name} has {joints}")
     bus = BUSES[rig.bus]
-    most = max(map(abs, zeros or (0.0,)))
-    if most + robot.servo.range > travel(bus.scale) + 1e-9:
-        raise ConfigError(
-            f"servo bus: a zero of {degrees(most):.3g} deg and commands of +-{degrees(robot.servo.range):.3g} deg; a servo of"
-            f" {bus.name} turns +-{degrees(travel(bus.scale)):.3g} deg: mount its horn nearer to the middle, or give [servo] a"
-            " smaller range"
-        )
+    if got := beyond_travel(bus, zeros or (), robot.servo.range):
+        raise ConfigError(f"servo bus: {got}; a servo of {bus.name} turns +-{degrees(travel(bus.scale)):.3g} deg: {NEARER}")
     lasting = robot.timing.bus_dt if robot.timing.command_path == "move_time" else 0.0
     baud = args.baud or rig.baud or bus.baud
     return ServoBusLink(partial(opened, baud), clock, ids, zeros, signs, lasting, bus=bus, baud=baud, tick=robot.timing.bus_dt)
@@ -331,7 +326,7 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
 
 @cache
 def tell_start() -> None:
-    """Say once what the first seconds are for."""
+    """Warns once that the loopback robot starts, and how long that may take."""
     console.warn("starting the loopback robot; the first start on a machine compiles its water for up to a minute")
 
 

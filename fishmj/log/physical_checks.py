@@ -21,6 +21,7 @@ passes.
 from cmath import phase
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import combinations
 from math import log, pi, sqrt
 from typing import NamedTuple
 
@@ -139,7 +140,7 @@ def _two_sources(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
 
 
 def _between(t: np.ndarray, x: np.ndarray, rows: int) -> np.ndarray:
-    """What each value is off the line between those so many rows before and after it."""
+    """(T - 2 rows,) difference of each value from the line through the values `rows` before and after it."""
     early, late = slice(None, -2 * rows), slice(2 * rows, None)
     part = (t[rows:-rows] - t[early]) / (t[late] - t[early])
     return x[rows:-rows] - (1 - part) * x[early] - part * x[late]
@@ -249,11 +250,8 @@ def _joint_order(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     pairs = [pair for pair in _pairs(trial) if np.ptp(pair[2]) > 2 * DRIVEN and len(pair[1]) > 50]
     if len({len(t) for _, t, _, _ in pairs}) != 1 or bounds.against >= 1.0:
         return
-    own, cross = (
-        np.array([[max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS) for _, _, _, j in pairs] for _, _, c, _ in pairs]),
-        [(a, b) for a in range(len(pairs)) for b in range(a)],
-    )
-    for a, b in cross:
+    own = np.array([[max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS) for _, _, _, j in pairs] for _, _, c, _ in pairs])
+    for b, a in combinations(range(len(pairs)), 2):
         if min(own[a, b], own[b, a]) > SWAPPED and min(own[a, a], own[b, b]) < FOLLOWED:
             one, two = pairs[b][0], pairs[a][0]
             text = (

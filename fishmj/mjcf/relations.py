@@ -12,7 +12,7 @@ from fishmj import calib, names
 from fishmj.calib import constant
 from fishmj.mjcf.description_schema import Fault, shown
 from fishmj.plain_file import trouble
-from fishmj.protocols.servo_bus import BUSES
+from fishmj.protocols.servo_bus import BUSES, NEARER, beyond_travel
 from fishmj.protocols.servo_counts import travel
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
@@ -252,12 +252,9 @@ def _rig(given: Mapping[str, Any], n_joints: int | None, reach: float) -> Iterat
     if any(number > bus.most_id for number in ids):
         yield Fault("rig", None, "servo_ids", shown(ids), f"0 to {bus.most_id} on {bus.name}", "number its servos again")
     zeros = [*given.get("zeros", ()), *map(radians, given.get("zeros_deg", ()))]
-    if (most := max(map(abs, zeros), default=0.0)) and most + reach > travel(bus.scale) + 1e-9:
-        got = f"a zero of {degrees(most):.3g} deg and commands of +-{degrees(reach):.3g} deg"
+    if any(zeros) and (got := beyond_travel(bus, zeros, reach)):
         expected = f"+-{degrees(travel(bus.scale)):.3g} deg in all, what a servo of {bus.name} turns"
-        yield Fault(
-            "rig", None, "zeros_deg", got, expected, "mount its horn nearer to the middle, or give [servo] a smaller range"
-        )
+        yield Fault("rig", None, "zeros_deg", got, expected, NEARER)
     for key in ("red", "yellow"):
         rows = given.get(key, [])
         if any(row[1] <= 0 for row in rows) or any(b[0] <= a[0] for a, b in zip(rows, rows[1:], strict=False)):

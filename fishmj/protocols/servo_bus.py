@@ -11,6 +11,7 @@ Control tables: ROBOTIS e-Manual, XL330-M288-T and XW540-T260-R (one table for t
 
 import struct
 from collections.abc import Mapping, Sequence
+from math import degrees
 from typing import Any, NamedTuple, Protocol
 
 from fishmj.protocols import dynamixel, lx_bus, servo_counts
@@ -242,3 +243,13 @@ def _faults(bits: int, pairs: Sequence[tuple[int, ServoFault]]) -> ServoFault:
 
 
 BUSES: dict[str, ServoBus] = {bus.name: bus for bus in (LxBus(), DynamixelX(), DynamixelAx())}
+
+
+NEARER = "mount its horn nearer to the middle, or give [servo] a smaller range"  # remedy for `beyond_travel`
+
+
+def beyond_travel(bus: ServoBus, zeros: Sequence[float], reach: float) -> str:
+    """The largest of `zeros` and the commands to `reach`, rad, in words where they leave the servo's travel together; else ""."""
+    most = max(map(abs, zeros), default=0.0)
+    within = most + reach <= servo_counts.travel(bus.scale) + 1e-9
+    return "" if within else f"a zero of {degrees(most):.3g} deg and commands of +-{degrees(reach):.3g} deg"

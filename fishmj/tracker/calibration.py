@@ -304,7 +304,7 @@ def _axes(homography: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def _no_view(homography: np.ndarray, matrix: np.ndarray) -> str:
-    """Why no camera with this matrix sees the tank so, "" where one does: r1 and r2 are of one length and at right angles."""
+    """Reason why no camera with this matrix sees the tank so, r1 and r2 unequal or not at right angles; "" where one does."""
     first, second = _axes(homography, matrix)[:, :2].T
     ratio = np.linalg.norm(first) / np.linalg.norm(second)
     cosine = first @ second / (np.linalg.norm(first) * np.linalg.norm(second))

@@ -21,20 +21,8 @@ MEASURED = set("meas measured measurement measurements pos position actual act p
 MEASURED |= set("state states sensor sensed read ist gemessen mesure medido".split())
 SERVO = set("servo servos motor motors servomotor".split())
 JOINT = set("joint joints angle angles ang theta q dof hinge phi winkel gelenk articulation".split())
-ALONG = {
-    "nose": -1,
-    "snout": -1,
-    "head": 0,
-    "kopf": 0,
-    "body": 1,
-    "trunk": 1,
-    "torso": 1,
-    "rumpf": 1,
-    "peduncle": 2,
-    "tail": 3,
-    "schwanz": 3,
-}
-ALONG |= {"caudal": 4, "fin": 4, "flosse": 4, "fluke": 4}  # parts of a fish's body in their order from the nose
+ALONG = {"nose": -1, "snout": -1, "head": 0, "kopf": 0, "body": 1, "trunk": 1, "torso": 1, "rumpf": 1, "peduncle": 2}
+ALONG |= {"tail": 3, "schwanz": 3, "caudal": 4, "fin": 4, "flosse": 4, "fluke": 4}  # parts of a fish in their order from the nose
 BESIDE = set("left right pectoral pelvic dorsal anal ventral side links rechts".split())  # fins that are in no chain
 PART = set("peduncle caudal fluke tail fin hinge schwanz flosse".split())  # what a joint may be called after
 RATE = set("twist vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())

@@ -83,7 +83,7 @@ def holds_tables(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return any(Path(name).suffix.lower() in _TABLES for name in archive.namelist()[:1000])
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):  # not a zip, damaged, or of a later form
         return False
 
 

@@ -1,4 +1,4 @@
-"""The option --set: what the user decides on columns, as text."""
+"""The option --set: places, units and scales of columns as the user states them."""
 
 from collections.abc import Iterable
 
