@@ -42,10 +42,10 @@ $(SITE): $(INSTALLED)
 	@touch $@
 
 demo: $(INSTALLED)
-	$(PY) -m fishmj.demo
+	$(PY) -m fishmj demo
 
 bench: $(INSTALLED)
-	$(PY) -m fishmj.bench
+	$(PY) -m fishmj bench
 
 lint: $(INSTALLED)
 	@$(STEP) "style" $(PY) -m ruff check .
@@ -89,7 +89,7 @@ release: $(INSTALLED)
 	@$(STEP) "release" $(PY) .ci/release.py
 
 manifest: $(INSTALLED)
-	$(PY) -c "from fishmj.store import Manifest; Manifest.of('data/calib').write('data/calib')"
+	$(PY) -c "from fishmj.base.store import Manifest; Manifest.of('data/calib').write('data/calib')"
 
 clean:
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -26,7 +26,7 @@ from fishmj import calib, suite
 from fishmj.gap.null.null_runs import RecordedNull
 from fishmj.hydro_fit.__main__ import SHIPPED
 from fishmj.hydro_fit.segment_dataset import open_dataset
-from fishmj.store import Manifest, shipped
+from fishmj.base.store import Manifest, shipped
 from fishmj.water.hydro_model import HydroModel
 folder = calib.calib_folder()
 assert folder.parent.name == "_data", folder

@@ -9,14 +9,14 @@ Everything is synthetic: the water has the prior coefficients of the literature,
 import sys
 from pathlib import Path
 
-from fishmj import console
+from fishmj.base import console
+from fishmj.base.store import read_json
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.mjcf import geometry_of, load_robot
-from fishmj.new.__main__ import main as new
-from fishmj.new.swim_check import swim_of
-from fishmj.replay.__main__ import main as replay
-from fishmj.store import read_json
+from fishmj.mjcf.new.__main__ import main as new
+from fishmj.mjcf.new.swim_check import swim_of
 from fishmj.train.__main__ import main as train
+from fishmj.view.replay.__main__ import main as replay
 
 ANSWERS = "--length 0.6 --height 0.11 --width 0.07 --tail-height 0.14 --mass 1.6 --links 5 --servo lx-824".split()
 STEPS = ("--steps", "4e6")  # 2e6 held with one seed of three

@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from fishmj import mjcf
-from fishmj.dynamics import planar_chain
 from fishmj.water import planar_water
+from fishmj.water.dynamics import planar_chain
 
 CHAIN, FISH, DEG = planar_chain.chain_of(mjcf.load_robot("fish")), planar_chain.nominal(mjcf.load_robot("fish")), np.pi / 180
 STILL = [(0.0, 0.0)] * CHAIN.n

@@ -15,10 +15,10 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from fishmj import console
+from fishmj.base import console
+from fishmj.base.store import read_json
 from fishmj.gap.__main__ import main as gap
-from fishmj.store import read_json
-from fishmj.virtual_robot.__main__ import main as robot
+from fishmj.gap.laboratory.virtual_robot.__main__ import main as robot
 
 
 class Story(NamedTuple):

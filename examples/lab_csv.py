@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.gap.__main__ import main as gap
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.log.__main__ import main as log
-from fishmj.virtual_robot import generate
 
 SWIMS = {"Run A": "gait", "Run B": "chirp", "Run C": "steps"}
 FRICTION = 0.12  # N m

@@ -1,4 +1,4 @@
-"""Code of your own, one of each kind; docs/guide/your_own_code.md walks through it and a test runs it.
+"""Code of your own, one of each kind; docs/simulate/your_own_code.md walks through it and a test runs it.
 
 fishmj evaluate examples/own_code.py:Chase pd --speeds 0.2 --repeats 1
 fishmj train --task examples/own_code.py:LineFollow --algo examples/own_code.py:Evolution
@@ -152,7 +152,7 @@ class Evolution:
 
 
 # importer
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import Trial
 
 

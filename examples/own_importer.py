@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import Trial, read_dataset
 from fishmj.log.__main__ import main as log
 

@@ -7,10 +7,10 @@ effects of the catalogue are in question and 64 null runs are made; `fishmj gap 
 """
 
 from fishmj import effects
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.workflow import investigate
-from fishmj.virtual_robot import generate
 
 SWIMS = ("gait_fast", "drift_north", "turn_left", "tow_oblique")
 ASKED = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")

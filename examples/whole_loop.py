@@ -11,9 +11,9 @@ faster than real time. Everything is synthetic. Each command is shown as you wou
 import sys
 from pathlib import Path
 
-from fishmj import console
-from fishmj.studies.whole_loop.robots import chain, row_of
-from fishmj.studies.whole_loop.steps import Fault, Loop
+from fishmj.base import console
+from studies.whole_loop.robots import chain, row_of
+from studies.whole_loop.steps import Fault, Loop
 
 SEED = 0  # fixed before the first run
 

@@ -1,7 +1,7 @@
-/* fishmj-1: the datagram between host and robot, as docs/methods/protocols.md has it. The robot's side of it.
+/* fishmj-1: the datagram between host and robot, as docs/tank/protocols.md has it. The robot's side of it.
  *
  * Portable C99. No allocation, no state; nothing of the standard library but string.h. Any byte order of the machine.
- * The same bytes as fishmj/protocols/fishmj1.py, which the tests compare.
+ * The same bytes as fishmj/deploy/protocols/fishmj1.py, which the tests compare.
  */
 #ifndef FJ_FISHMJ1_H
 #define FJ_FISHMJ1_H

@@ -1,4 +1,4 @@
-/* Frames of LX-series bus servos. Equal to fishmj/protocols/lx_bus.py, which explains them; table: docs/methods/protocols.md. */
+/* Frames of LX-series bus servos. Equal to fishmj/deploy/protocols/lx_bus.py, which explains them; table: docs/tank/protocols.md. */
 #ifndef FJ_LX_BUS_H
 #define FJ_LX_BUS_H
 

@@ -1,4 +1,4 @@
-/* A trained policy in the robot: what fishmj/policy.py computes.
+/* A trained policy in the robot: what fishmj/control/policy.py computes.
  *
  *     h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L)
  *

@@ -1,4 +1,4 @@
-/* Which of the numbered datagrams are new. Equal to fishmj/protocols/sequence.py, which explains it. */
+/* Which of the numbered datagrams are new. Equal to fishmj/deploy/protocols/sequence.py, which explains it. */
 #ifndef FJ_SEQUENCE_H
 #define FJ_SEQUENCE_H
 

@@ -1,4 +1,4 @@
-/* Servo counts and radians. Equal to fishmj/protocols/servo_counts.py: 0 to 1000 counts are 0 to 240 deg, 500 is the middle.
+/* Servo counts and radians. Equal to fishmj/deploy/protocols/servo_counts.py: 0 to 1000 counts are 0 to 240 deg, 500 is the middle.
  *
  * zero: rad, where the servo stands, from its middle, when the joint is straight. A servo that turns the other way round gets the
  * angle with the other sign: lx_counts(-angle, zero), and -lx_angle(counts, zero).

@@ -1,4 +1,4 @@
-/* The robot's last guard: what it does when nobody commands it. Equal to fishmj/protocols/watchdog.py, which explains it.
+/* The robot's last guard: what it does when nobody commands it. Equal to fishmj/deploy/protocols/watchdog.py, which explains it.
  *
  *     IDLE -- arm --> ARMED -- no command for `hold` --> HOLD -- none for `neutral` --> NEUTRAL
  *                       ^------------ a command -----------'

@@ -3,7 +3,8 @@
 `import fishmj` loads NumPy only; everything heavier is imported where it is used.
 """
 
-from fishmj import gym_ids, interrupt, machine_code, renderer
+from fishmj.base import interrupt, machine_code, renderer
+from fishmj.tasks import gym_ids
 
 __version__ = "0.1.0"
 

@@ -1,49 +1,48 @@
-"""`fishmj <verb> ...`: the same `main(argv)` that `python -m fishmj.<verb>` calls.
+"""`fishmj <verb> ...`: the same `main(argv)` that `python -m fishmj <verb>` calls.
 
-A verb is a folder of this package with `__main__.py`, or a module in it with `main`: it is found, not listed. Its summary is the
-first line of its docstring, read without importing it.
+`VERBS` names the module of each verb. Its summary is the first line of that module's docstring, read without importing it.
 """
 
 import ast
-import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from fishmj import __version__, console
-from fishmj.errors import UnknownName
+from fishmj import __version__
+from fishmj.base import console
+from fishmj.base.errors import UnknownName
 
-# where a verb stands in the help, in the order of a day's work; one that is not named here stands at the end
+# section of the help, in the order of a day's work -> verb -> module with its `main`
 SECTIONS = {
-    "begin": ("doctor", "demo", "new"),
-    "policies": ("train", "evaluate", "replay", "play"),
-    "the robot": ("deploy",),
-    "a robot's logs": ("log", "calibrate", "gap", "effects"),
-    "the water": ("hydro_fit", "lbm_oracle", "campaign"),
-    "synthetic robots, speed": ("virtual_robot", "bench"),
+    "begin": {"doctor": "base.doctor", "demo": "view.demo", "new": "mjcf.new.__main__"},
+    "policies": {
+        "train": "train.__main__",
+        "evaluate": "evaluate.__main__",
+        "replay": "view.replay.__main__",
+        "play": "view.play.__main__",
+    },
+    "the robot": {"deploy": "deploy.__main__"},
+    "a robot's logs": {
+        "log": "log.__main__",
+        "calibrate": "gap.calibrate.__main__",
+        "gap": "gap.__main__",
+        "effects": "effects.__main__",
+    },
+    "the water": {
+        "hydro_fit": "hydro_fit.__main__",
+        "lbm_oracle": "lbm_oracle.__main__",
+        "campaign": "hydro_fit.campaign.__main__",
+    },
+    "synthetic robots, speed": {"virtual_robot": "gap.laboratory.virtual_robot.__main__", "bench": "evaluate.bench.__main__"},
 }
-OTHERS = "more"
-NO_VERBS = {"cli", "__main__"}
+VERBS = {verb: module for part in SECTIONS.values() for verb, module in part.items()}
 _HERE = Path(__file__).resolve().parent
-
-
-def sources() -> dict[str, Path]:
-    """Verb -> the file that holds its `main`, in the order of the help."""
-    folders = {path.parent.name: path for path in _HERE.glob("*/__main__.py")}
-    modules = {path.stem: path for path in _HERE.glob("*.py") if path.stem not in NO_VERBS and _has_main(path)}
-    found = modules | folders
-    known = [verb for part in SECTIONS.values() for verb in part if verb in found]
-    return {verb: found[verb] for verb in (*known, *sorted(found.keys() - set(known)))}
 
 
 def present() -> dict[str, str]:
     """The verbs with one line each."""
-    return {verb: _summary(path) for verb, path in sources().items()}
-
-
-def _has_main(path: Path) -> bool:
-    return re.search(r"^def main\(", path.read_text(encoding="utf-8"), re.MULTILINE) is not None
+    return {verb: _summary(_HERE / f"{module.replace('.', '/')}.py") for verb, module in VERBS.items()}
 
 
 def _summary(path: Path) -> str:
@@ -59,22 +58,18 @@ def load(verb: str) -> console.Main:
     Raises:
         UnknownName: there is no such verb.
     """
-    found = sources()
-    if verb not in found:
-        raise UnknownName("verb", verb if len(verb) <= console.SHOWN else verb[: console.SHOWN] + "...", found)
-    return import_module(f"fishmj.{verb}.__main__" if found[verb].name == "__main__.py" else f"fishmj.{verb}").main
+    if verb not in VERBS:
+        raise UnknownName("verb", verb if len(verb) <= console.SHOWN else verb[: console.SHOWN] + "...", VERBS)
+    return import_module(f"fishmj.{VERBS[verb]}").main
 
 
 def usage() -> str:
     """Every verb by section, the exit codes, the environment."""
     verbs = present()
     wide = max(map(len, verbs))
-    named = {verb for part in SECTIONS.values() for verb in part}
-    sections = {**SECTIONS, OTHERS: tuple(verb for verb in verbs if verb not in named)}
     lines = ["usage: fishmj VERB [options]     fishmj VERB --help"]
-    for title, part in sections.items():
-        rows = [f"  {verb:<{wide}}  {verbs[verb]}" for verb in part if verb in verbs]
-        lines += ["", title, *rows] if rows else []
+    for title, part in SECTIONS.items():
+        lines += ["", title, *(f"  {verb:<{wide}}  {verbs[verb]}" for verb in part)]
     return "\n".join(
         [
             *lines,
@@ -84,7 +79,7 @@ def usage() -> str:
             "exit codes",
             *(f"  {code:>3}  {meaning}" for code, meaning in console.EXITS.items()),
             "",
-            "fishmj VERB is python -m fishmj.VERB. --json prints one JSON object last, of an error too.",
+            "fishmj VERB is python -m fishmj VERB. --json prints one JSON object last, of an error too.",
             "Reports and pages that are there are replaced; data sets, trials and runs only with --overwrite or --force.",
             f"{console.TRACEBACK}=1 in the environment shows the traceback of every error.",
         ]

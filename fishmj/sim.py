@@ -19,17 +19,17 @@ import mujoco
 import numpy as np
 
 from fishmj import mjcf
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError, SimDiverged, UnknownName
+from fishmj.base.options import checked, checked_array, checked_kind
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.recorder import Recorder, rescue
 from fishmj.engines.single import water_of
-from fishmj.errors import ConfigError, SimDiverged, UnknownName
-from fishmj.flow import Current, Flow, sample
 from fishmj.log import Trial
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.mjcf.servos import arrived, on_the_bus
-from fishmj.options import checked, checked_array, checked_kind
 from fishmj.water import choice
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Current, Flow, sample
 from fishmj.water.prior import flat, unflat
 
 ELLIPSOID = "ellipsoid"  # MuJoCo's own fluid, for comparison
@@ -55,10 +55,10 @@ class Sim:
             link in `xfrc_applied`; any thread) or "qfrc" (the closed form in `qfrc_applied`; planar root). The swim is the same
             to round-off. Default "qfrc" for a robot with effects, else "callback".
         rescue_folder: where the last states of a diverged run go; default, a private folder in the temporary directory.
-        hybrid: of the water "hybrid", `fishmj.hybrid.HybridOptions`, or a `fishmj.hybrid.Hybrid` of one's own.
+        hybrid: of the water "hybrid", `fishmj.engines.hybrid.HybridOptions`, or a `fishmj.engines.hybrid.Hybrid` of one's own.
 
     Attributes:
-        hybrid: what corrects the water (`fishmj.hybrid.Hybrid`, its `report` says what it did), None in any other.
+        hybrid: what corrects the water (`fishmj.engines.hybrid.Hybrid`, its `report` says what it did), None in any other.
 
     Raises:
         UnknownName, ConfigError: a name or a time step that cannot be; a hybrid with a free root.
@@ -184,7 +184,7 @@ class Sim:
     def _hybrid(self, given):
         """The hybrid of this fish."""
         from fishmj import engines
-        from fishmj.hybrid import Hybrid
+        from fishmj.engines.hybrid import Hybrid
 
         s, rows = self.swimmer, lambda values: np.array([values], float)
         own = {name: rows(getattr(s, name)) for name in ("mass", "kp", "kv", "kb", "zero")}

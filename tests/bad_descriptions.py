@@ -1,6 +1,6 @@
 """Robot descriptions that are wrong, hostile, or merely unusual.
 
-Written by someone who knew the docs (README, docs/guide/your_own_fish.md) and the shipped descriptions, and not the code:
+Written by someone who knew the docs (README, docs/simulate/your_own_fish.md) and the shipped descriptions, and not the code:
 60 mistakes that builders of robotic fish make with a ruler, a CAD program, a data sheet and a spreadsheet, and 8 things that
 an attacker would send. `cases` and `places` must be refused, with one clear line a mistake and nothing made of the file;
 `unusual` must be accepted, with a note at most.

@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.controllers.learned import LearnedController
-from fishmj.deploy.arming import Refusal, examine
-from fishmj.deploy.links import Received, Sent
-from fishmj.deploy.pilot import PolicyPilot
-from fishmj.deploy.supervisor import NONE
-from fishmj.deploy.swim import Plan, Rig, Swim
-from fishmj.deploy.trial_log import TrialLog
+from fishmj.control.learned import LearnedController
+from fishmj.deploy.link.links import Received, Sent
+from fishmj.deploy.loop.arming import Refusal, examine
+from fishmj.deploy.loop.pilot import PolicyPilot
+from fishmj.deploy.loop.supervisor import NONE
+from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.trial_log import TrialLog
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.tracker.fix import Fix
 from fishmj.mjcf.description import load_robot
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
-from fishmj.tracker.fix import Fix
 
 DT = 0.02
 COVARIANCE = np.diag([1e-6, 1e-6, 1e-5])

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from fishmj import console
-from fishmj.new import __main__ as verb
+from fishmj.base import console
+from fishmj.mjcf.new import __main__ as verb
 
 SIZES = dict(length="0.6", height="0.11", width="0.07", tail_height="0.14", mass="1.6", links="5", servo="lx-824")
 

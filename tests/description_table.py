@@ -1,10 +1,10 @@
-"""The table of keys in docs/guide/your_own_fish.md, made from the models; `python tests/description_table.py` writes it there."""
+"""The table of keys in docs/simulate/your_own_fish.md, made from the models: `python tests/description_table.py` writes it."""
 
 from pathlib import Path
 
 from fishmj.mjcf import description_schema
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "guide" / "your_own_fish.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "simulate" / "your_own_fish.md"
 BEGIN, END = "<!-- keys: begin -->\n", "<!-- keys: end -->\n"
 
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain
-from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
 from fishmj.effects.sites import Measured
 from fishmj.effects.stack import delivered
 from fishmj.mjcf.description import load_robot
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics.hooks import Effects
 
 ROBOT = load_robot("fish")
 CHAIN, SWIMMER = planar_chain.chain_of(ROBOT), planar_chain.nominal(ROBOT)

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import pytest
 
-from fishmj.protocols.messages import RobotInfo, Telemetry
+from fishmj.deploy.protocols.messages import RobotInfo, Telemetry
 
 FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
 SOURCES = sorted(FIRMWARE.glob("*.c"))

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.base.store import Manifest, write_json
 from fishmj.hydro_fit import record, segment_dataset
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.servos import on_the_bus
-from fishmj.store import Manifest, write_json
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 ROBOT = load_robot("fish")
 CHAIN = planar_chain.chain_of(ROBOT)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fishmj import pages
+from fishmj.base import pages
 
 PAYLOADS = (
     "<script>window.pwned=1</script>",

@@ -64,7 +64,7 @@ def find(folder: Path) -> list[str]:
     data = folder / "data"
     if not data.is_dir():
         planted = ["--plant", "coulomb_friction", "--logs", "4", "--out", str(data), "--truth", str(folder / "truth.json")]
-        command = [sys.executable, "-m", "fishmj.virtual_robot", *planted]
+        command = [sys.executable, "-m", "fishmj.gap.laboratory.virtual_robot", *planted]
         subprocess.run(command, cwd=folder, env=environment(folder / "warm"), check=True, stdout=subprocess.DEVNULL)
     return ["fishmj.gap", "find", str(data), "--null-runs", "16", "--most", "1", "--out", str(folder / "found")]
 
@@ -258,7 +258,7 @@ def campaign(verb: Verb, times: int, seed: int, folder: Path, patience: float = 
 
 
 def main() -> int:
-    from fishmj import console
+    from fishmj.base import console
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--verbs", default=",".join(VERBS), help=f"of {', '.join(VERBS)} (default: all)")

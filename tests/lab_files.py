@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import recordings
 
-from fishmj import console, log
+from fishmj import log
+from fishmj.base import console
 from fishmj.log import __main__ as command
 from fishmj.log.importers import guess
 from fishmj.log.importers.delimited import read as read_text_table

@@ -5,10 +5,10 @@ import json
 import numpy as np
 from safetensors.numpy import save
 
+from fishmj.base.store.arrays import _digest
+from fishmj.control.policy import SCHEMA, structure_sha256
 from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
-from fishmj.policy import SCHEMA, structure_sha256
-from fishmj.store.arrays import _digest
 from fishmj.water.identity import water_identity
 
 ROBOT = load_robot("fish")

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 from hypothesis import strategies as st
 
-from fishmj.protocols import fishmj1, mish
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols import fishmj1, mish
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 
 
 def f32(value: float) -> float:

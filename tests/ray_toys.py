@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.campaign.data.run_segments import Finished
+from fishmj.hydro_fit.campaign.data.run_segments import Finished
 
 
 def run(waiting, setup, *, tanks=1):

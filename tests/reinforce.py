@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from fishmj.options import number, whole
+from fishmj.base.options import number, whole
 from fishmj.train.hyperparameters import Hyperparameters, setting
 from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, metrics_of, record_of
 from fishmj.train.networks import forward, input_scale, mlp

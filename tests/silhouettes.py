@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.new.photo import read_photo
-from fishmj.new.shape import typical, typical_width
+from fishmj.mjcf.new.photo import read_photo
+from fishmj.mjcf.new.shape import typical, typical_width
 
 LENGTH, WIDTH = 0.6, 0.07  # m
 METRES = 0.001  # of a pixel

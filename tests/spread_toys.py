@@ -3,8 +3,8 @@
 import os
 import time
 
-from fishmj.cores import usable_cores
-from fishmj.errors import LogError
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import LogError
 
 
 def squared(waiting, device, go_on, *, room=1, meet=None):

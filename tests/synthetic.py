@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from fishmj import log
-from fishmj.dynamics import planar_chain
 from fishmj.mjcf import load_robot
+from fishmj.water.dynamics import planar_chain
 
 
 def whole_trial(seconds=4.0, joints=3, **meta):

@@ -10,70 +10,89 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fishmj"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
-CODE = [path for folder in ("fishmj", "tests", "examples") for path in sorted((ROOT / folder).rglob("*.py"))]
+CODE = [path for folder in ("fishmj", "studies", "tests", "examples") for path in sorted((ROOT / folder).rglob("*.py"))]
 
 LIMIT = 500  # lines; one story stays in one file, and is split by story, never by length
 LONGER: dict[str, str] = {}  # file -> why it may be longer
-SIBLINGS = {frozenset((room, "lbm_oracle")) for room in ("dynamics", "water", "hydro_fit")}  # of a level, never import each other
 FORBIDDEN = {"utils", "util", "common", "core", "manager", "managers", "helpers", "misc"}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
+FILES = {"sim": "engines", "policy": "control", "flow": "water"}  # file beside the rooms -> the room above which it stands
+TOP = {"__init__", "__main__", "cli"}  # may import anything
+INDEPENDENT = {  # folder -> what it must not import although it is lower
+    "lbm_oracle": ("water", "but:water.flow"),
+    "gap/laboratory/generators": ("water", "lbm_oracle", "engines", "sim", "hydro_fit", "gap.laboratory.virtual_robot"),
+    "gap/laboratory/virtual_robot": ("water", "lbm_oracle", "engines", "sim", "hydro_fit", "gap.laboratory.generators"),
+    **dict.fromkeys((f"deploy/{part}" for part in ("loop", "link", "camera", "monitor", "commands")), ("deploy.loopback",)),
+}
 
 
-def levels() -> dict[str, int]:
-    """Room -> level, read from the table in docs/decisions/architecture.md."""
-    text = (ROOT / "docs" / "decisions" / "architecture.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| L(\d) \| ([^|]*) \|", text, flags=re.MULTILINE)
-    return {room.rstrip("/"): int(level) for level, rooms in rows for room in re.findall(r"`([\w/]+)`", rooms)}
+def listed_rooms() -> list[str]:
+    """Rooms from low to high, as the README's tree lists them."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (tree,) = re.findall(r"`ls fishmj` is the architecture.*?\n\n```\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    return [line.split()[0] for line in tree.splitlines()]
 
 
-LEVELS = levels()
+ROOMS = listed_rooms()
 
 
-def room(path: Path) -> str:
-    """`fishmj/log/trial.py` -> `log`; `fishmj/calib.py` -> `calib`; the package's own `__init__` -> ``.
-
-    A `__main__.py` is command line, whatever folder it lies in: nothing imports it, so it may tie rooms together.
-    """
-    if path.name == "__main__.py":
-        return "__main__"
-    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    return "" if first == "__init__" else first
+def floor(module: str) -> float:
+    """Height of `fishmj.room.x`; a file stands between its room and the next one."""
+    first = module.split(".")[1] if "." in module else ""
+    if first in FILES:
+        return ROOMS.index(FILES[first]) + 0.5
+    return ROOMS.index(first) if first in ROOMS else len(ROOMS)
 
 
-def statements(tree: ast.AST):
-    """Every statement, inside functions too; expressions are most of a tree and import nothing."""
-    for field in ("body", "orelse", "handlers", "finalbody", "cases"):
-        for node in getattr(tree, field, ()):
-            yield node
-            yield from statements(node)
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(path) for path in SOURCES}
 
 
 @cache
-def imported_rooms(path: Path, text: str | None) -> list[tuple[str, int]]:
-    """(room, line) of every import of fishmj in a file, at the top or inside a function."""
-    tree = ast.parse(path.read_text(encoding="utf-8") if text is None else text)
-    parts = path.relative_to(ROOT).parts
+def imported(path: Path, text: str | None = None) -> list[tuple[str, int]]:
+    """(module, line) of every import of fishmj or studies in a file, inside functions too, and of every string that names one."""
     found = []
-    for node in statements(tree):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8") if text is None else text)):
         if isinstance(node, ast.Import):
             found += [(alias.name, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
+            parts = path.relative_to(ROOT).parts
             base = ".".join(parts[: len(parts) - node.level]) if node.level else ""
             name = ".".join(x for x in (base, node.module or "") if x)
-            deep = name == "fishmj"  # `from fishmj import log` imports the room log
-            found += [(f"{name}.{alias.name}" if deep else name, node.lineno) for alias in node.names]
-    return [(name.split(".")[1], line) for name, line in found if name.startswith("fishmj.")]
+            found += [(f"{name}.{alias.name}", node.lineno) for alias in node.names]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and re.match(r"fishmj(\.\w+)+(:\w+)?\Z", node.value):
+            found += [(node.value.partition(":")[0], node.lineno)]
+    return [(name, line) for name, line in found if name.split(".")[0] == "studies" or _is_ours(name)]
+
+
+def _is_ours(name: str) -> bool:
+    """A module of fishmj or a name in one; not `fishmj` itself, nor a string such as the `source` of an old trial."""
+    parts, known = name.split("."), MODULES - {"fishmj"}
+    return name in known or ".".join(parts[:-1]) in known
 
 
 def wrong_way(path: Path, text: str | None = None) -> list[str]:
-    """Imports that go up the table, or across to a sibling."""
-    here = room(path)
-    level = LEVELS.get(here, 0)  # the package's own `__init__` may import from L0
-    return [
-        f"{path.relative_to(ROOT)}:{line}: {here or 'fishmj'} (L{level}) imports {there} (L{LEVELS[there]})"
-        for there, line in imported_rooms(path, text)
-        if there in LEVELS and there != here and (LEVELS[there] > level or frozenset((here, there)) in SIBLINGS)
-    ]
+    """Imports of a room above, of the studies, or of what a folder must be independent of."""
+    here = module_of(path)
+    inside = path.relative_to(PACKAGE).as_posix()
+    if path.name == "__main__.py" or inside.removesuffix(".py") in TOP:
+        return []
+    found = []
+    for name, line in imported(path, text):
+        if (path.name, name) == ("recorder.py", "fishmj.sim"):  # the `source` of a trial
+            continue
+        up = name.split(".")[0] == "studies" or floor(name) > floor(here)
+        for folder, parts in INDEPENDENT.items():
+            if inside.startswith(f"{folder}/"):
+                but = [f"fishmj.{part[4:]}" for part in parts if part.startswith("but:")]
+                wanted = any(name.startswith(f"fishmj.{part}") for part in parts)
+                up |= wanted and not any(name.startswith(part) for part in but)
+        found += [f"{path.relative_to(ROOT)}:{line}: {here} imports {name}"] if up else []
+    return found
 
 
 def unsafe(text: str, name: str = "") -> list[str]:
@@ -93,60 +112,43 @@ def unsafe(text: str, name: str = "") -> list[str]:
     return found
 
 
-def test_every_room_has_a_level():
-    rooms = {room(path) for path in SOURCES} - {""}
-    assert rooms <= set(LEVELS), f"add {sorted(rooms - set(LEVELS))} to the table in docs/decisions/architecture.md"
+def test_the_readme_lists_the_rooms():
+    """`ls fishmj`: sixteen rooms and six files."""
+    folders = {path.parent.name for path in PACKAGE.glob("*/*.py")}
+    assert sorted(ROOMS) == sorted(folders) and len(ROOMS) == 16
+    assert {path.stem for path in PACKAGE.glob("*.py")} == {*FILES, *TOP}
 
 
-def test_imports_go_down_the_table():
+def test_imports_go_down():
     wrong = [fault for path in SOURCES for fault in wrong_way(path)]
     assert not wrong, "\n".join(wrong)
 
 
-def test_an_import_that_goes_up_is_found():
-    """The rule itself is awake: each spelling of a wrong import is caught."""
-    flow, water = PACKAGE / "flow.py", PACKAGE / "dynamics" / "strip_forces.py"
-    for text in ("from fishmj import tasks", "import fishmj.tasks.env", "def f():\n    from fishmj.tasks import env"):
+def test_an_upward_import_is_found():
+    """Each spelling of a wrong import is caught."""
+    flow, strips = PACKAGE / "water" / "flow.py", PACKAGE / "water" / "dynamics" / "strip_forces.py"
+    for text in (
+        "from fishmj import tasks",
+        "import fishmj.tasks.env",
+        "def f():\n    from fishmj.tasks import env",
+        "import_module('fishmj.tasks.env')",
+        "entry = 'fishmj.tasks.env:Options'",
+        "import studies.tracker",
+    ):
         assert wrong_way(flow, text), text
-    assert wrong_way(water, "from fishmj.lbm_oracle import guard")
-    assert wrong_way(water, "from ..tasks import env")
-    assert not wrong_way(water, "from fishmj.flow import Flow\nfrom . import hooks")
-    assert not wrong_way(water.with_name("__main__.py"), "from fishmj.campaign import command")
-    assert wrong_way(water, "from fishmj.campaign import command")
-
-
-def test_nothing_imports_the_studies():
-    """Commands name them, as text; evidence is never part of what it judges."""
-    inside = {path for path in SOURCES if room(path) == "studies" or path.name == "__main__.py"}
-    assert [
-        path for path in SOURCES if path not in inside and "studies" in {there for there, _ in imported_rooms(path, None)}
-    ] == []
-
-
-def test_rooms_of_one_level_do_not_import_in_circles():
-    edges = {(room(p), there) for p in SOURCES for there, _ in imported_rooms(p, None) if there in LEVELS and there != room(p)}
-    after: dict[str, set[str]] = {}
-    for here, there in edges:
-        if LEVELS.get(here) == LEVELS[there]:
-            after.setdefault(here, set()).add(there)
-
-    def reach(start: str) -> set[str]:
-        seen: set[str] = set()
-        todo = list(after.get(start, ()))
-        while todo:
-            name = todo.pop()
-            if name not in seen:
-                seen.add(name)
-                todo += after.get(name, ())
-        return seen
-
-    assert [name for name in after if name in reach(name)] == []
+    assert wrong_way(strips, "from ...tasks import env") and wrong_way(strips, "from fishmj.hydro_fit import campaign")
+    assert not wrong_way(strips, "from fishmj.water.flow import Flow\nfrom . import hooks")
+    assert not wrong_way(strips.with_name("__main__.py"), "from fishmj.hydro_fit import campaign")
+    solver, blind = PACKAGE / "lbm_oracle" / "x.py", PACKAGE / "gap" / "laboratory" / "generators" / "x.py"
+    assert wrong_way(solver, "from fishmj.water import prior") and not wrong_way(solver, "from fishmj.water.flow import Flow")
+    assert wrong_way(blind, "from fishmj.engines import make") and not wrong_way(blind, "from fishmj.mjcf import load_robot")
+    assert wrong_way(PACKAGE / "deploy" / "loop" / "x.py", "from fishmj.deploy.loopback import server")
 
 
 def gap_levels() -> dict[str, int]:
     """Room of `gap/` -> level, read from the docstring of its `__init__`."""
     text = ast.get_docstring(ast.parse((PACKAGE / "gap" / "__init__.py").read_text(encoding="utf-8"))) or ""
-    rows = re.findall(r"^ +(\d) +((?:\w+, )*\w+)  ", text, flags=re.MULTILINE)
+    rows = re.findall(r"^ +(\d+) +((?:\w+, )*\w+)  ?", text, flags=re.MULTILINE)
     return {name: int(level) for level, names in rows for name in names.split(", ")}
 
 
@@ -247,5 +249,7 @@ def test_the_command_line_starts_without_the_heavy_packages():
 
 
 def test_the_blind_benchmark_of_kept_data_is_read_without_numba():
-    code = "import sys; sys.modules['numba'] = None; import fishmj.studies.gap_benchmark.command, fishmj.generators.detectability"
+    code = (
+        "import sys; sys.modules['numba'] = None; import fishmj.gap.bench.command, fishmj.gap.laboratory.generators.detectability"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from fishmj import console
-from fishmj.studies import bench
-from fishmj.studies.bench import Benchmark, NotHere, Work, measure
-from fishmj.studies.bench import __main__ as command
+from fishmj.base import console
+from fishmj.evaluate import bench
+from fishmj.evaluate.bench import Benchmark, NotHere, Work, measure
+from fishmj.evaluate.bench import __main__ as command
 
 
 class Clock:
@@ -85,7 +85,7 @@ def test_every_benchmark_runs_quickly_or_says_why_not(name, capsys):
 @pytest.mark.slow
 def test_ways_of_the_learnt_force_are_timed_and_compared(monkeypatch, capsys):
     """On a CPU there is one way, whose single precision is 0.1 mm off after a second at most; an unknown one fails alone."""
-    from fishmj.studies.bench import residual, surrogate
+    from fishmj.evaluate.bench import residual, surrogate
 
     for name, value in (("FISH_CPU", surrogate.FISH_QUICK), ("CHUNKS", 1)):  # the programs of `surrogate --quick`, compiled once
         monkeypatch.setattr(surrogate, name, value)

@@ -8,12 +8,12 @@ import pytest
 from effect_swim import CHAIN, JOINTS, SWIMMER
 
 from fishmj import effects
-from fishmj.dynamics.hooks import Effects
-from fishmj.dynamics.planar_chain import chain_of
 from fishmj.effects import EffectStack
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.gap.commands.mjcf_patch import mjcf
 from fishmj.mjcf.description import load_robot
+from fishmj.water.dynamics.hooks import Effects
+from fishmj.water.dynamics.planar_chain import chain_of
 
 
 def heavier(chain, swimmer, mass: float, spread: float):

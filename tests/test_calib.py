@@ -5,9 +5,9 @@ import tomllib
 
 import pytest
 
-from fishmj import calib
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.store import Manifest
+from fishmj.base import calib
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import Manifest
 
 ENTRIES = [(s, k, e) for s, table in calib.paper().items() if isinstance(table, dict) for k, e in table.items()]
 UNITS = {
@@ -105,7 +105,7 @@ def test_reported_arrivals_are_whole_trials():
 
 
 def test_flow_presets_use_the_stated_lengths():
-    from fishmj import flow
+    from fishmj.water import flow
 
     c = calib.constant
     stated = {name: c("turbulence", f"length{suffix}") for name, suffix in flow_names().items()}

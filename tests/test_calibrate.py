@@ -11,12 +11,14 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import console, interrupt
-from fishmj.calib import read_toml
-from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import calibrated_model, calibration_logs, commands, mass, servo_fit
-from fishmj.calibrate.calibration_logs import Logs
-from fishmj.calibrate.least_squares import (
+from fishmj.base import console, interrupt
+from fishmj.base.calib import read_toml
+from fishmj.base.errors import ConfigError, LogError, StoreError
+from fishmj.base.store import Manifest, read_json, sha256, write_json, write_text
+from fishmj.gap.calibrate import __main__ as command
+from fishmj.gap.calibrate import calibrated_model, calibration_logs, commands, mass, servo_fit
+from fishmj.gap.calibrate.calibration_logs import Logs
+from fishmj.gap.calibrate.least_squares import (
     Block,
     FreeParameter,
     LeastSquaresFit,
@@ -25,16 +27,14 @@ from fishmj.calibrate.least_squares import (
     fit,
     widened,
 )
-from fishmj.dynamics import planar_chain
-from fishmj.errors import ConfigError, LogError, StoreError
+from fishmj.gap.laboratory.hidden_lbm import calibration_trials, score
+from fishmj.gap.laboratory.virtual_robot import random_streams
 from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot
-from fishmj.store import Manifest, read_json, sha256, write_json, write_text
-from fishmj.studies.hidden_lbm import calibration_trials, score
-from fishmj.virtual_robot import random_streams
+from fishmj.water.dynamics import planar_chain
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "data" / "calib" / "trials"
@@ -372,8 +372,8 @@ WATCH = """
 import json, sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
-from fishmj.calibrate.__main__ import main
-from fishmj.calibrate.calibration_logs import read
+from fishmj.gap.calibrate.__main__ import main
+from fishmj.gap.calibrate.calibration_logs import read
 read(sys.argv[1])
 for verb in ("mass", "slip"):
     main([verb, "--data", sys.argv[1], "--report", sys.argv[2]])

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console, interrupt
-from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import slip
-from fishmj.calibrate.calibration_logs import read
-from fishmj.campaign.hidden_lbm import hidden
-from fishmj.errors import LogError
+from fishmj.base import console, interrupt
+from fishmj.base.errors import LogError
+from fishmj.gap.calibrate import __main__ as command
+from fishmj.gap.calibrate import slip
+from fishmj.gap.calibrate.calibration_logs import read
+from fishmj.gap.laboratory.hidden_lbm import hidden
 from fishmj.log import read_trial, write_trial
 
 SHIPPED = Path(__file__).resolve().parent.parent / "data" / "calib" / "trials"

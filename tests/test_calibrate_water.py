@@ -9,21 +9,22 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import console, engines, excitation
-from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import calibrated_model, water_fit
-from fishmj.calibrate.calibration_logs import Logs
-from fishmj.calibrate.least_squares import FreeParameter, Minimum, minimum
-from fishmj.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, carried_thrust, physical
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import ConfigError, LogError
-from fishmj.flow import Flow, stack
+from fishmj import engines
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.gap.bench.water_families import SWIMS as GUIDE
+from fishmj.gap.calibrate import __main__ as command
+from fishmj.gap.calibrate import calibrated_model, water_fit
+from fishmj.gap.calibrate.calibration_logs import Logs
+from fishmj.gap.calibrate.least_squares import FreeParameter, Minimum, minimum
+from fishmj.gap.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, carried_thrust, physical
 from fishmj.gap.models.swimming_fish import ServoStand, SwimmingFish
-from fishmj.log import SCHEMA, Trial, numbered, write_trial
+from fishmj.log import SCHEMA, Trial, excitation, numbered, write_trial
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.water_families import SWIMS as GUIDE
 from fishmj.water import prior
 from fishmj.water.choice import in_water, label
+from fishmj.water.dynamics import planar_chain, strip_forces
+from fishmj.water.flow import Flow, stack
 
 ROBOT = load_robot("fish")
 SWIMS = ("gait", "gait_slow", "gait_small", "turn_left", "turn_right", "tow_ahead", "tow_sideways")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from ray_toys import toy
 
-from fishmj import console
-from fishmj.campaign.data import plan, run_segments
-from fishmj.campaign.data.collect import Collected, collect, domain_of, domain_of_model, main
-from fishmj.campaign.data.segment import Segment, drive
-from fishmj.campaign.data.solver_hash import code_of, solver_sha256
-from fishmj.errors import ConfigError, DatasetError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, DatasetError
+from fishmj.hydro_fit.campaign.data import plan, run_segments
+from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, domain_of_model, main
+from fishmj.hydro_fit.campaign.data.segment import Segment, drive
+from fishmj.hydro_fit.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.hydro_fit.record import HALF, narrow, read_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
 from fishmj.lbm_oracle.run.domain import preset
@@ -186,12 +186,12 @@ def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
 
 def test_hours_on_a_cpu_are_not_begun_unasked(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("fishmj.lbm_oracle.run.solver_cost.accelerator", lambda need: False)
-    monkeypatch.setattr("fishmj.campaign.data.collect.devices_of", lambda name: ("cpu",))
+    monkeypatch.setattr("fishmj.hydro_fit.campaign.data.collect.devices_of", lambda name: ("cpu",))
     assert console.run(main, ["--out", str(tmp_path / "no")]) == console.BAD_INPUT
     assert "s of water in boxes of up to 1.97 M cells" in capsys.readouterr().err and not (tmp_path / "no").exists()
     asked = []
     noted = lambda plan, out, setup, **rest: asked.append(rest["budget"]) or collected(out)
-    monkeypatch.setattr("fishmj.campaign.data.collect.collect", noted)
+    monkeypatch.setattr("fishmj.hydro_fit.campaign.data.collect.collect", noted)
     assert console.run(main, ["--out", str(tmp_path / "no"), "--budget", "60"]) == console.OK and asked == [60.0]
 
 

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from fishmj.campaign.data import plan
-from fishmj.campaign.data.segment import drive, ticks_of
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import BOXES
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.hydro_fit.campaign.data import plan
+from fishmj.hydro_fit.campaign.data.segment import drive, ticks_of
 from fishmj.hydro_fit.fit import gauss_newton
 from fishmj.mjcf import load_robot
+from fishmj.water.flow import BOXES
 
 FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
 FULL = plan.full(FISH)

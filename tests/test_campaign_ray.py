@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from ray_toys import toy
 
-from fishmj.campaign.data.collect import Local, collect
-from fishmj.campaign.data.plan import Plan
-from fishmj.campaign.data.ray_pool import ATTEMPTS, RayPool
-from fishmj.campaign.data.run_segments import Setup
-from fishmj.campaign.data.segment import Segment
-from fishmj.errors import ConfigError, MissingExtra
+from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.hydro_fit.campaign.data.collect import Local, collect
+from fishmj.hydro_fit.campaign.data.plan import Plan
+from fishmj.hydro_fit.campaign.data.ray_pool import ATTEMPTS, RayPool
+from fishmj.hydro_fit.campaign.data.run_segments import Setup
+from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot

@@ -8,15 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from fishmj.campaign.data import plan, run_segments
-from fishmj.campaign.data.run_segments import trial_of
-from fishmj.campaign.data.segment import Segment
-from fishmj.errors import SimDiverged
-from fishmj.flow import Flow
+from fishmj.base.errors import SimDiverged
+from fishmj.hydro_fit.campaign.data import plan, run_segments
+from fishmj.hydro_fit.campaign.data.run_segments import trial_of
+from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.log import read_trial, write_trial
 from fishmj.mjcf import build, load_robot
+from fishmj.water.flow import Flow
 
 FISH = load_robot("fish")
 SMALL = run_segments.Setup(domain=replace(preset("laptop"), shape=(60, 36, 16)), device="cpu")

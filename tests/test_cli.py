@@ -9,8 +9,9 @@ import sys
 import numpy as np
 import pytest
 
-from fishmj import cli, console
-from fishmj.errors import ConfigError, UsageError
+from fishmj import cli
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UsageError
 
 
 def json_last(text: str):
@@ -51,7 +52,9 @@ def test_the_console_script_and_the_module_are_the_same_program():
     done = subprocess.run(
         [sys.executable, "-m", "fishmj", "bench", "--list", "--json"], capture_output=True, text=True, check=True
     )
-    same = subprocess.run([sys.executable, "-m", "fishmj.bench", "--list", "--json"], capture_output=True, text=True, check=True)
+    same = subprocess.run(
+        [sys.executable, "-m", "fishmj.evaluate.bench", "--list", "--json"], capture_output=True, text=True, check=True
+    )
     assert done.stdout == same.stdout and json_last(done.stdout)["benchmarks"]
 
 
@@ -88,7 +91,8 @@ def test_what_main_returns_is_the_exit_code(answer, code):
 
 
 def test_a_reader_that_leaves_early_is_no_error():
-    code = "from fishmj.console import run, say\nraise SystemExit(run(lambda a: [say('x' * 99) for _ in range(20000)] and 0, []))"
+    code = "from fishmj.base.console import run, say\n"
+    code += "raise SystemExit(run(lambda a: [say('x' * 99) for _ in range(20000)] and 0, []))"
     done = subprocess.run(
         ["bash", "-c", '"$0" -c "$1" | head -1; exit ${PIPESTATUS[0]}', sys.executable, code],
         capture_output=True,
@@ -260,7 +264,7 @@ def test_the_help_of_every_group_lists_its_commands_with_a_line_each(capsys):
 def test_closed_pipe_ends_no_work(tmp_path):
     """The reader of both streams leaves after a line; the file is written, and 141 says that nobody read the rest."""
     code = (
-        "import sys; from pathlib import Path; from fishmj import console\n"
+        "import sys; from pathlib import Path; from fishmj.base import console\n"
         "def main(argv):\n"
         "    with console.Progress(2, 'work', stream=sys.stderr, every=0) as bar:\n"
         "        for _ in range(20000): console.say('x' * 99); console.warn('y'); bar.update(1)\n"

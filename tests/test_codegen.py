@@ -9,10 +9,10 @@ import pytest
 numba = pytest.importorskip("numba", reason='the compiled engine needs pip install "fishmj[fast]"')
 
 from fishmj import engines
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError
 from fishmj.engines import codegen, fast_math, numba_build
-from fishmj.errors import ConfigError
 from fishmj.mjcf.description import load_robot
+from fishmj.water.dynamics import planar_chain
 
 
 @pytest.mark.parametrize("name", ["fish", "tendon_fish"])

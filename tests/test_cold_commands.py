@@ -7,7 +7,8 @@ import os
 import pytest
 from bad_commands import COMMANDS, prepare
 
-from fishmj import cli, console
+from fishmj import cli
+from fishmj.base import console
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import bad_descriptions
 import numpy as np
 import pytest
 
-from fishmj.calib import resolve
-from fishmj.errors import ConfigError
+from fishmj.base.calib import resolve
+from fishmj.base.errors import ConfigError
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
 

@@ -14,12 +14,13 @@ import pytest
 from bad_logs import ANGLES, BAD, CHECK, IMPORT, LAB, YAW, T, X, Y, jumped, lines
 from hostile_logs import HOSTILE, NEEDS_LOGS, SCRIPTS, SECRETS
 
-from fishmj import cli, console
-from fishmj.calibrate import calibrated_model
-from fishmj.calibrate.least_squares import ParameterEstimate
-from fishmj.errors import ConfigError, StoreError
+from fishmj import cli
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.store import read_npz, write_npz
+from fishmj.gap.calibrate import calibrated_model
+from fishmj.gap.calibrate.least_squares import ParameterEstimate
 from fishmj.log.timebase import lag_between
-from fishmj.store import read_npz, write_npz
 
 CASES = {**BAD, **HOSTILE}
 EXITS = {"refused": (2, 3), "noted": (0, 1)}

@@ -19,12 +19,12 @@ import pytest
 numba = pytest.importorskip("numba", reason='the compiled engine needs pip install "fishmj[fast]"')
 
 from fishmj import engines
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.base.machine_code import cache_folder
 from fishmj.engines import FishParams, compiled, numba_build, planar
-from fishmj.errors import ConfigError, MissingExtra
-from fishmj.flow import draw, table_of
-from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import load_robot
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import draw, table_of
 
 ROBOT = load_robot("fish")
 RAMPED = replace(ROBOT, timing=replace(ROBOT.timing, command_path="move_time"))

@@ -12,14 +12,14 @@ import pytest
 numba = pytest.importorskip("numba", reason='the compiled engine needs pip install "fishmj[fast]"')
 
 from fishmj import engines
-from fishmj.dynamics import planar_chain
 from fishmj.effects import get
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import batch, compiled, fast_math, numba_build, planar, residual_lanes
-from fishmj.flow import Flow, sample, stack
 from fishmj.mjcf import load_robot
-from fishmj.suite import physics
+from fishmj.tasks.dm_control import physics
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow, sample, stack
 
 ROBOT = engines.in_water(load_robot("fish"), "swift")
 EFFECTS = ("command_gain_error", "coulomb_friction", "body_mass", "current_shear", "tether", "wake_memory")  # sites around it

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishmj import console, engines, evaluate, log
-from fishmj.calib import constant
-from fishmj.calibrate import calibration_logs as calibrate_logs
+from fishmj import engines, evaluate, log
+from fishmj.base import console
+from fishmj.base.calib import constant
+from fishmj.base.errors import LogError
 from fishmj.engines.extensions import with_effects
-from fishmj.errors import LogError
 from fishmj.evaluate.report import trial_of, write_logs
-from fishmj.flow import Flow
+from fishmj.gap.calibrate import calibration_logs as calibrate_logs
 from fishmj.gap.commands import admission
 from fishmj.gap.records.datasets import readable_trials
 from fishmj.gap.records.records import record_of
@@ -20,10 +20,11 @@ from fishmj.log import stacked
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.identity import robot_sha256
-from fishmj.play import LiveSession
-from fishmj.play import __main__ as play
 from fishmj.sim import Sim
 from fishmj.tasks.sensing import sensed, sigmas
+from fishmj.view.play import LiveSession
+from fishmj.view.play import __main__ as play
+from fishmj.water.flow import Flow
 
 ROBOT = load_robot("fish")
 TABLES = {"cmd", "joint", "pose", "power", "truth", "flow", "target", "obs"}

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishmj import controllers, engines, evaluate
-from fishmj.controllers import gains_of, gait_table
-from fishmj.controllers.adrc import Observer
-from fishmj.controllers.cpg import Cpg, Rates
-from fishmj.controllers.estimator import StateEstimator, hermite, turned
-from fishmj.errors import ConfigError, StoreError, UnknownName
+from fishmj import control, engines, evaluate
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
+from fishmj.control import gains_of, gait_table
+from fishmj.control.adrc import Observer
+from fishmj.control.cpg import Cpg, Rates
+from fishmj.control.estimator import StateEstimator, hermite, turned
+from fishmj.control.policy import FOLDER, Policy
 from fishmj.mjcf.description import load_robot
-from fishmj.policy import FOLDER, Policy
 
 ROBOT = load_robot("fish")
 LAG = np.radians(gains_of("gait")["lag_deg"])
@@ -30,9 +30,9 @@ def noisy_observations(steps: int, n: int) -> np.ndarray:
     return np.random.default_rng(3).normal(0, 0.4, (steps, n, 11))
 
 
-@pytest.mark.parametrize("name", controllers.NAMES)
+@pytest.mark.parametrize("name", control.NAMES)
 def test_a_controller_answers_every_observation_with_finite_angles(name):
-    brain = controllers.make(name, ROBOT)
+    brain = control.make(name, ROBOT)
     brain.reset(5)
     for obs in noisy_observations(40, 5):
         command = brain(obs)
@@ -40,9 +40,9 @@ def test_a_controller_answers_every_observation_with_finite_angles(name):
         assert np.isfinite(command).all() and np.abs(command).max() < np.pi
 
 
-@pytest.mark.parametrize("name", controllers.NAMES)
+@pytest.mark.parametrize("name", control.NAMES)
 def test_reset_forgets_everything(name):
-    brain, observations = controllers.make(name, ROBOT), noisy_observations(20, 4)
+    brain, observations = control.make(name, ROBOT), noisy_observations(20, 4)
     runs = []
     for _ in range(2):
         brain.reset(4)
@@ -50,9 +50,9 @@ def test_reset_forgets_everything(name):
     assert np.array_equal(*runs)
 
 
-@pytest.mark.parametrize("name", controllers.NAMES)
+@pytest.mark.parametrize("name", control.NAMES)
 def test_fish_do_not_see_each_other(name):
-    brain, observations = controllers.make(name, ROBOT), noisy_observations(20, 4)
+    brain, observations = control.make(name, ROBOT), noisy_observations(20, 4)
     brain.reset(4)
     together = np.array([brain(obs) for obs in observations])
     brain.reset(1)
@@ -155,7 +155,7 @@ def test_the_observer_of_adrc_finds_a_constant_disturbance():
 
 def test_the_flow_observer_finds_the_flow(engine):
     """Its axes are those of the start, which faces upstream: the flow is (-U, 0)."""
-    brain = controllers.make("dob", ROBOT)
+    brain = control.make("dob", ROBOT)
     calm = evaluate.trials(
         speeds=[0.2, 0.3], los_deg=[0, 90, 270], repeats=1, turbulence="none", randomisation=0, noise=0, duration=30
     )
@@ -179,8 +179,8 @@ def a_policy(path, n_obs=11, n_act=3):
 
 def test_a_policy_file_is_a_controller_on_the_robots_command_path(tmp_path):
     path, obs = a_policy(tmp_path / "mine.safetensors"), noisy_observations(3, 4)
-    smooth = controllers.make(path, ROBOT)
-    held = controllers.make(path, replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold")))
+    smooth = control.make(path, ROBOT)
+    held = control.make(path, replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold")))
     for brain in (smooth, held):
         brain.reset(4)
     for o in obs:
@@ -193,7 +193,7 @@ def test_a_policy_file_is_a_controller_on_the_robots_command_path(tmp_path):
 
 def test_a_policy_for_another_robot_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="takes 7 observations"):
-        controllers.make(a_policy(tmp_path / "short.safetensors", n_obs=7), ROBOT)
+        control.make(a_policy(tmp_path / "short.safetensors", n_obs=7), ROBOT)
 
 
 def test_vectors_turn_counter_clockwise():
@@ -202,30 +202,30 @@ def test_vectors_turn_counter_clockwise():
 
 def test_wrong_names_say_the_nearest_right_one():
     with pytest.raises(UnknownName, match="Did you mean 'dob'"):
-        controllers.make("dop", ROBOT)
+        control.make("dop", ROBOT)
     with pytest.raises(UnknownName, match="Did you mean 'observer_time'"):
-        controllers.make("dob", ROBOT, observer_tim=1.0)
+        control.make("dob", ROBOT, observer_tim=1.0)
     with pytest.raises(ConfigError, match="no gains"):
-        controllers.make("drift", ROBOT, position=1.0)
+        control.make("drift", ROBOT, position=1.0)
 
 
 def test_a_gait_for_three_joints_is_refused_by_another_fish():
     with pytest.raises(ConfigError, match="joints"):
-        controllers.make("dob", "tendon_fish")
-    drift = controllers.make("drift", "tendon_fish")
+        control.make("dob", "tendon_fish")
+    drift = control.make("drift", "tendon_fish")
     joints = load_robot("tendon_fish").n_joints
     assert drift(np.zeros((2, 5 + 2 * joints))).shape == (2, 10, joints)
 
 
 def test_every_gain_has_unit_and_source():
-    from fishmj.calib import calib_folder, read_toml
+    from fishmj.base.calib import calib_folder, read_toml
 
     for name, table in read_toml(calib_folder() / "controllers.toml").items():
         if not isinstance(table, dict):
             continue
         for key, entry in table.items():
             if key == "like":
-                assert entry in controllers.NAMES
+                assert entry in control.NAMES
                 continue
             assert set(entry) == {"value", "unit", "source"}, f"{name}.{key}"
             assert entry["source"].partition(": ")[0] in ("default", "derived", "tuned"), f"{name}.{key}"
@@ -235,19 +235,19 @@ def test_the_folder_of_a_training_is_its_best_policy(tmp_path):
     run = tmp_path / "quick-ppo-0"
     run.mkdir()
     with pytest.raises(StoreError, match="quick-ppo-0: a folder without best.safetensors or last.safetensors; expected a policy"):
-        controllers.chosen(run)
+        control.chosen(run)
     shutil.copy(FOLDER / "station.safetensors", run / "last.safetensors")
-    assert "last.safetensors" in controllers.chosen(run).notes[0]
+    assert "last.safetensors" in control.chosen(run).notes[0]
     shutil.copy(FOLDER / "paper.safetensors", run / "best.safetensors")
-    for brain in (controllers.chosen(run), controllers.make(str(run))):
-        assert brain.sha256 == controllers.make("paper").sha256 and brain.name == "quick-ppo-0"
+    for brain in (control.chosen(run), control.make(str(run))):
+        assert brain.sha256 == control.make("paper").sha256 and brain.name == "quick-ppo-0"
         assert brain.notes[0] == f"policy quick-ppo-0: taken from {run / 'best.safetensors'}"
     with pytest.raises(StoreError, match=f"there is one in {run}"):
-        controllers.chosen(tmp_path)
+        control.chosen(tmp_path)
 
 
 def test_a_folder_does_not_hide_a_shipped_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("paper", "dob"):
         (tmp_path / name).mkdir()
-        assert controllers.chosen(name).name == controllers.make(name).name == name
+        assert control.chosen(name).name == control.make(name).name == name

@@ -8,11 +8,12 @@ from argparse import Namespace
 import pytest
 from bad_commands import HOPELESS, prepare
 
-from fishmj import cli, console, cost
-from fishmj.errors import TooMuch
+from fishmj import cli
+from fishmj.base import console, cost
+from fishmj.base.errors import TooMuch
+from fishmj.gap.bench import command as bench
 from fishmj.lbm_oracle.run import solver_cost as solver
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.studies.gap_benchmark import command as bench
 from fishmj.train import training_cost as training
 from fishmj.train.settings import PRESETS, change
 
@@ -72,7 +73,7 @@ def test_what_was_agreed_to_and_what_is_short_is_not_asked():
 
 
 def test_the_estimate_of_the_solver_is_that_of_the_measured_swim():
-    """The laptop preset swims at 0.60 times real time on two idle cores (docs/methods/oracle.md)."""
+    """The laptop preset swims at 0.60 times real time on two idle cores (docs/solver/method.md)."""
     assert solver.cpu_seconds([(preset("laptop"), 60.0)]) == pytest.approx(60.0 / 0.60, rel=0.1)
     fine = preset("laptop").changed(dx=0.01)
     assert solver.cpu_seconds([(fine, 1.0)]) == pytest.approx(16 * solver.cpu_seconds([(preset("laptop"), 1.0)]))
@@ -84,7 +85,7 @@ def test_the_estimate_of_the_solver_is_that_of_the_measured_swim():
 
 
 @pytest.mark.parametrize(
-    ("settings", "kind", "measured"),  # s, of docs/guide/training.md and README: learning alone
+    ("settings", "kind", "measured"),  # s, of docs/train/training.md and README: learning alone
     [
         (PRESETS["quick"], training.CPU, 170.0),
         (change(PRESETS["quick"], water="structured", steps=13_000_000), training.CPU, 87.0),

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishmj.campaign.dagger import dagger
-from fishmj.campaign.data import plan
-from fishmj.campaign.data.run_segments import Finished, Setup
-from fishmj.dynamics import planar_chain
+from fishmj.hydro_fit.campaign.dagger import dagger
+from fishmj.hydro_fit.campaign.data import plan
+from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
+from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
-from fishmj.studies.water_ablation.ablation import unfitted
+from fishmj.water.dynamics import planar_chain
 
 ROBOT = load_robot("fish")
 TRUE = planar_chain.nominal(ROBOT).water

@@ -8,8 +8,9 @@ import pytest
 
 pytest.importorskip("numba", reason='the demo trains on the compiled engine: pip install "fishmj[fast]"')
 
-from fishmj import console, demo
+from fishmj.base import console
 from fishmj.evaluate import __main__ as evaluate
+from fishmj.view import demo
 
 
 @pytest.mark.part("training")

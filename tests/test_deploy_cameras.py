@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj.deploy import cameras
-from fishmj.deploy.cameras import Device, SharedFrames, VideoFile
-from fishmj.deploy.localiser import InStep, Newest
-from fishmj.errors import ConfigError, StoreError
-from fishmj.loopback.shared_frames import FrameWriter
-from fishmj.tracker.fix import Fix
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.deploy.camera import cameras
+from fishmj.deploy.camera.cameras import Device, SharedFrames, VideoFile
+from fishmj.deploy.camera.localiser import InStep, Newest
+from fishmj.deploy.loopback.shared_frames import FrameWriter
+from fishmj.deploy.tracker.fix import Fix
 from tests.deploying import FakeClock
 
 

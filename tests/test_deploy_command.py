@@ -11,28 +11,30 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.deploy import ros, swim_command, wiring
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, MissingExtra, StoreError
 from fishmj.deploy.__main__ import COMMANDS, main
-from fishmj.deploy.clock import MonotonicClock
-from fishmj.deploy.experiment import Gait
-from fishmj.deploy.links import Fishmj1Link, MishLink
-from fishmj.deploy.ros import TOPICS, RosPublisher, battery, placed, stamp
-from fishmj.deploy.servo_bus import ServoBusLink
-from fishmj.deploy.supervisor import State
-from fishmj.deploy.swim_command import options, target_warnings
-from fishmj.errors import ConfigError, MissingExtra, StoreError
-from fishmj.excitation import LEAD
+from fishmj.deploy.commands import swim_command
+from fishmj.deploy.commands.swim_command import options, target_warnings
+from fishmj.deploy.link import ros
+from fishmj.deploy.link.links import Fishmj1Link, MishLink
+from fishmj.deploy.link.ros import TOPICS, RosPublisher, battery, placed, stamp
+from fishmj.deploy.link.servo_bus import ServoBusLink
+from fishmj.deploy.loop import wiring
+from fishmj.deploy.loop.clock import MonotonicClock
+from fishmj.deploy.loop.experiment import Gait
+from fishmj.deploy.loop.supervisor import State
+from fishmj.deploy.loopback import in_step
+from fishmj.deploy.loopback.camera_frames import FishLook
+from fishmj.deploy.tracker.calibration import overhead
+from fishmj.deploy.tracker.colour import PAPER_FISH
 from fishmj.log import read_trial
+from fishmj.log.excitation import LEAD
 from fishmj.log.export import _KIND
 from fishmj.log.foxglove import SCHEMAS
 from fishmj.log.importers.messages import KEPT
-from fishmj.loopback import in_step
-from fishmj.loopback.camera_frames import FishLook
 from fishmj.mjcf.description import RigSpec, load_robot
-from fishmj.studies.tracker import cases
-from fishmj.tracker.calibration import overhead
-from fishmj.tracker.colour import PAPER_FISH
+from studies.tracker import cases
 from tests.deploying import Bench
 
 BAD = {
@@ -215,7 +217,7 @@ class FakeRos:
 def test_the_ros_bridge_publishes_what_the_log_takes_in(tmp_path, monkeypatch):
     fake = FakeRos()
     monkeypatch.setitem(sys.modules, "roslibpy", fake.module)
-    monkeypatch.setattr("fishmj.deploy.ros.WAITING", 100_000)  # a fake clock outruns the thread
+    monkeypatch.setattr("fishmj.deploy.link.ros.WAITING", 100_000)  # a fake clock outruns the thread
     bench = Bench(tmp_path / "swim", seconds=0.5)
     publisher = []
     bench.at(0.0, lambda: publisher.append(RosPublisher(("localhost", 9090), bench.log).__enter__()))
@@ -296,7 +298,7 @@ def test_a_gait_beats_each_joint_of_any_fish_at_its_own_ticks():
 
 
 def test_the_page_on_ros_lists_each_topic_and_type_both_ways():
-    page = (Path(__file__).resolve().parent.parent / "docs" / "guide" / "ros.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parent.parent / "docs" / "tank" / "ros.md").read_text(encoding="utf-8")
     assert dict(re.findall(r"\| `/fishmj/(\w+)` \| `([\w/]+)` \|", page)) == TOPICS
     rows = [line.split("|")[1] for line in page.splitlines() if re.match(r"\| `\w+_msgs/msg/", line)]
     listed = set()

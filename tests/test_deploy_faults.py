@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fishmj.deploy.limits import RATE
-from fishmj.deploy.supervisor import Condition, State
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.loop.limits import RATE
+from fishmj.deploy.loop.supervisor import Condition, State
+from fishmj.deploy.protocols.messages import RobotState, ServoFault
 from fishmj.log import read_trial
-from fishmj.protocols.messages import RobotState, ServoFault
 from tests.deploying import Bench
 
 
@@ -227,7 +227,7 @@ def test_a_camera_that_fails_is_named_where_the_robot_is_not_armed_and_where_a_s
 
 
 def test_fault_25_a_policy_of_another_structure_is_refused_when_it_is_loaded():
-    from fishmj.controllers.learned import LearnedController
+    from fishmj.control.learned import LearnedController
     from fishmj.mjcf.description import load_robot
 
     with pytest.raises(ConfigError, match="robot tendon_fish has 9 and 2"):

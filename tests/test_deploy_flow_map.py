@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.deploy import flow_map_command
-from fishmj.deploy.flow_map import FlowMap, Setting, preset_for
-from fishmj.deploy.flow_map_drifters import turbulence_of_drifts
-from fishmj.deploy.flow_map_records import read_probe
-from fishmj.deploy.flow_map_turbulence import Measured, integral_time, noise_variance, turbulence_of
-from fishmj.deploy.swim_command import options as swim_options
-from fishmj.errors import ConfigError, LogError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.deploy.commands import flow_map_command
+from fishmj.deploy.commands.swim_command import options as swim_options
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol
-from fishmj.flow import Flow
 from fishmj.log import Trial, write_trial
+from fishmj.water.flow import Flow
+from fishmj.water.flow_map.drifters import turbulence_of_drifts
+from fishmj.water.flow_map.flow_map import FlowMap, Setting, preset_for
+from fishmj.water.flow_map.records import read_probe
+from fishmj.water.flow_map.turbulence import Measured, integral_time, noise_variance, turbulence_of
 
 DT = 0.1
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fishmj.deploy import doctor_command
+from fishmj.deploy.commands import doctor_command
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("protocols", "tracker", "deploy")
@@ -70,8 +70,8 @@ outcome = bench.swim()
 assert outcome.complete, outcome.words
 trial = read_trial(bench.folder)
 assert len(trial.tables["obs"]["t"]) == 15
-from fishmj.tracker.apriltag import AprilTagTracker
-from fishmj.tracker.calibration import overhead
+from fishmj.deploy.tracker.apriltag import AprilTagTracker
+from fishmj.deploy.tracker.calibration import overhead
 tracker = AprilTagTracker(overhead((640, 480), 0.0028, 3.0))
 assert tracker.locate(np.full((480, 640, 3), 90, np.uint8), 0.0) is None
 print("\\n".join(sorted({name.partition(".")[0] for name in sys.modules})))

@@ -6,14 +6,14 @@ import time
 import numpy as np
 import pytest
 
-from fishmj.deploy.clock import MonotonicClock
-from fishmj.deploy.links import Fishmj1Link, MishLink
-from fishmj.deploy.servo_bus import ANSWER, BUDGET, ServoBusLink
-from fishmj.deploy.transports import UdpTransport, open_serial
-from fishmj.errors import ConfigError
-from fishmj.protocols import fishmj1, lx_bus, mish, servo_counts
-from fishmj.protocols.lx_bus import Code
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.link.links import Fishmj1Link, MishLink
+from fishmj.deploy.link.servo_bus import ANSWER, BUDGET, ServoBusLink
+from fishmj.deploy.link.transports import UdpTransport, open_serial
+from fishmj.deploy.loop.clock import MonotonicClock
+from fishmj.deploy.protocols import fishmj1, lx_bus, mish, servo_counts
+from fishmj.deploy.protocols.lx_bus import Code
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from tests.deploying import FakeClock
 
 

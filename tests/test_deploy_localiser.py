@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj.deploy import wiring
-from fishmj.deploy.localiser import InProcess, InStep, Newest, Repeats
-from fishmj.deploy.supervisor import Condition
-from fishmj.deploy.swim_command import options
-from fishmj.deploy.tracker_process import line
-from fishmj.errors import ConfigError
-from fishmj.loopback.camera_frames import FishLook, FrameArtist, TagPlate
-from fishmj.loopback.shared_frames import FrameWriter
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.camera.localiser import InProcess, InStep, Newest, Repeats
+from fishmj.deploy.camera.tracker_process import line
+from fishmj.deploy.commands.swim_command import options
+from fishmj.deploy.loop import wiring
+from fishmj.deploy.loop.supervisor import Condition
+from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, TagPlate
+from fishmj.deploy.loopback.shared_frames import FrameWriter
+from fishmj.deploy.tracker.apriltag import AprilTagTracker
+from fishmj.deploy.tracker.calibration import overhead
+from fishmj.deploy.tracker.fix import Fix
 from fishmj.mjcf.description import load_robot
-from fishmj.tracker.apriltag import AprilTagTracker
-from fishmj.tracker.calibration import overhead
-from fishmj.tracker.fix import Fix
 from tests.deploying import Bench
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -157,7 +157,7 @@ def test_a_camera_that_does_not_open_is_said_in_one_line():
 
 HOST = """
 import sys, time
-from fishmj.deploy.localiser import InProcess
+from fishmj.deploy.camera.localiser import InProcess
 eyes = InProcess(sys.argv[1:])
 eyes.open()
 while not eyes.fixes(0.0):

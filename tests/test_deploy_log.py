@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj import console
+from fishmj.base import console
+from fishmj.base.errors import LogError, StoreError
 from fishmj.deploy.__main__ import main
-from fishmj.deploy.journal import Journal
-from fishmj.deploy.mcap_out import write
-from fishmj.deploy.observer import Pose
-from fishmj.deploy.pilot import PlayedPilot
-from fishmj.deploy.supervisor import Condition
-from fishmj.deploy.trial_log import FIRST, Rows, TrialLog, recovered
-from fishmj.errors import LogError, StoreError
+from fishmj.deploy.link.mcap_out import write
+from fishmj.deploy.loop.journal import Journal
+from fishmj.deploy.loop.observer import Pose
+from fishmj.deploy.loop.pilot import PlayedPilot
+from fishmj.deploy.loop.supervisor import Condition
+from fishmj.deploy.loop.trial_log import FIRST, Rows, TrialLog, recovered
+from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.log import read_trial
 from fishmj.mjcf.description import load_robot
-from fishmj.protocols.messages import Telemetry
 from tests.deploying import Bench
 
 META = {"origin": "measured", "robot": "fish"}
@@ -175,8 +175,8 @@ KILLED = """
 import time, sys
 from pathlib import Path
 import numpy as np
-from fishmj.deploy.trial_log import TrialLog
-from fishmj.protocols.messages import Telemetry
+from fishmj.deploy.loop.trial_log import TrialLog
+from fishmj.deploy.protocols.messages import Telemetry
 with TrialLog(Path(sys.argv[1]), {"origin": "measured", "robot": "fish"}, 3, every=0.2) as log:
     k = 0
     while True:

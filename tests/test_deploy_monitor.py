@@ -7,15 +7,15 @@ import sys
 import numpy as np
 import pytest
 
-from fishmj.deploy import monitor_command
-from fishmj.deploy.monitor import BLOCK, Blocks, Monitor, reference_of, said
-from fishmj.deploy.monitor_picture import drawn
-from fishmj.deploy.monitor_statistics import Cusums, learn, long_run_deviation, run_length, threshold
-from fishmj.errors import ConfigError, LogError
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.deploy.commands import monitor_command
+from fishmj.deploy.monitor.monitor import BLOCK, Blocks, Monitor, reference_of, said
+from fishmj.deploy.monitor.picture import drawn
+from fishmj.deploy.monitor.statistics import Cusums, learn, long_run_deviation, run_length, threshold
 from fishmj.log import Trial, write_trial
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.monitor.side_by_side import blocks_of
-from fishmj.studies.monitor.swims import swim
+from studies.monitor.side_by_side import blocks_of
+from studies.monitor.swims import swim
 
 FLOW = (0.15, np.pi)
 META = {"origin": "synthetic", "robot": "fish", "flow": {"speed": FLOW[0], "direction": FLOW[1], "known": True}}
@@ -167,7 +167,7 @@ def test_the_command_says_what_it_needs(tmp_path, healthy, capsys):
 
 
 def test_the_monitor_needs_no_heavy_package():
-    code = "import sys; import fishmj.deploy.monitor_command, fishmj.deploy.monitor_picture; print(*sys.modules)"
+    code = "import sys; import fishmj.deploy.commands.monitor_command, fishmj.deploy.monitor.picture; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = {"jax", "mujoco", "numba", "warp", "scipy", "matplotlib", "torch", "dm_control"}
     assert heavy.isdisjoint(done.stdout.split())

@@ -8,24 +8,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.controllers.learned import LearnedController
-from fishmj.deploy import arming, monitor_process, swim_command
-from fishmj.deploy.links import Fishmj1Link
-from fishmj.deploy.localiser import InStep
-from fishmj.deploy.monitor import Alarm
-from fishmj.deploy.monitor_live import Beside, LiveMonitor, Watched, watched_of
-from fishmj.deploy.pilot import PolicyPilot
-from fishmj.deploy.swim import Plan, Rig, Swim
-from fishmj.deploy.trial_log import TrialLog
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.control.learned import LearnedController
+from fishmj.deploy.camera.localiser import InStep
+from fishmj.deploy.commands import swim_command
+from fishmj.deploy.link.links import Fishmj1Link
+from fishmj.deploy.loop import arming
+from fishmj.deploy.loop.pilot import PolicyPilot
+from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.trial_log import TrialLog
+from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.deploy.loopback.settings import Settings, make_robot
+from fishmj.deploy.monitor import process
+from fishmj.deploy.monitor.live import Beside, LiveMonitor, Watched, watched_of
+from fishmj.deploy.monitor.monitor import Alarm
+from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.log import Trial, read_trial, write_trial
-from fishmj.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.loopback.settings import Settings, make_robot
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.monitor.swims import swim
-from fishmj.virtual_robot.trials import plant
+from fishmj.water.flow import Flow
+from studies.monitor.swims import swim
 from tests.deploying import Bench
 
 FLOW = (0.15, np.pi)
@@ -103,20 +105,20 @@ for line in sys.stdin:
 
 def test_what_was_learnt_from_healthy_swims_is_kept_for_the_next_swim(tmp_path, monkeypatch):
     learnt = []
-    monkeypatch.setattr(monitor_process, "reference_of", lambda *given: learnt.append(given) or "reference")
+    monkeypatch.setattr(process, "reference_of", lambda *given: learnt.append(given) or "reference")
     for _ in range(3):
-        assert monitor_process._learnt("fish", (), True, False) == "reference"
-    assert len(learnt) == 1 and monitor_process._learnt("fish", (), True, True) and len(learnt) == 2
+        assert process._learnt("fish", (), True, False) == "reference"
+    assert len(learnt) == 1 and process._learnt("fish", (), True, True) and len(learnt) == 2
 
 
 def watching(tables, wanted, size=50):
-    """What `monitor_process.watch` tells of these tables, delivered in pieces of `size` ticks of 20 ms."""
+    """What `process.watch` tells of these tables, delivered in pieces of `size` ticks of 20 ms."""
     told, end = [], max(table["t"][-1] for table in tables.values())
     edges = np.arange(0.0, end + 1.0, 0.02 * size)
     inside = lambda t, low: {c: v[(t["t"] >= low) & (t["t"] < low + 0.02 * size)].tolist() for c, v in t.items()}
     pieces = [{name: inside(table, low) for name, table in tables.items()} for low in edges]
     pieces = [{name: rows for name, rows in piece.items() if rows["t"]} for piece in pieces]
-    monitor_process.watch(wanted, (piece for piece in pieces if piece), told.append)
+    process.watch(wanted, (piece for piece in pieces if piece), told.append)
     return told
 
 
@@ -143,7 +145,7 @@ def test_the_process_watches_what_the_robot_measures_against_a_healthy_swim(tmp_
 
 def test_a_process_that_cannot_watch_says_why_in_its_last_line(tmp_path):
     wanted = json.dumps({"model": "no-such-fish", "flow": [0, 0], "rate": 0.1, "settle": 300.0, "healthy": []})
-    done = subprocess.run([sys.executable, "-m", "fishmj.deploy.monitor_process"], input=wanted, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "fishmj.deploy.monitor.process"], input=wanted, capture_output=True, text=True)
     assert done.returncode == console.BAD_INPUT and "no-such-fish" in json.loads(done.stdout.splitlines()[-1])["failed"]
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from fishmj.deploy.limits import Limiter, towards_zero
-from fishmj.deploy.observer import RATE_WINDOW, Observer
+from fishmj.deploy.loop.limits import Limiter, towards_zero
+from fishmj.deploy.loop.observer import RATE_WINDOW, Observer
+from fishmj.deploy.protocols.messages import Telemetry
+from fishmj.deploy.tracker.fix import Fix
 from fishmj.mjcf.description import load_robot
-from fishmj.protocols.messages import Telemetry
 from fishmj.tasks import station_hold
-from fishmj.tracker.fix import Fix
 
 ROBOT, DT = load_robot("fish"), 0.02
 TARGET = (0.4, -0.3)

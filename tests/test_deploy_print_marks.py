@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.deploy import wiring
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.deploy.__main__ import main
-from fishmj.deploy.print_command import board_page, options, pdf, tag_page
-from fishmj.errors import ConfigError
-from fishmj.tracker.apriltag import AprilTagTracker
-from fishmj.tracker.calibration import overhead
+from fishmj.deploy.commands.print_command import board_page, options, pdf, tag_page
+from fishmj.deploy.loop import wiring
+from fishmj.deploy.tracker.apriltag import AprilTagTracker
+from fishmj.deploy.tracker.calibration import overhead
 
 DOTS = 4  # px/mm
 

@@ -7,9 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj.deploy import camera_command, cameras, doctor_command, rig_capture
-from fishmj.deploy.rig_capture import Shots
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.camera import cameras
+from fishmj.deploy.commands import camera_command, doctor_command
+from fishmj.deploy.rig import rig_capture
+from fishmj.deploy.rig.rig_capture import Shots
 from tests.deploying import FakeClock
 
 

@@ -14,21 +14,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console, excitation
-from fishmj.calibrate.__main__ import main as calibrate
-from fishmj.deploy import experiment, rig_experiment, rig_prompt, wiring
-from fishmj.deploy.links import Fishmj1Link
-from fishmj.deploy.localiser import InStep
-from fishmj.deploy.rig_prompt import Person
-from fishmj.deploy.supervisor import Condition
-from fishmj.deploy.swim import Rig
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.camera.localiser import InStep
+from fishmj.deploy.link.links import Fishmj1Link
+from fishmj.deploy.loop import experiment, wiring
+from fishmj.deploy.loop.supervisor import Condition
+from fishmj.deploy.loop.swim import Rig
+from fishmj.deploy.loopback import faults
+from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.deploy.loopback.settings import Settings, make_robot
+from fishmj.deploy.rig import rig_experiment, rig_prompt
+from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.gap.__main__ import main as gap
-from fishmj.log import read_trial, write_dataset
+from fishmj.gap.calibrate.__main__ import main as calibrate
+from fishmj.log import excitation, read_trial, write_dataset
 from fishmj.log.dataset import take
-from fishmj.loopback import faults
-from fishmj.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.loopback.settings import Settings, make_robot
 from fishmj.mjcf.description import load_robot
 from tests.deploying import FakeClock, FakeEyes, FakeRobot
 
@@ -85,7 +86,7 @@ def test_a_data_set_of_the_rig_lacks_no_key_and_no_unit(bench):
 
 
 def test_calibration_and_search_read_it(bench):
-    from fishmj.calibrate.calibration_logs import read
+    from fishmj.gap.calibrate.calibration_logs import read
     from fishmj.gap.records.records import record_of
 
     logs = read(bench)

@@ -5,12 +5,12 @@ import json
 
 import pytest
 
-from fishmj.deploy import rig_prompt, rig_weigh
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.rig import rig_prompt, rig_weigh
+from fishmj.gap.laboratory.virtual_robot.trials import plant
+from fishmj.gap.laboratory.virtual_robot.weighing import masses
 from fishmj.log import measurements
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot.trials import plant
-from fishmj.virtual_robot.weighing import masses
 
 SCALES = ["0.744", "0.745", "0.744"] + ["0.168"] * 3 + ["0.102"] * 3 + ["0.086"] * 3
 REST = ["", "0.1822", "0.1825", "0.1821", "", "1.2", "0.3", "15.9", "15.91", "15.89"]
@@ -31,7 +31,7 @@ def test_the_page_is_the_one_that_calibration_reads(tmp_path, monkeypatch, capsy
     found = json.loads(capsys.readouterr().out.splitlines()[-1])["found"]
     assert found[2]["value"] == pytest.approx(measurements.inertia(page, 1.1003)[0], rel=1e-3)
 
-    from fishmj.calibrate.mass import calibrate
+    from fishmj.gap.calibrate.mass import calibrate
 
     assert calibrate(tmp_path, load_robot("fish")).estimates["mass"].value == pytest.approx(1.1003, abs=1e-3)
 

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import pytest
 
-from fishmj.deploy.supervisor import (
+from fishmj.deploy.loop.supervisor import (
     ACTIONS,
     NONE,
     STAY,

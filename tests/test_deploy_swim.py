@@ -11,21 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj import excitation
-from fishmj.controllers.learned import LearnedController
-from fishmj.deploy import arming
-from fishmj.deploy.links import Fishmj1Link
-from fishmj.deploy.localiser import InStep
-from fishmj.deploy.pilot import PlayedPilot, PolicyPilot
-from fishmj.deploy.supervisor import Condition
-from fishmj.deploy.swim import Plan, Rig, Swim
-from fishmj.deploy.trial_log import TrialLog
-from fishmj.flow import Flow
-from fishmj.log import read_trial
-from fishmj.loopback import faults
-from fishmj.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.loopback.settings import Settings, make_robot
+from fishmj.control.learned import LearnedController
+from fishmj.deploy.camera.localiser import InStep
+from fishmj.deploy.link.links import Fishmj1Link
+from fishmj.deploy.loop import arming
+from fishmj.deploy.loop.pilot import PlayedPilot, PolicyPilot
+from fishmj.deploy.loop.supervisor import Condition
+from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.trial_log import TrialLog
+from fishmj.deploy.loopback import faults
+from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.deploy.loopback.settings import Settings, make_robot
+from fishmj.log import excitation, read_trial
 from fishmj.mjcf.description import load_robot
+from fishmj.water.flow import Flow
 
 ROOT = Path(__file__).resolve().parent.parent
 SWIM = [sys.executable, "-m", "fishmj.deploy", "swim", "--policy", "station", "--json"]

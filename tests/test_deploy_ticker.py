@@ -5,8 +5,8 @@ import os
 import numpy as np
 import pytest
 
-from fishmj.deploy.clock import HEARING, PRIORITY, SEEING, first_in_line
-from fishmj.deploy.ticker import Ticker
+from fishmj.deploy.loop.clock import HEARING, PRIORITY, SEEING, first_in_line
+from fishmj.deploy.loop.ticker import Ticker
 from tests.deploying import FakeClock
 
 

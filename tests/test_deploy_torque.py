@@ -7,17 +7,17 @@ from threading import Event
 import numpy as np
 import pytest
 
-from fishmj import console, interrupt
-from fishmj.deploy import swim_command
-from fishmj.deploy.arming import why_not_armed
-from fishmj.deploy.links import MishLink
-from fishmj.deploy.status import StatusLine
-from fishmj.deploy.supervisor import Condition, State
-from fishmj.deploy.swim import HOME, LET_GO, Outcome
-from fishmj.deploy.way_out import GRACE, TIMES, way_out
+from fishmj.base import console, interrupt
+from fishmj.deploy.commands import swim_command
+from fishmj.deploy.link.links import MishLink
+from fishmj.deploy.loop.arming import why_not_armed
+from fishmj.deploy.loop.status import StatusLine
+from fishmj.deploy.loop.supervisor import Condition, State
+from fishmj.deploy.loop.swim import HOME, LET_GO, Outcome
+from fishmj.deploy.loop.way_out import GRACE, TIMES, way_out
+from fishmj.deploy.protocols.messages import RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.watchdog import Watchdog
 from fishmj.log import read_trial
-from fishmj.protocols.messages import RobotState, ServoFault, Telemetry
-from fishmj.protocols.watchdog import Watchdog
 from tests.deploying import DT, Bench
 
 

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from fishmj import console
+from fishmj.base import console
 from fishmj.deploy.__main__ import main
+from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, TagPlate
+from fishmj.deploy.tracker.calibration import Calibration, overhead
 from fishmj.log import read_trial
-from fishmj.loopback.camera_frames import FishLook, FrameArtist, TagPlate
-from fishmj.tracker.calibration import Calibration, overhead
 
 cv2 = pytest.importorskip("cv2")
 SIZE = (640, 480)
@@ -42,7 +42,7 @@ def test_a_film_becomes_a_trial_with_the_poses_that_were_filmed(tmp_path, capsys
 
 
 def test_film_without_fish_is_told_early(tmp_path, capsys, monkeypatch):
-    from fishmj.deploy import track_command
+    from fishmj.deploy.commands import track_command
 
     monkeypatch.setattr(track_command, "EARLY", 5)
     calibration = overhead(SIZE, 2.8e-3, 3.0)
@@ -121,8 +121,8 @@ MARKS = {
 
 @pytest.mark.parametrize("case", MARKS)
 def test_bad_marks_are_refused_by_their_number(tmp_path, case):
-    from fishmj.deploy.camera_command import marks
-    from fishmj.errors import ConfigError
+    from fishmj.base.errors import ConfigError
+    from fishmj.deploy.commands.camera_command import marks
 
     text, said = MARKS[case]
     (tmp_path / "marks.toml").write_text(text, encoding="utf-8")

@@ -13,18 +13,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError, StoreError
 from fishmj.deploy import __main__ as deploy
-from fishmj.deploy import rig_prompt, trials_command, trials_tables, wiring
-from fishmj.deploy.flow_map import FlowMap
-from fishmj.deploy.supervisor import NONE, Condition, State
-from fishmj.deploy.swim import Outcome
-from fishmj.deploy.trials import Session, counts, cut, name_of, order, stream_direction, waters_of
-from fishmj.errors import ConfigError, LogError, StoreError
+from fishmj.deploy.commands import trials_command
+from fishmj.deploy.loop import wiring
+from fishmj.deploy.loop.supervisor import NONE, Condition, State
+from fishmj.deploy.loop.swim import Outcome
+from fishmj.deploy.rig import rig_prompt
+from fishmj.deploy.trials import trials_tables
+from fishmj.deploy.trials.trials import Session, counts, cut, name_of, order, stream_direction, waters_of
 from fishmj.evaluate import metrics, protocol
 from fishmj.evaluate.report import trials_csv
 from fishmj.log import Trial, read_trial, write_trial
 from fishmj.mjcf.description import load_robot
+from fishmj.water.flow_map.flow_map import FlowMap
 from tests.deploying import FakeClock, FakeEyes, FakeRobot
 from tests.test_deploy_flow_map import MAP
 

@@ -15,9 +15,10 @@ import pytest
 from description_table import table as table_of_keys
 from description_table import written as table_on_the_page
 
-from fishmj import console, mjcf
-from fishmj.calib import read_toml, resolve
-from fishmj.errors import DescriptionError
+from fishmj import mjcf
+from fishmj.base import console
+from fishmj.base.calib import read_toml, resolve
+from fishmj.base.errors import DescriptionError
 from fishmj.log.toml import dumps
 from fishmj.mjcf import description, description_schema, load_robot
 from fishmj.mjcf.description import RigSpec, robot_from_dict
@@ -246,7 +247,7 @@ def test_the_command_line_shows_one_line_an_error_and_the_json_all_of_them(tmp_p
 
 def test_a_bad_description_ends_a_command_without_a_traceback(tmp_path):
     path = written(tmp_path, put(("servo", "kd"), 0.1))
-    argv = [sys.executable, "-m", "fishmj.play", "--robot", str(path), "--headless-seconds", "1"]
+    argv = [sys.executable, "-m", "fishmj.view.play", "--robot", str(path), "--headless-seconds", "1"]
     done = subprocess.run(argv, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "[servo] kd: got 0.1" in done.stderr
 
@@ -274,7 +275,7 @@ UNLIKELY = [
     (("servo",), GONE, r"\[servo\]: not given.*kp = 8.*torque = 1.667"),
     (("servo", "torque"), GONE, r"\[servo\]: not given.*: torque = 1.667 \("),
     (("timing",), GONE, r"\[timing\]: not given.*physics_dt = 0.004"),
-    (("water",), GONE, r"\[water\]: not given.*k = \[.*ke = .*docs/methods/water.md"),
+    (("water",), GONE, r"\[water\]: not given.*k = \[.*ke = .*docs/simulate/water.md"),
     (("water", "cf"), GONE, r"\[water\]: not given, estimated from the shape: cf = "),
 ]
 
@@ -415,8 +416,8 @@ def test_a_robot_in_a_fitted_water_is_sound(water):
 
 
 def test_what_calibrate_writes_reads(tmp_path):
-    from fishmj.calibrate import calibrated_model as model
-    from fishmj.calibrate.least_squares import ParameterEstimate
+    from fishmj.gap.calibrate import calibrated_model as model
+    from fishmj.gap.calibrate.least_squares import ParameterEstimate
 
     found = {"kp": ParameterEstimate("kp", "N m/rad", 8.1, 8.0, 8.2, 0.05, "repeats")}
     friction = {"coulomb_friction.torque": ParameterEstimate("torque", "N m", 0.08, 0.07, 0.09, 0.005, "repeats")}

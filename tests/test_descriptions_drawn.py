@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from test_descriptions import whole
 
 from fishmj import mjcf
-from fishmj.errors import ConfigError, DescriptionError
+from fishmj.base.errors import ConfigError, DescriptionError
 from fishmj.log.toml import dumps
 from fishmj.mjcf import Fin, Link, Robot, Servo, Timing, description, load_robot
 from fishmj.mjcf.description import robot_from_dict

@@ -48,7 +48,7 @@ def test_history_stands_in_the_changelog_alone():
 def modules() -> dict[str, list[Path]]:
     """Every way to name a file of Python by the end of its path -> those files."""
     found: dict[str, list[Path]] = {}
-    for room in ("fishmj", "tests", "examples", ".ci", "docs"):
+    for room in ("fishmj", "studies", "tests", "examples", ".ci", "docs"):
         for path in (ROOT / room).rglob("*.py"):
             parts = path.relative_to(ROOT).parts
             for i in range(len(parts)):

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from fishmj import console, doctor
-from fishmj.doctor import Finding, browser, requirements, verdicts, version
+from fishmj.base import console, doctor
+from fishmj.base.doctor import Finding, browser, requirements, verdicts, version
 
 DECIDED = """
     mujoco mujoco-mjx dm-control jax numpy scipy warp-lang gymnasium optax safetensors meshcat opencv-python-headless matplotlib
@@ -136,7 +136,7 @@ def test_only_what_must_be_mended_fails_the_check(state, code, monkeypatch, caps
 
 
 def test_the_whole_report_runs():
-    done = subprocess.run([sys.executable, "-m", "fishmj.doctor", "--json"], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-m", "fishmj.base.doctor", "--json"], capture_output=True, text=True, check=False)
     answer = json.loads(done.stdout.splitlines()[-1])
     assert done.returncode == (0 if answer["healthy"] else 1) and done.stderr == ""
     assert {f["section"] for f in answer["findings"]} == {"machine", "core", "extras", "devices", "files", "traps", "works"}

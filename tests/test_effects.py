@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console, effects, excitation
-from fishmj.calib import calib_folder
-from fishmj.dynamics import planar_chain
-from fishmj.dynamics.hooks import Effects
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects import EffectStack, ambiguity, calibration
 from fishmj.effects import __main__ as verb
 from fishmj.effects.calibration import FittedEffect, Interval
@@ -21,13 +21,15 @@ from fishmj.effects.effect import Effect, Parameter
 from fishmj.effects.randomise import draw
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
 from fishmj.effects.stack import arrivals, delivered, gusts, noise
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.log import excitation
 from fishmj.mjcf.description import load_robot
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics.hooks import Effects
 
 CATALOGUE = effects.catalogue()
 EVERY = list(CATALOGUE.values())
 LASTING = [e for e in EVERY if not e.stochastic]
-DOCS = calib_folder().parent.parent / "docs" / "methods" / "effects.md"
+DOCS = calib_folder().parent.parent / "docs" / "simulate" / "effects.md"
 
 
 def states(robot, size: int, seed: int):

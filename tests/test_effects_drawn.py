@@ -8,9 +8,9 @@ import pytest
 from test_effects_engines import PLAIN, robot_with, typical
 
 from fishmj import effects, engines
+from fishmj.base.errors import ConfigError
 from fishmj.effects import randomise
 from fishmj.engines import planar
-from fishmj.errors import ConfigError
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec

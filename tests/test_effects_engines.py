@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from fishmj import effects, engines
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects.calibration import FittedEffect, Interval, write
 from fishmj.effects.sites import Measured
 from fishmj.engines import batch, extensions, mjx, planar
 from fishmj.engines.recorder import cubic
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import Flow, stack
 from fishmj.log import stacked
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.description import Robot
 from fishmj.sim import Sim
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.sensing import Sensors
+from fishmj.water.flow import Flow, stack
 
 PLAIN = load_robot("fish")
 EVERY_SITE = (  # command, servo, gear, fish, flow, body, water, measure; and the delays
@@ -139,7 +139,7 @@ def test_effects_at_their_null_move_no_fish():
 
 
 def test_a_description_lists_effects_in_their_order(tmp_path):
-    from fishmj.calib import resolve
+    from fishmj.base.calib import resolve
 
     path = tmp_path / "mine.toml"
     path.write_text(resolve("fish").read_text())
@@ -218,8 +218,8 @@ def test_on_a_dry_bench_friction_acts_and_water_does_not():
 @pytest.fixture(scope="module")
 def fitted_water(tmp_path_factory):
     """File of a fitted water with a learnt residual of small random weights."""
-    from fishmj.dynamics import planar_chain
     from fishmj.water import residual_hooks, residual_network
+    from fishmj.water.dynamics import planar_chain
     from fishmj.water.hydro_model import HydroModel, robot_hash
     from fishmj.water.prior import flat
 

@@ -4,9 +4,9 @@ import numpy as np
 from effect_swim import CHAIN, JOINTS, SWIMMER, H
 
 from fishmj import effects
-from fishmj.dynamics import planar_chain
-from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics.hooks import Effects
 
 STILL = [(0.0, 0.0)] * CHAIN.n
 

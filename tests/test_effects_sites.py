@@ -7,11 +7,11 @@ import pytest
 from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 
 from fishmj import effects
-from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
 from fishmj.effects.dry_friction import AT_REST, GIVE
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
 from fishmj.effects.stack import arrivals, delivered, gusts, noise
+from fishmj.water.dynamics.hooks import Effects
 
 AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))
 

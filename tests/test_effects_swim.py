@@ -7,12 +7,12 @@ import pytest
 from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 
 from fishmj import effects
-from fishmj.dynamics import planar_chain
-from fishmj.dynamics.hooks import Effects
 from fishmj.effects import EffectStack
 from fishmj.effects.dry_friction import GIVE
 from fishmj.effects.sites import BodyMotion, Gear, Measured
 from fishmj.effects.stack import delivered
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics.hooks import Effects
 
 LASTING = [e for e in effects.catalogue().values() if not e.stochastic]
 ACTIVE = EffectStack(LASTING, JOINTS)

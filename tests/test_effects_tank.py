@@ -8,18 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console, controllers, effects, engines, evaluate
-from fishmj.calib import resolve
-from fishmj.dynamics import planar_chain
+from fishmj import control, effects, engines, evaluate
+from fishmj.base import console
+from fishmj.base.calib import resolve
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects.calibration import FittedEffect, Interval, write
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.engines import FishState, Trace, lbm, tank_effects, tank_run
 from fishmj.engines.tank_effects import in_tank, refused, without
 from fishmj.engines.tank_run import EffectServos
-from fishmj.errors import ConfigError, UnknownName
 from fishmj.evaluate import __main__ as command
 from fishmj.evaluate import run_trials
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.run import solver_water
@@ -31,6 +30,8 @@ from fishmj.mjcf.model import reference_qpos
 from fishmj.sim import Sim
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow
 
 PLAIN = load_robot("fish")
 TINY = Domain(name="tiny", shape=(56, 36, 20), dx=0.02, dt=0.004, follows=True)
@@ -329,13 +330,13 @@ def test_the_command_refuses_what_is_the_waters_and_judges_without_it(dry, tmp_p
 
 
 def test_a_kept_trial_belongs_to_the_effects_that_it_was_swum_with():
-    brain, plan = controllers.make("drift", PLAIN), evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=1.0)
+    brain, plan = control.make("drift", PLAIN), evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=1.0)
     robots = (PLAIN, robot_with("coulomb_friction"), robot_with("coulomb_friction", torque=0.01), robot_with("servo_gain"))
     assert len({run_trials.fingerprint(brain, robot, plan, solver_water.PLAIN) for robot in robots}) == len(robots)
 
 
 def test_a_dm_control_fish_in_the_solver_has_its_effects_and_those_drawn_for_the_episode(dry):
-    suite = pytest.importorskip("fishmj.suite")
+    suite = pytest.importorskip("fishmj.tasks.dm_control")
     given = {"robot": robot_with("coulomb_friction"), "effects": ("viscous_friction",), "seconds": 0.4, "water": "lbm"}
     env = suite.load("fish", "station_hold", task_kwargs={"random": 1, **given})
     env.reset()

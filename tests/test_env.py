@@ -7,8 +7,8 @@ import pytest
 from raft import KEY, ROBOT, Raft, push, raft, rows_equal
 
 from fishmj import engines
-from fishmj.calib import constant
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.env import EnvState, Options, StationHold
 

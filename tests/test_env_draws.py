@@ -10,7 +10,7 @@ import pytest
 from raft import KEY, ROBOT, environment, push, raft
 
 from fishmj import engines
-from fishmj.calib import constant
+from fishmj.base.calib import constant
 from fishmj.tasks import station_hold as task
 
 LIMIT = constant("task", "episode_steps")

@@ -8,13 +8,14 @@ import gymnasium
 import numpy as np
 import pytest
 
-from fishmj import engines, errors, suite
+from fishmj import engines, suite
+from fishmj.base import errors
+from fishmj.base.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.engines.lbm import Engine as LbmEngine
-from fishmj.errors import ConfigError, SimDiverged, UnknownName
-from fishmj.flow import Flow
-from fishmj.gym.fish_env import FishEnv, FishVectorEnv
 from fishmj.mjcf.description import load_robot
-from fishmj.suite.solver_physics import SolverPhysics
+from fishmj.tasks.dm_control.solver_physics import SolverPhysics
+from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv
+from fishmj.water.flow import Flow
 
 ID = "fishmj/StationHold-v0"
 again = lambda thing: pickle.loads(pickle.dumps(thing))  # noqa: S301  our own

@@ -8,12 +8,12 @@ import pytest
 from raft import KEY, ROBOT, Raft, environment, push
 
 from fishmj import engines, suite
-from fishmj.errors import ConfigError, FishmjError, UnknownName
-from fishmj.flow import Flow
-from fishmj.gym.fish_env import FishEnv, FishVectorEnv
+from fishmj.base.errors import ConfigError, FishmjError, UnknownName
 from fishmj.sim import Sim
 from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import TaskOptions, TaskSpec
+from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv
+from fishmj.water.flow import Flow
 
 NAN, TASK = float("nan"), "station_hold"
 fish = lambda name=TASK, kwargs=None, environment_kwargs=None: suite.load("fish", name, kwargs, environment_kwargs)
@@ -100,14 +100,17 @@ SUITE = [
     (lambda: fish(kwargs={"solver": {"domain": "laptop"}}), "solver has the options of water 'lbm'"),
     (lambda: fish(kwargs={"water": "lbm", "solver": {"domian": "laptop"}}), "Did you mean 'domain'"),
     (lambda: fish(kwargs={"water": "lbm", "solver": 3}), "solver = 3"),
-    (lambda: fish(kwargs={"water": "hybrid", "hybrid": {"every": 3}}), r"expected fishmj.hybrid.hybrid.HybridOptions\(...\)"),
+    (
+        lambda: fish(kwargs={"water": "hybrid", "hybrid": {"every": 3}}),
+        r"expected fishmj.engines.hybrid.hybrid.HybridOptions\(...\)",
+    ),
     (lambda: fish(environment_kwargs={"flat": True}), "unknown option in environment_kwargs 'flat'"),
     (lambda: fish(environment_kwargs=3), "environment_kwargs = 3"),
     (lambda: fish("figure_eight", {"cycles": -1}), "cycles = -1"),
 ]
 SIM = [
     (lambda: Sim(3), "3"),
-    (lambda: Sim(flow={"speed": 0.2}), r"expected fishmj.flow.Flow\(...\)"),
+    (lambda: Sim(flow={"speed": 0.2}), r"expected fishmj.water.flow.Flow\(...\)"),
     (lambda: Sim(engine="batch"), "unknown engine 'batch'"),
     (lambda: Sim(pose=(0, 0)), r"pose = \(0, 0\); expected finite numbers of shape \(3,\)"),
     (lambda: Sim(pose=(NAN, 0, 0)), "pose"),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fishmj import engines, evaluate
-from fishmj.controllers import gains_of
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.control import gains_of
 from fishmj.evaluate import metrics
 from fishmj.evaluate.metrics import Result
 from fishmj.mjcf.description import load_robot

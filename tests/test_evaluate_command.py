@@ -10,11 +10,13 @@ import sys
 import numpy as np
 import pytest
 
-from fishmj import console, engines, evaluate
+from fishmj import engines, evaluate
+from fishmj.base import console
 from fishmj.evaluate import __main__ as command
 from fishmj.evaluate import metrics, report
 from fishmj.log import read_trial, stacked
 from fishmj.mjcf.description import load_robot
+from fishmj.view.replay import write_html
 
 ROBOT = load_robot("fish")
 
@@ -131,7 +133,7 @@ def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, en
     trials = evaluate.trials(speeds=[0.2], los_deg=[0, 180], repeats=2, duration=30)
     pd, drift = (evaluate.run(name, ROBOT, trials, engine) for name in ("pd", "drift"))
     found = {"condition": "c", "results": [summary(r) for r in (pd, drift)], "paired": []}
-    text = report.write(tmp_path, [pd, drift], found, logs=True, again="again").read_text(encoding="utf-8")
+    text = report.write(tmp_path, [pd, drift], found, logs=True, replay=write_html, again="again").read_text(encoding="utf-8")
     after = metrics.figures(pd)["rmse_after_arrival"]
     held = int(np.sum((metrics.figures(pd)["arrival"] > 0) & (after <= 0.1)))
     lead = re.search("<h1[^>]*>(.*?)</h1>", lead_of(text))[1]
@@ -188,7 +190,7 @@ def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_pa
         def __call__(self, obs):
             return np.full((len(obs), 10, 3), np.nan)
 
-    make = command.controllers.make
+    make = command.control.make
     monkeypatch.setattr(
         command.controllers, "make", lambda name, robot, **how: Broken() if name == "pd" else make(name, robot, **how)
     )

@@ -1,15 +1,15 @@
-"""Judging in the flow solver: the same driver and controllers, one tank of water a trial."""
+"""Judging in the flow solver: the same driver and control, one tank of water a trial."""
 
 import numpy as np
 import pytest
 
-from fishmj import controllers, engines
+from fishmj import control, engines
+from fishmj.base.errors import ConfigError
 from fishmj.engines import lbm
-from fishmj.errors import ConfigError
 from fishmj.evaluate import run_trials, trials
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf import load_robot
+from fishmj.water.flow import Flow
 
 ROBOT = load_robot("fish")
 
@@ -21,7 +21,7 @@ def plan(**changes):
 @pytest.mark.slow
 def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
     judge = lambda: run_trials.judge_in_solver(
-        controllers.make("drift", ROBOT), ROBOT, plan(), tmp_path, domain="laptop", device="cpu"
+        control.make("drift", ROBOT), ROBOT, plan(), tmp_path, domain="laptop", device="cpu"
     )
     first = judge()
     assert first.water == "lbm" and first.pose.shape == (1, 51, 3) and np.isfinite(first.pose).all()
@@ -34,10 +34,10 @@ def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
 
 
 def test_what_would_change_a_trial_changes_its_file_name():
-    brain = controllers.make("dob", ROBOT)
+    brain = control.make("dob", ROBOT)
     base = run_trials.fingerprint(brain, ROBOT, plan(), PLAIN)
     others = [
-        run_trials.fingerprint(controllers.make("pd", ROBOT), ROBOT, plan(), PLAIN),
+        run_trials.fingerprint(control.make("pd", ROBOT), ROBOT, plan(), PLAIN),
         run_trials.fingerprint(brain, ROBOT, plan(duration=2.0), PLAIN),
         run_trials.fingerprint(brain, ROBOT, plan(seed=1), PLAIN),
         run_trials.fingerprint(brain, ROBOT, plan(turbulence="gust"), PLAIN),
@@ -45,7 +45,7 @@ def test_what_would_change_a_trial_changes_its_file_name():
         run_trials.fingerprint(brain, ROBOT, plan(), PLAIN._replace(slip=0.95)),
     ]
     assert len({base, *others}) == 7
-    assert base == run_trials.fingerprint(controllers.make("dob", ROBOT), ROBOT, plan(), PLAIN)
+    assert base == run_trials.fingerprint(control.make("dob", ROBOT), ROBOT, plan(), PLAIN)
 
 
 def test_as_many_fish_as_flows():

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import controllers
+from fishmj import control
 from fishmj.engines import FishState, Trace, drained, lbm
 from fishmj.evaluate import run_trials, trials
 from fishmj.mjcf import load_robot
@@ -53,7 +53,7 @@ def ponds(monkeypatch):
 
 
 def judged(folder, brain="dob", **options):
-    brain = controllers.make(brain, ROBOT) if isinstance(brain, str) else brain
+    brain = control.make(brain, ROBOT) if isinstance(brain, str) else brain
     return run_trials.judge_in_solver(brain, ROBOT, PLAN, folder, device="cpu", **options)
 
 
@@ -109,7 +109,7 @@ def test_a_controller_that_cannot_be_copied_judges_one_trial_after_another(ponds
         name = "odd"
 
         def __init__(self):
-            self.inner = controllers.make("dob", ROBOT)
+            self.inner = control.make("dob", ROBOT)
             self.lock = (part for part in ())  # no copy of a generator
 
         def reset(self, n):

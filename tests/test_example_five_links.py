@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fishmj.policy import Policy
+from fishmj.control.policy import Policy
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "five_links.py"
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fishmj import excitation
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.excitation import LEAD, LIMIT, PERIOD, Excitation
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.log import excitation
+from fishmj.log.excitation import LEAD, LIMIT, PERIOD, Excitation
 
 RESTING = round(LEAD / PERIOD)
 WANTED = """sine square impulse chirp gait gait_mirrored steps staircase slow_triangle burst_and_coast turn_left turn_right

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from synthetic import swim, whole_trial
 
-from fishmj import console, log
-from fishmj.errors import ConfigError, LogError, MissingExtra, StoreError, UnknownName
+from fishmj import log
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError, MissingExtra, StoreError, UnknownName
 from fishmj.log import __main__ as command
 from fishmj.log import foxglove, importers
 from fishmj.log.dataset import write_bundle

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 from ray_toys import toy
 
-from fishmj.campaign.data import plan
-from fishmj.campaign.data.collect import collect
-from fishmj.campaign.data.run_segments import Setup
-from fishmj.errors import DatasetError
+from fishmj.base.errors import DatasetError
+from fishmj.base.store import Manifest
+from fishmj.hydro_fit.campaign.data import plan
+from fishmj.hydro_fit.campaign.data.collect import collect
+from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, open_dataset
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
-from fishmj.store import Manifest
 
 FISH = load_robot("fish")
 SETUP = Setup(domain=preset("laptop"), device="cpu")

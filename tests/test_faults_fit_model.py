@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.identifiability import identify
 from fishmj.hydro_fit.fit.linear_regression import bounded
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import Prior, flat
 

@@ -8,8 +8,8 @@ pytest.importorskip("numba")
 
 from test_gap_apply import command, data, report  # noqa: E402, F401
 
-from fishmj import console
-from fishmj.calib import read_toml, resolve
+from fishmj.base import console
+from fishmj.base.calib import read_toml, resolve
 from fishmj.gap.commands import apply
 from fishmj.log.dataset import write_dataset
 from fishmj.mjcf import load_robot

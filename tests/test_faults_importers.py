@@ -8,7 +8,7 @@ import recordings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fishmj.errors import FishmjError, LogError
+from fishmj.base.errors import FishmjError, LogError
 from fishmj.log import importers
 
 

@@ -13,8 +13,8 @@ from types import SimpleNamespace
 import pytest
 
 import fishmj
-from fishmj import console
-from fishmj.errors import ConfigError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid import device
 from fishmj.train.settings import change, preset
 from fishmj.train.training_run import TrainingRun
@@ -65,7 +65,7 @@ def test_fault_12_the_other_verbs_work_without_the_extra():
 
 def test_fault_12_the_doctor_works_where_nothing_is_installed():
     """-S hides every installed package, -E the path settings."""
-    command = [sys.executable, "-S", "-E", "-m", "fishmj.doctor", "--json"]
+    command = [sys.executable, "-S", "-E", "-m", "fishmj.base.doctor", "--json"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     answer = json.loads(done.stdout.strip().splitlines()[-1])
     core = {f["name"]: f for f in answer["findings"] if f["section"] == "core"}
@@ -73,12 +73,12 @@ def test_fault_12_the_doctor_works_where_nothing_is_installed():
     assert {f["state"] for f in core.values()} == {"bad"} and 'pip install "mujoco==3.17.0"' in core["mujoco"]["text"]
 
 
-@pytest.mark.parametrize("module", ["fishmj.sim", "fishmj.suite"])
+@pytest.mark.parametrize("module", ["fishmj.sim", "fishmj.tasks.dm_control"])
 def test_a_renderer_that_does_not_load_is_one_line_with_its_remedy(module):
     environ = {**os.environ, "MUJOCO_GL": "nonsense"}
     done = subprocess.run([sys.executable, "-c", f"import {module}"], capture_output=True, text=True, cwd=ROOT, env=environ)
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("fishmj.errors.ConfigError: MUJOCO_GL = 'nonsense': this renderer does not load here (")
+    assert last.startswith("fishmj.base.errors.ConfigError: MUJOCO_GL = 'nonsense': this renderer does not load here (")
     assert "unset the variable, or set it to another of egl (GPU), osmesa" in last
 
 

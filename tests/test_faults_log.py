@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from synthetic import whole_trial
 
 from fishmj import log
-from fishmj.errors import FishmjError, LogError
+from fishmj.base.errors import FishmjError, LogError
 
 
 def csv_trial(tmp_path, text, name="joint.csv", meta='schema = "fishmj.log/1"\norigin = "measured"\n'):

@@ -1,4 +1,4 @@
-"""Faults 8 to 10 of docs/decisions/reliability.md as a user meets them: the flow solver refuses, stops, and loses nothing."""
+"""Faults 8 to 10 of docs/tank/reliability.md as a user meets them: the flow solver refuses, stops, and loses nothing."""
 
 import json
 
@@ -7,7 +7,8 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj import console, controllers
+from fishmj import control
+from fishmj.base import console
 from fishmj.engines import lbm
 from fishmj.evaluate import run_trials, trials
 from fishmj.evaluate.metrics import figures
@@ -111,9 +112,7 @@ def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_w
     plan = trials(speeds=[0.4], los_deg=[0], repeats=1, duration=1.0)
     box = Domain(name="narrow", shape=(116, 28, 16), dx=0.02, dt=0.004, sponge=4)  # half a length of room behind the fish
     monkeypatch.setattr(lbm, "preset", lambda name: box)
-    judge = lambda folder: run_trials.judge_in_solver(
-        controllers.make("drift", robot), robot, plan, folder, domain="x", device="cpu"
-    )
+    judge = lambda folder: run_trials.judge_in_solver(control.make("drift", robot), robot, plan, folder, domain="x", device="cpu")
     left = judge(tmp_path)
     tick = int(left.left[0])
     assert 5 < tick < 51 and np.ptp(left.pose[0, tick:], axis=0).max() == 0, "the fish stays where it was"

@@ -1,4 +1,4 @@
-"""Faults 1 to 7 and 12 of docs/decisions/reliability.md: what goes wrong in a simulation says so, and loses nothing."""
+"""Faults 1 to 7 and 12 of docs/tank/reliability.md: what goes wrong in a simulation says so, and loses nothing."""
 
 import threading
 from dataclasses import replace
@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
-from fishmj.dynamics import planar_chain
-from fishmj.errors import ConfigError, InjectionError, MissingExtra, SimDiverged, UnknownName
-from fishmj.flow import Flow, stack
+from fishmj.base.errors import ConfigError, InjectionError, MissingExtra, SimDiverged, UnknownName
 from fishmj.log import read_trial
 from fishmj.mjcf.description import Timing, check_timing
 from fishmj.sim import Sim
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow, stack
 from fishmj.water.injection import inject
 from fishmj.water.planar_water import PlanarWater
 

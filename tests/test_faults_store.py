@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj import store
-from fishmj.errors import StoreError
+from fishmj.base import store
+from fishmj.base.errors import StoreError
 
 ROOT = Path(__file__).resolve().parents[1]
 WRITER = """
 import sys
 import numpy as np
-from fishmj.store import Checkpoints
+from fishmj.base.store import Checkpoints
 checkpoints = Checkpoints(sys.argv[1], keep=2)
 found = checkpoints.latest()
 step = found.step if found else 0

@@ -1,4 +1,4 @@
-"""Faults 1, 2 and 13 to 15 of docs/decisions/reliability.md in training: nothing paid for is lost; the run says what it did."""
+"""Faults 1, 2 and 13 to 15 of docs/tank/reliability.md in training: nothing paid for is lost; the run says what it did."""
 
 import errno
 import json
@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 from training import StopAt, calm_run, figures_of
 
-from fishmj import console, mjcf, store
+from fishmj import mjcf
+from fishmj.base import console, store
+from fishmj.base.errors import SimDiverged, StoreError
+from fishmj.control.policy import Policy
 from fishmj.engines import make
-from fishmj.errors import SimDiverged, StoreError
-from fishmj.policy import Policy
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train import training_run
 from fishmj.train.__main__ import main

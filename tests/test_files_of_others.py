@@ -4,11 +4,11 @@ import lab_files
 import pytest
 
 from fishmj import log
-from fishmj.calib import resolve
-from fishmj.errors import ConfigError, FishmjError
+from fishmj.base.calib import resolve
+from fishmj.base.errors import ConfigError, FishmjError
+from fishmj.base.store import read_npz
+from fishmj.control.policy import Policy
 from fishmj.mjcf.description import load_robot
-from fishmj.policy import Policy
-from fishmj.store import read_npz
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12345678\n"
 

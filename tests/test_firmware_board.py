@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from firmware_library import Info, Struct, c_info, firmware, needs_compiler
 
-from fishmj.deploy.links import Fishmj1Link
-from fishmj.protocols import fishmj1, lx_bus, servo_counts
-from fishmj.protocols.fishmj1 import Kind
-from fishmj.protocols.lx_bus import Code
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault
+from fishmj.deploy.link.links import Fishmj1Link
+from fishmj.deploy.protocols import fishmj1, lx_bus, servo_counts
+from fishmj.deploy.protocols.fishmj1 import Kind
+from fishmj.deploy.protocols.lx_bus import Code
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault
 from tests.deploying import Bench, FakeClock
 
 __all__ = ["firmware"]  # a fixture

@@ -7,10 +7,10 @@ import subprocess
 import pytest
 from firmware_library import COMPILER, FIRMWARE, SOURCES, STRICT, compiled, needs_compiler
 
+from fishmj.deploy.protocols import fishmj1, lx_bus, servo_counts
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState
 from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.identity import structure_of
-from fishmj.protocols import fishmj1, lx_bus, servo_counts
-from fishmj.protocols.messages import RobotInfo, RobotState
 
 pytestmark = needs_compiler
 MAIN, STUBS = FIRMWARE / "esp32s3" / "main.c", FIRMWARE / "host" / "esp_idf"

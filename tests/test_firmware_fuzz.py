@@ -10,13 +10,13 @@ import pytest
 from firmware_library import FIRMWARE, SOURCES, CRobot, Info, c_info, c_telemetry, compiled, firmware, floats, needs_compiler
 from protocol_values import damaged
 
-from fishmj.protocols import fishmj1
-from fishmj.protocols.errors import ProtocolError
-from fishmj.protocols.fishmj1 import Kind
-from fishmj.protocols.guard import Guard
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
-from fishmj.protocols.sequence import SequenceGate
-from fishmj.protocols.watchdog import Watchdog
+from fishmj.deploy.protocols import fishmj1
+from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.fishmj1 import Kind
+from fishmj.deploy.protocols.guard import Guard
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.sequence import SequenceGate
+from fishmj.deploy.protocols.watchdog import Watchdog
 
 __all__ = ["firmware"]  # a fixture
 pytestmark = needs_compiler

@@ -7,10 +7,10 @@ import random
 import pytest
 from firmware_library import CBounds, CGuard, firmware, floats, microseconds, needs_compiler
 
-from fishmj.errors import FishmjError
-from fishmj.protocols import servo_counts
-from fishmj.protocols.guard import Bounds, Guard
-from fishmj.protocols.messages import ServoFault
+from fishmj.base.errors import FishmjError
+from fishmj.deploy.protocols import servo_counts
+from fishmj.deploy.protocols.guard import Bounds, Guard
+from fishmj.deploy.protocols.messages import ServoFault
 
 __all__ = ["firmware"]  # a fixture
 pytestmark = needs_compiler

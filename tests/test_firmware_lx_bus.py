@@ -6,9 +6,9 @@ import random
 import pytest
 from firmware_library import CFrame, CReader, firmware, needs_compiler
 
-from fishmj.protocols import lx_bus
-from fishmj.protocols.errors import ProtocolError
-from fishmj.protocols.lx_bus import TABLE, Code, Frame, Reader
+from fishmj.deploy.protocols import lx_bus
+from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.lx_bus import TABLE, Code, Frame, Reader
 
 __all__ = ["firmware"]  # a fixture
 pytestmark = needs_compiler

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from firmware_library import FIRMWARE, compiled, needs_compiler
 
-from fishmj.errors import ConfigError, StoreError, UnknownName
-from fishmj.policy import Policy, shipped
-from fishmj.protocols.policy_header import header, write_header
-from fishmj.store import sha256
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
+from fishmj.base.store import sha256
+from fishmj.control.policy import Policy, shipped
+from fishmj.deploy.protocols.policy_header import header, write_header
 
 pytestmark = needs_compiler
 GLUE = """

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from protocol_values import SEQ, TIME, commands, datagrams, fuzzed, infos, telemetries, watches
 
-from fishmj.protocols import fishmj1
-from fishmj.protocols.errors import ProtocolError
-from fishmj.protocols.fishmj1 import Kind
-from fishmj.protocols.sequence import SequenceGate
+from fishmj.deploy.protocols import fishmj1
+from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.fishmj1 import Kind
+from fishmj.deploy.protocols.sequence import SequenceGate
 
 __all__ = ["firmware"]  # a fixture
 pytestmark = needs_compiler

@@ -8,8 +8,8 @@ from firmware_library import CLimits, CWatchdog, firmware, floats, microseconds,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fishmj.protocols.messages import RobotState
-from fishmj.protocols.watchdog import Limits, Watchdog
+from fishmj.deploy.protocols.messages import RobotState
+from fishmj.deploy.protocols.watchdog import Limits, Watchdog
 
 __all__ = ["firmware"]  # a fixture
 pytestmark = needs_compiler

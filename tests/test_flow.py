@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import BOXES, GUST_TAU, LENGTH, PRESETS, TICK, Flow, gust_table, sample, solenoidal_box, stack, table_of
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.water.flow import BOXES, GUST_TAU, LENGTH, PRESETS, TICK, Flow, gust_table, sample, solenoidal_box, stack, table_of
 
 EDDYING = ("default", "fine")
 MOVING = tuple(p for p in PRESETS if p != "none")
@@ -234,7 +234,7 @@ def test_without_a_stream_eddies_stand_still_and_gusts_still_blow():
 
 DIGEST = """
 import hashlib, numpy as np
-from fishmj.flow import Flow
+from fishmj.water.flow import Flow
 x = np.linspace(-1, 1, 30).reshape(10, 3) * [1, 1, 0.2]
 flows = (Flow(speed=0.2, direction=1.0, turbulence=p, intensity=0.1, seed=9, box=2).at(x, 1.3) for p in {presets!r})
 print(hashlib.sha256(b"".join(u.tobytes() for u in flows)).hexdigest())

@@ -17,11 +17,11 @@ from mutations import first_seed, fuzz, seconds, tell
 from test_descriptions import whole
 
 from fishmj import mjcf
-from fishmj.errors import FishmjError
+from fishmj.base.errors import FishmjError
+from fishmj.base.store import write_json, write_text
+from fishmj.base.store.manifest import Manifest
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.log import measurements, toml
-from fishmj.store import write_json, write_text
-from fishmj.store.manifest import Manifest
 from fishmj.water.hydro_model import FOLDERS, HydroModel
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -32,7 +32,7 @@ def plant():
 
 
 def hidden(planted: dict, seed: int, runs=SHORT):
-    from fishmj.virtual_robot import generate
+    from fishmj.gap.laboratory.virtual_robot import generate
 
     return generate(planted, runs, seed)
 

@@ -9,10 +9,12 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import console, effects, engines
-from fishmj.calib import read_toml, resolve
+from fishmj import effects, engines
+from fishmj.base import console
+from fishmj.base.calib import read_toml, resolve
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import sha256, write_json
 from fishmj.effects.calibration import FittedEffect, Interval
-from fishmj.errors import ConfigError
 from fishmj.gap import __main__ as gap
 from fishmj.gap.commands import apply, model_version
 from fishmj.gap.commands.check import check, gaps
@@ -24,7 +26,6 @@ from fishmj.gap.verdict import Named, Value, Verdict
 from fishmj.log.dataset import read_dataset, write_bundle
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
-from fishmj.store import sha256, write_json
 
 PLANTED = 0.15  # N m
 NULL = {"runs": 8, "noise": 1.0, "seed": 0}

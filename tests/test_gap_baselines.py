@@ -6,19 +6,12 @@ import pytest
 pytest.importorskip("numba")
 
 from fishmj import effects
-from fishmj.errors import MissingExtra
+from fishmj.base.errors import MissingExtra
+from fishmj.gap.bench import baselines
+from fishmj.gap.bench.baselines import delta_bic, e_sindy, everything_free, judged, noise, residual_correlation
+from fishmj.gap.bench.cases import Case
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import record_of
-from fishmj.studies import gap_baselines
-from fishmj.studies.gap_baselines import (
-    delta_bic,
-    e_sindy,
-    everything_free,
-    judged,
-    noise,
-    residual_correlation,
-)
-from fishmj.studies.gap_benchmark.cases import Case
 
 SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
 
@@ -29,7 +22,7 @@ def plant():
 
 
 def records(plant, planted, runs=("gait_fast", "drift_north"), seed=11):
-    from fishmj.virtual_robot import generate
+    from fishmj.gap.laboratory.virtual_robot import generate
 
     return [record_of(t, plant.dt) for t in generate(planted, runs, seed)]
 
@@ -62,8 +55,8 @@ def test_sparse_regression_finds_the_term_that_is_there():
 
 def test_an_absent_library_is_said_so(plant, monkeypatch):
     monkeypatch.setattr(judged, "find_spec", lambda package: None)
-    assert "pip install 'fishmj[bench]'" in gap_baselines.reason_absent("e_sindy")
-    assert gap_baselines.reason_absent("delta_bic") == ""
+    assert "pip install 'fishmj[bench]'" in baselines.reason_absent("e_sindy")
+    assert baselines.reason_absent("delta_bic") == ""
     monkeypatch.setitem(__import__("sys").modules, "pysindy", None)
     with pytest.raises(MissingExtra, match="pysindy"):
         e_sindy.terms({"u": np.ones(3)}, np.ones(3))
@@ -79,8 +72,8 @@ def test_autocorrelation_makes_samples_fewer():
 
 def test_rows_are_scored_like_the_search(plant):
     case = Case("t", "single", {"command_latency": {"delay": 0.05}}, 1.0, ("gait_fast",), 11)
-    row = gap_baselines.rows_of(plant, case, {"true_gap": 100.0, "beyond_gap": 100.0}, ("residual_correlation",))[
+    row = baselines.rows_of(plant, case, {"true_gap": 100.0, "beyond_gap": 100.0}, ("residual_correlation",))[
         "residual_correlation"
     ]
-    table = gap_baselines.compared([row], {"residual_correlation": [row]})
+    table = baselines.compared([row], {"residual_correlation": [row]})
     assert row["answer"] == "NAMED" and "1/1" in table and "residual_correlation" in table

@@ -6,11 +6,11 @@ import os
 
 import pytest
 
-from fishmj import console
-from fishmj.errors import ConfigError, UsageError
-from fishmj.studies.gap_benchmark import cases, command, rows, solver
-from fishmj.studies.gap_benchmark.score import score
-from fishmj.studies.gap_benchmark.workers import answered
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UsageError
+from fishmj.gap.bench import cases, command, rows, solver
+from fishmj.gap.bench.score import score
+from fishmj.gap.bench.workers import answered
 
 ROW = {"id": "a", "kind": "single", "answer": "NAMED", "truth": {"command_latency": {"delay": 0.05}}, "rivals": []}
 ROW |= {"true_gap": 9.0, "beyond_gap": 9.0, "gap_unseen": None, "gap_before": 2.0, "seconds": 1.0}

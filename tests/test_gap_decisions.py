@@ -12,6 +12,7 @@ from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F40
 
 from fishmj import effects
 from fishmj.gap.decide.decide import confused, decide, masked_by, sanity
+from fishmj.gap.progress import Quiet, silent
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import model_error
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of, relinearise
@@ -27,7 +28,6 @@ from fishmj.gap.search.stepwise import (
 )
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import Named, Value
-from fishmj.gap.watch import Quiet, silent
 
 SIX = ("gait_fast", "drift_north", "turn_left", "tow_oblique", "gait", "burst_and_coast")
 

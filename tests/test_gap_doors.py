@@ -11,15 +11,19 @@ import numpy as np
 import pytest
 from describing import new, sized
 
-from fishmj import console, effects
-from fishmj.calib import resolve
-from fishmj.calibrate.calibration_logs import shipped as logs_of_calibration
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.calib import resolve
+from fishmj.base.errors import ConfigError, DescriptionError, LogError
 from fishmj.engines import in_water
-from fishmj.errors import ConfigError, DescriptionError, LogError
 from fishmj.gap import __main__ as gap
-from fishmj.gap import watch
+from fishmj.gap import progress
+from fishmj.gap.bench import solver
+from fishmj.gap.calibrate.calibration_logs import shipped as logs_of_calibration
 from fishmj.gap.commands import admission, find, model_version
-from fishmj.gap.commands.admission import InsufficientData
+from fishmj.gap.laboratory.virtual_robot import generate
+from fishmj.gap.laboratory.virtual_robot.robot_constants import electrical
+from fishmj.gap.laboratory.virtual_robot.trials import plant as second_robot
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, as_excitation, trials_of
 from fishmj.gap.records import datasets
@@ -28,10 +32,6 @@ from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, write_dataset
 from fishmj.log.dataset import read_dataset, take
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.gap_benchmark import solver
-from fishmj.virtual_robot import generate
-from fishmj.virtual_robot.robot_constants import electrical
-from fishmj.virtual_robot.trials import plant as second_robot
 
 RUNS = ("gait_fast", "steps", "chirp")
 SMALL = SimulatedNull(runs=48)
@@ -58,7 +58,7 @@ def test_null_runs_swim_the_robot_of_the_questioned_model(monkeypatch):
         return trial
 
     trial = generate({}, ["idle"], 0)[0]
-    monkeypatch.setattr("fishmj.virtual_robot.trials.trial_of", caught)
+    monkeypatch.setattr("fishmj.gap.laboratory.virtual_robot.trials.trial_of", caught)
     robot = stiffer(1.3)
     record = record_of(trial, robot.timing.physics_dt)
     SimulatedNull(runs=12)._run(robot, as_excitation(record), record)
@@ -146,7 +146,7 @@ def test_logs_of_another_robot_need_a_word(logs, copied, capsys, monkeypatch):
     for meta in copied.glob("*/meta.toml"):
         meta.write_text(meta.read_text().replace('robot = "swift"', 'robot = "other"'))
     (copied / "manifest.json").unlink()
-    monkeypatch.setattr(admission, "insufficient_data", lambda *_: InsufficientData("reached", (), ()))
+    monkeypatch.setattr(admission, "insufficient_data", lambda *_: admission.InsufficientData("reached", (), ()))
     assert run("find", logs) == console.CANNOT_TELL
     assert run("find", copied) == console.BAD_INPUT
     said = capsys.readouterr().err
@@ -272,7 +272,7 @@ def test_a_broken_trial_leaves_the_others(copied, signed, capsys, monkeypatch):
     (copied / "1_02_gait_fast" / "meta.toml").write_text("schema = ")
     taken = datasets.readable_trials(copied, 0.004)
     assert list(taken.broken) == ["1_02_gait_fast"] and len(taken.trials) == 2
-    monkeypatch.setattr(admission, "insufficient_data", lambda *_: InsufficientData("reached", (), ()))
+    monkeypatch.setattr(admission, "insufficient_data", lambda *_: admission.InsufficientData("reached", (), ()))
     assert run("find", copied, "--json") == console.CANNOT_TELL
     said = capsys.readouterr()
     assert "1_02_gait_fast left out" in said.err and "1_02_gait_fast" in json.loads(said.out.splitlines()[-1])["skipped"]
@@ -366,7 +366,7 @@ def test_an_effect_beyond_its_bounds_is_not_planted(text, says, tmp_path, capsys
 
 
 def test_data_are_not_planted_into_what_is_there_already(logs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fishmj.virtual_robot.generate", forbidden)
+    monkeypatch.setattr("fishmj.gap.laboratory.virtual_robot.generate", forbidden)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").write_text("mine")
     (tmp_path / "old.truth.json").write_text("{}")
@@ -484,7 +484,7 @@ def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, mon
     monkeypatch.setattr("fishmj.gap.null.null_runs.cache_folder", lambda: tmp_path)
     told = []
 
-    class Bar(watch.Quiet):
+    class Bar(progress.Quiet):
         def update(self, done, **_):
             told.append(done)
 

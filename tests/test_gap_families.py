@@ -8,15 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console, effects, excitation
-from fishmj.errors import ConfigError, SimDiverged, UsageError
-from fishmj.generators import detectability
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, SimDiverged, UsageError
+from fishmj.gap.bench import calibrated, command, drawn_robots, families, family_command, family_rows, family_score
+from fishmj.gap.bench.cases import KINDS, Case
+from fishmj.gap.bench.drawn_robots import BenchRobot, robots
+from fishmj.gap.bench.rows import keep
+from fishmj.gap.laboratory.generators import detectability
+from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
+from fishmj.log import excitation
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.gap_benchmark import calibrated, command, drawn_robots, families, family_command, family_rows, family_score
-from fishmj.studies.gap_benchmark.cases import KINDS, Case
-from fishmj.studies.gap_benchmark.drawn_robots import BenchRobot, robots
-from fishmj.studies.gap_benchmark.rows import keep
-from fishmj.virtual_robot.robot_constants import buildable
 
 ALL = families.NAMES
 

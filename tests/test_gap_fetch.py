@@ -12,10 +12,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from fishmj import console
-from fishmj.errors import ConfigError, StoreError, UnknownName
-from fishmj.store import Manifest
-from fishmj.studies.measured_robots import download, fetch
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
+from fishmj.base.store import Manifest
+from fishmj.gap.measured import download, fetch
 
 FILES = {f"log {i}.csv": f"t,x\n0,{i}\n".encode() * (2000 * (i + 1)) for i in range(3)}
 LICENCE = b"do as you like\n"
@@ -153,7 +153,7 @@ def test_a_killed_process_leaves_its_bytes_for_the_next(made_up, server, tmp_pat
     path = next(p for p in server.bodies if p.endswith("log%201.csv"))
     server.cut[path], server.stall = [9000], {path}
     code = (
-        "import sys; from pathlib import Path; from fishmj.studies.measured_robots import fetch; "
+        "import sys; from pathlib import Path; from fishmj.gap.measured import fetch; "
         "fetch.FOLDER = Path(sys.argv[1]); "
         "fetch.fetch('made_up', sys.argv[2], sys.argv[3])"
     )

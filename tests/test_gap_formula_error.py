@@ -7,15 +7,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from fishmj import generators
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.gap.laboratory import generators
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.structural_error import widths
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.structural_error import formula_error
 from fishmj.water.choice import STRUCTURED
+from studies.structural_error import formula_error
 
 
 def a_right_row(family, number, true, found, name="swirl", parameter="rate", half=0.004):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fishmj import effects
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.localise import error_growth
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import Record, Sensor, record_of
-from fishmj.virtual_robot import generate
 
 EFFECTS = (  # as in test_gap.py: one compiled plant for both
     *("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag"),

@@ -7,12 +7,12 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj.calib import read_toml, resolve
+from fishmj.base.calib import read_toml, resolve
+from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales, nominal
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import matched_water
 from fishmj.gap.records.movement import pace
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot.robot_constants import AS_IT_IS, WaterScales, nominal
 
 FISH = load_robot("fish")
 

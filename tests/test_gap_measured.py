@@ -1,4 +1,4 @@
-"""The workflow on real recordings, found through FISHMJ_MEASURED; the full figures stand in docs/results/gap_measured.md."""
+"""The workflow on real recordings, found through FISHMJ_MEASURED; the full figures stand in docs/search/measured_robots.md."""
 
 import os
 import re
@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj import console
+from fishmj.base import console
 from fishmj.gap.__main__ import main
-from fishmj.studies.gap_benchmark import logs
-from fishmj.studies.gap_benchmark.score import score
-from fishmj.studies.measured_robots import command, tendon_fish, usv_coastdown
-from fishmj.studies.measured_robots.answer import answer, report
-from fishmj.studies.measured_robots.folder import trials
-from fishmj.studies.measured_robots.study import investigate
-from fishmj.studies.measured_robots.study_build import built, deleted, shipped
+from fishmj.gap.bench import logs
+from fishmj.gap.bench.score import score
+from fishmj.gap.measured import command, tendon_fish, usv_coastdown
+from fishmj.gap.measured.answer import answer, report
+from fishmj.gap.measured.folder import trials
+from fishmj.gap.measured.study import investigate
+from fishmj.gap.measured.study_build import built, deleted, shipped
 
 measured = pytest.mark.skipif(not os.environ.get("FISHMJ_MEASURED"), reason="set FISHMJ_MEASURED to the folder of measured data")
 

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import effects, excitation
-from fishmj.errors import UnknownName
+from fishmj import effects
+from fishmj.base.errors import UnknownName
 from fishmj.gap.commands import next_experiment
 from fishmj.gap.experiment import (
     ExperimentScore,
@@ -25,6 +25,7 @@ from fishmj.gap.experiment import (
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
+from fishmj.log import excitation
 
 NULL = SimulatedNull(runs=16)
 SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
@@ -37,7 +38,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def like(plant):
-    from fishmj.virtual_robot import generate
+    from fishmj.gap.laboratory.virtual_robot import generate
 
     return record_of(generate({}, ["idle"], 0)[0], plant.dt)
 
@@ -54,7 +55,7 @@ def side(plant, name, value, spread=0.0, weight=1.0):
 @pytest.mark.parametrize("name", ["gait", "tow_oblique"])
 def test_a_planned_experiment_is_the_one_that_will_be_done(plant, like, name):
     """To the byte of its commands, so that its null runs are those of the standard experiment."""
-    from fishmj.virtual_robot import generate
+    from fishmj.gap.laboratory.virtual_robot import generate
 
     done, plan = (
         as_excitation(r) for r in (record_of(generate({}, [name], 3)[0], plant.dt), planned_record(excitation.get(name), like))

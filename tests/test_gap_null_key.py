@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import null_runs
 from fishmj.gap.null.null_runs import FEWEST, RecordedNull, SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
-from fishmj.virtual_robot import generate
 
 MODEL = {
     *("dynamics.planar_chain", "water.hydro_model", "mjcf.geometry", "effects.stack"),
@@ -38,8 +38,8 @@ def record():
 
 
 CHANGES = [
-    ("dynamics/planar_chain.py", True, True),
-    ("virtual_robot/water.py", True, False),
+    ("water/dynamics/planar_chain.py", True, True),
+    ("gap/laboratory/virtual_robot/water.py", True, False),
     ("gap/decide/decide.py", False, False),
 ]
 

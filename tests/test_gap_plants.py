@@ -5,16 +5,16 @@ import pytest
 
 from fishmj import effects
 from fishmj.effects.__main__ import enters
+from fishmj.gap.measured import planar_body as bodies
+from fishmj.gap.measured import servo_model as servos
+from fishmj.gap.measured.answer import answer
+from fishmj.gap.measured.decoy_terms import RIVALS
+from fishmj.gap.measured.floor import Scatter
+from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody, covered
+from fishmj.gap.measured.servo_model import OneServo, Pendulum, PendulumLog, ServoMotor
+from fishmj.gap.measured.study import Fold, Study, investigate
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.gap.records.records import ResidualLayout, Sensor
-from fishmj.studies.measured_robots import planar_body as bodies
-from fishmj.studies.measured_robots import servo_model as servos
-from fishmj.studies.measured_robots.answer import answer
-from fishmj.studies.measured_robots.decoy_terms import RIVALS
-from fishmj.studies.measured_robots.floor import Scatter
-from fishmj.studies.measured_robots.planar_body import Hull, MeanGait, PlanarBody, covered
-from fishmj.studies.measured_robots.servo_model import OneServo, Pendulum, PendulumLog, ServoMotor
-from fishmj.studies.measured_robots.study import Fold, Study, investigate
 
 HULL = Hull(0.7, 2.7e-3, 0.0, 0.0, 0.0, thrust=0.1, torque=0.005, drag=0.3, sway_drag=0.0, yaw_drag=0.005)
 HEAVY = HULL._replace(surge_added=0.2, sway_added=0.6, yaw_added=1e-3)

@@ -6,15 +6,15 @@ from itertools import islice
 
 import pytest
 
-from fishmj import console
-from fishmj.errors import SimDiverged
+from fishmj.base import console
+from fishmj.base.errors import SimDiverged
+from fishmj.gap.bench import command, families, family_command, family_rows, power
+from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.drawn_robots import every, number_of
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.gap_benchmark import command, families, family_command, family_rows, power
-from fishmj.studies.gap_benchmark.cases import Case
-from fishmj.studies.gap_benchmark.drawn_robots import every, number_of
 
 DRAG = Case("x", "single", {"quadratic_drag": {"coefficient": 0.5}}, 1.0, ("gait",), 7, 20.0)
 

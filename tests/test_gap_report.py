@@ -9,7 +9,8 @@ import hostile
 import numpy as np
 import pytest
 
-from fishmj import effects, excitation
+from fishmj import effects
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.localise import compared, error_growth, localise
 from fishmj.gap.localise.comparison import KINDS, kinds_of
 from fishmj.gap.localise.residual_patterns import compatible, significant
@@ -23,7 +24,7 @@ from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.wording import quantity
 from fishmj.gap.workflow import investigate
-from fishmj.virtual_robot import generate
+from fishmj.log import excitation
 
 EFFECTS = (  # as in test_gap.py: one compiled plant for both
     *("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag"),

@@ -9,23 +9,24 @@ pytest.importorskip("numba")
 
 from describing import new, sized
 
-from fishmj import console, effects, excitation
-from fishmj.errors import ConfigError
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.gap import __main__ as gap
+from fishmj.gap.bench import robots
+from fishmj.gap.bench.run import sizes, true_gap
 from fishmj.gap.commands.hide import with_lost_rows
+from fishmj.gap.laboratory.virtual_robot import generate
+from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
+from fishmj.gap.laboratory.virtual_robot.simulate import columns
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.log_sensors import log_sensors
 from fishmj.gap.null.null_runs import SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import investigate
-from fishmj.log import Trial
+from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_dataset
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.gap_benchmark import robots
-from fishmj.studies.gap_benchmark.run import sizes, true_gap
-from fishmj.virtual_robot import generate
-from fishmj.virtual_robot.robot_constants import buildable
-from fishmj.virtual_robot.simulate import columns
 
 SOME = ("command_latency", "servo_gain", "viscous_friction", "joint_zero_offset", "camera_scale")
 
@@ -187,7 +188,7 @@ def test_the_rates_are_of_the_second_robot_alone(tmp_path, capsys):
 
 def test_the_benchmark_sizes_effects_on_the_robot_of_the_model(fish_of):
     """How large an effect is hangs on the robot: the small tendon tail turns with a servo that is hardly late."""
-    from fishmj.studies.gap_benchmark.cases import Case
+    from fishmj.gap.bench.cases import Case
 
     hidden = {"command_latency": {"delay": 0.05}}
     case = Case("a", "single", hidden, 1.0, ("gait",), 3)

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from fishmj.errors import LogError, StoreError
+from fishmj.base.errors import LogError, StoreError
+from fishmj.gap.bench import solver
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.log import Trial
 from fishmj.log.dataset import FINE, read_bundle, write_bundle
-from fishmj.studies.gap_benchmark import solver
 
 FOLDER = solver.folder()
 FIRST = FOLDER / "nulls" / "nulls_000.npz"

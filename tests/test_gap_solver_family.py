@@ -8,22 +8,22 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import console, excitation
-from fishmj.calib import calib_folder
-from fishmj.errors import ConfigError, StoreError
-from fishmj.excitation import Excitation
+from fishmj.base import console
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.gap.bench import calibrated, command, families, family_command, family_score, solver_sets
+from fishmj.gap.bench.cases import KINDS
+from fishmj.gap.bench.rows import kept
+from fishmj.gap.bench.solver_family import __main__ as verb
+from fishmj.gap.bench.solver_family import detectability, launches, plan, swims
+from fishmj.gap.bench.solver_family.plan import Asked
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search.healthy_swims import Healthy
 from fishmj.hydro_fit.record import KICK
-from fishmj.log import Trial
+from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_bundle
+from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.gap_benchmark import calibrated, command, families, family_command, family_score, solver_sets
-from fishmj.studies.gap_benchmark.cases import KINDS
-from fishmj.studies.gap_benchmark.rows import kept
-from fishmj.studies.solver_family import __main__ as verb
-from fishmj.studies.solver_family import detectability, launches, plan, swims
-from fishmj.studies.solver_family.plan import Asked
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ class Done:
 
     def trial(self, noise: float, draw: int) -> Trial:
         """As its sensors saw it."""
-        from fishmj.virtual_robot.trials import trial_of
+        from fishmj.gap.laboratory.virtual_robot.trials import trial_of
 
         job = self.job
         return trial_of(job.made, job.what, job.seed, draw, noise, job.name, "", (0.0, 0.0))
@@ -260,7 +260,7 @@ def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_see
         asked.append((null.without, len(trials), seed, healthy.swims))
         raise ConfigError("a search that is not made here")
 
-    from fishmj.studies.gap_benchmark import family_rows
+    from fishmj.gap.bench import family_rows
 
     monkeypatch.setattr(solver_sets.calibrated, "kept", found)
     monkeypatch.setattr(solver_sets.healthy_swims, "known", lambda model, swims, null: Healthy(1.2, (len(swims), null.without)))
@@ -322,7 +322,7 @@ def test_the_page_says_what_the_shipped_rows_say():
     folder = Path(__file__).resolve().parent.parent / "docs"
     rows = kept(folder / "figures" / "gap" / "solver_21.jsonl")
     found = {name: family_score.figures([row for row in rows if row["described"] == name]) for name in ("fish", "five_link")}
-    page = (folder / "results" / "gap_benchmark.md").read_text(encoding="utf-8")
+    page = (folder / "search" / "results.md").read_text(encoding="utf-8")
     of = lambda name, key: f"{found[name][key]['hits']} of {found[name][key]['n']}"
     for key in ("false_alarms", "agrees", "precision", "coverage", "misnamed_off_catalogue", "intervals_hold"):
         assert f"| {of('fish', key)} | {of('five_link', key)} |" in page, key

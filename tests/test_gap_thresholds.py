@@ -4,8 +4,8 @@ from dataclasses import fields
 
 import pytest
 
-from fishmj.calib import calib_folder, read_toml
-from fishmj.errors import ConfigError
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import ConfigError
 from fishmj.gap.thresholds import RENAMED, Gates, frozen, thresholds
 
 

@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, LogError
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.gap.bench import gates_again
+from fishmj.gap.bench.rows import kept
 from fishmj.gap.commands import find
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import launch_error, structural_error
 from fishmj.gap.null.null_runs import SimulatedNull
@@ -16,12 +19,9 @@ from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.thresholds import frozen
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.gap_benchmark import gates_again
-from fishmj.studies.gap_benchmark.rows import kept
-from fishmj.studies.structural_error.__main__ import Healthy
-from fishmj.studies.structural_error.sample import SOLVER
-from fishmj.studies.structural_error.unseen_family import level
-from fishmj.virtual_robot import generate
+from studies.structural_error.__main__ import Healthy
+from studies.structural_error.sample import SOLVER
+from studies.structural_error.unseen_family import level
 
 
 def drawn(rng, families: int, robots: int, between: float, within: float) -> np.ndarray:

@@ -10,19 +10,19 @@ pytest.importorskip("numba")
 from test_gap import NULL, hidden, row_of
 
 from fishmj import effects
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.gap import experiment
 from fishmj.gap.commands import find
 from fishmj.gap.experiment import ExperimentScore, Hypothesis
+from fishmj.gap.laboratory.virtual_robot import plant as robot
+from fishmj.gap.laboratory.virtual_robot.hidden_dataset import write_hidden
+from fishmj.gap.laboratory.virtual_robot.weighing import masses, page
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.workflow import investigate
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot import plant as robot
-from fishmj.virtual_robot.hidden_dataset import write_hidden
-from fishmj.virtual_robot.weighing import masses, page
 
 RUNS = ("gait", "turn_left", "burst_and_coast")
 TURNS = {"yaw_inertia": {"inertia": 0.006}}

@@ -6,16 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishmj import effects, excitation, generators
+from fishmj import effects
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.cli import main
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.excitation import Excitation
-from fishmj.generators import catalogue
-from fishmj.generators.detectability import Seen, at, channels, shares, spreads, tolerance
-from fishmj.generators.sensors import sigmas
-from fishmj.generators.swim import Run
-from fishmj.generators.trials import robot_of
-from fishmj.generators.weighing import weight
+from fishmj.gap.laboratory import generators
+from fishmj.gap.laboratory.generators import catalogue
+from fishmj.gap.laboratory.generators.detectability import Seen, at, channels, shares, spreads, tolerance
+from fishmj.gap.laboratory.generators.sensors import sigmas
+from fishmj.gap.laboratory.generators.swim import Run
+from fishmj.gap.laboratory.generators.trials import robot_of
+from fishmj.gap.laboratory.generators.weighing import weight
+from fishmj.log import excitation
+from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.geometry import geometry_of
 
@@ -83,7 +85,7 @@ def test_at_typical_size_it_shows(name, plain):
 @pytest.mark.slow
 def test_the_second_robot_answers_alike():
     """Signs and conventions: two sets of equations from two hands move the same channel the same way."""
-    from fishmj.virtual_robot import EFFECTS, generate
+    from fishmj.gap.laboratory.virtual_robot import EFFECTS, generate
 
     whole = map(excitation.get, ("gait", "turn_left", "steps", "tow_oblique", "slow_triangle"))
     runs = [replace(run, commands=run.commands[: len(run.commands) // 2]) for run in whole]
@@ -172,7 +174,7 @@ def test_what_healthy_robots_differ_by_is_made_once(tmp_path, monkeypatch):
     monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
     first = tolerance("foil", BEAT, load_robot(), 0.1, 3)
     assert len(list((tmp_path / "generators").glob("*.npz"))) == 1 and [d.shape[1] for d in first] == [3, 3, 1]
-    monkeypatch.setattr("fishmj.generators.trials.generate", None)
+    monkeypatch.setattr("fishmj.gap.laboratory.generators.trials.generate", None)
     assert all(np.array_equal(a, b) for a, b in zip(first, tolerance("foil", BEAT, load_robot(), 0.1, 3), strict=True))
     late = len(first[1]) // 2
     assert first[1][late:].mean() > 10 * first[1][: late // 4].mean()  # paths of robots that differ drift apart
@@ -188,7 +190,7 @@ def test_gap_plant_writes_a_set_and_its_truth(tmp_path, capsys):
     assert truth["effects"] == {"command_latency": {"delay": 0.04}} and truth["detectable"]["bound"] == 5.0
     from fishmj.log import read_trial
 
-    assert "fishmj.generators, ellipsoid" in (out / "measurements.toml").read_text()
+    assert "fishmj.gap.laboratory.generators, ellipsoid" in (out / "measurements.toml").read_text()
     trial = read_trial(out / "01_tow_ahead")
     whole = generators.generate("ellipsoid", truth["effects"], ["tow_ahead"], 3)[0]
     for sensor in ("joint", "pose", "power"):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fishmj import generators
-from fishmj.generators import families, prescribed
-from fishmj.generators.swim import Run
-from fishmj.generators.trials import robot_of
+from fishmj.gap.laboratory import generators
+from fishmj.gap.laboratory.generators import families, prescribed
+from fishmj.gap.laboratory.generators.swim import Run
+from fishmj.gap.laboratory.generators.trials import robot_of
 
 
 @pytest.mark.parametrize("name", generators.NAMES)

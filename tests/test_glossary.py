@@ -1,10 +1,10 @@
-"""Every name in docs/glossary.md can be imported from fishmj, and no word stands there twice."""
+"""Every name in docs/reference/glossary.md can be imported from fishmj, and no word stands there twice."""
 
 import re
 from importlib import import_module
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "glossary.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "glossary.md"
 ROWS = re.findall(r"^\| ([^|]+) \| [^|]+ \| `([\w.]+):(\w+)` \|[^|]*\|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 
 

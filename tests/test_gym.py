@@ -13,16 +13,16 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import fishmj.gym
+import fishmj.tasks.gym
 from fishmj import engines, mjcf
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.gym.fish_env import FishEnv, FishVectorEnv, Picture
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.tasks import env as functional
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import Draws
+from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv, Picture
 
 ROOT = Path(__file__).resolve().parent.parent
-IDS = sorted(fishmj.gym.IDS)
+IDS = sorted(fishmj.tasks.gym.IDS)
 ID = "fishmj/StationHold-v0"
 
 
@@ -30,7 +30,7 @@ ID = "fishmj/StationHold-v0"
 def test_gymnasiums_checker_finds_nothing_to_warn_of(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(gymnasium.make(f"fishmj.gym:{name}").unwrapped)
+        check_env(gymnasium.make(f"fishmj.tasks.gym:{name}").unwrapped)
 
 
 @pytest.mark.sb3
@@ -39,13 +39,13 @@ def test_stable_baselines_checker_passes(name):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        checker.check_env(gymnasium.make(f"fishmj.gym:{name}").unwrapped)
+        checker.check_env(gymnasium.make(f"fishmj.tasks.gym:{name}").unwrapped)
 
 
 def test_the_name_with_its_module_works_in_a_fresh_process():
     code = (
         "import gymnasium, sys\n"
-        f"env = gymnasium.make('fishmj.gym:{ID}'); vec = gymnasium.make_vec('{ID}', num_envs=2)\n"
+        f"env = gymnasium.make('fishmj.tasks.gym:{ID}'); vec = gymnasium.make_vec('{ID}', num_envs=2)\n"
         "print(env.spec.id, type(vec).__name__)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
@@ -53,7 +53,7 @@ def test_the_name_with_its_module_works_in_a_fresh_process():
 
 
 @pytest.mark.parametrize(
-    "imports", ["import fishmj, gymnasium", "import gymnasium, fishmj", "import fishmj.names; from gymnasium import vector"]
+    "imports", ["import fishmj, gymnasium", "import gymnasium, fishmj", "import fishmj.base.names; from gymnasium import vector"]
 )
 def test_the_plain_name_is_there_once_both_are_imported_in_any_order(imports):
     code = f"{imports}\nimport gymnasium, sys\nprint(gymnasium.spec('{ID}').id, 'mujoco' in sys.modules, 'jax' in sys.modules)"
@@ -69,7 +69,7 @@ def test_importing_fishmj_imports_no_gymnasium():
 
 def test_registering_twice_changes_nothing():
     before = dict(gymnasium.registry)
-    fishmj.gym.register()
+    fishmj.tasks.gym.register()
     assert dict(gymnasium.registry) == before
 
 
@@ -301,7 +301,7 @@ def test_a_running_episode_is_drawn_as_a_film_of_it_is():
     pytest.importorskip("cv2")
     from synthetic import swim
 
-    from fishmj.replay.video import TopView
+    from fishmj.view.replay.video import TopView
 
     film, drawn = TopView([swim(2.0)]), Picture(mjcf.load_robot("fish"))
     film.view, film.still = drawn.view, drawn.view.water()

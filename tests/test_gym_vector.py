@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from fishmj.errors import ConfigError, ResetNeeded
-from fishmj.gym.fish_env import FishEnv, FishVectorEnv
+from fishmj.base.errors import ConfigError, ResetNeeded
+from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv
 
 ID = "fishmj/StationHold-v0"
 FISH = 4

@@ -9,20 +9,20 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import excitation
-from fishmj.campaign.hidden_lbm import hidden
-from fishmj.campaign.hidden_lbm.hidden import HiddenRun, carriage
-from fishmj.campaign.hidden_lbm.hidden_body import Electronics, HiddenBody, HiddenDifference, Queue
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.gap.bench import drawn_robots
+from fishmj.gap.laboratory.hidden_lbm import command as hidden_command
+from fishmj.gap.laboratory.hidden_lbm import hidden
+from fishmj.gap.laboratory.hidden_lbm.hidden import HiddenRun, carriage
+from fishmj.gap.laboratory.hidden_lbm.hidden_body import Electronics, HiddenBody, HiddenDifference, Queue
+from fishmj.gap.laboratory.virtual_robot import network
+from fishmj.gap.laboratory.virtual_robot.simulate import STILL, at_rest, run
+from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.log import excitation
 from fishmj.log.trial import stacked
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.studies.gap_benchmark import drawn_robots
-from fishmj.studies.hidden_lbm import command as hidden_command
-from fishmj.virtual_robot import network
-from fishmj.virtual_robot.simulate import STILL, at_rest, run
-from fishmj.virtual_robot.trials import plant
 
 TINY = Domain(name="tiny", shape=(56, 36, 20), dx=0.02, dt=0.004, follows=True)
 FLICK = excitation.Excitation(id="flick", commands=np.repeat([[0.0] * 3, [0.4, 0.3, -0.2]], [10, 45], 0), about="a step")

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj.calib import calib_folder
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError, FishmjError, SimDiverged, StoreError
+from fishmj.base.store import read_npz, write_npz
 from fishmj.engines import fast_math, numba_build
-from fishmj.errors import ConfigError, FishmjError, SimDiverged, StoreError
 from fishmj.gap.commands import model_version
 from fishmj.log import read_trial, write_trial
 from fishmj.log.dataset import read_bundle, write_bundle
 from fishmj.log.trial import Trial
 from fishmj.mjcf import build, load_robot
 from fishmj.sim import Sim
-from fishmj.store import read_npz, write_npz
 from fishmj.water.hydro_model import HydroModel
 
 CODE = '"""\\nimport os; os.system("touch pwned")\\n"""'

@@ -12,15 +12,16 @@ from hostile import EVIL, PAYLOADS, WATCH, needs_browser
 from markupsafe import Markup
 from synthetic import swim
 
-from fishmj import console, engines, evaluate, log, pages
-from fishmj.calibrate import fit_plots
+from fishmj import engines, evaluate, log
+from fishmj.base import console, pages
 from fishmj.evaluate import plots, report
+from fishmj.evaluate.rank_waters.plot import picture as draw_rank
+from fishmj.gap.calibrate import fit_plots
 from fishmj.hydro_fit import report as water
 from fishmj.log import __main__ as command
 from fishmj.mjcf import load_robot
-from fishmj.replay import write_html, write_png
-from fishmj.replay.scene import robot_of
-from fishmj.studies.rank_waters.plot import picture as draw_rank
+from fishmj.view.replay import write_html, write_png
+from fishmj.view.replay.scene import robot_of
 
 ROBOT = load_robot("fish")
 

@@ -7,23 +7,22 @@ import time
 import numpy as np
 import pytest
 
-from fishmj import controllers, engines, suite
-from fishmj.dynamics import planar_chain
-from fishmj.errors import ConfigError, MissingExtra
+from fishmj import control, engines, suite
+from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.engines.hybrid import HybridOptions, online_correction
+from fishmj.engines.hybrid import tanks as tanks_of_the_solver
+from fishmj.engines.hybrid.engine import Engine
+from fishmj.engines.hybrid.segment import Replay, Swum
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol, run_trials
-from fishmj.flow import Flow, stack
-from fishmj.hybrid import HybridOptions
-from fishmj.hybrid import tanks as tanks_of_the_solver
-from fishmj.hybrid.engine import Engine
-from fishmj.hybrid.segment import Replay, Swum
-from fishmj.hydro_fit import online_correction
+from fishmj.evaluate.hybrid_trials import command
 from fishmj.log import read_dataset, read_trial, write_trial
 from fishmj.mjcf import load_robot
-from fishmj.play.live_session import LiveSession
 from fishmj.sim import Sim
-from fishmj.studies.hybrid_trials import command
+from fishmj.view.play.live_session import LiveSession
 from fishmj.water import choice
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow, stack
 
 STRIPS = choice.in_water(load_robot("fish"), "structured")
 STRIPS_WATER = planar_chain.nominal(STRIPS).water
@@ -214,7 +213,7 @@ def test_the_tank_has_mujocos_eddies_on_its_own_mean():
 
 
 def _segment_at(tick: int):
-    from fishmj.hybrid.segment import Segment
+    from fishmj.engines.hybrid.segment import Segment
 
     still = np.zeros((6, 6))
     start, params = engines.at_rest(STRIPS, np.zeros((1, 3))), engines.nominal_params(STRIPS, 1)
@@ -395,7 +394,7 @@ def test_a_policy_holds_station_for_more_than_a_minute_in_turbulence(replay):
     options = HybridOptions(wait=True)
     trials = protocol.trials(speeds=(0.2,), los_deg=(120,), repeats=1, turbulence="default", duration=70)
     engine = Engine(STRIPS, trials.flows()[0], options, oracle=Better(replay, stream=MORE), replay=replay)
-    result = run_trials.run(controllers.chosen("pilot", STRIPS), STRIPS, trials, engine)
+    result = run_trials.run(control.chosen("pilot", STRIPS), STRIPS, trials, engine)
     assert result.engine.startswith("hybrid") and result.water == "hybrid" and np.isfinite(result.distance).all()
     told = engine.hybrid.report()
     assert [row["t"] for row in told["segments"]] == [10.0, 60.0] and told["solver_share"] == pytest.approx(0.1, rel=0.01)

@@ -11,18 +11,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from fishmj import console, interrupt, mjcf
-from fishmj.dynamics import planar_chain
-from fishmj.errors import ConfigError, UnknownName
+from fishmj import mjcf
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import rollout
 from fishmj.hydro_fit.fit.pipeline import FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
-from fishmj.studies.mujoco_ellipsoid import fit, force, judged
-from fishmj.studies.mujoco_ellipsoid.swim import Hooks
-from fishmj.studies.water_ablation import ablation, ablation_table
-from fishmj.studies.water_ablation.ablation_fit import Variant
+from fishmj.hydro_fit.mujoco_ellipsoid import fit, force, judged
+from fishmj.hydro_fit.mujoco_ellipsoid.swim import Hooks
+from fishmj.hydro_fit.water_ablation import ablation, ablation_table
+from fishmj.hydro_fit.water_ablation.ablation_fit import Variant
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.planar_water import world_matrix
 
 ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N

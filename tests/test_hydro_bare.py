@@ -8,19 +8,19 @@ import hidden_water as hidden
 import pytest
 from ray_toys import toy
 
-from fishmj import console
-from fishmj.campaign.data import at_hand, plan
-from fishmj.campaign.data.collect import collect
-from fishmj.campaign.data.run_segments import Finished
-from fishmj.errors import ConfigError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import Manifest, read_json, write_json
+from fishmj.base.store.manifest import MANIFEST
 from fishmj.hydro_fit import __main__ as verb
+from fishmj.hydro_fit.campaign.data import at_hand, plan
+from fishmj.hydro_fit.campaign.data.collect import collect
+from fishmj.hydro_fit.campaign.data.run_segments import Finished
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
 from fishmj.lbm_oracle.run import domain, solver_cost
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
-from fishmj.new.__main__ import main as describe
-from fishmj.store import Manifest, read_json, write_json
-from fishmj.store.manifest import MANIFEST
+from fishmj.mjcf.new.__main__ import main as describe
 from fishmj.water.choice import chosen
 from fishmj.water.hydro_model import FOLDERS, HydroModel
 

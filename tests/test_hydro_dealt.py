@@ -49,7 +49,7 @@ SWIM = """
 import json, sys
 import jax, numpy as np
 jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
-from fishmj.dynamics import planar_chain
+from fishmj.water.dynamics import planar_chain
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow
 from fishmj.mjcf import load_robot
 from fishmj.water.prior import flat

@@ -11,11 +11,11 @@ import jax
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.dynamics import planar_chain
-from fishmj.errors import DatasetError, UsageError
+from fishmj.base import console
+from fishmj.base.errors import DatasetError, UsageError
+from fishmj.engines.hybrid import online_correction
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit import free_swims, online_correction
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import (
     descent,
     force_training,
@@ -32,6 +32,7 @@ from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat, names_of, prior_of, unflat
 

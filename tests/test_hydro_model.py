@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fishmj.dynamics import hooks, planar_chain
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.effects import EffectStack
-from fishmj.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf import load_robot
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import hooks, planar_chain
 from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat
 

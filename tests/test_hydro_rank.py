@@ -7,16 +7,17 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from fishmj import console, controllers, engines, interrupt
+from fishmj import control, engines
+from fishmj.base import console, interrupt
+from fishmj.base.errors import UsageError
 from fishmj.engines import lbm
-from fishmj.errors import UsageError
 from fishmj.evaluate import figures, metrics, trials
-from fishmj.flow import stack
+from fishmj.evaluate.rank_waters import command as rank_command
+from fishmj.evaluate.rank_waters import compare_waters, rank
 from fishmj.hydro_fit.__main__ import main
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
-from fishmj.studies.rank_waters import command as rank_command
-from fishmj.studies.rank_waters import compare_waters, rank
+from fishmj.water.flow import stack
 from fishmj.water.hydro_model import HydroModel
 
 ROBOT = load_robot("fish")
@@ -124,7 +125,7 @@ def test_every_beginning_of_the_order_is_spread_over_speeds_and_directions():
 
 def test_the_figures_of_a_whole_trial_are_the_judges():
     plan = trials(speeds=[0.1], los_deg=[0, 180], repeats=1)
-    result = compare_waters.in_surrogate(ROBOT)(controllers.make("paper", ROBOT), plan, lambda k: None)
+    result = compare_waters.in_surrogate(ROBOT)(control.make("paper", ROBOT), plan, lambda k: None)
     mine, decided = compare_waters.figures(result), figures(result)
     np.testing.assert_array_equal(mine["rmse_after_arrival"], decided["rmse_after_arrival"])
     np.testing.assert_array_equal(mine["rmse_holding"], decided["rmse_last20"])
@@ -222,7 +223,7 @@ def test_the_solver_is_asked_again_a_part_of_a_cell_away_and_both_are_kept(tmp_p
 
 
 def test_the_same_water_twice_has_no_gap(solver, tmp_path):
-    brains = [controllers.make(name, ROBOT) for name in ("pd", "paper")]
+    brains = [control.make(name, ROBOT) for name in ("pd", "paper")]
     plan = compare_waters.spread(trials(repeats=1, duration=2.0, speeds=[0.2]))
     solved = compare_waters.in_solver(ROBOT, tmp_path, domain="laptop", slip=1.0, device="cpu", tanks=8)
     _, a = compare_waters.solve(brains, plan, solved, group=8)

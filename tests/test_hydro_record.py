@@ -4,8 +4,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.hydro_fit.record import KICK, UNITS, SegmentRecord
+from fishmj.water.flow import Flow
 
 
 def test_a_swim_that_was_let_go_in_a_stream_begins_when_the_water_has_taken_it_along():

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from fishmj import console
-from fishmj.campaign.data import plan
-from fishmj.campaign.data.segment import Segment
+from fishmj.base import console
 from fishmj.hydro_fit import __main__ as verb
+from fishmj.hydro_fit.campaign.data import plan
+from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.mjcf import load_robot
 

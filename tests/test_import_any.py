@@ -11,8 +11,9 @@ import pytest
 from lab_files import WAVE, N, guessed, near, only
 from synthetic import whole_trial
 
-from fishmj import console, log
-from fishmj.errors import LogError
+from fishmj import log
+from fishmj.base import console
+from fishmj.base.errors import LogError
 from fishmj.log import __main__ as command
 from fishmj.log.importers import guess
 from fishmj.log.importers.column_map import of_dict, read_map
@@ -417,6 +418,6 @@ def test_the_map_in_the_docs_is_valid():
     import tomllib
     from pathlib import Path
 
-    text = (Path(__file__).parent.parent / "docs" / "guide" / "logs.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parent.parent / "docs" / "search" / "logs.md").read_text(encoding="utf-8")
     shown = text.partition("### MAP.toml")[2].split("```toml")[1].split("```")[0]
-    assert set(of_dict(tomllib.loads(shown), "docs/guide/logs.md").tables) == {"cmd", "pose"}
+    assert set(of_dict(tomllib.loads(shown), "docs/search/logs.md").tables) == {"cmd", "pose"}

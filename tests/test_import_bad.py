@@ -11,7 +11,8 @@ import pytest
 from lab_files import WAVE, N, near, only
 from synthetic import whole_trial
 
-from fishmj import console, log
+from fishmj import log
+from fishmj.base import console
 from fishmj.log import __main__ as command
 from fishmj.log.importers import guess
 from fishmj.log.importers.delimited import read as read_text_table

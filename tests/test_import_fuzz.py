@@ -17,7 +17,8 @@ import pytest
 from mutations import first_seed, seconds, tell
 from synthetic import whole_trial
 
-from fishmj import console, log
+from fishmj import log
+from fishmj.base import console
 from fishmj.log import __main__ as command
 
 

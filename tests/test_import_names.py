@@ -4,7 +4,7 @@ import lab_files
 import pytest
 
 from fishmj import log
-from fishmj.errors import ConfigError, UsageError
+from fishmj.base.errors import ConfigError, UsageError
 from fishmj.log import Trial, write_trial
 from fishmj.log.importers.gather import excitations
 

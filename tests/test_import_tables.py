@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from lab_files import WAVE, N, near, only
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.importers.column_map import of_dict
 from fishmj.log.importers.delimited import read
 from fishmj.log.importers.header import parse, role

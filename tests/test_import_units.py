@@ -8,7 +8,7 @@ import pytest
 from lab_files import WAVE, N, guessed, near, only
 
 from fishmj import log
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import trial_check
 from fishmj.log.importers import guess, header
 from fishmj.log.importers.header import role

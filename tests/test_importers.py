@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import recordings
 
-from fishmj import console, log
-from fishmj.errors import LogError, MissingExtra, UnknownName
+from fishmj import log
+from fishmj.base import console
+from fishmj.base.errors import LogError, MissingExtra, UnknownName
 from fishmj.log import __main__ as command
 from fishmj.log import importers
 
@@ -188,7 +189,7 @@ def test_check_lists_every_trial_that_breaks_the_schema(tmp_path, capsys):
     assert console.run(command.main, ["check", str(folder)]) == 0
     assert "2 trials read, 0 refused" in capsys.readouterr().out
     change(folder / "surge_6" / "pose.csv", b"t,x,y,yaw", b"t,x,y,heading")
-    from fishmj.store import Manifest
+    from fishmj.base.store import Manifest
 
     Manifest.of(folder).write(folder)
     assert console.run(command.main, ["check", str(folder), "--json"]) == console.FAILED_CHECK

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError, InjectionError, MissingExtra
 from fishmj.engines import batch, mjx, planar
-from fishmj.errors import ConfigError, InjectionError, MissingExtra
-from fishmj.flow import Flow, stack
 from fishmj.mjcf.model import reference_pose, reference_qpos
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow, stack
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.injection import inject
 from fishmj.water.link_wrench import LinkWrench

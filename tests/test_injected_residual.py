@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
-from fishmj.errors import ConfigError, SimDiverged, UnknownName
-from fishmj.flow import Flow
+from fishmj.base.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.mjcf.model import reference_qpos
 from fishmj.sim import Sim
+from fishmj.water.flow import Flow
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.injection import inject
 from fishmj.water.link_wrench import LinkWrench

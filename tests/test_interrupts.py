@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fishmj import console, evaluate, interrupt
+from fishmj import evaluate
+from fishmj.base import console, interrupt
 from fishmj.evaluate import __main__ as judge
 from fishmj.hydro_fit.fit.descent import Loop
 
@@ -175,7 +176,7 @@ console.say("nobody reads this")
 
 WAY_OUT = """
 from threading import Event
-from fishmj.deploy.way_out import way_out
+from fishmj.deploy.loop.way_out import way_out
 asked = Event()
 with way_out(asked, lambda: open("let go", "a").write("."), lambda: "too late"):
     open("begun", "w").close()
@@ -208,7 +209,7 @@ def test_fault_13_asked_twice_a_robot_is_let_go_before_the_process_ends(tmp_path
 
 
 def test_a_program_that_imports_fishmj_keeps_its_own_handlers():
-    code = "import signal, fishmj, fishmj.console; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    code = "import signal, fishmj, fishmj.base.console; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
     env = {**os.environ, "PYTHONPATH": str(interrupts.ROOT)}
     said = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True).stdout
     assert said.strip() == "True"
@@ -243,7 +244,7 @@ def test_fault_13_a_judgement_goes_on_with_the_next_controller(tmp_path, capsys,
 def test_what_was_judged_under_other_conditions_is_not_taken(tmp_path):
     robot = judge.load_robot("fish")
     given = {"speeds": [0.2], "los_deg": [0], "repeats": 1, "duration": 1}
-    brains = [judge.controllers.make(name, robot) for name in ("drift", "pd")]
+    brains = [judge.control.make(name, robot) for name in ("drift", "pd")]
     kept = judge.FinishedTrials(tmp_path, robot, evaluate.trials(**given), "compiled", ["drift", "pd"])
     kept.keep(brains[0], evaluate.run(brains[0], robot, kept.trials, "compiled"))
     assert kept.find(brains[0]) is not None and kept.find(brains[1]) is None

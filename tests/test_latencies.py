@@ -7,10 +7,10 @@ import pytest
 
 from fishmj import engines
 from fishmj.evaluate import protocol, run_trials
-from fishmj.flow import Flow
 from fishmj.mjcf import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.sensing import Sensors
+from fishmj.water.flow import Flow
 
 
 def late(**timing):

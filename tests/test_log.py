@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from synthetic import whole_trial
 
 from fishmj import log
-from fishmj.errors import LogError, StoreError, UnknownName
+from fishmj.base.errors import LogError, StoreError, UnknownName
 from fishmj.log import toml, trial_check
 from fishmj.log.table_files import HALF_ERROR, narrow
 

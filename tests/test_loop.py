@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from fishmj import controllers, engines, mjcf
-from fishmj.campaign.data.segment import ClosedLoop, Segment
+from fishmj import control, engines, mjcf
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines.single import HookedWater, MujocoWater, StripWater
+from fishmj.hydro_fit.campaign.data.segment import ClosedLoop, Segment
 from fishmj.sim import Sim
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import SensorWindow
@@ -95,6 +95,6 @@ def test_every_water_takes_the_same_calls_and_leaves_no_callback(options, kind):
 
 
 def test_the_registry_names_a_builder_for_every_controller():
-    for name, entry in controllers.CONTROLLERS.items():
-        assert callable(import_module(f"fishmj.controllers.{entry.module}").build) and entry.about
-        assert controllers.make(name).name == name
+    for name, entry in control.CONTROLLERS.items():
+        assert callable(import_module(f"fishmj.control.{entry.module}").build) and entry.about
+        assert control.make(name).name == name

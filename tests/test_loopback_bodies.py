@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import Flow
-from fishmj.loopback import bodies
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback import bodies
+from fishmj.gap.laboratory.virtual_robot import ClosedLoopRobot
 from fishmj.mjcf.description import load_robot
 from fishmj.sim import Sim
-from fishmj.virtual_robot import ClosedLoopRobot
+from fishmj.water.flow import Flow
 
 FISH = load_robot("fish")
 
@@ -125,7 +125,7 @@ def test_what_is_planted_in_the_camera_is_seen_and_not_true():
 
 
 def test_gusts_of_the_second_robot_last_beyond_what_was_drawn_first(monkeypatch):
-    from fishmj.loopback import virtual_body
+    from fishmj.deploy.loopback import virtual_body
 
     def drift(horizon):
         monkeypatch.setattr(virtual_body, "HORIZON", horizon)

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.loopback.faults import FAULTS, RADIO, described, parse
-from fishmj.loopback.network_faults import HELD, Radio
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback.faults import FAULTS, RADIO, described, parse
+from fishmj.deploy.loopback.network_faults import HELD, Radio
 
 COUNT, PERIOD = 400, 0.02
 PACKETS = [bytes([k % 256, k // 256, *range(30)]) for k in range(COUNT)]

@@ -5,12 +5,12 @@ import threading
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, StoreError
-from fishmj.loopback import bodies
-from fishmj.loopback.camera import CameraTiming
-from fishmj.loopback.faults import parse
-from fishmj.loopback.robot import LoopbackRobot
-from fishmj.loopback.shared_frames import FrameReader, FrameWriter
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.deploy.loopback import bodies
+from fishmj.deploy.loopback.camera import CameraTiming
+from fishmj.deploy.loopback.faults import parse
+from fishmj.deploy.loopback.robot import LoopbackRobot
+from fishmj.deploy.loopback.shared_frames import FrameReader, FrameWriter
 
 
 @pytest.fixture

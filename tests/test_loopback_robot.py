@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.loopback import bodies
-from fishmj.loopback.faults import parse
-from fishmj.loopback.firmware import FishmjFirmware, Readings, in_counts
-from fishmj.loopback.robot import LoopbackRobot
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback import bodies
+from fishmj.deploy.loopback.faults import parse
+from fishmj.deploy.loopback.firmware import FishmjFirmware, Readings, in_counts
+from fishmj.deploy.loopback.robot import LoopbackRobot
+from fishmj.deploy.protocols import fishmj1, mish
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.servo_counts import RAD_PER_COUNT
 from fishmj.mjcf.description import load_robot
-from fishmj.protocols import fishmj1, mish
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
-from fishmj.protocols.servo_counts import RAD_PER_COUNT
 
 TICK, CLOCK = 0.02, 1000.0  # s, s by which the host's clock is ahead
 

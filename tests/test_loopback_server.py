@@ -13,21 +13,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj.calib import calib_folder, read_toml
-from fishmj.errors import ConfigError, StoreError, UnknownName, UsageError
-from fishmj.loopback import bodies, command, server
-from fishmj.loopback.faults import FAULTS, parse
-from fishmj.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.loopback.server import ServeOptions, Server
-from fishmj.loopback.settings import Settings, artist_of, calibration_of, make_robot
-from fishmj.loopback.shared_frames import FrameReader
-from fishmj.protocols import fishmj1, mish
-from fishmj.protocols.messages import RobotInfo
-from fishmj.studies.tracker.cases import GATES
-from fishmj.studies.tracker.error_statistics import autocovariance
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import ConfigError, StoreError, UnknownName, UsageError
+from fishmj.deploy.loopback import bodies, command, server
+from fishmj.deploy.loopback.faults import FAULTS, parse
+from fishmj.deploy.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.deploy.loopback.server import ServeOptions, Server
+from fishmj.deploy.loopback.settings import Settings, artist_of, calibration_of, make_robot
+from fishmj.deploy.loopback.shared_frames import FrameReader
+from fishmj.deploy.protocols import fishmj1, mish
+from fishmj.deploy.protocols.messages import RobotInfo
+from studies.tracker.cases import GATES
+from studies.tracker.error_statistics import autocovariance
 
 ROOT = Path(__file__).resolve().parents[1]
-TELLING = "from fishmj import console; from fishmj.loopback.command import main; raise SystemExit(console.run(main))"
+TELLING = "from fishmj.base import console; from fishmj.deploy.loopback.command import main; raise SystemExit(console.run(main))"
 
 
 class FakeClock:

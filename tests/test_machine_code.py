@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from fishmj import machine_code
+from fishmj.base import machine_code
 
 PROGRAM = """
 import fishmj, jax
@@ -70,7 +70,7 @@ SWIM = """
 import jax, numpy as np
 from fishmj import engines
 from fishmj.engines.compiled import Engine
-from fishmj.flow import Current
+from fishmj.water.flow import Current
 events = []
 jax.monitoring.register_event_listener(lambda event, **_: events.append(event.rpartition("/")[2]))
 engine, rest = Engine("fish", threads=1), np.zeros((2, 2), np.float32)

@@ -1,4 +1,4 @@
-"""The importers and audits on real recordings, found through FISHMJ_MEASURED; figures checked stand in docs/guide/logs.md."""
+"""The importers and audits on real recordings, found through FISHMJ_MEASURED; figures checked stand in docs/search/logs.md."""
 
 import os
 from pathlib import Path
@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fishmj import log
+from fishmj.base.store import sha256
+from fishmj.gap.measured import fetch
 from fishmj.log import importers, regimes, replicates, timebase
-from fishmj.store import sha256
-from fishmj.studies.measured_robots import fetch
 
 ROOT = Path(os.environ.get("FISHMJ_MEASURED", ""))
 pytestmark = pytest.mark.skipif(

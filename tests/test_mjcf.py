@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.calib import read_toml, resolve
-from fishmj.dynamics import planar_chain
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base.calib import read_toml, resolve
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.mjcf.model import ROOTS, personalise, reference_pose, reference_qpos
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.injection import inject
 from fishmj.water.planar_water import PlanarWater, world_matrix
 

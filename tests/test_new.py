@@ -14,16 +14,17 @@ from describing import FIVE, new, refused, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fishmj import cli, console, controllers
-from fishmj.errors import ConfigError, DescriptionError, FishmjError
+from fishmj import cli, control
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, DescriptionError, FishmjError
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.description import robot_from_dict
+from fishmj.mjcf.new import __main__ as verb
+from fishmj.mjcf.new.answers import QUESTIONS
+from fishmj.mjcf.new.fish_toml import Fish, toml_of
+from fishmj.mjcf.new.shape import cut, joints_of, read_sections, typical
 from fishmj.mjcf.priors import water_prior
 from fishmj.mjcf.servos import SHELF
-from fishmj.new import __main__ as verb
-from fishmj.new.answers import QUESTIONS
-from fishmj.new.fish_toml import Fish, toml_of
-from fishmj.new.shape import cut, joints_of, read_sections, typical
 from fishmj.sim import Sim
 
 
@@ -290,7 +291,7 @@ def test_what_cannot_serve_five_links_says_so():
     robot = load_robot("pike.toml")
     for name in ("pd", "pi", "dob", "adrc-c1"):
         with pytest.raises(ConfigError, match="for 3 joints, pike has 4"):
-            controllers.make(name, robot)
+            control.make(name, robot)
     with pytest.raises(FishmjError, match="pike has 4 joints"):
         Sim(robot).step(np.zeros(3))
 

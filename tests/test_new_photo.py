@@ -5,9 +5,9 @@ import pytest
 import silhouettes
 from describing import new, refused
 
-from fishmj import console
+from fishmj.base import console
 from fishmj.mjcf import load_robot
-from fishmj.new.shape import typical
+from fishmj.mjcf.new.shape import typical
 
 cv2 = pytest.importorskip("cv2")
 
@@ -122,7 +122,7 @@ LEAST = {
     "tail": 0.06,
     "volume": 0.015,
     "height": 0.07,
-}  # docs/guide/your_own_fish.md has what was measured
+}  # docs/simulate/your_own_fish.md has what was measured
 
 
 @pytest.mark.parametrize("view", ["plain", "-4 deg, nose right", "all"])

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from fishmj import console
-from fishmj.errors import ConfigError
-from fishmj.studies import new_shapes
-from fishmj.studies.new_shapes import REAL, SHAPES, judged, read, robot_named, swims
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from studies import new_shapes
+from studies.new_shapes import REAL, SHAPES, judged, read, robot_named, swims
 
 
 @pytest.mark.parametrize("name", [*SHAPES, REAL])

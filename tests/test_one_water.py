@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from fishmj import engines
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError
 from fishmj.engines import batch, mjx, planar
 from fishmj.engines.single import SingleFish
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow, sample, stack
 from fishmj.log import stacked
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
-from fishmj.suite.physics import Physics
+from fishmj.tasks.dm_control.physics import Physics
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow, sample, stack
 from fishmj.water.hydro_model import HydroModel
 
 POSE = (0.1, -0.2, 0.5)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.immersed import articulated_body
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.mjcf import build

@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 
 from fishmj import mjcf
-from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, UnknownName
+from fishmj.base.errors import ConfigError, OracleUnstable, SimDiverged, UnknownName
 from fishmj.lbm_oracle.cases import coupled_fish
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.cases.sphere import added_mass, ball, virtual_mass

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fishmj.errors import SimDiverged
+from fishmj.base.errors import SimDiverged
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import fish_markers

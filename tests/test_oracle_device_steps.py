@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from fishmj.errors import ConfigError, SimDiverged
+from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.lbm_oracle.cases.coupled_fish import pond
 from fishmj.lbm_oracle.cases.sphere import ball
 from fishmj.lbm_oracle.fluid.fluid import Fluid

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid, pieces
 from fishmj.lbm_oracle.fluid.lattice import Lattice

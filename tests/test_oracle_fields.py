@@ -11,8 +11,9 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj import console
-from fishmj.errors import ConfigError, StoreError, UsageError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, StoreError, UsageError
+from fishmj.base.store import Manifest, write_npz
 from fishmj.lbm_oracle.cases import same_physics
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
@@ -25,7 +26,6 @@ from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log import read_trial
-from fishmj.store import Manifest, write_npz
 
 pytestmark = pytest.mark.oracle
 wp.config.quiet = True

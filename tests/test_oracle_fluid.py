@@ -7,12 +7,12 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Boundaries, Slip, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice
 from fishmj.lbm_oracle.run.domain import Follower, margin, preset
+from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)

@@ -5,7 +5,6 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.fluid import fluid
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid, kernel_for
@@ -14,6 +13,7 @@ from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
 from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
 from fishmj.lbm_oracle.fluid.step import stream_collide
 from fishmj.lbm_oracle.fluid.storage import UNIT, decoded, encoded, peek3, peek3_pair, poke3, poke3_pair
+from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
 SHAPE = (12, 11, 34)  # a row of more cells than are collided at once

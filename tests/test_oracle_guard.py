@@ -1,4 +1,4 @@
-"""The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/decisions/reliability.md)."""
+"""The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/tank/reliability.md)."""
 
 import os
 import re
@@ -10,9 +10,8 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj import console
-from fishmj.errors import ConfigError, FishmjError, OracleUnstable, UnknownName
-from fishmj.flow import Flow
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, FishmjError, OracleUnstable, UnknownName
 from fishmj.lbm_oracle import __main__ as verbs
 from fishmj.lbm_oracle import cases
 from fishmj.lbm_oracle.cases.sphere import ball
@@ -21,13 +20,14 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.grid_studies import converge
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import Markers, Sharpness, fish_markers, sphere_markers
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import Domain, preset, tank
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.studies.solver_grid import converge
+from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)
@@ -286,7 +286,7 @@ def test_unknown_cases_and_verbs_are_named():
     [
         ({"lattice": {"dx": 1.0}}, r"fluid: lattice = .*expected fishmj.*Lattice\(...\)"),
         ({"boundaries": "wall"}, "fluid: boundaries = 'wall'; expected fishmj.*Boundaries"),
-        ({"flow": 0.1}, "fluid: flow = 0.1; expected fishmj.flow.Flow"),
+        ({"flow": 0.1}, "fluid: flow = 0.1; expected fishmj.water.flow.Flow"),
         ({"device": None}, "unknown device 'None'"),
         ({"boundaries": channel(sponge=4)}, "fluid: 8 cells along x and a sponge of 4 behind each open face"),
         ({"body_acceleration": (9.0, 0.0, 0.0)}, "fluid: body_acceleration, in a step: Mach 15.59"),
@@ -303,7 +303,7 @@ def test_water_of_impossible_pressure_clock_or_parts_is_refused():
         water.impose(rest, np.full((8, 8, 8), 10.0))
     assert error.value.limit == "density"
     for make, said in (
-        (lambda: water.set_flow(0.1), "fluid: flow = 0.1; expected fishmj.flow.Flow"),
+        (lambda: water.set_flow(0.1), "fluid: flow = 0.1; expected fishmj.water.flow.Flow"),
         (lambda: water.set_steps(np.nan), "fluid: steps has the type float64"),
         (lambda: water.step(((5, 5, 5), (1, 1, 1))), "its low corner first"),
         (lambda: water.finer(0), "factor of finer steps = 0"),

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.kernels import Points
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.mjcf import geometry_of, load_robot
+from fishmj.water.flow import Flow
 
 SMALL = preset("laptop").changed(depth=0.4)
 

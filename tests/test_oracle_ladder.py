@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.errors import ConfigError, StoreError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.evaluate import bench
+from fishmj.evaluate.bench import oracle as bench_oracle
 from fishmj.lbm_oracle import cases
 from fishmj.lbm_oracle.cases import coupled_fish, cylinder, duct, maps, oscillating, settling
 from fishmj.lbm_oracle.cases.cylinder import cylinder as held_cylinder
 from fishmj.lbm_oracle.fluid.domain_faces import Boundaries
-from fishmj.studies import bench
-from fishmj.studies.bench import oracle as bench_oracle
-from fishmj.studies.solver_grid import converge_fish
-from fishmj.studies.solver_grid.converge_fish import Key, Result, ResultTable
+from fishmj.lbm_oracle.grid_studies import converge_fish
+from fishmj.lbm_oracle.grid_studies.converge_fish import Key, Result, ResultTable
 
 
 def strip(**options):

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from fishmj import engines
-from fishmj.campaign.data import run_segments
-from fishmj.campaign.data.segment import Segment
+from fishmj.base.errors import ConfigError
 from fishmj.engines import lbm
 from fishmj.engines.tank_run import EffectRun
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow
+from fishmj.hydro_fit.campaign.data import run_segments
+from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.run import domain as domains
 from fishmj.lbm_oracle.run.domain import EVERY, REFINED, Domain, preset
@@ -22,6 +21,7 @@ from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import LastGood
 from fishmj.mjcf import load_robot
+from fishmj.water.flow import Flow
 
 FISH = load_robot("fish")
 POOL = Domain(name="pool", shape=(36, 24, 16), dx=0.04, dt=0.01, sponge=4, fine=(0.72, 0.44, 0.32))
@@ -132,7 +132,7 @@ def test_a_segment_of_the_campaign_is_solved_in_a_finer_box():
 
 def test_a_fish_with_the_second_robots_servos_swims_in_a_finer_box():
     pytest.importorskip("numba")
-    from fishmj.campaign.hidden_lbm import hidden
+    from fishmj.gap.laboratory.hidden_lbm import hidden
 
     (job,) = hidden.jobs({}, ["gait"], 3, domain=replace(POOL, follows=True))
     run = hidden.hidden_run(job, "cpu")
@@ -146,8 +146,8 @@ def test_a_fish_with_the_second_robots_servos_swims_in_a_finer_box():
 
 
 def test_the_slip_table_can_be_made_on_any_box(monkeypatch, tmp_path):
-    from fishmj.calibrate import slip
-    from fishmj.campaign.hidden_lbm import hidden
+    from fishmj.gap.calibrate import slip
+    from fishmj.gap.laboratory.hidden_lbm import hidden
 
     names = []
     monkeypatch.setattr(hidden, "swum", lambda jobs, device, tanks: names.extend(job.domain.name for job in jobs) or iter(()))
@@ -158,8 +158,8 @@ def test_the_slip_table_can_be_made_on_any_box(monkeypatch, tmp_path):
 
 
 def test_collect_takes_a_finer_box_and_finds_it_again(tmp_path):
-    from fishmj.campaign.data import collect
-    from fishmj.store import write_json
+    from fishmj.base.store import write_json
+    from fishmj.hydro_fit.campaign.data import collect
 
     grid = run_segments.Setup(domain=preset("window_coarse_refined"), device="cpu").about["grid"]
     write_json(tmp_path / collect.SPLIT, {"grid": grid})

@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.errors import ConfigError, OracleUnstable, StoreError, UsageError
-from fishmj.flow import Flow
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, OracleUnstable, StoreError, UsageError
 from fishmj.lbm_oracle.cases.maps import average
+from fishmj.lbm_oracle.drifters import drift, tracers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.force_maps import forcemap
+from fishmj.lbm_oracle.force_maps.force_points import Plan, Point, Table, loads, measure
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
-from fishmj.studies.drifters import drift, tracers
-from fishmj.studies.force_maps import forcemap
-from fishmj.studies.force_maps.force_points import Plan, Point, Table, loads, measure
+from fishmj.water.flow import Flow
 
 TINY = Domain(name="tiny", shape=(56, 44, 16), dx=0.02, dt=0.004, sponge=4)
 PLAN = Plan(settle=0.4, seconds=0.6, length=0.5)

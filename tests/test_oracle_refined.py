@@ -7,8 +7,7 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.errors import ConfigError, OracleUnstable
-from fishmj.flow import Flow
+from fishmj.base.errors import ConfigError, OracleUnstable
 from fishmj.lbm_oracle.cases.refined import across, ball_in_a_box, pulse_returned, shear_viscosity, water_and_box
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -18,6 +17,7 @@ from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory, fine_
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
+from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
 STREAM = np.array([0.05, -0.03, 0.02])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
+from fishmj.base.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.cases.sphere import ball
 from fishmj.lbm_oracle.fluid.fluid import Fluid

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fishmj.errors import UnknownName
+from fishmj.base.errors import UnknownName
 from fishmj.lbm_oracle.cases import eel, paddle, sheet_shear
 from fishmj.lbm_oracle.immersed import kernels
 from fishmj.lbm_oracle.immersed.boundary import slips_of

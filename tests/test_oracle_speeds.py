@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from fishmj import console
-from fishmj.errors import ConfigError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.immersed.markers import PLAIN
 from fishmj.lbm_oracle.run.domain import Domain
-from fishmj.studies.solver_grid import converge_fish, real_fish, speeds
 
 CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device", "cpu", "--json"]
 

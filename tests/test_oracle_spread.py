@@ -18,29 +18,29 @@ import pytest
 import warp as wp
 from spread_toys import fails, squared, steered
 
-from fishmj import cli, console, controllers, lbm_oracle, plugins
-from fishmj.calibrate import slip
-from fishmj.campaign.data import collect
-from fishmj.campaign.data.collect import Local, ray_device
-from fishmj.campaign.data.run_segments import Setup
-from fishmj.campaign.data.segment import Segment
-from fishmj.campaign.hidden_lbm import hidden
-from fishmj.cores import usable_cores
-from fishmj.errors import ConfigError, LogError, UnknownName
-from fishmj.evaluate import trials
+from fishmj import cli, control, lbm_oracle
+from fishmj.base import console, plugins
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import ConfigError, LogError, UnknownName
+from fishmj.evaluate import bench, trials
+from fishmj.evaluate.bench import devices
 from fishmj.evaluate.run_trials import judge_in_solver
+from fishmj.gap.bench.solver_family import swims
+from fishmj.gap.calibrate import slip
+from fishmj.gap.laboratory.hidden_lbm import command as hidden_command
+from fishmj.gap.laboratory.hidden_lbm import hidden
+from fishmj.hydro_fit.campaign.data import collect
+from fishmj.hydro_fit.campaign.data.collect import Local, ray_device
+from fishmj.hydro_fit.campaign.data.run_segments import Setup
+from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.lbm_oracle.fluid.device import device_of, devices_of
+from fishmj.lbm_oracle.force_maps import forcemap
+from fishmj.lbm_oracle.force_maps.force_points import Plan, Point
+from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
 from fishmj.lbm_oracle.run.spread import _Asked, _give, _Process, _Told, spread
 from fishmj.mjcf import load_robot
-from fishmj.studies import bench
-from fishmj.studies.bench import devices
-from fishmj.studies.force_maps import forcemap
-from fishmj.studies.force_maps.force_points import Plan, Point
-from fishmj.studies.hidden_lbm import command as hidden_command
-from fishmj.studies.solver_family import swims
-from fishmj.studies.solver_grid import converge_fish, real_fish, speeds
 
 TWO = ("cpu", "cpu")
 
@@ -265,7 +265,7 @@ def test_trials_on_two_devices_are_those_of_one_to_the_bit():
     """A policy in batches of one and of two differs in its last bits: each trial has a controller of its own."""
     robot, some = load_robot("fish"), trials(speeds=[0.0], intensity=0.0, los_deg=[0, 90], repeats=1, duration=1.0)
     judged = lambda device, tanks: judge_in_solver(
-        controllers.make("station", robot), robot, some, domain="laptop", device=device, tanks=tanks
+        control.make("station", robot), robot, some, domain="laptop", device=device, tanks=tanks
     )
     one, two = judged("cpu", 2), judged("cpu,cpu", 1)
     for name in ("pose", "joint", "power", "command", "obs", "action", "distance"):
@@ -324,7 +324,7 @@ def test_a_judgement_is_spread_too(monkeypatch):
     robot = load_robot("fish")
     for name in ("station", "dob", "drift"):
         with pytest.raises(Begun) as begun:
-            judge_in_solver(controllers.make(name, robot), robot, trials(repeats=1), device="cpu,cpu", tanks=2)
+            judge_in_solver(control.make(name, robot), robot, trials(repeats=1), device="cpu,cpu", tanks=2)
         assert begun.value.args[2] == TWO and b"in_tanks" in begun.value.args[0]
 
 

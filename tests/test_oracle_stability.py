@@ -5,8 +5,7 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.errors import OracleUnstable
-from fishmj.flow import Flow
+from fishmj.base.errors import OracleUnstable
 from fishmj.lbm_oracle.fluid import collide, guard
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import BLEND, Fluid, blend_at
@@ -16,6 +15,7 @@ from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers
 from fishmj.lbm_oracle.run.domain import NAMES, preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
+from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
 DX, DT = 0.02, 0.004  # the paper's grid

@@ -9,7 +9,7 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.base.errors import ConfigError, OracleUnstable
 from fishmj.lbm_oracle.cases.coupled_fish import momentum
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid

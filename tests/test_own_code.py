@@ -12,20 +12,21 @@ import numpy as np
 import pytest
 from typed import EXAMPLE, refused, write
 
-from fishmj import console, controllers, effects, plugins, suite
+from fishmj import control, effects, suite
+from fishmj.base import console, plugins
+from fishmj.base.errors import ConfigError, FishmjError, OwnCodeError, UnknownName
 from fishmj.effects import Effect, Parameter
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import own_effects, with_effects
-from fishmj.errors import ConfigError, FishmjError, OwnCodeError, UnknownName
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.gap.commands.hide import main as plant
+from fishmj.gap.laboratory.virtual_robot import generate
+from fishmj.gap.laboratory.virtual_robot.__main__ import main as hide
 from fishmj.log import read_trial, write_dataset
 from fishmj.mjcf.description import load_robot
 from fishmj.tasks.episode import TaskOptions, TaskSpec
 from fishmj.tasks.reference import EpisodeStart, course_of
 from fishmj.tasks.station_hold import draw_start
-from fishmj.virtual_robot import generate
-from fishmj.virtual_robot.__main__ import main as hide
 
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = ["--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
@@ -107,14 +108,14 @@ def installed(folder: Path, group: str, entry: str) -> None:
 
 def test_an_installed_entry_point_is_found_by_its_name_and_not_imported_before(tmp_path, monkeypatch):
     write(tmp_path, "class Steer:\n    def __init__(self, robot): pass\n", "own_package_3.py")
-    installed(tmp_path, "fishmj.controllers", "steer = own_package_3:Steer\nbad name! = own_package_3:Steer")
+    installed(tmp_path, "fishmj.control", "steer = own_package_3:Steer\nbad name! = own_package_3:Steer")
     monkeypatch.syspath_prepend(tmp_path)
     assert plugins.listed("controller") == ["steer"] and plugins.listed("task") == []
     assert "own_package_3" not in sys.modules
     with pytest.raises(UnknownName, match="Did you mean 'steer'"):
-        controllers.chosen("steeer")
+        control.chosen("steeer")
     with pytest.raises(UnknownName):
-        controllers.make("steer")
+        control.make("steer")
     assert plugins.load("controller", "steer").__name__ == "Steer"
     assert importlib.metadata.version("own-package") == "1.0"
 
@@ -127,7 +128,7 @@ def test_text_that_may_come_from_a_file_is_never_loaded(tmp_path):
     ran = str(tmp_path / "ran")
     reference = f"{write(tmp_path, f'X = open({ran!r}, 1)')}:X"
     for take in (
-        lambda: controllers.make(reference),
+        lambda: control.make(reference),
         lambda: effects.get(reference),
         lambda: with_effects(load_robot("fish"), [reference]),
         lambda: TaskSpec(reference, TaskOptions()),
@@ -153,7 +154,7 @@ def test_an_own_controller_is_judged_reported_logged_and_replayed(tmp_path, caps
     assert trial.value("controller") == "chase" and trial.value("policy_sha256") == plugins.source_sha256(
         plugins.load("controller", f"{EXAMPLE}:Chase")
     )
-    from fishmj.replay.__main__ import main as replay
+    from fishmj.view.replay.__main__ import main as replay
 
     assert console.run(replay, [str(folder), "--out", str(tmp_path / "replay.html")]) == console.OK
     assert "chase" in (tmp_path / "replay.html").read_text()
@@ -202,12 +203,12 @@ def test_an_own_controller_cannot_take_a_shipped_name_or_leave_the_folder(tmp_pa
         + "return np.zeros((len(obs), 10, 3))\nclass A(C): name = 'pd'\nclass B(C): name = '../../x y'\nclass D(C): name = 7\n"
     )
     path = write(tmp_path, body)
-    names = [controllers.chosen(f"{path}:{c}").name for c in "ABCD"]
+    names = [control.chosen(f"{path}:{c}").name for c in "ABCD"]
     assert names == ["mine.A", "x_y", "mine.C", "7"]
 
 
 def test_two_controllers_of_one_name_keep_their_files_apart():
-    assert [b.name for b in controllers.several(["pd", "drift", "pd"])] == ["pd", "drift", "pd-2"]
+    assert [b.name for b in control.several(["pd", "drift", "pd"])] == ["pd", "drift", "pd-2"]
 
 
 # tasks
@@ -221,7 +222,7 @@ def line():
 def test_an_own_task_loads_in_gymnasium_and_dm_control_with_its_options(line):
     import gymnasium
 
-    env = gymnasium.make("fishmj.gym:fishmj/StationHold-v0", task=f"{EXAMPLE}:LineFollow", speed=0.1, engine="batch")
+    env = gymnasium.make("fishmj.tasks.gym:fishmj/StationHold-v0", task=f"{EXAMPLE}:LineFollow", speed=0.1, engine="batch")
     seen, _ = env.reset(seed=1)
     assert env.unwrapped.rules.name == "own_code.LineFollow" or env.unwrapped.rules.name == "LineFollow"
     before = env.unwrapped.episodes.target.copy()
@@ -300,7 +301,7 @@ def test_the_own_task_is_one_definition_for_numpy_and_jax(line):
 
 @pytest.mark.slow
 def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
-    from fishmj.policy import Policy
+    from fishmj.control.policy import Policy
     from fishmj.train.__main__ import options, settings_from
     from fishmj.train.build import algorithm, environment
     from fishmj.train.settings import change
@@ -319,7 +320,7 @@ def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
     assert (moved >= 0.0).all() and moved.max() > 0.3 and done["steps"] == 400 and done["tune_return"] == 1.0
     policy = Policy.load(done["policy"])
     assert policy.meta["algorithm"] == "own_code.Evolution" and policy.meta["structure"]["joints"] == ["j1", "j2", "j3"]
-    assert controllers.make(done["policy"]).notes == ()
+    assert control.make(done["policy"]).notes == ()
     again = TrainingRun(settings, tmp_path / "run", quiet=True, resume=True, learner=(run.env, run.algorithm, run.assess))
     assert again.done == 400
 
@@ -482,7 +483,7 @@ def test_every_verb_with_effects_refuses_one_that_is_not_there(verb, needed, cap
 
 def test_the_page_quotes_the_examples_word_for_word():
     text = (ROOT / "examples" / "own_code.py").read_text(encoding="utf-8")
-    page = (ROOT / "docs" / "guide" / "your_own_code.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "simulate" / "your_own_code.md").read_text(encoding="utf-8")
     parts = re.split(rf"^# ({'|'.join(PARTS)})$", text, flags=re.MULTILINE)[1:]
     assert tuple(parts[::2]) == PARTS
     for part in parts[1::2]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typed import EXAMPLE, refused, write
 
-from fishmj import console, plugins
+from fishmj.base import console, plugins
 from fishmj.log import importers, read_dataset
 from fishmj.log.__main__ import main as log
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_replay import needs_browser, visit
 
-from fishmj import pages
+from fishmj.base import pages
 
 MEASURED = """const wide = e => [e.scrollWidth, e.clientWidth];
 parent.postMessage(JSON.stringify([document.documentElement, ...document.querySelectorAll(".scroll")].map(wide)), "*");"""

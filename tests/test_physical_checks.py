@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.calib import calib_folder
-from fishmj.errors import LogError
+from fishmj.base import console
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import LogError
 from fishmj.gap.commands.admission import admitted, unphysical
 from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_trial, write_dataset, write_trial
 from fishmj.log.__main__ import main as log
@@ -66,8 +66,9 @@ def test_trials_of_the_flow_solver_with_hidden_effects_pass_every_check():
 
 @pytest.mark.slow
 def test_generated_trials_of_every_excitation_pass_every_check():
-    from fishmj import excitation, generators
-    from fishmj.virtual_robot import generate
+    from fishmj.gap.laboratory import generators
+    from fishmj.gap.laboratory.virtual_robot import generate
+    from fishmj.log import excitation
 
     runs = list(excitation.names())
     trials = [t for family in generators.NAMES for t in generators.generate(family, {}, runs, 5)]
@@ -214,7 +215,7 @@ def test_a_trial_relaxes_a_check_by_its_bound():
 
 
 def test_the_guide_lists_every_check_with_its_bound():
-    guide = (ROOT / "docs" / "guide" / "logs.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "search" / "logs.md").read_text(encoding="utf-8")
     for check in physical_checks.CHECKS:
         assert any(line.startswith(f"| {check.name} |") and f"`{check.bound}`" in line for line in guide.splitlines()), check.name
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.engines import planar
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import Flow, stack
 from fishmj.mjcf.model import reference_qpos
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow, stack
 
 ROBOT = mjcf.load_robot("fish")
 STEPS, TICKS = engines.ticks_per(ROBOT)
@@ -58,7 +58,7 @@ def test_commands_arrive_as_on_a_bus_with_a_delay(ramp, seed):
 
 
 def test_the_buffer_serves_the_longest_randomised_latency():
-    from fishmj.calib import constant
+    from fishmj.base.calib import constant
 
     assert max(constant("randomisation", "command_latency")) <= float(LONGEST * PHYSICS)
 

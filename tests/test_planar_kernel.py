@@ -10,9 +10,9 @@ import pytest
 
 from fishmj import engines
 from fishmj.engines import planar, planar_kernel
-from fishmj.flow import Flow, stack
 from fishmj.mjcf import load_robot
 from fishmj.water import residual_hooks, residual_kernel, residual_network
+from fishmj.water.flow import Flow, stack
 
 FISH = 5  # neither a block nor half of one
 

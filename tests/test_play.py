@@ -16,15 +16,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fishmj import __version__, console, log, source
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow
+from fishmj import __version__, log
+from fishmj.base import console, source
+from fishmj.base.errors import ConfigError
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.skin import posed, skin
-from fishmj.play import LiveSession
-from fishmj.play.__main__ import main, swim
-from fishmj.play.live_session import Keyboard, press
-from fishmj.replay.live_view import LiveView, Server, arrow, ring, slices_of
+from fishmj.view.play import LiveSession
+from fishmj.view.play.__main__ import main, swim
+from fishmj.view.play.live_session import Keyboard, press
+from fishmj.view.replay.live_view import LiveView, Server, arrow, ring, slices_of
+from fishmj.water.flow import Flow
 
 
 class Screen:
@@ -109,7 +110,7 @@ def test_eddies_stay_in_place_when_the_mean_current_changes(pond):
     pond.step()
     before = log.stacked(pond.trial().tables["flow"], "u#x")[-1] + 0.2
     from fishmj.engines.planar import link_centres
-    from fishmj.flow import sample
+    from fishmj.water.flow import sample
 
     pond.set_flow(0.2 + 1e-9, math.pi)
     tick = np.array([pond.loop.count[0] * 10])
@@ -287,7 +288,7 @@ def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsy
     from dataclasses import replace
 
     from fishmj.mjcf.description import load_robot
-    from fishmj.play.__main__ import controller_of
+    from fishmj.view.play.__main__ import controller_of
 
     asked, fish = Namespace(controller=None, anyway=False), load_robot("fish")
     held = replace(fish, timing=replace(fish.timing, command_path="hold"))

@@ -8,9 +8,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, StoreError, UnknownName
-from fishmj.policy import FOLDER, SCHEMA, Policy, shipped
-from fishmj.store import read_tensors, write_tensors
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
+from fishmj.base.store import read_tensors, write_tensors
+from fishmj.control.policy import FOLDER, SCHEMA, Policy, shipped
 
 SCALE = [1.0, 1.0, 0.3, 0.3, 1.5, 0.7, 0.7, 0.7, 4.0, 4.0, 4.0]
 
@@ -163,7 +163,7 @@ def test_running_a_policy_loads_numpy_and_safetensors_only(tmp_path):
     path = policy().save(tmp_path / "p.safetensors")
     code = (
         "import sys, json; before = set(sys.modules)\n"
-        "from fishmj.policy import Policy; import numpy as np\n"
+        "from fishmj.control.policy import Policy; import numpy as np\n"
         f"action = Policy.load({str(path)!r})(np.zeros((1, 11)))\n"
         "print(json.dumps(sorted({m.split('.')[0] for m in set(sys.modules) - before})))\n"
     )

@@ -11,17 +11,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from policy_files import ROBOT, SHORT, arrays, header, stored
 
-from fishmj import console, controllers
-from fishmj.calib import calib_folder
-from fishmj.controllers.learned import LearnedController
-from fishmj.errors import ConfigError, FishmjError, StoreError
+from fishmj import control
+from fishmj.base import console
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError, FishmjError, StoreError
+from fishmj.base.store import write_tensors
+from fishmj.control.learned import LearnedController
+from fishmj.control.policy import Policy, structure_sha256
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.log import read_trial
 from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
-from fishmj.policy import Policy, structure_sha256
-from fishmj.store import write_tensors
 from fishmj.water.hydro_model import HydroModel
 
 EVIL_COMMAND = "fishmj train --out '</script><script>alert(1)</script><img src=x onerror=alert(1)>'"
@@ -70,13 +71,13 @@ def test_training_writes_the_whole_header():
 
 
 def test_the_robot_of_the_header_is_taken_without_a_word(tmp_path):
-    assert controllers.make(stored(tmp_path, header()), ROBOT).notes == ()
+    assert control.make(stored(tmp_path, header()), ROBOT).notes == ()
 
 
 def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
     links = tuple(replace(link, mass=1.1 * link.mass) for link in longer(1.05).links)
     robot = replace(ROBOT, name="swift.v2", links=links, servo=replace(ROBOT.servo, kp=9.0))
-    (note,) = controllers.make(stored(tmp_path, header()), robot).notes
+    (note,) = control.make(stored(tmp_path, header()), robot).notes
     assert note == (
         "policy mine: not as trained: robot swift, here swift.v2; lengths or reference point off by less than 10 %; "
         "other masses, sections, servo, timing or effects"
@@ -103,15 +104,15 @@ def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, 
     """Of the shipped `paper`, whose header is older, the structure of the robot that it names is known."""
     source = stored(tmp_path, header()) if name == "mine" else name
     with pytest.raises(ConfigError) as caught:
-        controllers.make(source, robot, anyway=anyway)
+        control.make(source, robot, anyway=anyway)
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_structure_that_is_only_named_by_its_hash_is_compared(tmp_path):
     bare = header(structure=None, structure_sha256=structure_sha256(structure_of(ROBOT)))
-    assert controllers.make(stored(tmp_path, bare), ROBOT).notes == ()
+    assert control.make(stored(tmp_path, bare), ROBOT).notes == ()
     with pytest.raises(ConfigError, match="made for structure 882f7f326eef, the robot's is"):
-        controllers.make(stored(tmp_path, bare), longer(1.01), anyway=True)
+        control.make(stored(tmp_path, bare), longer(1.01), anyway=True)
 
 
 @pytest.mark.parametrize("anyway", [False, True])
@@ -119,22 +120,22 @@ def test_other_observations_are_refused(tmp_path, anyway):
     rows = observation_of(3)
     rows[0], rows[1] = rows[1], rows[0]
     with pytest.raises(ConfigError, match=r"sees target_y \[m\], target_x \[m\], .*; the robot gives target_x \[m\], target_y"):
-        controllers.make(stored(tmp_path, header(observation=rows)), ROBOT, anyway=anyway)
+        control.make(stored(tmp_path, header(observation=rows)), ROBOT, anyway=anyway)
 
 
 def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_path):
     new = ("structure", "structure_sha256", "constants_sha256", "water", "command")
     old = {k: v for k, v in header(robot="another").items() if k not in new} | {"observation": "target_x .., SI"}
     lacks = "links, reference point, constants, water, observations, training command"
-    _, said = controllers.make(stored(tmp_path, old), ROBOT).notes
+    _, said = control.make(stored(tmp_path, old), ROBOT).notes
     assert said == f"policy mine: its header does not say {lacks}; that is not compared"
     with pytest.raises(ConfigError, match="made for servos of"):
-        controllers.make(stored(tmp_path, old), replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)))
+        control.make(stored(tmp_path, old), replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)))
     bare = {key: old[key] for key in ("schema", "scale", "activation")}
-    (note,) = controllers.make(stored(tmp_path, bare), ROBOT).notes
+    (note,) = control.make(stored(tmp_path, bare), ROBOT).notes
     assert "does not say robot, links, reference point, constants, water, command path, observations, seed, training" in note
     four = header(structure={k: v for k, v in structure_of(ROBOT).items() if k != "reference_point"}, robot="another")
-    _, note = controllers.make(stored(tmp_path, four), ROBOT).notes
+    _, note = control.make(stored(tmp_path, four), ROBOT).notes
     assert "does not say reference point;" in note, "as the version before this one wrote it"
 
 
@@ -147,16 +148,16 @@ def test_another_command_path_is_refused_unless_it_was_asked_for():
     with pytest.raises(
         ConfigError, match="trained on command path linear, the robot's is hold: steer on linear, or add --anyway"
     ):
-        controllers.make("paper", HELD)
-    (note,) = controllers.make("paper", HELD, anyway=True).notes
+        control.make("paper", HELD)
+    (note,) = control.make("paper", HELD, anyway=True).notes
     assert note == "policy paper: not as trained: command path linear, here hold"
 
 
 def test_the_former_name_of_anyway_goes_on_with_one_line(capsys):
-    assert controllers.several(["paper"], HELD, any_command_path=True)[0].notes
+    assert control.several(["paper"], HELD, any_command_path=True)[0].notes
     assert capsys.readouterr().err.count("any_command_path= is now anyway=") == 1
     with pytest.raises(ConfigError, match="command path"):
-        controllers.make("paper", HELD, any_command_path=False)
+        control.make("paper", HELD, any_command_path=False)
 
 
 def test_a_command_path_on_the_command_line_is_no_consent(capsys):
@@ -330,7 +331,7 @@ def test_weights_too_large_to_multiply_are_one_line(tmp_path):
 def test_a_file_name_that_is_no_name_is_cleaned_for_reports(tmp_path):
     path = tmp_path / "<b>my policy&.safetensors"
     write_tensors(path, arrays(), header())
-    assert controllers.make(str(path), ROBOT).name == "b_my_policy"
+    assert control.make(str(path), ROBOT).name == "b_my_policy"
 
 
 JSON = st.recursive(
@@ -353,8 +354,8 @@ def test_any_header_is_either_a_controller_or_one_line(changes, part, value):
         policy.check("generated")
         policy.reset(1)
         assert policy(np.zeros((1, 11))).shape == (1, 3)
-        from fishmj.controllers.learned import body_of
-        from fishmj.policy import fit
+        from fishmj.control.learned import body_of
+        from fishmj.control.policy import fit
 
         assert all("\n" not in note for note in fit(policy.meta, body_of(ROBOT), anyway=False, known={}).notes)
     except FishmjError as error:

@@ -11,17 +11,18 @@ from pathlib import Path
 import pytest
 from policy_files import ROBOT, SHORT, header, stored
 
-from fishmj import console, controllers
-from fishmj.calib import calib_folder
+from fishmj import control
+from fishmj.base import console
+from fishmj.base.calib import calib_folder
+from fishmj.control.policy import FOLDER, FORMER, SHIPPED, Policy, _renamed, one_line, shipped
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import in_water
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.evaluate.__main__ import options as evaluate_options
 from fishmj.log import read_trial
 from fishmj.mjcf.identity import constants_sha256
-from fishmj.play.__main__ import main as play
-from fishmj.play.__main__ import options as play_options
-from fishmj.policy import FOLDER, FORMER, SHIPPED, Policy, _renamed, one_line, shipped
+from fishmj.view.play.__main__ import main as play
+from fishmj.view.play.__main__ import options as play_options
 from fishmj.water.identity import water_identity
 
 LACKING = {"pilot": "water, training command", "station-sac": "training command"}  # what is documented nowhere
@@ -31,17 +32,17 @@ LACKING = {"pilot": "water, training command", "station-sac": "training command"
 def test_shipped_policies_say_their_water_and_what_they_lack(name):
     water = {"paper": "structured", "paper-sac": "structured"}.get(name, "swift")
     lacks = (f"policy {name}: its header does not say {LACKING[name]}; that is not compared",) if name in LACKING else ()
-    assert controllers.make(name, in_water(ROBOT, water)).notes == lacks
+    assert control.make(name, in_water(ROBOT, water)).notes == lacks
     by_path = os.path.relpath(FOLDER / f"{name}.safetensors")
-    assert controllers.make(by_path, in_water(ROBOT, water)).notes == lacks, "the same file, named by its path"
+    assert control.make(by_path, in_water(ROBOT, water)).notes == lacks, "the same file, named by its path"
     other = "swift" if water == "structured" else "structured"
     differs = () if name == "pilot" else (f"policy {name}: not as trained: water {water}, here {other}",)
-    assert controllers.make(name, in_water(ROBOT, other)).notes == differs + lacks
+    assert control.make(name, in_water(ROBOT, other)).notes == differs + lacks
 
 
 def test_every_shipped_policy_has_its_line_in_the_help_and_its_row_in_the_guide():
     assert sorted(SHIPPED) == shipped()
-    guide = (Path(__file__).parent.parent / "docs" / "guide" / "controllers.md").read_text(encoding="utf-8")
+    guide = (Path(__file__).parent.parent / "docs" / "train" / "controllers.md").read_text(encoding="utf-8")
     for options in (evaluate_options, play_options):
         text = options().format_help()
         assert all(f"  {name}  " in text and about in text for name, about in SHIPPED.items())
@@ -51,7 +52,7 @@ def test_every_shipped_policy_has_its_line_in_the_help_and_its_row_in_the_guide(
 @pytest.mark.parametrize(("old", "new"), FORMER.items())
 def test_an_old_name_goes_on_with_one_line(old, new, capsys):
     _renamed.cache_clear()
-    assert controllers.make(old, ROBOT).name == new and Policy.load(old).meta == Policy.load(new).meta
+    assert control.make(old, ROBOT).name == new and Policy.load(old).meta == Policy.load(new).meta
     assert capsys.readouterr().err.count(f"policy {old} is now called {new}") == 1
 
 
@@ -75,14 +76,14 @@ def structured(**changes):
     ],
 )
 def test_another_water_or_other_constants_are_one_line(tmp_path, robot, said):
-    (note,) = controllers.make(stored(tmp_path, header()), robot).notes
+    (note,) = control.make(stored(tmp_path, header()), robot).notes
     assert note.startswith(f"policy mine: not as trained: {said}") and "\n" not in note
 
 
 def test_an_effect_at_its_null_and_a_colour_are_no_other_constants(tmp_path):
     links = tuple(replace(link, colour=(1.0, 0.0, 0.0)) for link in ROBOT.links)
     robot = replace(ROBOT, links=links, title="red", effects=(FittedEffect("coulomb_friction", {}),))
-    assert controllers.make(stored(tmp_path, header()), robot).notes == ()
+    assert control.make(stored(tmp_path, header()), robot).notes == ()
 
 
 def test_what_differs_stands_in_table_page_results_and_log(tmp_path, capsys):
@@ -105,10 +106,10 @@ def test_what_differs_stands_in_table_page_results_and_log(tmp_path, capsys):
 
 
 def test_the_flow_solver_is_another_water_too():
-    brain = controllers.make("station", in_water(ROBOT, "lbm", can=("lbm",)))
+    brain = control.make("station", in_water(ROBOT, "lbm", can=("lbm",)))
     assert brain.notes == ("policy station: not as trained: water swift, here lbm",)
     assert brain.trained()["differs"] == {"water": ["swift", "lbm"]}
-    assert controllers.make("station", in_water(ROBOT, "swift")).trained(brain.robot)["said"] == "water swift, here lbm"
+    assert control.make("station", in_water(ROBOT, "swift")).trained(brain.robot)["said"] == "water swift, here lbm"
 
 
 def test_a_live_swim_says_it_and_logs_it(tmp_path, capsys):
@@ -154,4 +155,4 @@ def test_a_policy_that_was_just_trained_lacks_nothing_and_swims_where_it_was_tra
     assert console.run(train, [*argv, "--out", str(tmp_path / "a")]) == console.OK
     meta = Policy.load(tmp_path / "a").meta
     assert meta["command"] == f"fishmj train {' '.join(argv)} --out {tmp_path / 'a'}" and meta["water"] == water_identity(ROBOT)
-    assert [note for note in controllers.make(tmp_path / "a", ROBOT).notes if "taken from" not in note] == []
+    assert [note for note in control.make(tmp_path / "a", ROBOT).notes if "taken from" not in note] == []

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.description import Link
 from fishmj.mjcf.drawing import PALETTE, colour_of, drawn_sections, loft
+from fishmj.mjcf.new.quantity import quantity
+from fishmj.mjcf.new.shape import cut, joints_of, typical
 from fishmj.mjcf.priors import balanced, displaced, plate_share, water_prior
 from fishmj.mjcf.servos import SHELF, DataSheet, servo_from_sheet
 from fishmj.mjcf.skin import skin
-from fishmj.new.quantity import quantity
-from fishmj.new.shape import cut, joints_of, typical
 
 
 def sheet(torque: float, speed: float, voltage: float, current: float | None = None) -> DataSheet:

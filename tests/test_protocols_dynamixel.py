@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fishmj.protocols.dynamixel import MOST_BYTES, Instruction, Packet, Protocol1, Protocol2, Reader, crc16
-from fishmj.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.dynamixel import MOST_BYTES, Instruction, Packet, Protocol1, Protocol2, Reader, crc16
+from fishmj.deploy.protocols.errors import ProtocolError
 
 try:
     import dynamixel_sdk as sdk

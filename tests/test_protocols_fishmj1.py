@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from protocol_values import DIGEST, NAME, SEQ, TIME, commands, datagrams, fuzzed, infos, resealed, telemetries, watches
 
-from fishmj.errors import FishmjError
-from fishmj.protocols import fishmj1
-from fishmj.protocols.errors import ProtocolError
-from fishmj.protocols.fishmj1 import Kind
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.base.errors import FishmjError
+from fishmj.deploy.protocols import fishmj1
+from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.fishmj1 import Kind
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 
 FULL = Telemetry(
     joint=(0.5, -0.25, 0.125),

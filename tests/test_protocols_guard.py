@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from fishmj.errors import ConfigError
-from fishmj.protocols.guard import Bounds, Guard
-from fishmj.protocols.messages import ServoFault
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.protocols.guard import Bounds, Guard
+from fishmj.deploy.protocols.messages import ServoFault
 
 AWAY, STRAIGHT = (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)
 NONE, STUCK = ServoFault.NONE, ServoFault.STUCK

@@ -4,13 +4,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-from fishmj import protocols
+from fishmj.deploy import protocols
 
 ROOM = Path(protocols.__file__).parent
 
 
 def test_protocols_load_no_heavy_package():
-    modules = sorted(f"fishmj.protocols.{path.stem}" for path in ROOM.glob("*.py") if path.stem != "__init__")
+    modules = sorted(f"fishmj.deploy.protocols.{path.stem}" for path in ROOM.glob("*.py") if path.stem != "__init__")
     assert len(modules) >= 9
     code = f"import sys, {', '.join(modules)}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

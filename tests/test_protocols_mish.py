@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from protocol_values import ANGLE, damaged, floats, mish_datagrams
 
-from fishmj.calib import constant
-from fishmj.errors import UnknownName
-from fishmj.protocols import mish
-from fishmj.protocols.errors import ProtocolError
-from fishmj.protocols.messages import Telemetry
+from fishmj.base.calib import constant
+from fishmj.base.errors import UnknownName
+from fishmj.deploy.protocols import mish
+from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.messages import Telemetry
 
 ROW = st.tuples(ANGLE, ANGLE, ANGLE)
 IDS = st.tuples(*[st.integers(0, 253)] * 3)
@@ -136,7 +136,7 @@ def test_of_5000_spoiled_datagrams_none_is_accepted_with_values_out_of_range():
 
 @pytest.mark.slow
 def test_of_100000_spoiled_datagrams_as_many_get_through_as_the_page_says():
-    page = (Path(__file__).resolve().parent.parent / "docs" / "methods" / "protocols.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parent.parent / "docs" / "tank" / "protocols.md").read_text(encoding="utf-8")
     spoiled, wrong, through = fuzz(2, 100_000)
     assert wrong == 0 and f"{through:,} of {spoiled:,} spoiled ones" in page
 

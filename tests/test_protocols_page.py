@@ -1,4 +1,4 @@
-"""The tables of docs/methods/protocols.md are those of the code, byte by byte."""
+"""The tables of docs/tank/protocols.md are those of the code, byte by byte."""
 
 import math
 import re
@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from fishmj.protocols import fishmj1, lx_bus, mish
-from fishmj.protocols.fishmj1 import Has, Kind
-from fishmj.protocols.guard import Bounds
-from fishmj.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
-from fishmj.protocols.watchdog import LATE, LONGEST, Limits
+from fishmj.deploy.protocols import fishmj1, lx_bus, mish
+from fishmj.deploy.protocols.fishmj1 import Has, Kind
+from fishmj.deploy.protocols.guard import Bounds
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.watchdog import LATE, LONGEST, Limits
 
-PAGE = (Path(__file__).resolve().parent.parent / "docs" / "methods" / "protocols.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parent.parent / "docs" / "tank" / "protocols.md").read_text(encoding="utf-8")
 FORMS = {"u8": "B", "i8": "b", "u16": "<H", "u32": "<I", "u64": "<Q", "f32": "<f", "i32": "<i"}
 J = 3
 TELEMETRY = Telemetry(

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fishmj.protocols.sequence import SequenceGate, newer
+from fishmj.deploy.protocols.sequence import SequenceGate, newer
 
 PERIOD = 0.02  # s
 

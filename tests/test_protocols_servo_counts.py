@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fishmj.protocols import servo_counts
-from fishmj.protocols.errors import ProtocolError
+from fishmj.deploy.protocols import servo_counts
+from fishmj.deploy.protocols.errors import ProtocolError
 
 ZERO = st.floats(-0.2, 0.2)
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fishmj.errors import ConfigError
-from fishmj.protocols.messages import RobotState
-from fishmj.protocols.watchdog import LONGEST, Limits, Watchdog
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.protocols.messages import RobotState
+from fishmj.deploy.protocols.watchdog import LONGEST, Limits, Watchdog
 
 STRAIGHT = (0.0, 0.0, 0.0)
 HOLD, NEUTRAL = 0.1, 0.3

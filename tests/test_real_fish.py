@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, LogError
-from fishmj.studies.solver_grid import real_fish
-from fishmj.studies.solver_grid.real_fish import ResultTable, fitted, speed_of, swims
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.lbm_oracle.grid_studies import real_fish
+from fishmj.lbm_oracle.grid_studies.real_fish import ResultTable, fitted, speed_of, swims
 
 SLIPS = (0.95, 0.97, 0.98, 0.99, 1.0)
 

@@ -22,7 +22,7 @@ from robot_recordings import (
     types,
 )
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import importers
 
 

@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 from synthetic import swim
 
-from fishmj import console, log
-from fishmj.errors import ConfigError, LogError, StoreError
+from fishmj import log
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError, StoreError
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.identity import identity
 from fishmj.mjcf.skin import posed, skin
-from fishmj.replay import track, write_html, write_mp4, write_png
-from fishmj.replay.__main__ import main
-from fishmj.replay.scene import robot_of, unlike
-from fishmj.replay.video import TopView
+from fishmj.view.replay import track, write_html, write_mp4, write_png
+from fishmj.view.replay.__main__ import main
+from fishmj.view.replay.scene import robot_of, unlike
+from fishmj.view.replay.video import TopView
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,14 @@ from synthetic import swim
 from test_replay import data_of, needs_browser, visit
 
 from fishmj import log
-from fishmj.errors import ConfigError, StoreError
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.store import write_json
 from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, Slice, write_slice
 from fishmj.mjcf import load_robot
-from fishmj.replay import track, write_html
-from fishmj.replay.__main__ import main
-from fishmj.replay.scene import colours, page_data, read_wake, strongest
-from fishmj.replay.video import TopView
-from fishmj.store import write_json
+from fishmj.view.replay import track, write_html
+from fishmj.view.replay.__main__ import main
+from fishmj.view.replay.scene import colours, page_data, read_wake, strongest
+from fishmj.view.replay.video import TopView
 
 STRONG, PEAK, SIDE, WIDE = (
     10.0,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fishmj import log
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import replicates
 
 

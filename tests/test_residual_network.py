@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_hydro_model import CHAIN, N, states, step, wild
 
-from fishmj.dynamics.planar_chain import Links
 from fishmj.water import residual_hooks, residual_kernel, residual_network
+from fishmj.water.dynamics.planar_chain import Links
 from fishmj.water.hydro_model import HydroModel
 
 SIGNS = np.array([*[1.0] * (N + 1), *[-1.0] * (2 * N)])

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.dynamics import planar_chain
 from fishmj.mjcf.model import build_spec
 from fishmj.mjcf.servos import on_the_bus
+from fishmj.water.dynamics import planar_chain
 
 DT = 2.5e-4  # s
 STEP = np.radians(30)

@@ -11,25 +11,27 @@ import numpy as np
 import pytest
 from policy_files import header, stored
 
-from fishmj import console
-from fishmj.deploy import rig_experiment, swim_command
-from fishmj.deploy.servo_bus import ServoBusLink
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.loopback import in_step
-from fishmj.loopback.firmware import Readings
-from fishmj.loopback.server import ServeOptions, Server
-from fishmj.loopback.servos import Servos
-from fishmj.loopback.settings import Settings
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.control.policy import structure_sha256
+from fishmj.deploy.commands import swim_command
+from fishmj.deploy.link.servo_bus import ServoBusLink
+from fishmj.deploy.loopback import in_step
+from fishmj.deploy.loopback.firmware import Readings
+from fishmj.deploy.loopback.server import ServeOptions, Server
+from fishmj.deploy.loopback.servos import Servos
+from fishmj.deploy.loopback.settings import Settings
+from fishmj.deploy.protocols import dynamixel, servo_counts
+from fishmj.deploy.protocols.dynamixel import Instruction
+from fishmj.deploy.protocols.messages import ServoFault
+from fishmj.deploy.protocols.servo_bus import BUSES, X_TABLE, x_fault
+from fishmj.deploy.rig import rig_experiment
+from fishmj.mjcf import servo_buses
 from fishmj.mjcf.description import RigSpec, load_robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.mjcf.new import __main__ as new
+from fishmj.mjcf.new.answers import sheet_file
 from fishmj.mjcf.servos import SHELF
-from fishmj.new import __main__ as new
-from fishmj.new.answers import sheet_file
-from fishmj.policy import structure_sha256
-from fishmj.protocols import dynamixel, servo_counts
-from fishmj.protocols.dynamixel import Instruction
-from fishmj.protocols.messages import ServoFault
-from fishmj.protocols.servo_bus import BUSES, X_TABLE, x_fault
 from fishmj.water.identity import water_identity
 from tests.deploying import FakeClock
 
@@ -249,8 +251,8 @@ def test_the_control_table_is_that_of_the_maker():
     """Addresses of the e-Manual's table for XL330-M288-T and XW540-T260-R, the same."""
     assert (X_TABLE.torque[0], X_TABLE.error, X_TABLE.goal[0], X_TABLE.position[0]) == (64, 70, 116, 132)
     assert (X_TABLE.volts[0], X_TABLE.degrees[0]) == (144, 146)
-    assert servo_counts.counts(np.pi / 2, 0.0, servo_counts.X) == 3072
-    assert servo_counts.counts(np.radians(150), 0.0, servo_counts.AX) == 1023
+    assert servo_counts.counts(np.pi / 2, 0.0, servo_buses.X) == 3072
+    assert servo_counts.counts(np.radians(150), 0.0, servo_buses.AX) == 1023
 
 
 # a fish of two XL330 at 5 V, from `fishmj new` on; synthetic

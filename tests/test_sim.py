@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from fishmj import engines, mjcf
-from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.base.errors import ConfigError
 from fishmj.engines import planar
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow, stack
 from fishmj.log import read_trial, stacked, write_trial
 from fishmj.mjcf.servos import on_the_bus
 from fishmj.sim import Sim
+from fishmj.water.dynamics import planar_chain, strip_forces
+from fishmj.water.flow import Flow, stack
 
 
 def gait(t, n=3, f=1.0):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fishmj.dynamics import planar_chain
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.skin import posed, skin
+from fishmj.water.dynamics import planar_chain
 
 
 @pytest.fixture(scope="module")

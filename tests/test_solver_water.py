@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from fishmj import controllers
-from fishmj.calibrate import slip
-from fishmj.campaign.data import plan as plans
-from fishmj.campaign.data.run_segments import Setup
-from fishmj.errors import ConfigError, UnknownName
+from fishmj import control
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import run_trials, trials
+from fishmj.gap.calibrate import slip
+from fishmj.hydro_fit.campaign.data import plan as plans
+from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.markers import SHARP, Sharpness
 from fishmj.lbm_oracle.run.domain import EVERY, preset
@@ -48,7 +48,7 @@ def test_a_boundary_that_was_chosen_is_in_the_water_its_label_and_the_names_of_k
     )
     with pytest.raises(ConfigError, match="--boundary sharp beside --reference"):
         asked_for("evaluate", True, None, None, boundary="sharp")
-    brain, robot = controllers.make("dob", load_robot("fish")), load_robot("fish")
+    brain, robot = control.make("dob", load_robot("fish")), load_robot("fish")
     marks = {run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(sharpness=edge)) for edge in BOUNDARIES.values()}
     assert len(marks) == len(BOUNDARIES) and run_trials.fingerprint(brain, robot, trials(), PLAIN) in marks
 
@@ -57,7 +57,7 @@ def test_water_in_half_precision_has_its_own_label_and_kept_trials_and_no_refere
     half = asked_for("evaluate", False, None, 0.98, storage="float16")
     assert half.label == "paper, slip 0.98, float16" and half.immersed["storage"] == "float16"
     assert "storage" not in asked_for("evaluate", False, None, 0.98, storage="float32").immersed
-    brain, robot = controllers.make("dob", load_robot("fish")), load_robot("fish")
+    brain, robot = control.make("dob", load_robot("fish")), load_robot("fish")
     marks = [run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(storage=kind)) for kind in ("float32", "float16")]
     assert marks[0] != marks[1]
     with pytest.raises(ConfigError, match="--storage float16 beside --reference"):

@@ -9,7 +9,7 @@ from fishmj.log import read_trial
 @pytest.mark.slow
 @pytest.mark.oracle
 def test_a_second_of_the_swim_becomes_frames_of_fish_wake_and_target(tmp_path):
-    from fishmj.studies import station_film as film
+    from studies import station_film as film
 
     film.swim(tmp_path, "cpu", seconds=1.0)
     assert read_trial(tmp_path / "trial").value("controller") == film.POLICY

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fishmj import store
-from fishmj.errors import StoreError
-from fishmj.store import left_out, shipped
-from fishmj.store.temporary import HOST
+from fishmj.base import store
+from fishmj.base.errors import StoreError
+from fishmj.base.store import left_out, shipped
+from fishmj.base.store.temporary import HOST
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ def test_what_comes_with_fishmj_is_found_from_anywhere_unless_the_user_has_his_o
 
 def test_an_installed_package_says_where_the_rest_of_the_data_is(monkeypatch):
     assert left_out("data/gap/lbm/planted") == "", "a checkout has all"
-    monkeypatch.setattr("fishmj.store.manifest.OWN", Path("data"))
+    monkeypatch.setattr("fishmj.base.store.manifest.OWN", Path("data"))
     assert "checkout or the source distribution (sdist)" in left_out("data/gap/lbm/planted")
     assert left_out("elsewhere/data") == ""
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from fishmj import generators
-from fishmj.calibrate.water_fit import calibrate_trials
+from fishmj.base.errors import UnknownName
 from fishmj.effects import STAGES
-from fishmj.errors import UnknownName
+from fishmj.gap.calibrate.water_fit import calibrate_trials
 from fishmj.gap.decide.decide import Support, as_in_healthy_robots
+from fishmj.gap.laboratory import generators
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull
@@ -25,7 +26,6 @@ from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import ModelResponse
 from fishmj.gap.thresholds import frozen
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot import generate
 from fishmj.water.choice import STRUCTURED
 
 NULL = SimulatedNull(runs=12)

@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from fishmj.deploy.monitor_rows import as_heard
-from fishmj.deploy.monitor_statistics import Reference, learn
-from fishmj.errors import ConfigError
-from fishmj.store import write_json
-from fishmj.studies.monitor import __main__ as study
-from fishmj.studies.monitor import loopback_swims, results
-from fishmj.studies.monitor.loopback_swims import swim
-from fishmj.studies.monitor.results import Watched
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import write_json
+from fishmj.deploy.monitor.rows import as_heard
+from fishmj.deploy.monitor.statistics import Reference, learn
+from studies.monitor import __main__ as study
+from studies.monitor import loopback_swims, results
+from studies.monitor.loopback_swims import swim
+from studies.monitor.results import Watched
 
 
 def test_stamps_of_the_robots_clock_are_shifted_by_the_least_delay_and_each_life_of_it_by_its_own():

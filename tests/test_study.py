@@ -7,14 +7,14 @@ import machines
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.studies.measured_robots import significance, term_sizes
-from fishmj.studies.measured_robots.command import TEMPLATES, main
-from fishmj.studies.measured_robots.decoy_terms import RIVALS
-from fishmj.studies.measured_robots.planar_body import Hull, MeanGait, PlanarBody
-from fishmj.studies.measured_robots.study_build import built
-from fishmj.studies.measured_robots.study_logs import logs_of
-from fishmj.studies.measured_robots.study_schema import PLANTS, checked, read_study
+from fishmj.base import console
+from fishmj.gap.measured import significance, term_sizes
+from fishmj.gap.measured.command import TEMPLATES, main
+from fishmj.gap.measured.decoy_terms import RIVALS
+from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody
+from fishmj.gap.measured.study_build import built
+from fishmj.gap.measured.study_logs import logs_of
+from fishmj.gap.measured.study_schema import PLANTS, checked, read_study
 
 BODY = """schema = "fishmj.study/1"
 name = "boat"

@@ -17,9 +17,9 @@ from dm_control.rl import control
 from dm_env import test_utils
 
 from fishmj import engines, suite
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.engines.lbm import Engine as LbmEngine
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.suite import physics as fish_physics
+from fishmj.tasks.dm_control import physics as fish_physics
 from fishmj.tasks.episode import Episodes
 
 ROOT = Path(__file__).resolve().parent.parent

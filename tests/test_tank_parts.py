@@ -7,7 +7,7 @@ from test_firmware_esp32s3 import flags
 
 from tests.test_docs_prose import ROOT
 
-PAGE = (ROOT / "docs" / "guide" / "tank_parts.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "tank" / "parts.md").read_text(encoding="utf-8")
 NAMES = {"TX": "SERVO_TX", "RX": "SERVO_RX", "send": "SERVO_SEND", "SDA": "SDA", "SCL": "SCL"}  # in the drawing, in the flags
 
 

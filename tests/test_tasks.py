@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from raft import KEY, Raft
 
 from fishmj import engines, mjcf, suite
-from fishmj.calib import constant
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.gym.fish_env import LARGEST, FishVectorEnv
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
+from fishmj.tasks.gym.fish_env import LARGEST, FishVectorEnv
 from fishmj.tasks.reference import COURSES, EpisodeStart, FigureEightReference, eight, path_length
 from fishmj.train.networks import privileged_scale, scale
 
@@ -267,7 +267,7 @@ def test_the_camera_shows_a_jump_only_after_its_latency_and_the_filter_spreads_i
 
 # ---- the manual ----
 
-PAGE = (Path(__file__).parent.parent / "docs" / "guide" / "tasks.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parent.parent / "docs" / "train" / "tasks.md").read_text(encoding="utf-8")
 MANUAL = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
@@ -306,4 +306,4 @@ def test_the_privileged_view_has_its_groups_in_their_order():
 
 @pytest.mark.parametrize("example", MANUAL, ids=["dm_control", "gymnasium", "vector", "jax"])
 def test_the_examples_of_the_manual_run(example):
-    exec(compile(example, "docs/guide/tasks.md", "exec"), {})  # noqa: S102  our own text
+    exec(compile(example, "docs/train/tasks.md", "exec"), {})  # noqa: S102  our own text

@@ -8,7 +8,7 @@ import pytest
 from scipy import signal
 
 from fishmj import log
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import timebase
 from fishmj.log.timebase import lag_between
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from fishmj.calib import parse_toml
-from fishmj.errors import ConfigError
+from fishmj.base.calib import parse_toml
+from fishmj.base.errors import ConfigError
 
 HEAD = '[body]\n\n[[link]]\nname = "head"\n[[link]]\nname = "tail"\n'
 IN = "in [[link]] 2"

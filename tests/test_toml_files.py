@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from fishmj.calib import read_toml, resolve
+from fishmj.base.calib import read_toml, resolve
+from fishmj.base.errors import FishmjError, UnknownName
 from fishmj.effects import calibration
-from fishmj.errors import FishmjError, UnknownName
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.toml import dumps
 from fishmj.mjcf import load_robot

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.tracker import Board, Calibration, Mark, calibrate_intrinsics, homography_from_marks
-from fishmj.tracker.calibration import camera_of, overhead
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.tracker import Board, Calibration, Mark, calibrate_intrinsics, homography_from_marks
+from fishmj.deploy.tracker.calibration import camera_of, overhead
 
 cv2 = pytest.importorskip("cv2")
 

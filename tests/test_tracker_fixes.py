@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, TagPlate
-from fishmj.studies.tracker import cases
-from fishmj.tracker import AprilTagTracker, ColourTracker, Paint
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, TagPlate
+from fishmj.deploy.tracker import AprilTagTracker, ColourTracker, Paint
+from studies.tracker import cases
 
 cv2 = pytest.importorskip("cv2")
 STILL = (0.0, 0.0, 0.0)
@@ -187,9 +187,9 @@ import sys
 for name in {heavy}:
     sys.modules[name] = None
 import numpy as np
-from fishmj.tracker import AprilTagTracker, ColourTracker, Paint, track_video
+from fishmj.deploy.tracker import AprilTagTracker, ColourTracker, Paint, track_video
 assert "cv2" not in sys.modules, "loaded at the first use"
-from fishmj.tracker.calibration import overhead
+from fishmj.deploy.tracker.calibration import overhead
 seen = overhead((1280, 720), 0.0028, 3.0)
 paint = Paint(head=((0.05, 0.06), (0.17, 0.02)), neck=((-0.03, 0.05), (0.01, 0.05)))
 for tracker in (AprilTagTracker(seen), ColourTracker(seen, paint)):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, TagPlate
-from fishmj.studies.tracker import cases
-from fishmj.studies.tracker.error_statistics import autocovariance, parts
-from fishmj.tracker.calibration import overhead
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, TagPlate
+from fishmj.deploy.tracker.calibration import overhead
+from studies.tracker import cases
+from studies.tracker.error_statistics import autocovariance, parts
 
 cv2 = pytest.importorskip("cv2")
 CAMERA = overhead((640, 360), 0.0028, 3.0, distortion=cases.LENS)

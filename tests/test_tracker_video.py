@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fishmj.errors import ConfigError, LogError, StoreError
+from fishmj.base.errors import ConfigError, LogError, StoreError
+from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist
+from fishmj.deploy.tracker import track_video
 from fishmj.log import read_trial
-from fishmj.loopback.camera_frames import FishLook, FrameArtist
-from fishmj.studies.tracker import cases
-from fishmj.tracker import track_video
+from studies.tracker import cases
 
 cv2 = pytest.importorskip("cv2")
 FRAMES, RATE = 12, 25.0

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from training import StopAt, calm_run, figures_of, sac_run
 
-from fishmj import console, mjcf
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.policy import Policy
-from fishmj.store import write_json
+from fishmj import mjcf
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import write_json
+from fishmj.control.policy import Policy
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train import multi_seed
 from fishmj.train.__main__ import main

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from training import calm_run
 
-from fishmj import console, controllers
-from fishmj.errors import ConfigError
+from fishmj import control
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.control.policy import Policy
 from fishmj.mjcf.description import load_robot
-from fishmj.policy import Policy
 from fishmj.train.__main__ import main
 from fishmj.train.begin import SIGMA, begin_with, begun
 from fishmj.train.settings import change, preset
@@ -53,7 +54,7 @@ def test_the_first_policy_of_such_a_run_is_the_one_that_it_began_with(tmp_path):
     assert np.abs(np.asarray(run.algorithm.act(run.training.actor, obs)) - Policy.load("station")(obs)).max() < 1e-5
     assert np.allclose(np.exp(run.training.log_sigma), SIGMA)
     run._export("last", {})
-    swims = controllers.make(tmp_path / "run" / "last.safetensors", load_robot("fish")).policy
+    swims = control.make(tmp_path / "run" / "last.safetensors", load_robot("fish")).policy
     assert all(
         np.array_equal(a, b) for x, y in zip(swims.weights, policy.weights, strict=True) for a, b in zip(x, y, strict=True)
     )

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from training import CALM, Point, calm_run
 
-from fishmj import console, mjcf
-from fishmj.controllers.learned import body_of
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.policy import Policy, fit
+from fishmj import mjcf
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.control.learned import body_of
+from fishmj.control.policy import Policy, fit
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train.__main__ import options, settings_from
 from fishmj.train.begin import SIGMA, begin_with
@@ -25,7 +26,7 @@ from fishmj.train.networks import ACTIVATIONS, mlp
 from fishmj.train.settings import ALGORITHMS, as_dict, change, from_dict, hyperparameters, of_run, preset, told
 from fishmj.train.training_run import arrays_of, export, tree_of, write_settings
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "guide" / "training.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "train" / "training.md"
 
 
 def asked_for(*argv):

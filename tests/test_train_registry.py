@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from training import CALM, StopAt, figures_of
 
-from fishmj import console
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.policy import Policy
-from fishmj.store import write_json
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import write_json
+from fishmj.control.policy import Policy
 from fishmj.train.__main__ import main, options, settings_from
 from fishmj.train.build import algorithm, config_of, environment, referred
 from fishmj.train.learner import METRICS

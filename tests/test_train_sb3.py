@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from training import StopAt, figures_of
 
-from fishmj import console
-from fishmj.gym.fish_env import FishVectorEnv
-from fishmj.policy import Policy
-from fishmj.store import read_tensors
+from fishmj.base import console
+from fishmj.base.store import read_tensors
+from fishmj.control.policy import Policy
+from fishmj.tasks.gym.fish_env import FishVectorEnv
 from fishmj.train.__main__ import main
 from fishmj.train.build import policy_of
 from fishmj.train.networks import scale

@@ -1,4 +1,4 @@
-"""The tutorials of docs/start, from their first command to their last, in an empty folder.
+"""The tutorials of docs/, from their first command to their last, in an empty folder.
 
 What a reader runs for minutes is made shorter by options that the help of the command lists, `SHORTER`; nothing else differs.
 """
@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-START = ROOT / "docs" / "start"
-TUTORIALS = ("what_is_my_simulation_missing", "your_first_policy", "your_own_fish")
+DOCS = ROOT / "docs"
+TUTORIALS = ("search", "train", "simulate")
 JUDGED = "--los 0,180 --duration 20"
 SHORTER = {
     "fishmj train": "--steps 8e3 --envs 64",
@@ -26,7 +26,7 @@ SHORTER = {
 
 def blocks(name: str) -> list[tuple[str, str]]:
     """(language, text) of the fenced blocks of a page."""
-    return re.findall(r"^```(sh|python)\n(.*?)^```", (START / f"{name}.md").read_text(encoding="utf-8"), re.M | re.S)
+    return re.findall(r"^```(sh|python)\n(.*?)^```", (DOCS / name / "tutorial.md").read_text(encoding="utf-8"), re.M | re.S)
 
 
 def shorter(command: str) -> list[str]:
@@ -66,20 +66,20 @@ def test_a_tutorial_runs_from_end_to_end(name, tmp_path):
 
 
 EXPECTED = {  # what the page quotes and what does not hang on how long it ran
-    "what_is_my_simulation_missing": (
+    "search": (
         "NAMED: explains records that it has not seen, and nothing else does",
         "NAMED coulomb_friction {'torque': 0.10",
         "frictionloss=",
         "| report/fish.v2.toml |",
     ),
-    "your_first_policy": ("all that fishmj needs is here", "| controller | arrival", "first.html"),
-    "your_own_fish": ("| swims ahead                   | 0.238 m/s", "1.0 Hz: 0.249 m/s", "2.0 Hz: 0.513 m/s", "solved.html"),
+    "train": ("all that fishmj needs is here", "| controller | arrival", "first.html"),
+    "simulate": ("| swims ahead                   | 0.238 m/s", "1.0 Hz: 0.249 m/s", "2.0 Hz: 0.513 m/s", "solved.html"),
 }
 
 
 @pytest.mark.parametrize("name", TUTORIALS)
 def test_what_a_tutorial_is_expected_to_say_stands_in_it(name):
-    page = (START / f"{name}.md").read_text(encoding="utf-8")
+    page = (DOCS / name / "tutorial.md").read_text(encoding="utf-8")
     assert [words for words in EXPECTED[name] if words not in page] == []
 
 
@@ -90,5 +90,5 @@ def test_options_in_place_of_others():
     assert shorter("fishmj replay a") == ["replay", "a"]
 
 
-def test_every_page_of_the_start_is_a_tutorial_or_the_page_of_commands():
-    assert {path.stem for path in START.glob("*.md")} == {*TUTORIALS, "commands"}
+def test_every_tutorial_is_run():
+    assert {path.parent.name for path in DOCS.glob("*/tutorial.md")} == set(TUTORIALS)

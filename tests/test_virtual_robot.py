@@ -7,14 +7,14 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import excitation
-from fishmj.errors import ConfigError, SimDiverged
-from fishmj.virtual_robot import ClosedLoopRobot, generate, plant
-from fishmj.virtual_robot.chain import assemble
-from fishmj.virtual_robot.figures import coast, steady
-from fishmj.virtual_robot.servo import stick_slip
-from fishmj.virtual_robot.simulate import at_rest, run, workspace
-from fishmj.virtual_robot.water import crossflow, trailing_edge
+from fishmj.base.errors import ConfigError, SimDiverged
+from fishmj.gap.laboratory.virtual_robot import ClosedLoopRobot, generate, plant
+from fishmj.gap.laboratory.virtual_robot.chain import assemble
+from fishmj.gap.laboratory.virtual_robot.figures import coast, steady
+from fishmj.gap.laboratory.virtual_robot.servo import stick_slip
+from fishmj.gap.laboratory.virtual_robot.simulate import at_rest, run, workspace
+from fishmj.gap.laboratory.virtual_robot.water import crossflow, trailing_edge
+from fishmj.log import excitation
 
 DEG = np.pi / 180
 STILL = np.zeros(3)
@@ -32,7 +32,7 @@ def swim(made, commands, start=STILL, push=STILL, seconds=None):
 
 
 def test_it_swims_forward_about_as_fast_as_the_first_robot(made):
-    assert 0.8 * 0.274 < steady(made, 1.0, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.274  # docs/methods/water.md
+    assert 0.8 * 0.274 < steady(made, 1.0, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.274  # docs/simulate/water.md
     assert 0.8 * 0.125 < steady(made, 0.5, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.125
 
 

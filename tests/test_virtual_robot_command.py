@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import console
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.gap.laboratory.virtual_robot.__main__ import main
+from fishmj.gap.laboratory.virtual_robot.hidden_dataset import parse
 from fishmj.log import read_dataset
-from fishmj.virtual_robot.__main__ import main
-from fishmj.virtual_robot.hidden_dataset import parse
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOM = ROOT / "fishmj" / "virtual_robot"
@@ -42,10 +42,10 @@ def test_the_room_imports_none_of_the_fitters_rooms(path):
 
 
 def test_running_it_loads_none_of_the_fitters_rooms():
-    code = "import sys; from fishmj.virtual_robot import generate; generate({}, ['idle'], 0); print(*sys.modules)"
+    code = "import sys; from fishmj.gap.laboratory.virtual_robot import generate; generate({}, ['idle'], 0); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     loaded = set(done.stdout.split())
-    assert "fishmj.virtual_robot.loop" in loaded
+    assert "fishmj.gap.laboratory.virtual_robot.loop" in loaded
     assert not {f"fishmj.{room}" for room in STRANGERS} & loaded
     assert not {"mujoco", "jax"} & loaded
 

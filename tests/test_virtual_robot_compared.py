@@ -5,10 +5,11 @@ import pytest
 
 pytest.importorskip("numba")
 
-from fishmj import engines, excitation
-from fishmj.flow import Flow, stack
+from fishmj import engines
+from fishmj.gap.laboratory.virtual_robot import generate
+from fishmj.log import excitation
 from fishmj.mjcf import load_robot
-from fishmj.virtual_robot import generate
+from fishmj.water.flow import Flow, stack
 
 RUNS = ("gait", "turn_left", "tow_ahead")
 
@@ -52,7 +53,7 @@ def test_the_path_is_similar_and_far_outside_the_noise(both):
     assert 5 * 0.002 < worst < 0.25 * path, name
 
 
-if __name__ == "__main__":  # the figures of docs/methods/virtual_robot.md
+if __name__ == "__main__":  # the figures of docs/search/virtual_robot.md
     for name in (*excitation.DESIGNED, "gait_slow", "tow_ahead", "twirl", "spin"):
         if "north" in name:
             continue  # a fish that rests does so in both

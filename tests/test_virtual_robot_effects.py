@@ -9,10 +9,10 @@ import pytest
 pytest.importorskip("numba")
 
 from fishmj import effects
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.excitation import Excitation
-from fishmj.virtual_robot import EFFECTS, generate, plant
-from fishmj.virtual_robot.catalogue import CATALOGUE, ODDITIES
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.gap.laboratory.virtual_robot import EFFECTS, generate, plant
+from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES
+from fishmj.log.excitation import Excitation
 
 SEED = 3
 CHANNELS = {  # table, columns, noise of one sample

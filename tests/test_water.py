@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fishmj import mjcf
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 ROBOT = mjcf.load_robot("fish")
 CHAIN = planar_chain.chain_of(ROBOT)

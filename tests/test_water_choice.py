@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from fishmj import engines
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import Flow
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.sim import Sim
 from fishmj.water import choice
 from fishmj.water.choice import chosen, in_water, label, residual_of
+from fishmj.water.flow import Flow
 
 FISH = load_robot("fish")
 
@@ -112,7 +112,7 @@ def test_suite_gymnasium_and_the_jax_environment_take_a_water():
 
 
 def test_an_engine_of_another_water_is_refused():
-    from fishmj.gym.fish_env import FishEnv
+    from fishmj.tasks.gym.fish_env import FishEnv
 
     with pytest.raises(ConfigError, match="swims in water 'structured', the task's in 'swift'"):
         FishEnv(engine=engines.make("planar", in_water(FISH, "structured")))
@@ -142,7 +142,7 @@ def test_the_search_refuses_a_learnt_force_that_it_would_leave_out():
 
 @pytest.mark.parametrize("water", ["fitted", "surrogate", "swift"])
 def test_gap_find_refuses_it_on_the_command_line(water, tmp_path, capsys):
-    from fishmj import console
+    from fishmj.base import console
     from fishmj.gap.commands.find import main
 
     assert console.run(main, [str(tmp_path), "--water", water]) == console.BAD_INPUT

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from fishmj import console
-from fishmj.calibrate import __main__ as command
-from fishmj.calibrate import water_fit
-from fishmj.studies import water_families as study
+from fishmj.base import console
+from fishmj.gap.bench import water_families as study
+from fishmj.gap.calibrate import __main__ as command
+from fishmj.gap.calibrate import water_fit
 
 
 def row(family: str, seed: int, speed: float, value: float, true: float | None) -> dict:

@@ -1,4 +1,4 @@
-"""What docs/methods/water.md says of the prior water is what the code gives: figures, coefficients, lagged added mass."""
+"""What docs/simulate/water.md says of the prior water is what the code gives: figures, coefficients, lagged added mass."""
 
 import os
 import re
@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from fishmj import mjcf
-from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.water import planar_water
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 ROOT = Path(__file__).parent.parent
-MANUAL = (ROOT / "docs" / "methods" / "water.md").read_text(encoding="utf-8")
+MANUAL = (ROOT / "docs" / "simulate" / "water.md").read_text(encoding="utf-8")
 ROBOT = mjcf.load_robot("fish")
 CHAIN, FISH = planar_chain.chain_of(ROBOT), planar_chain.nominal(ROBOT)
 STILL = [(0.0, 0.0)] * CHAIN.n

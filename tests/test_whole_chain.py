@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from fishmj.deploy.localiser import InStep
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.camera.localiser import InStep
+from fishmj.deploy.loopback.lockstep import FixNoise, LockstepClock, PoseTracker
+from fishmj.deploy.loopback.settings import Settings, make_robot
 from fishmj.evaluate import protocol
-from fishmj.loopback.lockstep import FixNoise, LockstepClock, PoseTracker
-from fishmj.loopback.settings import Settings, make_robot
 from fishmj.mjcf.description import load_robot
-from fishmj.studies.tracker.error_statistics import LAGS, autocovariance
-from fishmj.studies.whole_chain import __main__ as study
-from fishmj.studies.whole_chain.chain import Compared, Remembering, figures
-from fishmj.studies.whole_chain.direct import AsSensed, in_second_robot, observation_noise
-from fishmj.studies.whole_loop import steps
 from fishmj.tasks import station_hold
 from fishmj.tasks.sensing import estimate
+from studies.tracker.error_statistics import LAGS, autocovariance
+from studies.whole_chain import __main__ as study
+from studies.whole_chain.chain import Compared, Remembering, figures
+from studies.whole_chain.direct import AsSensed, in_second_robot, observation_noise
+from studies.whole_loop import steps
 
 ROBOT = load_robot("fish")
 

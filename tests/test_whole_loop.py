@@ -10,24 +10,25 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj import console
-from fishmj.deploy import rig_experiment, swim_command
-from fishmj.deploy.swim import Plan, Rig, Swim
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, FishmjError
+from fishmj.base.store import read_json, write_json
+from fishmj.deploy.commands import swim_command
+from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.rig import rig_experiment
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import command_latency, nominal_params
-from fishmj.errors import ConfigError, FishmjError
 from fishmj.gap.commands import admission
 from fishmj.gap.commands.apply import settle
+from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.records.records import record_of
 from fishmj.log import read_trial
 from fishmj.log.dataset import take
 from fishmj.mjcf.description import load_robot
-from fishmj.store import read_json, write_json
-from fishmj.studies.whole_loop import __main__ as study
-from fishmj.studies.whole_loop import gains, latency, robots, steps, swims
-from fishmj.studies.whole_loop.steps import Fault, Loop
-from fishmj.studies.whole_loop.tank import Tank
-from fishmj.virtual_robot import generate
+from studies.whole_loop import __main__ as study
+from studies.whole_loop import gains, latency, robots, steps, swims
+from studies.whole_loop.steps import Fault, Loop
+from studies.whole_loop.tank import Tank
 
 ROOT = Path(__file__).resolve().parent.parent
 sized = lambda value: {"value": value, "low": value - 0.01, "high": value + 0.01}
@@ -154,7 +155,7 @@ def test_gains_are_what_an_effect_explains_beyond_the_tolerated_errors_of_the_ot
 
 
 def test_gains_of_a_robot_that_did_not_go_through_the_loop_say_what_to_do(tmp_path):
-    with pytest.raises(ConfigError, match=r"seed_03/fish.toml: no such file; python -m fishmj.studies.whole_loop --only 3 --out"):
+    with pytest.raises(ConfigError, match=r"seed_03/fish.toml: no such file; python -m studies.whole_loop --only 3 --out"):
         gains.searched(Loop(out=tmp_path), 3)
 
 

@@ -1,4 +1,4 @@
-"""The second fish went the whole way of docs/guide/your_own_fish.md: data set, fitted water, what the page says of them."""
+"""The second fish went the whole way of docs/simulate/your_own_fish.md: data set, fitted water, what the page says of them."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fishmj import engines
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.__main__ import records_of
 from fishmj.hydro_fit.segment_dataset import open_dataset
@@ -17,7 +17,7 @@ from fishmj.water.hydro_model import HydroModel
 
 ROOT = Path(__file__).parent.parent
 FISH = load_robot("tendon_fish")
-PAGE = (ROOT / "docs" / "guide" / "your_own_fish.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "simulate" / "your_own_fish.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fishmj import console
+from fishmj.base import console
 
 EXAMPLE = str(Path(__file__).resolve().parent.parent / "examples" / "own_code.py")
 

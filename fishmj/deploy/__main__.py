@@ -5,30 +5,30 @@ from contextlib import ExitStack
 from importlib import import_module
 from typing import Any
 
-from fishmj import console
-from fishmj.console import Command
-from fishmj.deploy.rig_commands import COMMANDS as RIG
+from fishmj.base import console
+from fishmj.base.console import Command
+from fishmj.deploy.commands.rig_commands import COMMANDS as RIG
 from fishmj.mjcf.description import Robot
 
 
 def in_step(args: Any, robot: Robot, stack: ExitStack) -> Any:
     """`loopback.in_step.wired`, imported where a robot in lockstep is asked for."""
-    return import_module("fishmj.loopback.in_step").wired(args, robot, stack)
+    return import_module("fishmj.deploy.loopback.in_step").wired(args, robot, stack)
 
 
 def trials(argv: list[str]) -> int | None:
     """The command `deploy trials`, with the loopback robot that the host itself never imports."""
-    return import_module("fishmj.deploy.trials_command").main(argv, in_step)
+    return import_module("fishmj.deploy.commands.trials_command").main(argv, in_step)
 
 
 COMMANDS = {
     "swim": Command(
-        "fishmj.deploy.swim_command",
+        "fishmj.deploy.commands.swim_command",
         "a policy or a sine gait swims: camera, 50 Hz bus, supervisor, trial folder",
         "fishmj deploy swim --policy station --link loopback --seconds 30",
     ),
     "flow-map": Command(
-        "fishmj.deploy.flow_map_command",
+        "fishmj.deploy.commands.flow_map_command",
         "what each pump setting makes of the water: speed, TI, length scale",
         "fishmj deploy flow-map 20=adv_20.csv 25=adv_25.csv --time Time --velocity Vx,Vy --unit cm/s --out tank_flow.toml",
     ),
@@ -38,32 +38,38 @@ COMMANDS = {
         "fishmj deploy trials --policy station --link loopback --yes --speeds 0.2 --los 0,180 --repeats 1 --out runs/trials",
     ),
     "loopback": Command(
-        "fishmj.loopback.command",
+        "fishmj.deploy.loopback.command",
         "a robot without a fish, on this computer, faults included",
         "fishmj deploy loopback --fault loss=0.02 --flow 0.2,3.14",
     ),
     "track": Command(
-        "fishmj.deploy.track_command",
+        "fishmj.deploy.commands.track_command",
         "the fish in a video file, as a trial, with an overlay video",
         "fishmj deploy track swim.mp4 --calibration tank.toml --out runs/swim",
     ),
     "calibrate-camera": Command(
-        "fishmj.deploy.camera_command",
+        "fishmj.deploy.commands.camera_command",
         "pixels to metres: lens from pictures of a board, tank from its marks",
         "fishmj deploy calibrate-camera --pictures board --board 9x6 --square 0.025 --marks marks.toml --out tank.toml",
     ),
     "monitor": Command(
-        "fishmj.deploy.monitor_command", "when robot and model parted, and in which channel", "fishmj deploy monitor runs/swim_07"
+        "fishmj.deploy.commands.monitor_command",
+        "when robot and model parted, and in which channel",
+        "fishmj deploy monitor runs/swim_07",
     ),
     "firmware-policy": Command(
-        "fishmj.deploy.firmware_command",
+        "fishmj.deploy.commands.firmware_command",
         "a policy as a C header, for a robot that computes it itself",
         "fishmj deploy firmware-policy station --out policy_constants.h",
     ),
     "recover": Command(
-        "fishmj.deploy.recover_command", "the trial of a swim whose host was killed", "fishmj deploy recover runs/swim_07"
+        "fishmj.deploy.commands.recover_command",
+        "the trial of a swim whose host was killed",
+        "fishmj deploy recover runs/swim_07",
     ),
-    "doctor": Command("fishmj.deploy.doctor_command", "what is plugged in, and what is installed", "fishmj deploy doctor"),
+    "doctor": Command(
+        "fishmj.deploy.commands.doctor_command", "what is plugged in, and what is installed", "fishmj deploy doctor"
+    ),
 }
 COMMANDS |= RIG
 

@@ -10,9 +10,9 @@ from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter
 from fishmj.effects.stack import EffectStack
-from fishmj.errors import ConfigError, UnknownName
 
 
 @cache

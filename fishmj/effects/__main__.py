@@ -2,7 +2,8 @@
 
 import sys
 
-from fishmj import console, effects
+from fishmj import effects
+from fishmj.base import console
 from fishmj.effects.effect import Effect, Parameter
 
 

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.calib import parse_toml, read_toml, resolve
+from fishmj.base.calib import parse_toml, read_toml, resolve
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import write_text
 from fishmj.effects import EffectStack, get
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.store import write_text
 
 KEYS = ("name", "parameters", "provenance", "hash")
 

@@ -8,7 +8,7 @@ compiled form, JAX, the beat-averaged body and the servo on a bench.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, UnknownName
 
 STAGES = ("actuator", "timing", "inertia", "hydrodynamics", "environment", "measurement")
 CHANNELS = ("joint", "position", "heading", "power")  # in which an effect shows
@@ -62,7 +62,7 @@ class Confusion:
 
     other: str  # its name
     separates: str  # what tells them apart
-    excitations: tuple[str, ...] = ()  # ids of fishmj.excitation, best first
+    excitations: tuple[str, ...] = ()  # ids of fishmj.log.excitation, best first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ class Effect:
         handed      parameters whose sign a mirror turns
         one_sided   it pulls or pushes to one side for good: a mirrored fish does not swim the mirrored way
         stores      it gives back energy that it took, as a spring: it may push
-        unplanted   why the second robot (virtual_robot/catalogue.py) does not hide it; "": it does
+        unplanted   why the second robot (gap/laboratory/virtual_robot/catalogue.py) does not hide it; "": it does
         planted     why it hides it in sizes that are not typical here; "": the ranges overlap
     stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
         scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stack.py).

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from fishmj.calib import constant
-from fishmj.dynamics import planar_chain
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import shown_value
 from fishmj.engines.extensions import Extensions, bus_rows, with_effects
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.options import shown_value
 from fishmj.water.choice import in_water
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Current
 from fishmj.water.prior import flat as flat_water
 from fishmj.water.prior import unflat
 

@@ -14,14 +14,14 @@ import numpy as np
 from mujoco.batch import Batch
 
 from fishmj import mjcf
-from fishmj.cores import usable_cores
-from fishmj.dynamics import planar_chain
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import MissingExtra, SimDiverged
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
-from fishmj.errors import MissingExtra, SimDiverged
-from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Current, sample
 
 SMALLEST = 16  # fish below which a second thread does not pay
 

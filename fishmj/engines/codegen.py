@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 
 BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "and": "{} & {}"}
 PLAIN = ("sqrt", "sin", "cos", "exp", "atan2", "floor")  # functions that have one name in all languages

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.cores import usable_cores
-from fishmj.dynamics import strip_forces
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import ConfigError
 from fishmj.engines import (
     Copied,
     FishParams,
@@ -40,9 +40,9 @@ from fishmj.engines import (
     ticks_per,
 )
 from fishmj.engines.extensions import Extensions
-from fishmj.errors import ConfigError
-from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.dynamics import strip_forces
+from fishmj.water.flow import Current
 
 WATER = len(strip_forces.Coefficients._fields) - 2  # coefficients of a water besides k and cn of each link
 CHUNK = 8  # blocks of numba_build.LANES fish that a thread must have for it to pay

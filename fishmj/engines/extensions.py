@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from fishmj import effects
-from fishmj.dynamics import planar_chain as chain
-from fishmj.dynamics.hooks import Effects
+from fishmj.base.errors import ConfigError
 from fishmj.effects.calibration import FittedEffect, activate
-from fishmj.errors import ConfigError
 from fishmj.mjcf.description import Robot
 from fishmj.water.choice import residual_of
+from fishmj.water.dynamics import planar_chain as chain
+from fishmj.water.dynamics.hooks import Effects
 
 
 class Commanded(Effects):

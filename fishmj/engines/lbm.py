@@ -14,13 +14,11 @@ from functools import partial
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError
 from fishmj.effects.calibration import activate
 from fishmj.engines import FishParams, FishState, Steps, Trace, check_commands, drained, ticks_per
 from fishmj.engines.tank_effects import check_effects
 from fishmj.engines.tank_run import EffectRun, TankEffects
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.refined_run import run_of
@@ -29,6 +27,8 @@ from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import personalise
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow
 
 HELD = 1.0  # s
 

@@ -13,12 +13,12 @@ from jax import lax
 from mujoco import mjx
 
 from fishmj import mjcf
-from fishmj.dynamics import planar_chain
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
-from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Current, sample
 
 
 class Engine(Copied):

@@ -19,13 +19,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.base.errors import MissingExtra
+from fishmj.base.machine_code import cache_folder
 from fishmj.engines import codegen, fast_math, residual_lanes, rows_of, ticks_per
 from fishmj.engines.extensions import Extensions
-from fishmj.errors import MissingExtra
-from fishmj.flow import TICK
-from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import planar_chain, strip_forces
+from fishmj.water.flow import TICK
 from fishmj.water.prior import unflat
 from fishmj.water.residual_hooks import at_rest
 
@@ -120,7 +120,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
     """
     import jax.numpy as jnp
 
-    from fishmj.dynamics.hooks import centres as centres_of
+    from fishmj.water.dynamics.hooks import centres as centres_of
 
     ch, added = planar_chain.chain_of(robot), Extensions.of(robot)
     learnt = None if added.learnt is None else residual_lanes.Shape.of(added.learnt)

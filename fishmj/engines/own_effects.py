@@ -13,16 +13,17 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from fishmj import effects, plugins
-from fishmj.dynamics import planar_chain
-from fishmj.dynamics.hooks import Effects
+from fishmj import effects
+from fishmj.base import plugins
+from fishmj.base.errors import OwnCodeError
+from fishmj.base.names import is_name
 from fishmj.effects import Effect, EffectStack
 from fishmj.effects.effect import CLOCKS, Parameter
 from fishmj.effects.sites import Measured
 from fishmj.effects.stack import delivered
-from fishmj.errors import OwnCodeError
 from fishmj.mjcf.description import load_robot
-from fishmj.names import is_name
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics.hooks import Effects
 
 CALLS = {
     **{site: (f"{site}(xp, p, {site}, memory, h)", 5) for site in ("servo", "gear", "body", "water", "command")},

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from fishmj.dynamics import planar_chain
-from fishmj.dynamics.hooks import centres
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
-from fishmj.flow import Current, sample
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics.hooks import centres
+from fishmj.water.flow import Current, sample
 from fishmj.water.residual_network import takes_kernel
 
 kernel = True  # False: in a learnt water on an NVIDIA GPU the learnt force alone is a kernel, and not the physics of a tick

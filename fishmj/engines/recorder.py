@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj.base.errors import LogError, SimDiverged
+from fishmj.base.source import made_by
 from fishmj.effects.sites import Measured
 from fishmj.engines.extensions import Extensions
-from fishmj.errors import LogError, SimDiverged
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
-from fishmj.source import made_by
 
 SANE_SPEED, SANE_SPIN = 20.0, 30.0  # m/s and rad/s: beyond them a log is refused, so rescued rows stop there
 

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.residual_network import BOUND, WAKES
 
 BLOCK = 4  # units that share a load of the inputs

@@ -15,10 +15,10 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.engines.extensions import Extensions
-from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.injection import Handle, checked_step, installed
 from fishmj.water.link_wrench import LinkWrench
 from fishmj.water.planar_water import PlanarWater

@@ -17,11 +17,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from fishmj import effects
-from fishmj.dynamics import planar_chain
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects import Effect
 from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear
-from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.dynamics import planar_chain
 
 WATER = "the solver is the water"
 SOLID = {"chain": ("com", "inertia", "mass", "torque", "motor"), "swimmer": ("mass", "kp", "kv", "kb", "zero")}  # what may change

@@ -9,17 +9,17 @@ from typing import cast
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain
 from fishmj.effects import EffectStack
 from fishmj.effects.sites import Constants, FlowAt
 from fishmj.engines.extensions import Commanded
-from fishmj.flow import DrawnFlow, Flow
 from fishmj.lbm_oracle.immersed.body import DisplacedWater
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.driven_body import DrivenBody
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf import build
 from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import DrawnFlow, Flow
 
 CLOCK = 1  # place of the session's time in an effect's memory
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from fishmj import console, controllers, cost, engines, interrupt
+from fishmj import control, engines
+from fishmj.base import console, cost, interrupt
+from fishmj.base.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.engines import own_effects, tank_effects
-from fishmj.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result, compare, summary
 from fishmj.evaluate.report import (
@@ -26,13 +27,13 @@ from fishmj.evaluate.report import (
     write,
 )  # fmt: skip
 from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
-from fishmj.flow import PRESETS
 from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option
 from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
 from fishmj.mjcf.description import COMMAND_PATHS, check_timing, load_robot
 from fishmj.water import choice
+from fishmj.water.flow import PRESETS
 
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm and hybrid
 REFERENCE = ("--reference", "--boundary", "--storage")  # of lbm alone
@@ -45,7 +46,7 @@ EXAMPLES = f"""examples:
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
   fishmj evaluate station --water hybrid --tanks 12 --device cuda         the water corrected by the solver while it swims
 
-{controllers.shipped_lines()}
+{control.shipped_lines()}
 """
 
 
@@ -53,7 +54,7 @@ def options() -> console.Parser:
     """The arguments of `evaluate`."""
     parser = console.parser("evaluate", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
-    brains = f"{', '.join(controllers.NAMES)}; a shipped policy ({', '.join(controllers.shipped_policies())}); a policy file, the"
+    brains = f"{', '.join(control.NAMES)}; a shipped policy ({', '.join(control.shipped_policies())}); a policy file, the"
     brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
@@ -92,7 +93,7 @@ def options() -> console.Parser:
     add("--command-path", choices=COMMAND_PATHS, help=path)
     step = "between two decisions, as of train, a multiple of the bus tick of 0.02 s; default the robot's, 0.2 for fish"
     add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step}. Policies of another are refused")
-    controllers.anyway_option(parser)
+    control.anyway_option(parser)
     own_effects.option(parser)
     left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
     add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
@@ -145,7 +146,7 @@ def main(argv: list[str]) -> int:
     )  # fmt: skip
     if args.flow_map is not None:
         trials = in_a_tank(trials, args)
-    brains = controllers.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
+    brains = control.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
     affordable(robot, trials, len(brains))
     if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
@@ -185,7 +186,7 @@ def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
     Raises:
         ConfigError: the map has not all the speeds, or an option says something else of the turbulence.
     """
-    from fishmj.deploy.flow_map import FlowMap, preset_for
+    from fishmj.water.flow_map.flow_map import FlowMap, preset_for
 
     if args.turbulence is not None or args.intensity is not None:
         raise ConfigError("evaluate: --flow-map says what the turbulence is; leave --turbulence and --intensity out")
@@ -215,7 +216,7 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
                     bar.stage(f"compiling the engine {args.engine}")
                     engine = choose_engine(args.engine, robot)
                 if args.hybrid is not None:
-                    from fishmj.hybrid.engine import Engine
+                    from fishmj.engines.hybrid.engine import Engine
 
                     engine = Engine(robot, trials.flows()[0], args.hybrid, inner=engine)
             found = judge(brain, robot, trials, engine)
@@ -231,7 +232,7 @@ def hybrid_options(args, robot, trials, brains: int):
     Raises:
         TooMuch: the solver would take a CPU too long. ConfigError: several devices.
     """
-    from fishmj.hybrid import HybridOptions
+    from fishmj.engines.hybrid import HybridOptions
     from fishmj.lbm_oracle.fluid.device import several
     from fishmj.lbm_oracle.run import solver_cost
 
@@ -308,9 +309,11 @@ def findings(results: list[Result]) -> dict:
 
 def report(results: list[Result], args) -> int:
     """Files where asked, then tables to the terminal, also of a report that could not be written whole."""
-    found = findings(results)
+    from fishmj.view.replay import write_html
+
+    found, replay = findings(results), write_html if args.log else None
     try:
-        written = args.out and write(args.out, results, found, plots=args.plots, logs=args.log, again=args.again)
+        written = args.out and write(args.out, results, found, plots=args.plots, logs=args.log, replay=replay, again=args.again)
     finally:
         say_tables(results, found["results"])
     if written:

@@ -26,11 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.calib import constant
-from fishmj.errors import ConfigError
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError
+from fishmj.base.units import G, wrap
 from fishmj.evaluate.protocol import Trials
 from fishmj.mjcf.description import Robot
-from fishmj.units import G, wrap
 from fishmj.water.choice import HYBRID, LBM, label
 
 BEAT = 1.0  # s, averaging window
@@ -73,7 +73,7 @@ class Result(NamedTuple):
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
     policy: dict | None = None  # of a policy: how it was trained, and what is different here (`LearnedController.trained`)
     left_out: tuple[str, ...] = ()  # effects of the description that the judged robot has not
-    corrections: np.ndarray | None = None  # (n,) JSON of `fishmj.hybrid.Hybrid.report`, of the water hybrid
+    corrections: np.ndarray | None = None  # (n,) JSON of `fishmj.engines.hybrid.Hybrid.report`, of the water hybrid
     known: dict[str, np.ndarray] | None = None  # its figures (n,), of a judgement read back from its trials.csv: no time series
 
     @property

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.calib import constant
-from fishmj.errors import MissingExtra
+from fishmj.base.calib import constant
+from fishmj.base.errors import MissingExtra
+from fishmj.base.pages import drawn
+from fishmj.base.units import wrap
 from fishmj.evaluate.metrics import Result, beat_mean, figures
-from fishmj.pages import drawn
-from fishmj.units import wrap
 
 PICTURES = ("distance.png", "radar.png", "heading.png", "tracks.png")  # files of `pictures`
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B", "#8C564B")

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj import flow as background
-from fishmj.calib import constant
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import Flow
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
+from fishmj.water import flow as background
+from fishmj.water.flow import Flow
 
 HEADINGS = ("upstream", "uniform")
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on

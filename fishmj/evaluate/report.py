@@ -14,20 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj import console
-from fishmj.calib import constant
-from fishmj.dynamics.planar_chain import chain_of
-from fishmj.errors import FishmjError, StoreError
+from fishmj.base import console
+from fishmj.base.calib import constant
+from fishmj.base.errors import FishmjError, StoreError
+from fishmj.base.pages import Section, figure, part, report, table
+from fishmj.base.source import made_by
+from fishmj.base.store import Manifest, clear, write_text
+from fishmj.engines.hybrid.online_correction import KINDS
 from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
 from fishmj.evaluate.plots import PICTURES
-from fishmj.flow import sample, stack
-from fishmj.hydro_fit.online_correction import KINDS
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import identity
-from fishmj.pages import Section, figure, part, report, table
-from fishmj.source import made_by
-from fishmj.store import Manifest, clear, write_text
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
+from fishmj.water.dynamics.planar_chain import chain_of
+from fishmj.water.flow import sample, stack
 
 SHORT = {  # key -> heading, digits
     "arrival": ("arrival", 3),
@@ -45,6 +46,7 @@ CORRECTED = "what the flow solver corrected, standard deviations in brackets (of
 STARRED = f"* = the interval excludes 0, of {APART} pairs or more"
 MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_total", "power", "rheotactic_index")
 REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
+ReplayWriter = Callable[[list[Trial], Path, Robot, str], Path]  # (trials, page, robot, title) -> page
 WORST = "worst.html"  # the replay of the first controller's worst trial, beside the report
 # parts of an older report that a new one may lack
 EARLIER = ("report.html", WORST, *PICTURES, "logs/manifest.json", "logs/*_u*_los[0-9][0-9][0-9]_r*")
@@ -216,7 +218,7 @@ def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
 
 
 def corrections(r: Result) -> list[dict]:
-    """What the solver corrected in each trial (`fishmj.hybrid.Hybrid.report`); none in another water than hybrid."""
+    """What the solver corrected in each trial (`fishmj.engines.hybrid.Hybrid.report`); none in another water than hybrid."""
     return [] if r.corrections is None else [json.loads(str(text)) for text in r.corrections]
 
 
@@ -253,9 +255,19 @@ def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
     return rows
 
 
-def write(folder: Path, results: list[Result], found: dict, *, plots: bool = False, logs: bool = False, again: str = "") -> Path:
+def write(
+    folder: Path,
+    results: list[Result],
+    found: dict,
+    *,
+    plots: bool = False,
+    logs: bool = False,
+    replay: ReplayWriter | None = None,
+    again: str = "",
+) -> Path:
     """Write everything into `folder`, the figures first, in place of an older report; returns the path of report.html.
 
+    replay: writes the page that plays the worst trial; None: no such page.
     again: the command that does it all again with trial folders and the replay of the worst trial, for a page without them.
 
     Raises:
@@ -281,9 +293,10 @@ def write(folder: Path, results: list[Result], found: dict, *, plots: bool = Fal
     if logs:
         for r in results:
             attempt(f"logs of {r.controller}", partial(write_logs, r, folder / "logs"))
-        attempt(WORST, lambda: replay_of_worst(results[0], folder / WORST))
-    replay = WORST if logs and WORST not in failed else ""
-    attempt("report.html", lambda: write_text(folder / "report.html", page(results, found, shown, replay, again)))
+    if replay is not None:
+        attempt(WORST, lambda: replay_of_worst(results[0], folder / WORST, replay))
+    played = WORST if replay is not None and WORST not in failed else ""
+    attempt("report.html", lambda: write_text(folder / "report.html", page(results, found, shown, played, again)))
     if failed:
         missing = "; ".join(f"{name}: {error or type(error).__name__}" for name, error in failed.items())
         raise StoreError(f"{folder}: not complete, everything else is there. Not written: {missing}")
@@ -319,12 +332,10 @@ def worst(r: Result) -> int:
     return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
 
 
-def replay_of_worst(r: Result, out: Path) -> Path:
+def replay_of_worst(r: Result, out: Path, write_page: ReplayWriter) -> Path:
     """The page that plays `worst`."""
-    from fishmj.replay import write_html
-
     i = worst(r)
-    return write_html([trial_of(r, i)], out, r.robot, f"worst of {len(r.trials)} trials: {name_of(r, i)}")
+    return write_page([trial_of(r, i)], out, r.robot, f"worst of {len(r.trials)} trials: {name_of(r, i)}")
 
 
 def headline(results: list[Result]) -> str:

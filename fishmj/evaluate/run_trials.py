@@ -17,19 +17,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fishmj import console, controllers, engines, interrupt, store
-from fishmj.calib import calib_folder
-from fishmj.controllers.learned import LearnedController
-from fishmj.errors import ConfigError, SimDiverged, StoreError
+from fishmj import control, engines
+from fishmj.base import console, interrupt, store
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError, SimDiverged, StoreError
+from fishmj.base.source import package_sha256
+from fishmj.control.learned import LearnedController
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.protocol import Trials
-from fishmj.flow import stack
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.source import package_sha256
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.water.choice import LBM, in_water
+from fishmj.water.flow import stack
 from fishmj.water.identity import water_identity
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def run(
     """Judge one controller.
 
     Args:
-        controller: name, policy file, or an object with `reset` and `__call__` (see `fishmj.controllers`).
+        controller: name, policy file, or an object with `reset` and `__call__` (see `fishmj.control`).
         trials: default, the 72 trials with `seed`.
         engine: name or engine.
         shift: m, by which every fish is let go beside where its trial says; its camera has not seen it yet.
@@ -66,7 +67,7 @@ def run(
     """
     robot = in_water(load_robot(robot)) if isinstance(engine, str) else load_robot(robot)
     trials = protocol.trials(seed=seed) if trials is None else trials
-    controller = controllers.make(controller, robot) if isinstance(controller, str) else controller
+    controller = control.make(controller, robot) if isinstance(controller, str) else controller
     return engines.drained(running(controller, robot, trials, engine, shift, progress))
 
 

@@ -2,8 +2,8 @@
 
 import sys
 
-from fishmj import console
-from fishmj.console import Command
+from fishmj.base import console
+from fishmj.base.console import Command
 
 main = console.CommandGroup(
     "gap",
@@ -25,15 +25,15 @@ main = console.CommandGroup(
             "fishmj gap check model.toml --data logs",
         ),
         "bench": Command(
-            "fishmj.studies.gap_benchmark.command", "the blind benchmark", "fishmj gap bench --cases 20 --small --out runs/blind"
+            "fishmj.gap.bench.command", "the blind benchmark", "fishmj gap bench --cases 20 --small --out runs/blind"
         ),
         "fetch": Command(
-            "fishmj.studies.measured_robots.fetch",
+            "fishmj.gap.measured.fetch",
             "a public data set, every file checked",
             "fishmj gap fetch tail_fish --out data/tail_fish",
         ),
         "measured": Command(
-            "fishmj.studies.measured_robots.command",
+            "fishmj.gap.measured.command",
             "what a model of a machine of yours lacks, by groups of its records; published sets, too",
             "fishmj gap measured --study my.toml --out report",
         ),

@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj import effects, excitation
+from fishmj import effects
 from fishmj.effects.ambiguity import together
-from fishmj.excitation import Excitation
 from fishmj.gap.decide.decide import swap_effect
 from fishmj.gap.decide.intervals import estimate
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import smooth, whitening
+from fishmj.gap.progress import Bars, silent
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout, Sensor
 from fishmj.gap.search.fit import Candidate
@@ -31,8 +31,9 @@ from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
-from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import title
+from fishmj.log import excitation
+from fishmj.log.excitation import Excitation
 
 FORM_ERROR = 0.1  # of what an explanation changes
 HINTS = 6  # experiments that a quick look tries

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from fishmj import console
-from fishmj.calib import calib_folder, read_toml, resolve, shown_path
-from fishmj.errors import ConfigError
+from fishmj.base import console
+from fishmj.base.calib import calib_folder, read_toml, resolve, shown_path
+from fishmj.base.errors import ConfigError
 
 RENAMED = {
     "rest": "residual",

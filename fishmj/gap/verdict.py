@@ -31,7 +31,7 @@ class Named:
 @dataclass(frozen=True)
 class Verdict:
     """What a search found. Gaps are |z|^2 / m (search/likelihood.py): healthy robots leave about 1, up to `gap_allowed` agrees.
-    Those of measured robots (studies/measured_robots) are mean squares in units of the floor.
+    Those of measured robots (gap/measured) are mean squares in units of the floor.
 
     effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, and instead of which. tentative: further
     effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best
@@ -62,7 +62,7 @@ class Verdict:
 
     @property
     def searched(self) -> bool:
-        """Whether rounds are told: a search made this, not the protocol of measured data (studies/measured_robots)."""
+        """Whether rounds are told: a search made this, not the protocol of measured data (gap/measured)."""
         return bool(self.steps)
 
     @property

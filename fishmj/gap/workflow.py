@@ -9,9 +9,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.progress import Bars, silent
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.search.healthy_swims import Healthy
@@ -19,7 +20,6 @@ from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
 from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
-from fishmj.gap.watch import Bars, silent
 from fishmj.gap.wording import level
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups

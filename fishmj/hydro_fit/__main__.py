@@ -4,15 +4,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from fishmj import console, interrupt
-from fishmj.calib import OWN, ROOTS
-from fishmj.console import Command
-from fishmj.errors import ConfigError, DatasetError, FishmjError, StoreError
+from fishmj.base import console, interrupt
+from fishmj.base.calib import OWN, ROOTS
+from fishmj.base.console import Command
+from fishmj.base.errors import ConfigError, DatasetError, FishmjError, StoreError
+from fishmj.base.store import sha256
+from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import sha256
-from fishmj.store.manifest import MANIFEST, SOURCES
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
 
 DATA = OWN / "hydro"
@@ -54,7 +54,7 @@ def gathered(robot: Robot, args) -> Path:
     Raises:
         DatasetError: nothing to check the fit by. ConfigError: as `at_hand.segments_at_hand`.
     """
-    from fishmj.campaign.data.at_hand import Request, segments_at_hand
+    from fishmj.hydro_fit.campaign.data.at_hand import Request, segments_at_hand
 
     out, place = Path(args.out or FOLDERS[0]), args.data and Path(args.data)
     for folder in (out, place or DATA):  # hours may lie between now and the first file
@@ -275,7 +275,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 def chosen(robot: Robot, args) -> HydroModel:
     """The model that is judged."""
     if args.prior:
-        from fishmj.studies.water_ablation.ablation import unfitted
+        from fishmj.hydro_fit.water_ablation.ablation import unfitted
 
         return unfitted(robot)
     places = [folder / f"{robot.name}.toml" for folder in ([Path(args.out)] if args.out else FOLDERS)]
@@ -349,8 +349,8 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
     """The fit without each of its parts, on the same held-out records."""
     from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitSettings
-    from fishmj.studies.water_ablation import ablation_table
-    from fishmj.studies.water_ablation.ablation import table
+    from fishmj.hydro_fit.water_ablation import ablation_table
+    from fishmj.hydro_fit.water_ablation.ablation import table
 
     several()
     data = open_dataset(folder)
@@ -388,7 +388,7 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     # verb, summary, options of the example, module where it is not `run`
     ("all", "collect what is missing, fit, check and report", "--fish fish"),
     ("collect", "segments of the flow solver that a water is fitted to", "--preview --out runs/preview",
-        "fishmj.campaign.data.collect"),
+        "fishmj.hydro_fit.campaign.data.collect"),
     ("fit", "fit the water to a data set; the model takes its place if it is not worse",
         "--data runs/preview --out runs/water"),
     ("calibrate", "the error bar of a model, by swims that no fit has seen", "--data runs/bar"),
@@ -397,11 +397,11 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     ("ablation", "what each part of the model is worth: fits without it, same held-out records",
         "--data data/hydro/swift --seeds 0,1,2"),
     ("hybrid", "MuJoCo's water corrected by the solver while it swims",
-        "--wrong stream --domain laptop --episodes 1 --seconds 20", "fishmj.studies.hybrid_trials.command"),
+        "--wrong stream --domain laptop --episodes 1 --seconds 20", "fishmj.evaluate.hybrid_trials.command"),
     ("correct", "rounds of a policy's own states, solved and refitted",
-        "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.campaign.dagger.dagger"),
+        "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.hydro_fit.campaign.dagger.dagger"),
     ("rank", "controllers in the solver and in the fitted water, on the same trials",
-        "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.studies.rank_waters.command"),
+        "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.evaluate.rank_waters.command"),
 )  # fmt: skip
 COMMANDS = {
     verb: Command(module[0] if module else partial(run, verb), summary, f"fishmj hydro_fit {verb} {example}")

@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain
-from fishmj.errors import DatasetError
+from fishmj.base.errors import DatasetError
 from fishmj.hydro_fit.fit import prediction_interval
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force, rows_of
@@ -30,6 +29,7 @@ from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, fish_
 from fishmj.hydro_fit.fit.training_windows import warm_up
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 

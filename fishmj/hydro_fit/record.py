@@ -20,10 +20,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from fishmj.errors import DatasetError, StoreError
-from fishmj.flow import Flow
-from fishmj.names import PATTERN
-from fishmj.store import read_json, read_npz, sha256, write_json, write_npz
+from fishmj.base.errors import DatasetError, StoreError
+from fishmj.base.names import PATTERN
+from fishmj.base.store import read_json, read_npz, sha256, write_json, write_npz
+from fishmj.water.flow import Flow
 
 SCHEMA = "fishmj.segment/1"
 UNITS = {"q": "m, rad", "v": "m/s, rad/s", "command": "rad", "wrench": "N, N m", "raw": "N, N m", "flow": "m/s", "power": "W"}

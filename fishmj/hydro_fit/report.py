@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from fishmj import pages
-from fishmj.dynamics import planar_chain
+from fishmj.base import pages
+from fishmj.base.store import write_json, write_text
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.gauss_newton import tow_drag
 from fishmj.hydro_fit.fit.prediction_interval import CHANNELS, half_width, means
@@ -20,7 +20,7 @@ from fishmj.hydro_fit.fit.regression_rows import RegressionRows, added, rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.store import write_json, write_text
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
 
 LABELS = {"speed": "speed along the body [m/s]", "yaw_rate": "yaw rate [rad/s]", "power": "servo power [W]"}

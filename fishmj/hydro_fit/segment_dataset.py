@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 
-from fishmj.errors import DatasetError, StoreError
+from fishmj.base.errors import DatasetError, StoreError
+from fishmj.base.store import Manifest, left_out, read_json
+from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SCHEMA, UNITS, SegmentRecord, described, read_record
-from fishmj.store import Manifest, left_out, read_json
-from fishmj.store.manifest import MANIFEST, SOURCES
 
 SEGMENTS, SPLIT = "segments", "split.json"
 SPLITS = ("train", "val", "test")

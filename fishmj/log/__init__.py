@@ -1,4 +1,4 @@
-"""The trial folder: one log schema for simulators, evaluator, robot and data sets. See docs/guide/logs.md."""
+"""The trial folder: one log schema for simulators, evaluator, robot and data sets. See docs/search/logs.md."""
 
 from fishmj.log.dataset import Dataset, read_dataset, write_dataset
 from fishmj.log.folder import read_trial, write_trial

@@ -3,17 +3,17 @@
 import sys
 from pathlib import Path
 
-from fishmj import console
-from fishmj.console import Command
-from fishmj.errors import FishmjError, LogError
+from fishmj.base import console
+from fishmj.base.console import Command
+from fishmj.base.errors import FishmjError, LogError
+from fishmj.base.store import Manifest
+from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import physical_checks
 from fishmj.log.dataset import read_dataset
 from fishmj.log.folder import META_FILE, faults, read_trial
 from fishmj.log.importers import gather
 from fishmj.log.limits import bare
 from fishmj.log.timebase import audit
-from fishmj.store import Manifest
-from fishmj.store.manifest import MANIFEST
 
 
 def check(argv: list[str]) -> int:
@@ -112,7 +112,7 @@ main = console.CommandGroup(
         "check": Command(check, "read a data set or a trial, audit its clocks", "fishmj log check data/monday"),
         "manifest": Command(manifest, "write manifest.json into a folder of trial folders", "fishmj log manifest data/monday"),
         "export": Command(
-            "fishmj.replay.export_command",
+            "fishmj.view.replay.export_command",
             "a trial or a data set -> MCAP (Foxglove), CSV or Parquet",
             "fishmj log export runs/trial_07 --to mcap --out trial_07.mcap",
         ),

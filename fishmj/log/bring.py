@@ -9,8 +9,10 @@ from itertools import chain
 from pathlib import Path
 from typing import NoReturn
 
-from fishmj import calib, console, names
-from fishmj.errors import FishmjError, LogError, UnknownName, UsageError
+from fishmj.base import calib, console, names
+from fishmj.base.errors import FishmjError, LogError, UnknownName, UsageError
+from fishmj.base.store import Manifest, write_text
+from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import importers, measurements, physical_checks
 from fishmj.log.dataset import write_dataset
 from fishmj.log.folder import checked_meta
@@ -22,8 +24,6 @@ from fishmj.log.limits import bare
 from fishmj.log.timebase import offsets
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
-from fishmj.store import Manifest, write_text
-from fishmj.store.manifest import MANIFEST
 
 ABOUT = """\
 Recordings -> a data set of trial folders with a manifest. Sources are never changed.
@@ -70,7 +70,7 @@ def options() -> console.Parser:
         help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders",
     )
     add("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
-    add("--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/guide/logs.md); default: guessed")
+    add("--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/search/logs.md); default: guessed")
     add(
         "--write-map",
         type=console.out_file,

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.calib import parse_toml
-from fishmj.errors import ConfigError, FishmjError, LogError, StoreError
+from fishmj.base.calib import parse_toml
+from fishmj.base.errors import ConfigError, FishmjError, LogError, StoreError
+from fishmj.base.plain_file import trouble
+from fishmj.base.store import put_in_place, temporary_beside, write_text
 from fishmj.log import toml, trial_check
 from fishmj.log.limits import listed, quoted
 from fishmj.log.table_files import read_archive, read_csv, read_text, row_place, write_archive, write_csv
 from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
 from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.log.unread_rows import failed_reads
-from fishmj.plain_file import trouble
-from fishmj.store import put_in_place, temporary_beside, write_text
 
 META_FILE, FLAT_FILE = "meta.toml", "samples.csv"
 JOURNAL = "journal"  # folder of rows that the robot's host appends while the fish swims

@@ -5,8 +5,8 @@ import struct
 from collections.abc import Iterable
 from pathlib import Path
 
-from fishmj.errors import ConfigError, LogError
-from fishmj.plain_file import trouble
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.plain_file import trouble
 
 VARIABLE = "FISHMJ_IMPORT_GB"  # raises the limit
 DEFAULT_GB = 2.0

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.calib import read_toml
-from fishmj.errors import ConfigError
+from fishmj.base.calib import read_toml
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import write_text
+from fishmj.base.units import G
 from fishmj.log.toml import dumps
-from fishmj.store import write_text
-from fishmj.units import G
 
 FILE = "measurements.toml"
 RESOLUTION = 0.001 / sqrt(12)  # kg: scales read whole grams

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.trial import Trial, stacked
 
 LENGTH = 0.5  # s, one window

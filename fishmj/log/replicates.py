@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.timebase import lag_between
 from fishmj.log.trial import Trial, stacked
 

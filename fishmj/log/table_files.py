@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
+from fishmj.base.store import read_npz, write_npz, write_text
 from fishmj.log.limits import quoted, regular
 from fishmj.log.trial import Table
-from fishmj.store import read_npz, write_npz, write_text
 
 HALF_ERROR = 1e-3  # largest float16 rounding error, relative to the column's standard deviation
 SINGLE_ERROR = 1e-6

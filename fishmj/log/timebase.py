@@ -24,7 +24,7 @@ import numpy as np
 from scipy.stats import f as f_test
 from scipy.stats import t as student
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.clock_offset import LONGEST, REACH, offset_between, rates
 from fishmj.log.trial import Table, Trial, gaps, stacked
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.calib import DEEPEST
-from fishmj.errors import LogError
+from fishmj.base.calib import DEEPEST
+from fishmj.base.errors import LogError
 from fishmj.log.limits import quoted
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+\Z")

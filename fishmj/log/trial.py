@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fishmj.errors import ConfigError, LogError, UnknownName
+from fishmj.base.errors import ConfigError, LogError, UnknownName
 
 SCHEMA = "fishmj.log/1"
 ORIGINS = ("measured", "synthetic")

@@ -15,8 +15,8 @@ from functools import cache
 
 import numpy as np
 
-from fishmj.calib import calib_folder, read_toml
-from fishmj.errors import LogError, UnknownName
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import LogError, UnknownName
 from fishmj.log.limits import listed, quoted
 from fishmj.log.trial import META, ORIGINS, SCHEMA, YEAR, Table, TableSpec, gaps, look_up, table_spec
 

@@ -10,10 +10,10 @@ from math import pi, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fishmj import console
-from fishmj.calib import calib_folder, read_toml, resolve, shown_path
-from fishmj.errors import ConfigError, DescriptionError
-from fishmj.names import nearest
+from fishmj.base import console
+from fishmj.base.calib import calib_folder, read_toml, resolve, shown_path
+from fishmj.base.errors import ConfigError, DescriptionError
+from fishmj.base.names import nearest
 
 if TYPE_CHECKING:
     from fishmj.effects.calibration import FittedEffect
@@ -97,7 +97,7 @@ class RigSpec:
     None is what nobody stated: `Robot.servo_ids` and its neighbours say what it then is.
     """
 
-    bus: str = "lx"  # a name of protocols.servo_bus.BUSES
+    bus: str = "lx"  # a name of servo_buses.BUSES
     baud: int | None = None  # None: the bus's own
     servo_ids: tuple[int, ...] | None = None
     signs: tuple[int, ...] | None = None  # -1 for a servo that turns the other way
@@ -308,7 +308,7 @@ def _defaults(block: str, default: "Servo | Timing", given: Mapping[str, Any], w
     values = ", ".join(f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in left.items())
     return [
         f"{where} [{block}]: not given, taken from the default fish: {values} (SI, rad);"
-        " state your own (docs/guide/your_own_fish.md)"
+        " state your own (docs/simulate/your_own_fish.md)"
     ]
 
 
@@ -324,7 +324,7 @@ def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tup
     taken = {key: value for key, value in prior.items() if key.removesuffix("_deg") in missing}
     values = ", ".join(f"{key} = {value}" for key, value in taken.items())
     return {**water, **taken}, [
-        f"{where} [water]: not given, estimated from the shape: {values}; not fitted (docs/methods/water.md)"
+        f"{where} [water]: not given, estimated from the shape: {values}; not fitted (docs/simulate/water.md)"
     ]
 
 

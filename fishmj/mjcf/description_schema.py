@@ -2,7 +2,7 @@
 
 pydantic checks a description against these models; `validation.py` turns what it finds into lines for a reader, and
 `relations.py` adds what no single key can know (masses that add up, steps that nest). `Fault` is one thing that is wrong, `line`
-tells it. The table of keys in docs/guide/your_own_fish.md is made from here.
+tells it. The table of keys in docs/simulate/your_own_fish.md is made from here.
 
 Lengths in m from the front of each link backwards, angles in rad or in keys that end in `_deg`.
 """
@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from fishmj import names
+from fishmj.base import names
 
 SCHEMA: Literal["fishmj.fish/1"] = "fishmj.fish/1"
 MOST_LINKS = 12  # XLA compiles the closed form of 8 links in 13 s, of 12 in 76 s, of 16 not within 5 minutes (2 CPU cores)
@@ -199,7 +199,7 @@ class RigBlock(TomlTable):
 
 
 class WaterBlock(TomlTable):
-    """Start values of the strip model (docs/methods/water.md); what is left out comes from the shape of the sections."""
+    """Start values of the strip model (docs/simulate/water.md); what is left out comes from the shape of the sections."""
 
     model: Text | None = text(
         "these strips ('structured'), 'fitted', or a fitted water by name or .toml; default: fitted if there is one",
@@ -228,7 +228,7 @@ class WaterBlock(TomlTable):
 
 
 class EffectBlock(TomlTable):
-    """What calibration or the gap search adds; leave it out at first (docs/methods/effects.md)."""
+    """What calibration or the gap search adds; leave it out at first (docs/simulate/effects.md)."""
 
     name: str = _field("of the catalogue", "", "the name of an effect", REQUIRED, max_length=64)
     parameters: dict[str, Any] = _field("by name", "", "a table of name = { value, low, high }", {})

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.calib import constant
-from fishmj.errors import MissingExtra
+from fishmj.base.calib import constant
+from fishmj.base.errors import MissingExtra
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, posed, skin
 

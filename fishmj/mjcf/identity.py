@@ -9,9 +9,9 @@ import json
 from dataclasses import asdict
 from hashlib import sha256
 
+from fishmj.base.store import plain
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
-from fishmj.store import plain
 
 
 def robot_sha256(robot: Robot) -> str:

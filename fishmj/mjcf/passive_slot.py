@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import mujoco
 
-from fishmj.errors import InjectionError
+from fishmj.base.errors import InjectionError
 
 PATIENCE = 60.0  # s that a compiler waits for another thread's callback to go; a tick of a simulation takes milliseconds
 _turn = threading.Condition()

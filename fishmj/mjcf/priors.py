@@ -1,6 +1,6 @@
 """What a description can be given before anything is measured: water by shape, masses that float level.
 
-Both are starting points from the literature (docs/methods/water.md has the sources and their ranges), fitted to no flow and to
+Both are starting points from the literature (docs/simulate/water.md has the sources and their ranges), fitted to no flow and to
 no fish.
 """
 
@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.mjcf.description import Link
 
 K_BODY, K_PLATE = 0.9, 0.8  # added mass over rho pi/4 h^2
 CN_BODY, CN_PLATE = 1.2, 2.0  # cross-flow drag
 BODY, PLATE = 3.0, 13.0  # height over width of a section: a body up to the first, a plate from the second
-CONSTANT = {  # of docs/methods/water.md, "Prior coefficients"; the same for every shape
+CONSTANT = {  # of docs/simulate/water.md, "Prior coefficients"; the same for every shape
     "cf": 0.012,
     "ca_forward": 0.40,
     "ca_backward": 0.65,
@@ -45,9 +45,9 @@ def water_prior(links: Sequence[Link]) -> dict:
 
     - k: 0.9 for the whole hull (Lamb's integral for the default fish as an ellipsoid gives 0.93 of the strips), 0.7 to 0.85 for a
       plate of finite span; cn: ellipses 1.1 to 1.3 (circular cylinder 1.20), steady plates 1.17 (square) to 1.98 (long), more
-      when they flap, which is why a plate has 2.0. Sources and what of them was read: docs/methods/water.md.
+      when they flap, which is why a plate has 2.0. Sources and what of them was read: docs/simulate/water.md.
     - ke: 0.7 of the range 0.4 to 0.9; with it unfitted shapes swim about as fast as in the flow solver at the slip ratio of a
-      real fish (`fishmj/studies/new_shapes.py`; docs/results/new_shapes.md). The shipped descriptions have 0.5, on which their
+      real fish (`studies/new_shapes.py`; docs/simulate/new_shapes.md). The shipped descriptions have 0.5, on which their
       results rest.
     - 3 and 13 are chosen; nothing in the literature read here gives the drag of sections between. They give the
       default fish and the tendon fish the values that stand in their descriptions: k rounded to 0.05, cn to 0.1, which is

@@ -8,12 +8,11 @@ from difflib import get_close_matches
 from math import degrees, isfinite, pi, radians
 from typing import Any
 
-from fishmj import calib, names
-from fishmj.calib import constant
+from fishmj.base import calib, names
+from fishmj.base.calib import constant
+from fishmj.base.plain_file import trouble
 from fishmj.mjcf.description_schema import Fault, shown
-from fishmj.plain_file import trouble
-from fishmj.protocols.servo_bus import BUSES, NEARER, beyond_travel
-from fishmj.protocols.servo_counts import travel
+from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
@@ -253,7 +252,7 @@ def _rig(given: Mapping[str, Any], n_joints: int | None, reach: float) -> Iterat
         yield Fault("rig", None, "servo_ids", shown(ids), f"0 to {bus.most_id} on {bus.name}", "number its servos again")
     zeros = [*given.get("zeros", ()), *map(radians, given.get("zeros_deg", ()))]
     if any(zeros) and (got := beyond_travel(bus, zeros, reach)):
-        expected = f"+-{degrees(travel(bus.scale)):.3g} deg in all, what a servo of {bus.name} turns"
+        expected = f"+-{degrees(bus.travel):.3g} deg in all, what a servo of {bus.name} turns"
         yield Fault("rig", None, "zeros_deg", got, expected, NEARER)
     for key in ("red", "yellow"):
         rows = given.get(key, [])
@@ -287,7 +286,7 @@ def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Fault]:
         yield wrong
     if "lift_a" in given and "lift_b" in given and given["lift_a"] + given["lift_b"] < 0.5:
         got = f"lift_a + lift_b = {given['lift_a'] + given['lift_b']:g}"
-        yield Fault("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/methods/water.md)")
+        yield Fault("water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/simulate/water.md)")
 
 
 def _no_water(model: str) -> Fault | None:
@@ -312,15 +311,15 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
     """The catalogue's own checks; it is loaded only for a fish that has effects."""
     if not blocks:
         return
+    from fishmj.base.errors import FishmjError
     from fishmj.effects import calibration, catalogue
-    from fishmj.errors import FishmjError
 
     told = [block["name"] for block in blocks]
     for i, block in enumerate(blocks):
         if block["name"] not in catalogue():
             near = get_close_matches(block["name"], catalogue(), 1, 0.5)
             expected = f"an effect of the catalogue{f', such as {near[0]!r}' if near else ''}"
-            yield Fault("effect", i, "name", shown(block["name"]), expected, "docs/methods/effects.md lists them all")
+            yield Fault("effect", i, "name", shown(block["name"]), expected, "docs/simulate/effects.md lists them all")
             continue
         try:
             calibration.block_of(dict(block), "")

@@ -16,7 +16,7 @@ from math import ceil, floor, isfinite, log10, pi, radians
 
 import numpy as np
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.mjcf.description import RigSpec, Servo
 
 SATURATES = radians(12.0)  # rad of error at which the drive reaches the stall torque
@@ -37,7 +37,7 @@ class DataSheet:
     stall_current: float | None = None  # A
     resolution: float = radians(0.24)  # rad
     idle_power: float = 0.3  # W, of its own board; 0.3 is a guess, as for the default fish
-    bus: str = RigSpec.bus  # kind of servo bus (protocols.servo_bus.BUSES)
+    bus: str = RigSpec.bus  # kind of servo bus (servo_buses.BUSES)
     source: str = ""
 
     @property

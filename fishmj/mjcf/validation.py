@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from fishmj import names
+from fishmj.base import names
 from fishmj.mjcf.description_schema import BLOCKS, FREE, LISTS, SCHEMA, Description, Fault, header, keys, line, said, shown
 from fishmj.mjcf.relations import relations, servo_of, unlikely
 

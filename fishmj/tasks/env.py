@@ -14,17 +14,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fishmj import engines, flow
+from fishmj import engines
+from fishmj.base.errors import ConfigError
+from fishmj.base.options import checked, checked_kind, checked_name, checked_names, shown_value
 from fishmj.engines import FishParams, FishState
-from fishmj.errors import ConfigError
-from fishmj.flow import Current
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.options import checked, checked_kind, checked_name, checked_names, shown_value
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import DrawOptions, slide
 from fishmj.tasks.reference import StepTruth, course_of
 from fishmj.tasks.sensing import Sensors, readings
+from fishmj.water import flow
 from fishmj.water.choice import in_water
+from fishmj.water.flow import Current
 
 MEMORY = 1000  # observations that a policy may see at most
 

@@ -22,16 +22,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj import engines, flow
+from fishmj import engines
+from fishmj.base.errors import ConfigError, SimDiverged
+from fishmj.base.options import checked, checked_bounds, checked_name, checked_names
 from fishmj.engines import FishParams, FishState, Steps, Trace
-from fishmj.errors import ConfigError, SimDiverged
-from fishmj.flow import Current
 from fishmj.mjcf.description import COMMAND_PATHS, Robot, check_timing, load_robot
-from fishmj.options import checked, checked_bounds, checked_name, checked_names
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, options_of
 from fishmj.tasks.sensing import Sensors, readings
+from fishmj.water import flow
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
+from fishmj.water.flow import Current
 
 # beyond these it is a slip of the pen
 LARGEST = {"intensity": 1, "flow_speed": 5, "randomisation": 10, "noise": 100, "seconds": 1e6}

@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj import engines, plugins
-from fishmj.calib import constant
+from fishmj import engines
+from fishmj.base import plugins
+from fishmj.base.calib import constant
+from fishmj.base.errors import OwnCodeError, UnknownName
+from fishmj.base.options import checked
 from fishmj.engines import Trace
-from fishmj.errors import OwnCodeError, UnknownName
-from fishmj.options import checked
 from fishmj.tasks.station_hold import N_START, Start, draw_start, outside
 
 SLOWEST = 1e-3  # m/s of the figure eight, and part of its cycle
@@ -214,7 +215,7 @@ class OwnReference:
         if theirs := [name for name in UNASKED if hasattr(task, name)]:
             raise OwnCodeError(
                 f"{self.what}: has {theirs[0]}, which nothing would call: the policy sees the 5 + 2 J observations of fishmj;"
-                " put what matters into launch, target and reward, and take it out (docs/guide/your_own_code.md)"
+                " put what matters into launch, target and reward, and take it out (docs/simulate/your_own_code.md)"
             )
         self.seconds: Any = getattr(task, "seconds", None)
         if isinstance(self.seconds, bool) or not isinstance(self.seconds, int | float) or not 0 < self.seconds <= LONGEST:

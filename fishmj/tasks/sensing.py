@@ -11,7 +11,7 @@ from math import ceil, radians
 
 import numpy as np
 
-from fishmj.calib import constant
+from fishmj.base.calib import constant
 from fishmj.effects import EffectStack
 from fishmj.effects.sites import Measured
 from fishmj.engines.extensions import Extensions

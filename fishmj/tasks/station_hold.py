@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.calib import constant
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import checked_array
 from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
-from fishmj.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
-from fishmj.options import checked_array
 from fishmj.tasks.sensing import Sensors, delayed, estimate
 
 JOINTS = 3

@@ -6,8 +6,8 @@ import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 
-from fishmj import console
-from fishmj.errors import ConfigError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.water import choice
 
 LOOKS = 10  # assessments in an algorithm's own budget of steps
@@ -30,11 +30,11 @@ EXAMPLES = """examples:
 def options() -> console.Parser:
     """The arguments of `train`."""
     from fishmj.engines import NAMES, own_effects
-    from fishmj.flow import PRESETS as FLOWS
     from fishmj.mjcf.description import COMMAND_PATHS
     from fishmj.tasks.reference import COURSES
     from fishmj.tasks.station_hold import GROUPS
     from fishmj.train.settings import ALGORITHMS, PRESETS
+    from fishmj.water.flow import PRESETS as FLOWS
 
     about = "Learn to hold station in a current that the fish cannot sense; leaves a policy file, best.safetensors, in --out."
     about += " The paper is the one on zero-shot sim-to-real station holding (docs/decisions/paper_errata.md)."
@@ -46,7 +46,7 @@ def options() -> console.Parser:
     add("--preset", choices=tuple(PRESETS), help=preset)
     algo = f"learning algorithm: {', '.join(ALGORITHMS)}, or your own as module:Name (default: the preset's)"
     add("--algo", type=console.text, metavar="NAME", help=algo)
-    task = f"{', '.join(COURSES)}, or your own as module:Name, docs/guide/your_own_code.md (default station_hold)"
+    task = f"{', '.join(COURSES)}, or your own as module:Name, docs/simulate/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
     engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3-sac only (default: auto)"
     add("--engine", choices=("auto", *NAMES), help=engine)
@@ -113,7 +113,7 @@ def hyperparameter_options(parser: console.Parser) -> None:
 
 def task_speeds() -> str:
     """The stream speeds of the tasks, `0.1,0.3`."""
-    from fishmj.calib import constant
+    from fishmj.base.calib import constant
 
     return ",".join(map(str, constant("task", "flow_speed")))
 
@@ -134,7 +134,7 @@ def settings_from(args, run=None):
     Raises:
         ConfigError, UnknownName: what cannot be, or own code of the run that nobody named again.
     """
-    from fishmj import plugins
+    from fishmj.base import plugins
     from fishmj.engines import own_effects
     from fishmj.tasks.reference import named
     from fishmj.train.build import pick_engine
@@ -203,9 +203,9 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
         ConfigError: one holds a run that nobody asked to go on with or to remove, or something else that is not to be removed.
         ArgumentTypeError: one cannot be written.
     """
-    from fishmj import plugins
-    from fishmj.policy import OF_A_RUN
-    from fishmj.store import Checkpoints
+    from fishmj.base import plugins
+    from fishmj.base.store import Checkpoints
+    from fishmj.control.policy import OF_A_RUN
 
     algo = plugins.name_of(settings.algo)
     if args.resume and args.force:
@@ -245,8 +245,8 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
 def main(argv: list[str]) -> int:
     """The verb `train`. Returns the exit code."""
     args = options().parse_args(argv)
-    from fishmj.policy import one_line
-    from fishmj.store import Checkpoints
+    from fishmj.base.store import Checkpoints
+    from fishmj.control.policy import one_line
     from fishmj.train import training_cost
     from fishmj.train.begin import begin_with
     from fishmj.train.build import referred, settled, water_for

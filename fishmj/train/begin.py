@@ -10,9 +10,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from fishmj.controllers.learned import LearnedController
-from fishmj.errors import ConfigError
-from fishmj.policy import Policy
+from fishmj.base.errors import ConfigError
+from fishmj.control.learned import LearnedController
+from fishmj.control.policy import Policy
 from fishmj.train.build import robot_for
 from fishmj.train.networks import scale
 from fishmj.train.settings import Settings, change

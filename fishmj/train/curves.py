@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj import console
-from fishmj.errors import ConfigError
-from fishmj.pages import drawn
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.base.pages import drawn
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe & Ito, colour-blind safe
 

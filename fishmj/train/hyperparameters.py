@@ -1,14 +1,14 @@
 """Hyperparameters of the learning algorithms, each declared once with its default, range and meaning.
 
-The options of `fishmj train`, the checks, the run folder, the policy header and the table of docs/guide/training.md follow from
+The options of `fishmj train`, the checks, the run folder, the policy header and the table of docs/train/training.md follow from
 these dataclasses. An algorithm of its own derives from `Hyperparameters` and declares its fields by `setting`.
 """
 
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, ClassVar
 
-from fishmj.errors import ConfigError
-from fishmj.options import Listed, Number, OneOf, number, whole
+from fishmj.base.errors import ConfigError
+from fishmj.base.options import Listed, Number, OneOf, number, whole
 
 FLOAT = 4  # bytes
 STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode

@@ -1,7 +1,7 @@
 """What a learning algorithm is to a run. To add one: a file beside ppo.py and sac.py, and its line in `settings.ALGORITHMS`.
 
 The file holds two classes: a frozen dataclass of settings, all with defaults, and a `Learner` that is made by
-`Class(env, config, steps)`. docs/guide/training.md has the recipe, `off_policy.py` what algorithms with a replay buffer share.
+`Class(env, config, steps)`. docs/train/training.md has the recipe, `off_policy.py` what algorithms with a replay buffer share.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from fishmj.calib import constant
+from fishmj.base.calib import constant
 
 METRICS = ("reward", "late_distance", "late_arrived", "left_tank", "episodes", "diverged")  # of `metrics_of`; more may follow
 EPISODIC = ("episode_return", "episode_length")  # of `episode_metrics`; left out of a report in which no episode ended

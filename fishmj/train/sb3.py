@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fishmj import console
-from fishmj.errors import MissingExtra
+from fishmj.base import console
+from fishmj.base.errors import MissingExtra
 from fishmj.tasks.station_hold import visible
 from fishmj.train.build import config_of, environment, pick_engine, robot_for
 from fishmj.train.hyperparameters import SACConfig
@@ -32,7 +32,7 @@ try:
 except ImportError as error:
     raise MissingExtra("stable-baselines3", "sb3", "--algo sb3-sac") from error
 
-from fishmj.gym.fish_env import FishVectorEnv, observation_space
+from fishmj.tasks.gym.fish_env import FishVectorEnv, observation_space
 
 ENDS = {"return": "r", "length": "l"}  # of an episode, as SB3's Monitor calls them
 UPDATES = 256  # gradient steps between two reports, about

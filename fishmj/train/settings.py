@@ -5,9 +5,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fishmj import plugins
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.store import read_json
+from fishmj.base import plugins
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import read_json
 from fishmj.tasks.reference import COURSES
 from fishmj.train.hyperparameters import declared, option_of
 

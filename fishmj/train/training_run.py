@@ -21,11 +21,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fishmj import console, interrupt, store
-from fishmj.calib import constant
-from fishmj.errors import ConfigError, SimDiverged
-from fishmj.policy import Policy
-from fishmj.source import made_by
+from fishmj.base import console, interrupt, store
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, SimDiverged
+from fishmj.base.source import made_by
+from fishmj.control.policy import Policy
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
 from fishmj.train.begin import begun
@@ -355,7 +355,7 @@ class TrainingRun:
         if self.dropped > max(1, MAX_DIVERGED * self.episodes):
             raise SimDiverged(
                 f"training: {self.dropped} of {self.episodes} episodes at step {self.done:,} diverged and were dropped, "
-                f"above {MAX_DIVERGED:.1%}; the physics step is too long or a parameter out of range: python -m fishmj.doctor",
+                f"above {MAX_DIVERGED:.1%}; the physics step is too long or a parameter out of range: python -m fishmj doctor",
                 term="physics",
             )
 

@@ -19,11 +19,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fishmj import calib, console
-from fishmj.dynamics import strip_forces
-from fishmj.errors import ConfigError, FishmjError, UnknownName
+from fishmj.base import calib, console
+from fishmj.base.errors import ConfigError, FishmjError, UnknownName
+from fishmj.base.names import split_member
 from fishmj.mjcf.description import Robot
-from fishmj.names import split_member
+from fishmj.water.dynamics import strip_forces
 
 if TYPE_CHECKING:
     from fishmj.water.hydro_model import HydroModel

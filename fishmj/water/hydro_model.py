@@ -17,16 +17,16 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fishmj import calib, names
-from fishmj.calib import read_toml
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import ConfigError, DescriptionError, FishmjError, StoreError, UnknownName
+from fishmj.base import calib, names
+from fishmj.base.calib import read_toml
+from fishmj.base.errors import ConfigError, DescriptionError, FishmjError, StoreError, UnknownName
+from fishmj.base.names import checked
+from fishmj.base.store import plain, read_tensors, sha256, write_tensors, write_text
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.description_schema import shown
-from fishmj.names import checked
-from fishmj.store import plain, read_tensors, sha256, write_tensors, write_text
 from fishmj.water import residual_hooks
+from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.prior import unflat
 
 SCHEMA = "fishmj.water/1"

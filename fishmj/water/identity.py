@@ -3,8 +3,8 @@
 import json
 from hashlib import sha256
 
+from fishmj.base.store import plain
 from fishmj.mjcf.description import Robot
-from fishmj.store import plain
 from fishmj.water.choice import STRUCTURED, label, model_of
 
 

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
-from fishmj.errors import ConfigError, InjectionError, SimDiverged
+from fishmj.base.errors import ConfigError, InjectionError, SimDiverged
 from fishmj.mjcf import passive_slot
 from fishmj.water.planar_water import PlanarWater
 

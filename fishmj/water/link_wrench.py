@@ -14,7 +14,7 @@ so a is solved for beforehand, from MuJoCo's own matrix and forces; the step is 
 import mujoco
 import numpy as np
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.water.injection import checked_step, rows_of_mass
 from fishmj.water.planar_water import PlanarWater
 

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import SimDiverged
+from fishmj.base.errors import SimDiverged
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 RESIDUAL = "learnt residual"  # its name in errors
 

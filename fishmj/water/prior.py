@@ -5,10 +5,10 @@ from functools import cache
 
 import numpy as np
 
-from fishmj.calib import calib_folder, read_toml
-from fishmj.dynamics import strip_forces
-from fishmj.errors import ConfigError
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import ConfigError
 from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import strip_forces
 
 FILE = "hydro_fit.toml"
 FIXED = ("stall_width",)  # never fitted: it only keeps gradients finite

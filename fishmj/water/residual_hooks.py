@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.water import residual_network
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 ETA, STORED = 0.3, 1.0  # share of the dissipated power that may be kept, and for how long, s
 TINY, MOST = 1e-6, 1e6  # W: so much may pass; of P+ over what may be kept, so that its fourth power stays finite

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.experimental import pallas as pl
 
-from fishmj import console
+from fishmj.base import console
 from fishmj.water import residual_network
 from fishmj.water.residual_network import BOUND, WAKES, Halves, Motion
 

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import strip_forces
-from fishmj.dynamics.planar_chain import Chain, Links
+from fishmj.water.dynamics import strip_forces
+from fishmj.water.dynamics.planar_chain import Chain, Links
 
 FLOOR, HALF = 0.05, 0.2  # m/s, inside features only
 WAKES = 16  # states, the first half even

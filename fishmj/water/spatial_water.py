@@ -30,12 +30,12 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.base.units import G
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.drawing import fin_plates
 from fishmj.mjcf.geometry import geometry_of
-from fishmj.units import G
 from fishmj.water import planar_water, residual_hooks
+from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.planar_water import Instant
 
 

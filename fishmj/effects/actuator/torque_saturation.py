@@ -1,6 +1,6 @@
 """The servo gives less than its stall torque."""
 
-from fishmj.calib import constant
+from fishmj.base.calib import constant
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 STALL = constant("servo", "torque")  # N m, of the paper's servo: the null, at which any servo keeps its own limit

@@ -1,6 +1,6 @@
 """The supply sags under the current of all servos."""
 
-from fishmj.calib import constant
+from fishmj.base.calib import constant
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 OPEN = constant("robot", "battery_voltage")  # V, at which the stall torque is quoted

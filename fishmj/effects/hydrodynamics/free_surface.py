@@ -1,8 +1,8 @@
 """Waves at the surface cost drag."""
 
-from fishmj.calib import constant
+from fishmj.base.calib import constant
+from fishmj.base.units import G
 from fishmj.effects.effect import Confusion, Effect, Parameter
-from fishmj.units import G
 
 GRAVITY_LENGTH = G * constant("robot", "length")  # m2/s2: Froude number 1
 

@@ -1,6 +1,6 @@
 """Water forces grow near the walls."""
 
-from fishmj.calib import constant
+from fishmj.base.calib import constant
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 HALF = constant("tank", "size")[0] / 2  # m, the tank's walls are at x, y = +-HALF

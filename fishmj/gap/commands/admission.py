@@ -11,7 +11,7 @@ admit                   a gap so large that no missing effect is meant by it: ot
 
 One or two effects of the catalogue, at up to one and a half times their typical size, reach a gap of 1000 in nine of 1440 blind
 sets of the benchmark (tethers, stiff skins, up to 18,946: docs/figures/gap/bench_2010.json, bench_2011.json). So a search stops
-where a cause is recognised, from FAR on in one channel, and in any case from BEYOND on; docs/results/gap_benchmark.md says
+where a cause is recognised, from FAR on in one channel, and in any case from BEYOND on; docs/search/results.md says
 how often that is wrong.
 """
 
@@ -24,9 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj import console, effects
-from fishmj.errors import ConfigError, FishmjError, LogError
-from fishmj.excitation import PERIOD
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, FishmjError, LogError
+from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.gap.records import datasets
 from fishmj.gap.records.records import Record, record_of
@@ -34,8 +35,8 @@ from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.wording import title
 from fishmj.log import Trial, physical_checks
 from fishmj.log.dataset import Taken
+from fishmj.log.excitation import PERIOD
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.virtual_robot.robot_constants import buildable
 from fishmj.water.choice import label, residual_of
 
 SHIPPED = "fish"  # what the null sets swam as, which say a name only
@@ -178,7 +179,7 @@ class InsufficientData:
     def text(self) -> str:
         """For a terminal."""
         names, todo = ", ".join(map(title, self.confounded)), ", ".join(self.record)
-        return f"{self.reason}\nconfounded: {names}\nrecord next: {todo} (fishmj.excitation; two runs of each)"
+        return f"{self.reason}\nconfounded: {names}\nrecord next: {todo} (fishmj.log.excitation; two runs of each)"
 
 
 def insufficient_data(given: Taken, robot: Robot) -> InsufficientData | None:

@@ -13,16 +13,16 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from fishmj import console
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import write_text
 from fishmj.engines import own_effects
-from fishmj.errors import ConfigError
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.check import gaps
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, pair, title
 from fishmj.mjcf.description import load_robot
-from fishmj.store import write_text
 from fishmj.water.choice import STRUCTURED
 
 UNSEEN = "records that nothing was fitted to"

@@ -9,9 +9,10 @@ stated (by more than 5 %), or no better than its parent. On another data set all
 from dataclasses import replace
 from pathlib import Path
 
-from fishmj import console, effects
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError
 from fishmj.engines import own_effects
-from fishmj.errors import ConfigError, LogError
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull, null_of

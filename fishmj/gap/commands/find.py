@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from fishmj import console, interrupt
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError
+from fishmj.base.machine_code import cache_folder
+from fishmj.base.store import clear, left_out, shipped, write_json
 from fishmj.engines import own_effects
-from fishmj.errors import ConfigError
-from fishmj.gap import watch
+from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.commands.check import measured
@@ -25,9 +27,7 @@ from fishmj.gap.wording import level
 from fishmj.gap.workflow import Inquiry, compiled, investigate
 from fishmj.log import Trial
 from fishmj.log.dataset import Taken
-from fishmj.machine_code import cache_folder
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.store import clear, left_out, shipped, write_json
 from fishmj.water.choice import STRUCTURED, as_described
 
 
@@ -35,7 +35,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
-    data = f"data set: {forms}; measurements.toml in the folder (docs/guide/logs.md) is what was weighed"
+    data = f"data set: {forms}; measurements.toml in the folder (docs/search/logs.md) is what was weighed"
     add("data", type=console.path, help=data)
     model = "the model to question: shipped name or TOML file, with its effects (default fish)"
     add("--model", type=console.text, default="fish", help=model)
@@ -113,7 +113,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), health
     own = None
     if healthy:
         compiled(model, console.say)
-        own = healthy_swims.known(model, healthy, null, watch.shown)
+        own = healthy_swims.known(model, healthy, null, progress.shown)
     if own:
         notes = (*notes, f"the model leaves {level(own.left)} of the healthy swims in {args.healthy}")
     return investigate(
@@ -127,7 +127,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), health
         seed=args.seed,
         further=True,
         say=console.say,
-        bars=watch.shown,
+        bars=progress.shown,
         admit=lambda e: admission.admit(e, args.anyway),
         notes=notes,
     )

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from fishmj import console
-from fishmj.errors import ConfigError
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import left_out
 from fishmj.gap.null.null_runs import LAST_SEED, LOUDEST, MOST_RUNS, RUNS
-from fishmj.store import left_out
 
 MOST_EFFECTS = 8
 FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter

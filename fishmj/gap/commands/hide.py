@@ -1,11 +1,11 @@
 """`gap plant EFFECT[=value] --out DATA`: data in which an effect is hidden; what it was goes to another file.
 
-independent   the second, independently written robot (fishmj.virtual_robot) with the effect in its own equations
+independent   the second, independently written robot (fishmj.gap.laboratory.virtual_robot) with the effect in its own equations
 log           an existing data set (--from) with the effect put on afterwards: what sensors and clocks do, nothing else can be;
               also one of your own, module:EFFECT or file.py:EFFECT
 lbm           the flow solver's fish on the second robot's servos, network and camera
-morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies and servos (fishmj.generators); the truth also
-              says how much of it can be seen above noise and healthy robots
+morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies and servos (fishmj.gap.laboratory.generators);
+              the truth also says how much of it can be seen above noise and healthy robots
 
     fishmj gap plant command_latency=0.04 --seed 7 --out planted
 """
@@ -15,24 +15,26 @@ from itertools import count, cycle, islice
 
 import numpy as np
 
-from fishmj import console, effects, excitation, generators
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.effects import EffectStack
 from fishmj.effects.randomise import draw
 from fishmj.effects.sites import Measured
 from fishmj.engines import own_effects
-from fishmj.errors import ConfigError
-from fishmj.gap import watch
+from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options
+from fishmj.gap.laboratory import generators
+from fishmj.gap.laboratory.virtual_robot import hidden_dataset, random_streams
+from fishmj.gap.laboratory.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
+from fishmj.gap.laboratory.virtual_robot.trials import trial_name
+from fishmj.gap.laboratory.virtual_robot.weighing import page as weighings
 from fishmj.gap.null.null_runs import LOUDEST
 from fishmj.gap.records import datasets
-from fishmj.log import Trial, numbered
+from fishmj.log import Trial, excitation, numbered
 from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
 from fishmj.mjcf.description import load_robot
-from fishmj.virtual_robot import hidden_dataset, random_streams
-from fishmj.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
-from fishmj.virtual_robot.trials import trial_name
-from fishmj.virtual_robot.weighing import page as weighings
 
 RATES = {"joint": "network.period", "pose": "camera.period", "power": "meter.period"}
 GENERATORS = ("independent", "log", "lbm", *generators.NAMES)
@@ -89,7 +91,7 @@ def main(argv: list[str]) -> int:
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
     out, truth = placed(args.out, truth, names, args.overwrite)
     hidden = understood(args)
-    with watch.shown(len(names), "trials", "trials") as bar:
+    with progress.shown(len(names), "trials", "trials") as bar:
         make = {"independent": independent, "log": logged, "lbm": solver}.get(args.generator, other_water)
         trials, facts = make(hidden, args, bar.update, given)
     weigh = partial(generators.page, args.generator) if args.generator in generators.NAMES else weighings
@@ -120,7 +122,7 @@ def understood(args) -> dict[str, dict[str, float]]:
 
 def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
     """(trials, facts) of the second robot."""
-    from fishmj.virtual_robot import generate
+    from fishmj.gap.laboratory.virtual_robot import generate
 
     runs = experiments(args)
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
@@ -159,7 +161,7 @@ def logged(hidden: dict, args, tick, given: Taken | None) -> tuple[list[Trial], 
 
 def solver(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
     """(trials, facts) of the flow solver's fish on the second robot's servos, network and camera."""
-    from fishmj.campaign.hidden_lbm.hidden import generate_lbm
+    from fishmj.gap.laboratory.hidden_lbm.hidden import generate_lbm
 
     runs = experiments(args)
     numbers = (args.seed, args.noise, args.nuisance, args.domain, args.device)

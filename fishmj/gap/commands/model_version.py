@@ -15,13 +15,13 @@ The blocks [[effect]] below it are `fishmj.effects.calibration`'s. The parent's 
 import hashlib
 from pathlib import Path
 
-from fishmj.calib import read_toml, resolve
+from fishmj.base.calib import read_toml, resolve
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import write_text
 from fishmj.effects import calibration, get
 from fishmj.effects.calibration import FittedEffect, Interval
-from fishmj.errors import ConfigError
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import load_robot, robot_from_dict
-from fishmj.store import write_text
 
 
 def digest(path: "str | Path") -> str:

@@ -6,10 +6,10 @@ each explanation at its fitted values; the best separation for the time it takes
     fishmj gap next report --runs hinted
 """
 
-from fishmj import console, excitation
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError, UnknownName
 from fishmj.engines import own_effects
-from fishmj.errors import ConfigError, LogError, UnknownName
-from fishmj.gap import watch
+from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.experiment import (
     LEFT,
@@ -26,6 +26,7 @@ from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.datasets import BUNDLE, page_in
 from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import compiled, investigate
+from fishmj.log import excitation
 from fishmj.mjcf.description import load_robot
 from fishmj.water.choice import STRUCTURED, as_described
 
@@ -59,7 +60,7 @@ def main(argv: list[str]) -> int:
         return console.OK
     runs = _runs(args.runs, sides)
     compiled(model, console.say)
-    found = experiment_scores(model, sides, like, runs, null, bars=watch.shown)
+    found = experiment_scores(model, sides, like, runs, null, bars=progress.shown)
     console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
     advised = advice(model, found, sides)
     console.say(advised)
@@ -73,7 +74,7 @@ def _opened(args, null: SimulatedNull):
     report = args.source / "verdict.json" if args.source.is_dir() else args.source
     if report.is_file() and report.suffix != BUNDLE:
         from fishmj.gap.commands import reported
-        from fishmj.virtual_robot import generate
+        from fishmj.gap.laboratory.virtual_robot import generate
 
         verdict = reported.verdict(report, context=False)
         context = verdict.get("context", {})
@@ -91,7 +92,7 @@ def _opened(args, null: SimulatedNull):
         mass_known=not args.mass_unknown,
         seed=args.seed,
         say=console.say,
-        bars=watch.shown,
+        bars=progress.shown,
         admit=lambda e: admission.admit(e, args.anyway),
     )
     found = inquiry.verdict

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from fishmj import effects
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import read_json
 from fishmj.gap.null.null_runs import LAST_SEED, LOUDEST, MOST_RUNS, RUNS
-from fishmj.store import read_json
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Text = Annotated[str, Field(max_length=4096)]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.log import Trial, numbered

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.gap.localise.comparison import Comparison, beat_of
 from fishmj.log.timebase import Lag, lag_between
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.cores import usable_cores
+from fishmj.base.cores import usable_cores
 from fishmj.engines import codegen, fast_math, numba_build
 
 # No text of a description, a log or a report stands in what is compiled: names are made here, numbers come from the trace.

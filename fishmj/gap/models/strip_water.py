@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj import effects
-from fishmj.calib import calib_folder, read_toml
-from fishmj.dynamics import planar_chain, strip_forces
+from fishmj.base.calib import calib_folder, read_toml
 from fishmj.gap.models.kernel import Kernel
 from fishmj.gap.models.swimming_fish import Constant, SwimmingFish
 from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.water import prior
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 WHERE = ("head", "body", "tail")
 LIFT = 0.5  # that lift_a + lift_b are at least
@@ -96,7 +96,7 @@ class StripWater(SwimmingFish):
         given, w = {f.name: value for f, value in zip(self.free, values, strict=False)}, self.nominal.water
         spread = lambda c: [v * given[f"{c}_{at}"] for v, at in zip(getattr(w, c), places(self.chain.n), strict=True)]
         single = {f.coefficient: given[f.name] for f in self.free if not f.where}
-        # less normal force than that would feed energy to the fish (docs/methods/water.md)
+        # less normal force than that would feed energy to the fish (docs/simulate/water.md)
         short = LIFT - single["lift_a"] - single["lift_b"]
         single["lift_b"] = single["lift_b"] + 0.5 * (short + abs(short))
         return w._replace(k=spread("k"), cn=spread("cn"), **single)

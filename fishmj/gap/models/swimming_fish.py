@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fishmj import effects
-from fishmj.dynamics import planar_chain
-from fishmj.dynamics.hooks import Effects
+from fishmj.base.units import G
 from fishmj.effects.sites import Measured
 from fishmj.gap.models.kernel import Kernel, hermite, linear
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot, load_robot
-from fishmj.units import G
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics.hooks import Effects
 
 if TYPE_CHECKING:
     from fishmj.gap.models.strip_water import GatedWater

@@ -37,8 +37,8 @@ class LogSensors(NamedTuple):
 
 def log_sensors(record: Record, robot: Robot, noise: float) -> LogSensors:
     """What a record says of its sensors. noise: factor on the second robot's own, where the record states none."""
-    from fishmj.virtual_robot.robot_constants import nominal
-    from fishmj.virtual_robot.trials import sigmas
+    from fishmj.gap.laboratory.virtual_robot.robot_constants import nominal
+    from fishmj.gap.laboratory.virtual_robot.trials import sigmas
 
     made = nominal(robot)
     usual, stated, factor = sigmas(made, noise), record.stated, max(noise, LEAST)

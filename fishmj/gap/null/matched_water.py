@@ -14,14 +14,14 @@ from itertools import count
 import numpy as np
 from scipy.optimize import least_squares
 
-from fishmj import excitation
+from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
+from fishmj.gap.progress import Bars, silent
 from fishmj.gap.records.movement import pace
 from fishmj.gap.records.records import record_of
-from fishmj.gap.watch import Bars, silent
-from fishmj.hydro_fit.fit.tolerance import of_movement
+from fishmj.log import excitation
 from fishmj.mjcf.description import Robot
-from fishmj.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 from fishmj.water.choice import STRUCTURED
+from fishmj.water.dynamics.tolerance import of_movement
 
 SWIMS = ("gait", "gait_slow", "gait_fast", "gait_small", "turn_left", "tow_ahead", "tow_sideways")
 WIDE = 0.7  # standard deviation of ln s before anything is seen (chosen: a factor of two)
@@ -62,8 +62,8 @@ def matched(model, tick: Callable[[int], None] = lambda done: None) -> WaterScal
 
 def swum(robot: Robot, scales: WaterScales, dt: float) -> list:
     """Records of the second robot on `SWIMS`, without noise and with its nominal constants."""
-    from fishmj.virtual_robot.robot_constants import nominal
-    from fishmj.virtual_robot.trials import trial_of
+    from fishmj.gap.laboratory.virtual_robot.robot_constants import nominal
+    from fishmj.gap.laboratory.virtual_robot.trials import trial_of
 
     made, out = nominal(robot, scales=scales), []
     for name in SWIMS:

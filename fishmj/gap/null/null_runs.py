@@ -24,20 +24,20 @@ from zlib import crc32
 import numpy as np
 
 import fishmj
-from fishmj.calib import resolve
-from fishmj.errors import LogError, SimDiverged, StoreError
-from fishmj.excitation import Excitation
+from fishmj.base.calib import resolve
+from fishmj.base.errors import LogError, SimDiverged, StoreError
+from fishmj.base.machine_code import cache_folder
+from fishmj.base.store import read_npz, sha256, write_npz
+from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 from fishmj.gap.null.log_sensors import log_sensors
 from fishmj.gap.null.matched_water import scales_for
+from fishmj.gap.progress import Bars, silent
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
-from fishmj.gap.watch import Bars, silent
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
-from fishmj.machine_code import cache_folder
+from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
-from fishmj.store import read_npz, sha256, write_npz
-from fishmj.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 
 Tick = Callable[[int], None]
 SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
@@ -45,7 +45,7 @@ RUNS = 96
 MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # that may be asked for
 FEWEST = 12  # fish of recorded runs
 ALIKE = 1e-3  # rad between two commands, m and rad between two starts
-SIMULATOR = ("fishmj.virtual_robot.trials", "fishmj.gap.null.log_sensors", "fishmj.gap.null.matched_water")
+SIMULATOR = ("fishmj.gap.laboratory.virtual_robot.trials", "fishmj.gap.null.log_sensors", "fishmj.gap.null.matched_water")
 SOURCES = Path(fishmj.__file__).resolve().parent
 
 
@@ -130,7 +130,7 @@ class SimulatedNull:
         self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None, scales: WaterScales = AS_IT_IS
     ) -> list[Record]:
         """The experiment with every fish of the set: each is `robot` with constants of its own. scales: of its water."""
-        from fishmj.virtual_robot.trials import plant, trial_of
+        from fishmj.gap.laboratory.virtual_robot.trials import plant, trial_of
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
         stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}

@@ -10,7 +10,7 @@ and from moment to moment where the wake remembers; every servo has some frictio
 
 The first are correlated over time, as the error of a force law is, and different from record to record, so that an effect which
 is the same in all of them stands out. The second are the same in all. The last is what neither makes up for, by channel c.
-w, s, v and rho are measured (`python -m fishmj.studies.structural_error`): the most likely ones for healthy robots of independent
+w, s, v and rho are measured (`python -m studies.structural_error`): the most likely ones for healthy robots of independent
 waters, each calibrated to its own free swims. data/calib/structural_error.toml has them, and those without each family, by which
 a benchmark scores it.
 
@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.calib import calib_folder, read_toml
-from fishmj.errors import UnknownName
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import UnknownName
 from fishmj.gap.null.variances import Sample, asked
 from fishmj.gap.null.whitening import smooth
 from fishmj.gap.records.records import ResidualLayout

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from fishmj.errors import FishmjError, LogError, StoreError
+from fishmj.base.errors import FishmjError, LogError, StoreError
+from fishmj.base.store import sha256
+from fishmj.base.store.manifest import MANIFEST
 from fishmj.gap.records.records import record_of
 from fishmj.log import Trial, measurements, physical_checks, trial_check
 from fishmj.log.dataset import Taken, read_bundle, take
 from fishmj.log.table_files import row_place
-from fishmj.store import sha256
-from fishmj.store.manifest import MANIFEST
 
 BUNDLE = ".npz"
 

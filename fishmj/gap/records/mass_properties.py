@@ -13,9 +13,9 @@ from math import sqrt
 
 import numpy as np
 
-from fishmj.dynamics.hooks import Effects
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.log import measurements
+from fishmj.water.dynamics.hooks import Effects
 
 CHANNEL = "weighing"
 SCALES, EDGE, PENDULUM = 1e-3, 1e-3, 5e-3  # least errors: of a mass, relative; of a balance point, m; of an inertia, relative

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import Trial
 from fishmj.log.trial import stacked
 

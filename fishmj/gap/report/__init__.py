@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
+from fishmj.base.store import write_json, write_text
 from fishmj.gap.report.report_data import ReportData, gathered, plain
 from fishmj.gap.report.sections import html
 from fishmj.gap.workflow import Inquiry
-from fishmj.store import write_json, write_text
 
 __all__ = ["ReportData", "gathered", "page", "write"]
 

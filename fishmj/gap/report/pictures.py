@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from fishmj.errors import MissingExtra
+from fishmj.base.errors import MissingExtra
+from fishmj.base.pages import drawn, escaped
 from fishmj.gap.localise import Comparison, Localisation
 from fishmj.gap.localise.error_growth import GrowthCurve
 from fishmj.gap.records.records import ChannelBlock
 from fishmj.gap.report.report_data import Round
 from fishmj.gap.wording import SCALES, level, number
-from fishmj.pages import drawn, escaped
 
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
 INK, QUIET, BAND = "#1F2933", "#5B6570", "#E6EAF0"

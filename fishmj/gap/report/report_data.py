@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from fishmj import console
+from fishmj.base import console
 from fishmj.gap.decide.decide import on_bound
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
 from fishmj.gap.localise.error_growth import GrowthCurve, curves

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from fishmj import pages
+from fishmj.base import pages
+from fishmj.base.pages import Section, figure, part, table
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
 from fishmj.gap.localise.narrative import nothing
@@ -18,7 +19,6 @@ from fishmj.gap.terms.stronger import outdone
 from fishmj.gap.thresholds import residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, Verdict
 from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes, title
-from fishmj.pages import Section, figure, part, table
 
 NOTHING = Section("", "", ())
 

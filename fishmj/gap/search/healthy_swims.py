@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.structural_error import Widths, applies
+from fishmj.gap.progress import Bars, silent
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
-from fishmj.gap.watch import Bars, silent
 from fishmj.log import Trial
 
 

@@ -26,12 +26,12 @@ import numpy as np
 from fishmj.gap.null import launch_error, structural_error
 from fishmj.gap.null.structural_error import Widths
 from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, record_whitening, smooth, whitening
+from fishmj.gap.progress import Bars, silent
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
 from fishmj.gap.search.model_error import ModelError, ModelResponse, channel_changes
 from fishmj.gap.thresholds import Gates, thresholds
-from fishmj.gap.watch import Bars, silent
 
 
 class KnownLayout(ResidualLayout):

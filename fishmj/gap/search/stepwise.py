@@ -24,13 +24,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.effects.ambiguity import together
+from fishmj.gap.progress import Bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, over_floor, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import said
-from fishmj.gap.watch import Bar
 from fishmj.gap.wording import title
 
 

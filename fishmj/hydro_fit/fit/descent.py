@@ -23,9 +23,9 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from fishmj.cores import usable_cores
-from fishmj.errors import StoreError
-from fishmj.store import read_tensors, write_tensors
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import StoreError
+from fishmj.base.store import read_tensors, write_tensors
 
 EVERY = 30.0  # s between two times that the state is written
 EXTRA = "--xla_backend_extra_options"  # in XLA_FLAGS: an environment that has it keeps its own

@@ -15,10 +15,10 @@ import numpy as np
 import optax
 from jax import lax
 
-from fishmj.dynamics import planar_chain
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.training_windows import TrainingWindows, subset
 from fishmj.water import residual_network
+from fishmj.water.dynamics import planar_chain
 
 NOISE = 0.01  # of the features
 THRUST, DECAY = 3.0, 1e-4

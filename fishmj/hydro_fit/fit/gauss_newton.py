@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.hydro_fit.fit import training_windows
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.identifiability import Identified, identify
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, is_free, recorded, repeated, windows
-from fishmj.hydro_fit.fit.tolerance import TOLERANCE
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import planar_chain, strip_forces
+from fishmj.water.dynamics.tolerance import TOLERANCE
 from fishmj.water.prior import Prior, flat, names_of, prior_of, unflat
 
 SPREAD = 0.3  # standard deviation of ln factor: how far the swims may pull from what the forces said

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import DatasetError
+from fishmj.base.errors import DatasetError
 from fishmj.hydro_fit.fit.identifiability import Identified, identify
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, added, attachment, mean3
 from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.prior import Prior, names_of, prior_of
 
 HANG = 15.0  # rows that one independent error lasts

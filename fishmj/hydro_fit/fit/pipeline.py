@@ -17,25 +17,25 @@ from typing import Any
 
 import numpy as np
 
-from fishmj import interrupt
-from fishmj.dynamics import planar_chain
-from fishmj.errors import DatasetError, StoreError
+from fishmj.base import interrupt
+from fishmj.base.errors import DatasetError, StoreError
+from fishmj.base.store import plain, read_tensors, write_tensors
 from fishmj.hydro_fit.fit import force_training, gauss_newton, linear_regression, prediction_interval, rollout, training_windows
 from fishmj.hydro_fit.fit import rollout_training as swims
 from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.store import plain, read_tensors, write_tensors
 from fishmj.water import residual_hooks
 from fishmj.water import residual_network as residual
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
 from fishmj.water.prior import flat, prior_of, unflat
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
 TYPICAL = dict(zip(STAGES, (4.0, 25.0, 12.0, 204.0, 17.0, 30.0), strict=True))  # s, of 1000 swims on 16 cores; for the bar alone
 PACKAGE = Path(__file__).parents[2]
-ROOMS = ("dynamics", "water", "hydro_fit", "hydro_fit/fit")
+ROOMS = ("water/dynamics", "water", "hydro_fit", "hydro_fit/fit")
 QUIET = {"__main__.py", "report.py", "online_correction.py"}  # what only asks or tells
 
 

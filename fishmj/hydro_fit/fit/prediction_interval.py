@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain
-from fishmj.errors import DatasetError
+from fishmj.base.errors import DatasetError
 from fishmj.hydro_fit.fit import prediction_interval
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, fish_batch_of, is_free, recorded
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import DatasetError
+from fishmj.base.errors import DatasetError
 from fishmj.hydro_fit.record import SegmentRecord
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 SIMPSON = np.array([1.0, 4.0, 1.0]) / 6
 

@@ -17,14 +17,13 @@ import numpy as np
 from jax import lax
 from jax.sharding import PartitionSpec
 
-from fishmj.dynamics import planar_chain
-from fishmj.errors import DatasetError
-from fishmj.hydro_fit.fit import tolerance
+from fishmj.base.errors import DatasetError
 from fishmj.hydro_fit.fit.descent import devices, mesh_of
 from fishmj.hydro_fit.fit.regression_rows import ambient_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import planar_chain, tolerance
 from fishmj.water.prior import unflat
 
 WINDOW = 2.0  # s, over which velocities are averaged

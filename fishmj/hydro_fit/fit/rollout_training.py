@@ -20,18 +20,18 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from fishmj.dynamics import planar_chain, strip_forces
-from fishmj.errors import DatasetError
+from fishmj.base.errors import DatasetError
 from fishmj.hydro_fit.fit import force_training
 from fishmj.hydro_fit.fit.descent import Loop, devices, quick, replicated, sharded, stacked
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, cut, is_free
-from fishmj.hydro_fit.fit.tolerance import TOLERANCE, of_movement
 from fishmj.hydro_fit.fit.training_windows import EVERY, TrainingWindows, motion_of, subset
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import planar_chain, strip_forces
+from fishmj.water.dynamics.tolerance import TOLERANCE, of_movement
 
 BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means that are compared
 CLIP, POWER = 6.0, 0.3

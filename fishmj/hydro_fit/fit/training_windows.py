@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj.dynamics import planar_chain, strip_forces
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force, rows_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.water import residual_hooks, residual_network
+from fishmj.water.dynamics import planar_chain, strip_forces
 
 PIECE, BURN = 4.0, 1.0  # s; the wake of a piece that begins inside a record fills during `BURN`
 EVERY = 2  # ticks from row to row: neighbours say the same

@@ -10,7 +10,7 @@ grid = sum rho u over all cells, the inside of the hull too; solid = sum m_l u_l
 interior water (`immersed/__init__.py`): the grid has it inside the hull, a real fish does not. It is that of the step before,
 `ImmersedBody.momentum`: so much have the links been given back when a step has ended. With the present one the balance would be
 off by what the interior water gained in one step. A coupling that loses I, its Coriolis part or a sign drifts by the whole
-momentum of the fish within a few beats (docs/methods/oracle_coupling.md).
+momentum of the fish within a few beats (docs/solver/coupling.md).
 
 `fish_headings` swims in a window that follows and in a tank that stands, along the grid and across it: velocities are those of
 the world in a window that moves by whole cells, so that nothing may change but what the faces and the grid's axes do.
@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.errors import OracleUnstable, SimDiverged
+from fishmj.base.errors import OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.cases import about, below, register, reported
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, Lattice

@@ -24,7 +24,6 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import Check, about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -34,6 +33,7 @@ from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import Markers, offset_of
+from fishmj.water.flow import Flow
 
 wp.set_module_options({"enable_backward": False})
 

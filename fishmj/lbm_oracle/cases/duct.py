@@ -16,12 +16,12 @@ from math import pi
 
 import numpy as np
 
+from fishmj.base.units import G
 from fishmj.lbm_oracle.cases import about, register, reported, sphere
 from fishmj.lbm_oracle.cases.settling import BOX, DENSITY, DIAMETER, OILS, retraction
 from fishmj.lbm_oracle.fluid.lattice import VELOCITIES as C
 from fishmj.lbm_oracle.fluid.lattice import WEIGHTS as W
 from fishmj.lbm_oracle.fluid.lattice import Q
-from fishmj.units import G
 
 MAGIC, STREAM, WIDTH = 3 / 16, 0.1, BOX[0] / DIAMETER
 AHEAD, BEHIND = 0.675, 1.05  # widths of the duct to its ends

@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, above, register, reported
 from fishmj.lbm_oracle.cases.cylinder import Strip
 from fishmj.lbm_oracle.cases.flapping import moved_body, section_markers
@@ -31,6 +30,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import Markers
+from fishmj.water.flow import Flow
 
 REYNOLDS, HEAVE, ATTACK, PIVOT = 4e4, 0.75, radians(15.0), 1 / 3
 STREAM = 0.06  # lattice units; the foil heaves at pi St times that

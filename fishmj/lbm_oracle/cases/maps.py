@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import below, register, reported
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
+from fishmj.water.flow import Flow
 
 SOURCE = "symmetry; Galileo"
 SLIP = 1.0

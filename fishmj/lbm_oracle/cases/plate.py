@@ -23,7 +23,6 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.cases.cylinder import Strip
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
@@ -32,6 +31,7 @@ from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import CLAMP, PLAIN, Markers, Sharpness
+from fishmj.water.flow import Flow
 
 REYNOLDS, ASPECT, STREAM = 100.0, 2.0, 0.06  # stream in lattice units
 BOX, AHEAD = (9.0, 8.0, 8.0), 4 / 9  # chords; share of the box before the plate

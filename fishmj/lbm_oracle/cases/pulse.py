@@ -7,11 +7,11 @@ left when it arrives, so its return is held against the height that it started w
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import below, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import CS, Lattice
+from fishmj.water.flow import Flow
 
 SPONGE, HEIGHT = 10, 1e-3
 LATTICE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-3)

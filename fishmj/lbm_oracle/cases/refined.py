@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, below, register, reported
 from fishmj.lbm_oracle.cases.coupled_fish import LAG, drift, momentum
 from fishmj.lbm_oracle.cases.sphere import STREAM, ball, clift
@@ -28,6 +27,7 @@ from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, fine_lattice, 
 from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import LOOK, DomainWatch
+from fishmj.water.flow import Flow
 
 N, SPEED, DRIFT, HEIGHT = 32, 0.03, (0.05, 0.03), 1e-3  # coarse cells a wave; lattice units
 POND = (80, 36, 20)  # coarse cells: from 0.3 m behind the middle, room for three beats ahead

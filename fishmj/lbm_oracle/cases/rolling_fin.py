@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, above, below, register, reported
 from fishmj.lbm_oracle.cases.flapping import moved_body
 from fishmj.lbm_oracle.cases.plate import limit
@@ -34,6 +33,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import PLAIN, SHARP, Markers, Sharpness
+from fishmj.water.flow import Flow
 
 REYNOLDS, ASPECT, SWING = 200.0, 1.27, radians(45.0)
 SPAN = pi * ASPECT / 4  # chords

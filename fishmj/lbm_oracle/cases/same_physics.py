@@ -2,7 +2,7 @@
 
 The state was made on a CPU. What a free swim needs is all in it: open faces, sponge, turbulent inflow, eddy viscosity, markers
 that slip in part, the coupled solve, the servos. A backend that computes the same comes within what round-off grows to in
-200 steps; one that leaves out a term, or takes a slightly other number, does not (docs/methods/oracle.md has both figures).
+200 steps; one that leaves out a term, or takes a slightly other number, does not (docs/solver/method.md has both figures).
 
 python -m fishmj.lbm_oracle cases same_physics --device cuda
 python -m fishmj.lbm_oracle.cases.same_physics --why "markers are drawn in by another length"      makes it anew, on the CPU
@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj import console
-from fishmj.calib import calib_folder
-from fishmj.errors import ConfigError, StoreError
-from fishmj.flow import Flow
+from fishmj.base import console
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.store import Manifest, read_tensors, write_tensors
 from fishmj.lbm_oracle.cases import Check, below, register, reported
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.store import Manifest, read_tensors, write_tensors
+from fishmj.water.flow import Flow
 
 SCHEMA, NAME, STEPS = "fishmj.same-physics/1", "same_physics.safetensors", 200
 DOMAIN = Domain(name="same physics", shape=(52, 36, 24), dx=0.02, dt=0.004, sponge=5)

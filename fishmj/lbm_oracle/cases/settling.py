@@ -9,7 +9,7 @@ benchmark SettlingSphereInBox of the solver waLBerla (read 2026-11-20), which st
 
 Judged by what was measured, but for the thickest oil: there the measured speed is 3.5 % above that at which the drag of the same
 sphere in an endless duct carries its weight (`duct.py`), and resolved simulations of this box are slower, too
-(docs/methods/oracle.md).
+(docs/solver/method.md).
 
 The markers of this sphere are drawn in as its drag was found to need in the duct (`retraction`), less than the 0.7 cells
 of the other cases: those were found in narrow boxes against the drag of open water, which is 4 % smaller.
@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.base.units import G
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.cases.sphere import ball
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
@@ -27,7 +28,6 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
-from fishmj.units import G
 
 DIAMETER, DENSITY = 0.015, 1120.0  # m, kg/m3
 BOX, GAP = (0.1, 0.1, 0.16), 0.12 + DIAMETER / 4  # m

@@ -15,7 +15,6 @@ from math import pi
 
 import numpy as np
 
-from fishmj.flow import Flow
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -23,6 +22,7 @@ from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
+from fishmj.water.flow import Flow
 
 STREAM = 0.05  # lattice units
 CLIFT = "Clift et al. 1978, formula"

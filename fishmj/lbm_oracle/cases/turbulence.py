@@ -10,12 +10,12 @@ Horizontal components are held: free slip above and below lets no water through,
 
 import numpy as np
 
-from fishmj.calib import constant
-from fishmj.flow import LENGTH, Flow
+from fishmj.base.calib import constant
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.water.flow import LENGTH, Flow
 
 SPEED = 0.3  # m/s
 SHAPE, DX, DT = (60, 40, 16), 0.04, 0.008

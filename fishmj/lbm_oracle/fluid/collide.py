@@ -13,7 +13,7 @@ The third-order terms are H_xxy + H_yzz and H_xxy - H_yzz with their permutation
 velocity they shrink to -9 c_y (a_xxy + a_yzz) on the axes and 9 (c_y a_xxy + c_x a_xyy) on the diagonals.
 
 The blend is what keeps water stable: at tau = 0.50003 P only changes its sign in a collision, so that stress which
-alternates from cell to cell never decays, and grows in any stream (docs/methods/oracle.md, "What keeps the water stable").
+alternates from cell to cell never decays, and grows in any stream (docs/solver/method.md, "What keeps the water stable").
 Central
 differences do not see such a stress: a share b of it is lost in every step. On resolved scales both agree, and b does next to
 nothing: at wave number k it acts as a viscosity of b k^2 / 48, a fourth-order term.

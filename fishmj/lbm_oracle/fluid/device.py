@@ -6,8 +6,8 @@ One water has one device (`device_of`). Independent waters may have several (`de
 import os
 from functools import cache
 
-from fishmj import console
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, UnknownName
 
 KINDS = ("auto", "cpu", "cuda")
 QUEUES = "32"  # of an accelerator's work, the most there are: with eight, its default, tanks with finer cells wait for each other

@@ -24,11 +24,11 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from fishmj.calib import constant
-from fishmj.errors import ConfigError
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError
+from fishmj.base.options import checked_name, shown_value
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import CS, VELOCITIES, mirrored, opposite
-from fishmj.options import checked_name, shown_value
 
 SPONGE, RATE = constant("oracle", "sponge"), constant("oracle", "sponge_rate")  # cells, 1
 _CS = wp.constant(CS)
@@ -123,7 +123,7 @@ def _characteristic(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
     """Density and velocity of an open node with outward normal n from those of its inner neighbour."""
     away = u - target
     normal = wp.dot(away, n)
-    # the incoming wave is set to zero, not extrapolated: that returns a tenth of a pulse (docs/methods/oracle.md)
+    # the incoming wave is set to zero, not extrapolated: that returns a tenth of a pulse (docs/solver/method.md)
     leaving = 0.5 * (_CS * drho + normal)
     enters = wp.dot(target, n) < 0.0
     more = wp.where(enters, leaving, leaving - normal)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from fishmj.calib import constant
-from fishmj.cores import usable_cores
-from fishmj.errors import ConfigError, UnknownName
-from fishmj.flow import Flow
+from fishmj.base.calib import constant
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import checked_kind, shown_value
 from fishmj.lbm_oracle.fluid import fields
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
@@ -28,7 +28,7 @@ from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
 from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
 from fishmj.lbm_oracle.fluid.step import Params, stream_collide
 from fishmj.lbm_oracle.fluid.storage import STORAGE, decoded, encoded, velocity_type
-from fishmj.options import checked_kind, shown_value
+from fishmj.water.flow import Flow
 
 MOST = 16  # cores that one box keeps busy
 _POOL = ThreadPoolExecutor(max_workers=MOST, thread_name_prefix="slab")

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.calib import constant
-from fishmj.errors import ConfigError, OracleUnstable
-from fishmj.flow import TICK
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, OracleUnstable
+from fishmj.base.options import checked_kind, checked_name, shown_value
 from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
-from fishmj.options import checked_kind, checked_name, shown_value
+from fishmj.water.flow import TICK
 
 MACH, MACH_WARN = constant("oracle", "mach"), constant("oracle", "mach_warn")
 TAU = constant("oracle", "tau_least")

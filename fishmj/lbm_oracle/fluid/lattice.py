@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError
-from fishmj.options import checked, checked_array
-from fishmj.units import WATER_DENSITY, WATER_VISCOSITY
+from fishmj.base.errors import ConfigError
+from fishmj.base.options import checked, checked_array
+from fishmj.base.units import WATER_DENSITY, WATER_VISCOSITY
 
 Q = 19
 RATIO = 2  # fine cells in a coarse one, and fine steps in a coarse one, from one level of water to the next

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.storage import matrix3, point3
 from fishmj.lbm_oracle.immersed.fsi_solve import wait_for_block
 from fishmj.lbm_oracle.immersed.link_dynamics import put

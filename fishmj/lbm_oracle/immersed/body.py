@@ -8,7 +8,7 @@ displaced water of link l has when it moves with the link across it, and along i
 the velocity of its centre: the immersed boundary accelerates that water too, which a real hull does not contain. Taken as a
 difference in the world frame it holds the Coriolis part M_f a + c_f by itself, and its sum over the links telescopes, so that
 momentum is conserved. I lags by one step, along the links by two: the implicit solve stays stable with it down to a density
-ratio of 0.01 (docs/methods/oracle_coupling.md).
+ratio of 0.01 (docs/solver/coupling.md).
 
 The velocity goes back as   qfrc_applied = (M + dt D) (v+ - v) / dt - (passive + actuators - bias),
 so that MuJoCo's own step returns v+ exactly. Contacts and joint limits are off in fishmj's models.
@@ -19,13 +19,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from fishmj.errors import ConfigError, SimDiverged
+from fishmj.base.errors import ConfigError, SimDiverged
+from fishmj.base.options import checked_kind, shown_value
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed import link_dynamics
 from fishmj.lbm_oracle.immersed.kernels import Points
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.mjcf import build, geometry_of, load_robot, passive_slot
-from fishmj.options import checked_kind, shown_value
 
 FREE, BALL, SLIDE, HINGE = (
     int(kind)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid

@@ -8,7 +8,7 @@
 
 Strong coupling without sub-iterations: K is exact, since the direct forcing is linear in v. A body as light as water, or a thin
 light tail, is stable so; the explicit scheme takes the water's answer to the old velocity and diverges
-(docs/methods/oracle_coupling.md).
+(docs/solver/coupling.md).
 Host and device work side by side: the device makes up K while the host makes up M, and moves the water while MuJoCo steps.
 """
 
@@ -20,14 +20,14 @@ from typing import Literal
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.guard import MACH, Watch, check_speed, numbers
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.early_water import EarlyWater
 from fishmj.lbm_oracle.immersed.markers import Markers
-from fishmj.options import checked_kind
 
 SCHEMES = ("implicit", "explicit")
 # of a step: what the device does between two things that the host does; or several steps without it (device_steps.py)

@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError, SimDiverged
+from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed import device_body, fsi_solve
 from fishmj.lbm_oracle.immersed.articulated_body import Motion, motion_of, tree_of

@@ -38,7 +38,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.errors import UnknownName
+from fishmj.base.errors import UnknownName
 from fishmj.lbm_oracle.fluid.lattice import C, Q, wrap
 from fishmj.lbm_oracle.fluid.storage import STORAGE, matrix3, peek, point3
 from fishmj.mjcf.geometry import Geometry

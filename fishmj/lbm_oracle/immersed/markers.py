@@ -6,7 +6,7 @@ plane. Side fins are sheets.
 
 The kernel spreads a marker's force over 1.5 (3-point) or 2 (4-point) cells each way, so the body acts fatter than its
 markers: they are drawn in along the normal by `hydro_offset` cells, at most `CLAMP` of the local half-thickness, and
-sheets are shortened by it on their free edges (docs/methods/oracle_coupling.md has the measurement).
+sheets are shortened by it on their free edges (docs/solver/coupling.md has the measurement).
 
 `Sharpness` draws hulls and rims in by other lengths and lets water slip on the markers so far that it sticks where the wall is.
 In a shear g |y| on both sides of a sheet the regularised force makes the velocity g (phi * |y|) - g k, which the interpolation
@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 from fishmj.mjcf.skin import bend
-from fishmj.options import checked_kind
 
 HELD = {3: 0.7, 4: 0.9}  # cells that markers are drawn in where the water sticks, by the width of the kernel
 SLIDING = {3: 0.45, 4: 0.55}  # and where it slides freely
@@ -78,7 +78,7 @@ class Sharpness:
 
 
 PLAIN = Sharpness()
-# chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (docs/methods/oracle_coupling.md)
+# chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (docs/solver/coupling.md)
 SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
 EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
 

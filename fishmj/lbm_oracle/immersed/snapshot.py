@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import read_tensors, write_tensors
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.store import read_tensors, write_tensors
 
 SCHEMA = "fishmj.oracle-state/1"
 

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError, StoreError
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.store import write_json
 from fishmj.lbm_oracle.fluid.lattice import wrap
 from fishmj.lbm_oracle.fluid.step import OPTIONS, Params
 from fishmj.lbm_oracle.output import vtk
@@ -23,7 +24,6 @@ from fishmj.lbm_oracle.output.slice_plots import SlicePicture, outline
 from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, STRONG, Slice, write_slice
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf.skin import skin
-from fishmj.store import write_json
 
 wp.set_module_options(OPTIONS)
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from fishmj.base.store import write_bytes
 from fishmj.lbm_oracle.output.slices import STRONG, Slice
 from fishmj.mjcf.skin import posed, skin
-from fishmj.store import write_bytes
 
 FISH, INK = "#2B3440", "#3A4350"
 COLOURS = ("#0B3C5D", "#328CC1", "#3A9D5D", "#D9902F", "#B3392F", "#7A4B94")  # of lines, in their order

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj import console
-from fishmj.errors import ConfigError, StoreError
-from fishmj.store import read_json, read_npz, write_npz
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.store import read_json, read_npz, write_npz
 
 SCHEMA = "fishmj.fields/1"
 INDEX = "fields.json"

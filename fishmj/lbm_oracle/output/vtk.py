@@ -17,8 +17,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from fishmj.base.store import write_bytes, write_text
 from fishmj.mjcf.skin import Skin, posed
-from fishmj.store import write_bytes, write_text
 
 BLOCK = 2**20  # bytes that are compressed at a time
 ORDER = "LittleEndian" if sys.byteorder == "little" else "BigEndian"

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError, OracleUnstable
-from fishmj.flow import Flow
+from fishmj.base.errors import ConfigError, OracleUnstable
+from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey
 from fishmj.lbm_oracle.fluid.fluid import NOWHERE, Fluid
@@ -28,7 +28,7 @@ from fishmj.lbm_oracle.fluid.pairs import split_by
 from fishmj.lbm_oracle.refined import exchange
 from fishmj.lbm_oracle.refined.crossings import Cells, lists_of
 from fishmj.lbm_oracle.refined.exchange import BLOCK, GHOST, Nest
-from fishmj.options import checked_kind
+from fishmj.water.flow import Flow
 
 ROOM = 2  # coarse cells between R and a face of the coarse water
 AXES = {"f": (1, 2, 3), "u": (0, 1, 2)}  # x, y, z in the fields of a snapshot

@@ -4,7 +4,7 @@ On a GPU a part of a step is captured once for each phase of the levels, four of
 which half of a coarse step (`coupling.Graphs`).
 """
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.refined.refined_fluid import RATIO, RefinedFluid
 

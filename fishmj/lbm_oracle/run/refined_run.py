@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 import warp as wp
 
-from fishmj.errors import ConfigError, OracleUnstable
+from fishmj.base.errors import ConfigError, OracleUnstable
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.refined.refined_fluid import RATIO, RefinedFluid
 from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure

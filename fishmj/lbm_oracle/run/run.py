@@ -17,8 +17,8 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from fishmj.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
-from fishmj.flow import Flow
+from fishmj.base.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
+from fishmj.base.options import checked_array, shown_value
 from fishmj.lbm_oracle.fluid.guard import MACH, Watch, numbers
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
@@ -30,7 +30,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.model import reference_pose
 from fishmj.mjcf.servos import arrived, on_the_bus
-from fishmj.options import checked_array, shown_value
+from fishmj.water.flow import Flow
 
 ALERT = 50  # ticks after one that was done again: the wake is still fast
 PATIENCE = 2000  # turns that other tanks are given while one's device works

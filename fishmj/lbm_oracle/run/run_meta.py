@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from fishmj.base.source import made_by
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.log import SCHEMA
 from fishmj.log.trial_check import shipped_bounds
 from fishmj.mjcf.identity import identity
-from fishmj.source import made_by
 
 
 def about(run, tables: dict) -> dict:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.calib import constant
-from fishmj.errors import ConfigError
-from fishmj.flow import Flow
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError
+from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.fluid import Fluid, blend_at
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
@@ -24,7 +24,7 @@ from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.solver_water import boundary_name
 from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
-from fishmj.options import checked_kind
+from fishmj.water.flow import Flow
 
 LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
 

@@ -3,7 +3,7 @@
 `PLAIN` is what `--water lbm` means by itself, the paper's tank and grid, where the shipped fitted water and the published tables
 come from. `REFERENCE` is the water for judging, asked for by name (`--water lbm --reference`); it stays so, another one gets
 another `name`. Grid, slip ratio and boundary were chosen by what half the cell changes; a real fish's swims judged them
-(docs/results/flow_solver.md, "The reference water").
+(docs/solver/results.md, "The reference water").
 
 `BOUNDARIES` are the treatments of the immersed boundary that have a name (`--boundary`); Python takes any `Sharpness`. Another
 kind of treatment enters as a field with its default, that `immersed` hands on.
@@ -12,7 +12,7 @@ kind of treatment enters as a field with its default, that `immersed` hands on.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from fishmj.errors import ConfigError
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.immersed import markers
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import Domain, preset

@@ -21,8 +21,8 @@ from math import ceil
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple, Protocol
 
-from fishmj import errors, plugins, processes
-from fishmj.errors import ConfigError, FishmjError
+from fishmj.base import errors, plugins, processes
+from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.lbm_oracle.fluid.device import device_of
 
 EVERY = 0.2  # s from one report of progress of a process to its next

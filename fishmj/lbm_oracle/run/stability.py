@@ -10,8 +10,8 @@ A refusal names the nearest set-up that would pass.
 from math import inf
 from typing import NamedTuple
 
-from fishmj.calib import constant
-from fishmj.errors import OracleUnstable
+from fishmj.base.calib import constant
+from fishmj.base.errors import OracleUnstable
 from fishmj.lbm_oracle.fluid.guard import MACH, MACH_WARN, check_spacing, check_speed, check_tau, numbers
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain
 

@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from fishmj import console, interrupt
-from fishmj.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
-from fishmj.flow import PRESETS, Flow
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.slices import STRONG, add_fields
 from fishmj.lbm_oracle.run import solver_cost
@@ -32,6 +31,7 @@ from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_option
 from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
 from fishmj.log import write_trial
 from fishmj.mjcf import load_robot
+from fishmj.water.flow import PRESETS, Flow
 
 INTERRUPTED = "interrupted"  # of `Run.stopped`
 

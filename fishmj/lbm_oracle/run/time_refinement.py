@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from fishmj.errors import OracleUnstable, SimDiverged
+from fishmj.base.errors import OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Q, vec19

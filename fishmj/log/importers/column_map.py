@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import toml
 from fishmj.log.importers.column_units import SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
@@ -212,7 +212,7 @@ def of_dict(raw: dict, where: str) -> ColumnMap:
 def written(made: ColumnMap) -> str:
     """The map as TOML."""
     head = (
-        "# Which column of the files is which of fishmj.log/1, in what unit (docs/guide/logs.md). Read it, mend it, and "
+        "# Which column of the files is which of fishmj.log/1, in what unit (docs/search/logs.md). Read it, mend it, and "
         "import with it.\n"
     )
     plain = made.model_dump(exclude_defaults=True)

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log import toml
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError, MissingExtra
 from fishmj.log.limits import DAMAGE, bare, quoted
 
 SEQUENCE = 4096  # longest array of a CDR message that is decoded; pictures and clouds are not
@@ -51,7 +51,7 @@ def converted(encoding: str) -> str:
     if encoding == "protobuf":
         return (
             "convert the recording to JSON messages: pip install mcap-protobuf-support and run the lines under "
-            '"Protobuf" in docs/guide/logs.md (make_reader with its DecoderFactory, MessageToDict, write as json)'
+            '"Protobuf" in docs/search/logs.md (make_reader with its DecoderFactory, MessageToDict, write as json)'
         )
     return "convert the recording to JSON messages"
 

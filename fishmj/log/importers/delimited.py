@@ -16,8 +16,8 @@ from typing import NoReturn
 
 import numpy as np
 
-from fishmj import console
-from fishmj.errors import LogError
+from fishmj.base import console
+from fishmj.base.errors import LogError
 from fishmj.log.importers import cells, joint_names, layout, motive
 from fishmj.log.importers.cells import Reading
 from fishmj.log.importers.layout import HEAD

@@ -7,7 +7,7 @@ apply; so are decimal commas, byte order marks and, by size, degrees without a u
 import re
 from pathlib import Path
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.folder import FLAT, META_FILE, flat_trial, read_meta
 from fishmj.log.table_files import read_csv
 from fishmj.log.trial import BY_KIND, Trial, table_spec

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from fishmj import console, names
-from fishmj.errors import FishmjError, LogError, UsageError
+from fishmj.base import console, names
+from fishmj.base.errors import FishmjError, LogError, UsageError
 from fishmj.log.folder import FLAT_FILE, META_FILE, read_trial
 from fishmj.log.importers import delimited, guess, mcap, messages, other_files, rosbag2
 from fishmj.log.importers.quaternion import with_headings

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.errors import LogError, UnknownName
+from fishmj.base.errors import LogError, UnknownName
 from fishmj.log.importers import column_units, header
 from fishmj.log.importers.column_map import measured
 from fishmj.log.importers.column_units import SI, measures

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fishmj import console
-from fishmj.errors import LogError
+from fishmj.base import console
+from fishmj.base.errors import LogError
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
 from fishmj.log.importers.guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
@@ -68,7 +68,7 @@ def _nothing(guesses: Sequence[Guess], where: str) -> str:
             f'{{ column = "frame", scale = 0.01 }}'
         )
     told = "; ".join(f"{bare(g.column)}: {g.why}" for g in guesses if g.place != "t")[:300]
-    return f"{where}: no column was recognised ({told}); write a map (docs/guide/logs.md) and import with --columns MAP.toml"
+    return f"{where}: no column was recognised ({told}); write a map (docs/search/logs.md) and import with --columns MAP.toml"
 
 
 def choices(g: Guess) -> str:

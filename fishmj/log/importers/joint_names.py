@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.limits import quoted
 from fishmj.log.trial import Table
 

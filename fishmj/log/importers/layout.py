@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.importers import motive
 from fishmj.log.importers.cells import BLANKS, is_number, is_value
 from fishmj.log.importers.column_units import other_unit, unit_of

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-from fishmj.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError, MissingExtra
 from fishmj.log.folder import META_FILE
 from fishmj.log.importers import messages
 from fishmj.log.importers.decoding import Found, TopicChannel

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.importers import header
 from fishmj.log.importers.column_map import is_column
 from fishmj.log.importers.decoding import Found, TopicChannel, converted, decoder, read_json

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fishmj.errors import LogError
+from fishmj.base.errors import LogError
 from fishmj.log.importers.column_units import unit_of
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import quoted

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from fishmj import plugins
-from fishmj.errors import FishmjError, LogError, OwnCodeError
+from fishmj.base import plugins
+from fishmj.base.errors import FishmjError, LogError, OwnCodeError
+from fishmj.base.names import is_name, nearest
 from fishmj.log.trial import Table, Trial
 from fishmj.log.trial_check import Implausible, Place, bounds_of, check_counts, check_table
 from fishmj.log.unread_rows import UNREAD
-from fishmj.names import is_name, nearest
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Importer:
         return import_module(self.module).read
 
 
-_HERE, _STUDIES = "fishmj.log.importers", "fishmj.studies.published_logs"
+_HERE, _STUDIES = "fishmj.log.importers", "fishmj.log.published_logs"
 FORMATS: dict[str, Importer] = {
     importer.name: importer
     for importer in (
@@ -104,7 +104,7 @@ def read(path: str | Path, format: Format = None, *, topics: str | Path | None =
 
     Args:
         format: one of `FORMATS`; one's own reader, `function(path)` or, as the user typed it, module:function, file.py:function
-            or an entry point of fishmj.importers (docs/guide/your_own_code.md); found out when None.
+            or an entry point of fishmj.importers (docs/simulate/your_own_code.md); found out when None.
         topics: for "mcap" and "rosbag2": the TOML that says which topic is which table.
 
     Raises:

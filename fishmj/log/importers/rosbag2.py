@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
-from fishmj.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError, MissingExtra
 from fishmj.log.importers import mcap, messages
 from fishmj.log.importers.decoding import Found, TopicChannel
 from fishmj.log.importers.topics import read_topics

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from fishmj.errors import LogError, UnknownName
+from fishmj.base.errors import LogError, UnknownName
 from fishmj.log.importers.column_map import is_column
 from fishmj.log.importers.column_units import unit_of
 from fishmj.log.importers.sheet import DATE

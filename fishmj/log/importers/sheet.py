@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError, MissingExtra
+from fishmj.base.store import read_npz
 from fishmj.log.limits import COLUMNS, DAMAGE, bare, check_size, listed, quoted, regular
 from fishmj.log.trial import Table
-from fishmj.store import read_npz
 
 DATE = "date"  # the unit of date-time stamps, which readers give as s since 1970
 EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 1970, not from a start

@@ -21,8 +21,8 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fishmj.calib import parse_toml
-from fishmj.errors import ConfigError, LogError
+from fishmj.base.calib import parse_toml
+from fishmj.base.errors import ConfigError, LogError
 from fishmj.log.importers import column_units
 from fishmj.log.table_files import read_text
 from fishmj.log.trial import TABLES

@@ -1,0 +1,1 @@
+"""Plumbing that every room uses: errors, files, options, the command line, pages. It knows nothing of fish."""

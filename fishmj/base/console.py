@@ -1,0 +1,475 @@
+"""What every command line shares: errors as exit codes, one JSON object last, tables, a progress line with the time left.
+
+Parsers whose errors are one line, types of options with a range, groups of commands. `EXITS` says what the exit codes mean.
+What it prints goes through `terminal`.
+"""
+
+import argparse
+import errno
+import json
+import math
+import os
+import re
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from difflib import get_close_matches
+from importlib import import_module
+from typing import IO, Any, NamedTuple, NoReturn
+
+from fishmj.base import interrupt, terminal
+from fishmj.base.errors import DescriptionError, FishmjError, UnknownName, UsageError
+from fishmj.base.options import SEED as SEED
+from fishmj.base.options import SHOWN, shown
+from fishmj.base.options import Distinct as Distinct
+from fishmj.base.options import Listed as Listed
+from fishmj.base.options import Number as Number
+from fishmj.base.options import OneOf as OneOf
+from fishmj.base.options import device as device
+from fishmj.base.options import devices as devices
+from fishmj.base.options import name as name
+from fishmj.base.options import number as number
+from fishmj.base.options import out_file as out_file
+from fishmj.base.options import out_folder as out_folder
+from fishmj.base.options import path as path
+from fishmj.base.options import text as text
+from fishmj.base.options import whole as whole
+from fishmj.base.terminal import cell as cell
+from fishmj.base.terminal import duration as duration
+from fishmj.base.terminal import printable as printable
+from fishmj.base.terminal import table as table
+
+OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT = 0, 1, 2, 3, 70
+HUNG_UP, INTERRUPTED, PIPE_CLOSED, TERMINATED = 129, 130, 141, 143
+EXITS = {
+    OK: "an answer",
+    FAILED_CHECK: "a check that fails, or a result that is not complete",
+    BAD_INPUT: "bad input: an option, a file, a place that cannot be written, too little memory, days of work unasked",
+    CANNOT_TELL: "too short, too quiet or too different to tell",
+    FAULT: "a fault of fishmj itself, with its traceback",
+    HUNG_UP: "ended by SIGHUP: its terminal or connection is gone; what was finished is kept",
+    INTERRUPTED: "interrupted by the user (Ctrl-C); what was finished is kept",
+    PIPE_CLOSED: "the reader of the output is gone (a closed pipe); the work was finished and its files are written",
+    TERMINATED: "ended by SIGTERM",
+}
+TRACEBACK = "FISHMJ_TRACEBACK"  # environment: 1 shows the traceback of every error
+LONGEST = 1000  # characters of an error's line
+MEMORY = 30.0  # s of progress that the time left is told from
+# of a file system, with or without the name of a file
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.EIO}
+
+Main = Callable[[list[str]], int | None]
+
+
+def run(main: Main, argv: Sequence[str] | None = None) -> int:
+    """Call `main(argv)` and turn whatever happens into an exit code; errors are one line on stderr.
+
+    A bad description is one line for each of its errors. With `--json` among the arguments an error is also one JSON object on
+    stdout: {"error", "kind", "exit"}, and of a bad description "errors", the list.
+    A command (`fishmj.base.interrupt`), interrupted or not, ends here and does not return.
+    """
+    argv = list(sys.argv[1:] if argv is None else argv)
+    _speak_any_text()
+    terminal.readers_gone.clear()
+    interrupt.telling(lambda message: _interrupted(argv, message))
+    try:
+        code = _called(main, argv)
+    except OSError:  # nothing can be said: the terminal that was closed is why it was asked to end
+        if not interrupt.asked():
+            raise
+        code = HUNG_UP
+    if code == OK and terminal.readers_gone:
+        code = PIPE_CLOSED
+    if interrupt.asked():
+        interrupt.leave(None if code == INTERRUPTED else "")
+    interrupt.finish(code)
+    return code
+
+
+def _called(main: Main, argv: list[str]) -> int:
+    try:
+        _refuse_nul(argv)
+        return int(main(argv) or OK)
+    except (FishmjError, argparse.ArgumentTypeError) as error:
+        kind = type(error).__name__ if isinstance(error, FishmjError) else UsageError.__name__
+        many = error if isinstance(error, DescriptionError) else None
+        return _fail(argv, many.shown[0] if many else str(error), kind, BAD_INPUT, many=many)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else OK if stop.code is None else _fail(argv, str(stop.code), "exit", 1)
+    except KeyboardInterrupt:
+        return _fail(argv, "interrupted", "KeyboardInterrupt", INTERRUPTED)
+    except BrokenPipeError:  # printed by a library: what this module prints goes on without its reader
+        with suppress(OSError):
+            terminal.silence(sys.stdout)
+        return PIPE_CLOSED
+    except Exception as error:  # noqa: BLE001  the last resort: a fault of ours gets its own exit code
+        if interrupt.asked():  # what an interrupt breaks off is no fault
+            return FAULT
+        if message := _of_the_machine(error):
+            return _fail(argv, message, type(error).__name__, BAD_INPUT)
+        traceback.print_exc()
+        return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT, told=True)
+
+
+def _speak_any_text() -> None:
+    """A name that the terminal cannot show is printed escaped."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _refuse_nul(argv: Sequence[str]) -> None:
+    for place, given in enumerate(argv, 1):
+        if "\0" in given:
+            raise UsageError(f"argument {place}, {shown(given)}: holds a NUL character; no name or number has one")
+
+
+def _of_the_machine(error: Exception) -> str:
+    """What to say of an error that the file system or the memory made; empty for every other."""
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
+        where = f"{shown(str(error.filename), 200)}: " if error.filename is not None else ""
+        files = (frame.f_code.co_filename for frame, _ in traceback.walk_tb(error.__traceback__))
+        if any("/warp/_src/" in file for file in files):
+            remedy = "Warp keeps its machine code there; set WARP_CACHE_PATH to a folder that can be written"
+        else:
+            remedy = "choose another file or folder, or make room"
+        return f"{where}{error.strerror or error}; {remedy}"
+    said = str(error)
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in said or "out of memory" in said.lower():
+        details = shown(said.partition("\n")[0], 200) if said else "no details"
+        return f"not enough memory ({details}); ask for less at once, or take a larger machine"
+    return ""
+
+
+def _interrupted(argv: Sequence[str], message: str) -> None:
+    """The last line of an interrupted command, below a progress line that stands open in a terminal."""
+    if sys.stderr.isatty():
+        terminal.put("", sys.stderr)
+    _fail(argv, message, "KeyboardInterrupt", interrupt.code())
+
+
+def _fail(
+    argv: Sequence[str], message: str, kind: str, code: int, *, told: bool = False, many: DescriptionError | None = None
+) -> int:
+    """Say it on stderr, one line (of a bad description one an error), and as JSON where that was asked for."""
+    if os.environ.get(TRACEBACK) == "1" and not told and sys.exc_info()[0] is not None:
+        traceback.print_exc()
+    message = _one_line(message)
+    for line in map(_one_line, many.shown) if many else (message,):
+        terminal.put(f"fishmj: {line}", sys.stderr)
+    if "--json" in argv:
+        emit_json({"error": message, "kind": kind, "exit": code} | ({"errors": list(many.errors)} if many else {}))
+    return code
+
+
+def _one_line(text: str) -> str:
+    """One line that a terminal can show, its middle left out where it is very long."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+
+
+class Help(argparse.RawDescriptionHelpFormatter):
+    """Help texts with the default of each option behind them."""
+
+    def _get_help_string(self, action) -> str:
+        text, default = action.help or "", action.default
+        said = "default" in text or default is None or default is False or default is argparse.SUPPRESS
+        if said or not (action.option_strings or action.nargs):
+            return text
+        if isinstance(default, list | tuple):
+            default = " ".join(map(str, default))
+        shown_default = str(default).replace("%", "%%")
+        return f"{text} (default: {shown_default})" if shown_default else text
+
+
+_DASHED = re.compile(r"[\u2010-\u2015\u2212\ufe58\uff0d][\u2010-\u2015\u2212\ufe58\uff0d-]*([^\W\d_][^=]*)")
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text.
+
+    The help shows every default, and below it the example that the parser or its `CommandGroup` gives.
+    """
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **{"formatter_class": Help, "allow_abbrev": False} | options)
+        number = r"(\d+\.?\d*|\.\d+)(e[-+]?\d+)?"  # the first of a list, too, may be negative
+        self._negative_number_matcher = re.compile(rf"^-{number}(,-?{number})*$|^-(inf|infinity|nan)$", re.IGNORECASE)
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{self.prog.removeprefix('fishmj ')}: {message}; see {self.prog} --help")
+
+    def format_help(self) -> str:
+        if self.epilog is None and self.prog in _EXAMPLES:
+            self.epilog = f"example:\n  {_EXAMPLES[self.prog]}"
+        return super().format_help()
+
+    def parse_args(self, args=None, namespace=None):
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            near = self._nearest(unknown[0].partition("=")[0])
+            given = " ".join(text if len(text) <= SHOWN else text[:SHOWN] + "..." for text in unknown[:5])
+            self.error(f"unknown argument {given}" + (f"; did you mean {near}?" if near else ""))
+        return found
+
+    def parse_known_args(self, args=None, namespace=None):
+        args = list(sys.argv[1:] if args is None else args)
+        self._refuse_typographic_dashes(args)
+        self._given: set[argparse.Action] = set()
+        return super().parse_known_args(args, namespace)
+
+    def _refuse_typographic_dashes(self, words: Sequence[str]) -> None:
+        """An option copied out of a text may begin with a dash or a minus sign in place of two hyphens."""
+        for word in words:
+            found = _DASHED.match(word)
+            if found and (near := self._nearest("--" + found[1])):
+                self.error(f"{shown(word)} begins with a typographic dash; did you mean {near}?")
+
+    def _nearest(self, option: str) -> str:
+        """The known option that one is nearest to, or nothing."""
+        options = [o for o in self._option_string_actions if o.startswith("--")]
+        return next(iter(get_close_matches(option, options, 1, 0.6)), "")
+
+    def _get_values(self, action, arg_strings):
+        """Called once for each time that an option is given: one that takes a value and does not collect them has one."""
+        if action.option_strings and action.nargs != 0 and not isinstance(action, argparse._AppendAction):
+            if action in self._given:
+                raise argparse.ArgumentError(action, "is given twice; give it once")
+            self._given.add(action)
+        return super()._get_values(action, arg_strings)
+
+    def _check_value(self, action, value) -> None:
+        if action.choices is not None and value not in action.choices:
+            known = [str(c) for c in action.choices]
+            near = get_close_matches(str(value), known, 1, 0.5)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise argparse.ArgumentError(action, f"got {shown(str(value))}.{hint} Known: {', '.join(known)}")
+
+
+def parser(verb: str, summary: str, *, json: bool = True, examples: str | None = None) -> Parser:
+    """An argument parser for `python -m fishmj.<verb>`, with `--json` unless told otherwise; `examples` stand below the help."""
+    made = Parser(prog=f"fishmj {verb}", description=summary, epilog=examples)
+    if json:
+        made.add_argument("--json", action="store_true", help="print one JSON object last")
+    return made
+
+
+HELP = ("-h", "--help", "help")  # before a command too: `help find` is `find --help`
+
+
+class Command(NamedTuple):
+    """One command of a group: a module with `main(argv)` by its name, or the function itself."""
+
+    run: str | Main
+    summary: str
+    example: str
+
+
+_EXAMPLES: dict[str, str] = {}  # program -> its example, for the help of a command that a group offers
+
+
+class CommandGroup:
+    """The commands of a verb, as its `main`: `--help` lists them, an unknown one gets the nearest name, none is bad input.
+
+    A name may be two words (`converge fish`). Nothing is imported but the command that is called. `bare` names the command that
+    runs where none is given, with the options that are there.
+    """
+
+    def __init__(self, verb: str, summary: str, commands: Mapping[str, Command], bare: str = ""):
+        self.verb, self.summary, self.commands, self.bare = verb, summary, dict(commands), bare
+        _EXAMPLES.update({f"fishmj {verb} {name}": command.example for name, command in commands.items()})
+
+    def __call__(self, argv: list[str]) -> int | None:
+        if argv and argv[0] in HELP:
+            if argv[1:]:
+                return self([*argv[1:], "--help"])
+            say(self.usage())
+            return OK
+        if self.bare and (not argv or argv[0].startswith("-")):
+            return self.load(self.bare)(argv)
+        if not argv:
+            raise UsageError(f"{self.verb}: expected a command: {', '.join(self.commands)}; see fishmj {self.verb} --help")
+        words = 2 if " ".join(argv[:2]) in self.commands else 1
+        name = " ".join(argv[:words])
+        if name.startswith("-"):
+            raise UsageError(f"{self.verb}: expected a command before {shown(name)}. Known: {', '.join(self.commands)}")
+        return self.load(name)(argv[words:])
+
+    def load(self, name: str) -> Main:
+        """The function of a command.
+
+        Raises:
+            UnknownName: there is none of this name.
+        """
+        if name not in self.commands:
+            raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
+        run = self.commands[name].run
+        return import_module(run).main if isinstance(run, str) else run
+
+    def usage(self) -> str:
+        """Every command with one line, and its example below."""
+        wide = max(map(len, self.commands))
+        rows = [(f"  {name:<{wide}}  {c.summary}", f"  {'':<{wide}}  {c.example}") for name, c in self.commands.items()]
+        command = "[COMMAND]" if self.bare else "COMMAND"
+        head = f"usage: fishmj {self.verb} {command} [options]     fishmj {self.verb} COMMAND --help"
+        rows += [("", f"Without a command: {self.bare}.")] if self.bare else []
+        return "\n".join([head, "", self.summary, "", *(line for row in rows for line in row)])
+
+
+def say(*lines: str) -> None:
+    """Print lines for a human, at once; control characters are left out."""
+    for line in lines:
+        terminal.put(printable(line), sys.stdout)
+
+
+def warn(message: str) -> None:
+    """Print one line on stderr that does not stop the command."""
+    terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
+
+
+def confirmed(question: str) -> bool:
+    """Ask a yes-or-no question on the terminal; no where there is none, or where the answer is not yes."""
+    if not all(bool(getattr(stream, "isatty", lambda: False)()) for stream in (sys.stdin, sys.stderr)):
+        return False
+    terminal.put(f"{question} [y/N] ", sys.stderr, end="")
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def emit_json(value: Any) -> None:
+    """Print one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
+    terminal.put(json.dumps(plain(value), allow_nan=False), sys.stdout)
+
+
+def plain(value: Any) -> Any:
+    """The value in JSON's own types; needs no NumPy, so that `doctor` can speak where it is missing."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # NumPy and JAX, scalars too
+        return plain(value.tolist())
+    if isinstance(value, Iterable):
+        return [plain(item) for item in value]
+    return str(value)
+
+
+class Progress:
+    """A line with a bar, the rate and the time left; on a file or pipe a plain line now and then.
+
+        with Progress(1_000_000, "train", unit="steps") as bar:
+            bar.update(done, reward=0.4)
+
+    The time left comes from the last `MEMORY` seconds of progress. Up to the first progress a command may have compiled: that
+    rate is an upper bound of the time left, said as `at most`, and counts no more with the second.
+    """
+
+    def __init__(
+        self,
+        total: float,
+        label: str,
+        unit: str = "",
+        *,
+        stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        every: float | None = None,
+        at_most: bool = False,
+    ):
+        """at_most: the work may end before `total`, so that the time left is always an upper bound."""
+        self.total, self.label, self.unit, self._at_most = total, label, unit, at_most
+        self._stream = sys.stderr if stream is None else stream
+        self._live = bool(getattr(self._stream, "isatty", lambda: False)())
+        self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
+        self._clock, self._start = clock, clock()
+        self.begun = 0.0  # done before, and no part of the rate
+        self.ahead = 0.0  # s of other work to come, which the rate does not count
+        self._most = 0.0  # the greatest that was reported
+        self._shown = -math.inf
+        self._seen = [(self._start, 0.0)]  # (time [s], done), the last `MEMORY` seconds
+        self._named = False  # a stage without a rate is under way
+        self._starting = True  # the remembered time holds the start, in which a command may have compiled
+        self._width = 0
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        if self._live and self._width:
+            terminal.put("", self._stream)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the start."""
+        return self._clock() - self._start
+
+    @property
+    def rate(self) -> float:
+        """Units a second over the remembered time; 0 before the first update."""
+        (t0, d0), (t1, d1) = self._seen[0], self._seen[-1]
+        return (d1 - d0) / (t1 - t0) if t1 > t0 else 0.0
+
+    @property
+    def left(self) -> float:
+        """Seconds left at the present rate, and those `ahead`; infinite before the first update."""
+        return max(self.total - self._seen[-1][1], 0.0) / self.rate + self.ahead if self.rate > 0 else math.inf
+
+    def update(self, done: float, **fields: Any) -> None:
+        """Report `done` of `total` and any named figures; prints only when it is time to.
+
+        Less than before counts as before: of several processes one may have ended a part that it has not told of yet.
+        """
+        now, done = self._clock(), max(done, self._most)
+        self._most = done
+        if self._named:
+            self._named, self._starting, self._seen, self._shown = False, False, [], -math.inf
+        if self._starting and now > self._seen[-1][0] and self._seen[-1][1] > 0.0 and done > self._seen[-1][1]:
+            self._starting, self._seen = False, self._seen[-1:]
+        self._seen.append((now, done))
+        while len(self._seen) > 2 and now - self._seen[1][0] > MEMORY:
+            self._seen.pop(0)
+        if done < self.total and (now - self._shown < self._every or not self.rate):
+            return
+        self._shown = now
+        self._show(self.line(**fields))
+
+    def stage(self, text: str) -> None:
+        """Name at once what the rate does not count, such as `compiling ...`; with the next update the time left begins anew."""
+        self._named = True
+        self._show(f"{self.label}: {text}")
+
+    @contextmanager
+    def aside(self, text: str = "") -> Iterator[None]:
+        """Work beside the counted one, such as an assessment: named at once, its time is no part of the rate."""
+        began = self._clock()
+        if text:
+            self._show(f"{self.label}: {text}")
+        yield
+        self._seen = [(t + self._clock() - began, done) for t, done in self._seen]
+
+    def _show(self, line: str) -> None:
+        line = printable(line)
+        if self._live:
+            terminal.put("\r" + line.ljust(self._width), self._stream, end="")
+            self._width = len(line)
+        else:
+            terminal.put(line, self._stream)
+
+    def line(self, **fields: Any) -> str:
+        """The text of the line as it stands."""
+        done = self._seen[-1][1]
+        part = min(done / self.total, 1.0) if self.total else 1.0
+        rate = self.rate or ((done - self.begun) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short to tell
+        bound = "at most " if (self._starting or self._at_most) and math.isfinite(self.left) else ""
+        ahead = f"{bound}{duration(self.left)} left" if part < 1 else f"took {duration(self.elapsed)}"
+        figures = "".join(f"  {name} {cell(value)}" for name, value in fields.items())
+        return f"{self.label} [{'#' * int(20 * part):<20}] {100 * part:3.0f} %  {_short(rate)} {self.unit}/s  {ahead}{figures}"
+
+
+def _short(number: float) -> str:
+    for scale, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if abs(number) >= scale:
+            return f"{number / scale:.3g}{letter}"
+    return f"{number:.3g}"

@@ -1,0 +1,295 @@
+"""Types of command-line options: numbers of a range, lists, names, and outputs that are checked before the work starts; and
+numbers of Python calls (`checked`).
+
+Each is the `type=` of an argparse option; what it refuses is an `ArgumentTypeError` that says what was expected. A command takes
+them from `fishmj.base.console`, which offers them all.
+"""
+
+import argparse
+import math
+import re
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.names import is_name, nearest
+
+SHOWN = 60  # characters of an argument that an error repeats
+
+
+def shown(text: str, most: int = SHOWN) -> str:
+    """An argument as an error repeats it."""
+    return repr(text if len(text) <= most else f"{text[: most - 3]}...")
+
+
+@dataclass(frozen=True)
+class Number:
+    """The `type=` of an option that takes a finite number of a range; `whole` and `number` make it."""
+
+    low: float
+    high: float
+    above: bool = False  # beyond `low`
+    whole: bool = False
+
+    def __call__(self, text: str) -> Any:
+        try:
+            value = int(text) if self.whole else float(text)
+        except ValueError:
+            value = math.nan  # of no range
+        if not self.holds(value):
+            raise argparse.ArgumentTypeError(f"got {shown(text)}, expected {self.expected}")
+        return value
+
+    def holds(self, value: Any) -> bool:
+        """True for a number of the range; a truth value is none."""
+        kind: Any = Integral if self.whole else Real
+        if isinstance(value, bool) or not isinstance(value, kind):
+            return False
+        finite = isinstance(value, Integral) or math.isfinite(value)  # an integer may be too long for a float
+        return finite and self.low <= value <= self.high and not (self.above and value == self.low)
+
+    @property
+    def expected(self) -> str:
+        """The range in words."""
+        show = (lambda x: f"{x:.0f}") if self.whole else (lambda x: f"{x:g}")
+        head = f"a {'whole ' if self.whole else ''}number {'above' if self.above else 'from'} {show(self.low)}"
+        return head + (f" to {show(self.high)}" if self.high < math.inf else "" if self.above else " up")
+
+
+def checked(where: str, value: Any, low: float = -math.inf, high: float = math.inf, *, whole: bool = False) -> Any:
+    """Returns `value`, an argument of a Python call, where it is a finite number from `low` to `high`.
+
+    Raises:
+        ConfigError: it is not; begins with `where`, the name of the argument.
+    """
+    given = value.item() if getattr(value, "shape", None) == () else value  # NumPy's and JAX's scalars
+    kind = int if whole else int | float
+    if isinstance(given, bool) or not isinstance(given, kind) or not math.isfinite(given) or not low <= given <= high:
+        expected = "a finite number" if (low, high) == (-math.inf, math.inf) else Number(low, high, whole=whole).expected
+        raise ConfigError(f"{where} = {shown_value(given)}; expected {expected}")
+    return given
+
+
+def checked_bounds(where: str, value: Any, low: float, high: float) -> tuple[float, float]:
+    """Returns the bounds of a draw, (value, value) of a single number. Raises ConfigError, as `checked`."""
+    pair = (value, value) if getattr(value, "ndim", 0) == 0 and not isinstance(value, list | tuple) else tuple(value)
+    try:
+        first, last = (checked(where, bound, low, high) for bound in pair)
+    except ValueError:  # ConfigError is one, too
+        first, last = 1, 0
+    if first > last:
+        raise ConfigError(
+            f"{where} = {shown_value(value)}; expected a number from {low:g} to {high:g}, or two bounds of a draw, (low, high)"
+        )
+    return first, last
+
+
+def checked_array(where: str, value: Any, shape: tuple[int, ...]) -> Any:
+    """Returns an argument of a Python call as a NumPy array, float64. Raises ConfigError: another shape, or not all finite."""
+    import numpy as np
+
+    try:
+        given = np.full((), math.nan) if np.iscomplexobj(value) else np.asarray(value, float)
+    except (TypeError, ValueError):
+        given = np.full((), math.nan)
+    if given.shape != shape or not np.isfinite(given).all():
+        raise ConfigError(f"{where} = {shown_value(value)}; expected finite numbers of shape {shape}")
+    return given
+
+
+def checked_kind(where: str, value: Any, kind: type, *, needed: bool = False) -> Any:
+    """Returns `value`, an object of this class, or None where it is not `needed`. Raises ConfigError."""
+    if (needed or value is not None) and not isinstance(value, kind):
+        raise ConfigError(f"{where} = {shown_value(value)}; expected {kind.__module__}.{kind.__name__}(...)")
+    return value
+
+
+def checked_name(kind: str, value: Any, known: Iterable[str]) -> str:
+    """Returns `value` where it is one of the names `known`. Raises UnknownName."""
+    if not isinstance(value, str) or value not in known:
+        raise UnknownName(kind, value, known)
+    return value
+
+
+def checked_names(where: str, value: Any) -> tuple[str, ...]:
+    """Returns several names. Raises ConfigError: no tuple or list of texts, but for example one text."""
+    if not isinstance(value, tuple | list) or not all(isinstance(name, str) for name in value):
+        raise ConfigError(f"{where} = {shown_value(value)}; expected a tuple of names, (NAME,) of a single one")
+    return tuple(value)
+
+
+def shown_value(value: Any) -> str:
+    """A value of a Python call as an error repeats it, in one line."""
+    line = " ".join(repr(value).split())
+    return line if len(line) <= SHOWN else f"{line[: SHOWN - 3]}..."
+
+
+def number(low: float, high: float = math.inf, *, above: bool = False) -> Number:
+    """The `type=` of an option that takes a finite number from `low` (with `above`: beyond it) to `high`."""
+    return Number(low, high, above)
+
+
+def whole(low: int, high: int | None = None) -> Number:
+    """The `type=` of an option that takes a whole number from `low` to `high`."""
+    return Number(low, math.inf if high is None else high, whole=True)
+
+
+SEED = whole(0, 2**53 - 1)  # of every draw; a whole number that JSON holds exactly
+
+
+@dataclass(frozen=True)
+class Listed:
+    """The `type=` of an option that takes 1 to `most` values with commas between them, none of them twice.
+
+    `same` gives what two values have in common that stand for one thing.
+    """
+
+    item: Any  # the `type=` of each
+    most: int = 100
+    distinct: bool = True
+    same: Callable[[Any], Any] = lambda value: value
+
+    def __call__(self, text: str) -> list:
+        parts = [part.strip() for part in text.split(",")]
+        if not all(parts) or len(parts) > self.most:
+            raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to {self.most} values with commas between them")
+        values = [self.item(part) for part in parts]
+        kinds = [self.same(value) for value in values]
+        twice = next((i for i, kind in enumerate(kinds) if kind in kinds[:i]), None)
+        if twice is not None and self.distinct:
+            first = parts[kinds.index(kinds[twice])]
+            also = f"{parts[twice]} stands there twice" if first == parts[twice] else f"{first} and {parts[twice]} are the same"
+            raise argparse.ArgumentTypeError(f"got {shown(text)}: {also}; name each value once")
+        return values
+
+    def holds(self, value: Any) -> bool:
+        """True for a list or tuple of 1 to `most` values that `item` holds."""
+        return isinstance(value, list | tuple) and 1 <= len(value) <= self.most and all(map(self.item.holds, value))
+
+    @property
+    def expected(self) -> str:
+        """The values in words."""
+        return f"1 to {self.most} values, each {self.item.expected}"
+
+
+class Distinct(argparse.Action):
+    """The `action=` of an option with several values, none of them twice."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        twice = [value for i, value in enumerate(values) if value in values[:i]]
+        if twice:
+            raise argparse.ArgumentError(self, f"{twice[0]} stands there twice; name each value once")
+        setattr(namespace, self.dest, values)
+
+
+def text(text: str) -> str:
+    """The `type=` of an option that takes a name, or a file whose name may begin with ~."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a name or a file")
+    return str(Path(text).expanduser()) if text.startswith("~") else text
+
+
+def path(text: str) -> Path:
+    """The `type=` of an option that takes a file or folder to read."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a file or folder")
+    return Path(text).expanduser() if text.startswith("~") else Path(text)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """The `type=` of one value of a list of known names, for `Listed`; elsewhere `choices=` does it."""
+
+    known: tuple[str, ...]
+
+    def __call__(self, text: str) -> str:
+        if text not in self.known:
+            near = get_close_matches(text, self.known, 1, 0.5)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {', '.join(self.known)}")
+        return text
+
+    def holds(self, value: Any) -> bool:
+        """True for a known name."""
+        return value in self.known
+
+    @property
+    def expected(self) -> str:
+        """The names in words."""
+        return f"one of {', '.join(self.known)}"
+
+
+def name(text: str) -> str:
+    """The `type=` of an option that takes a name which stands in paths and pages (`fishmj.base.names`)."""
+    if not is_name(text):
+        near = f", for example {nearest(text)!r}" if nearest(text) else ""
+        raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to 64 letters, digits, '_', '.' or '-'{near}")
+    return text
+
+
+_DEVICE = r"(auto|cpu|cuda(:\d{1,3})?)"
+_DEVICES = r"cuda:all|cpu(,cpu)+|cuda(:\d{1,3})?(,cuda(:\d{1,3})?)+"
+
+
+def device(text: str) -> str:
+    """The `type=` of an option that names where to compute: auto, cpu, cuda or cuda:N."""
+    if re.fullmatch(_DEVICES, text):
+        raise argparse.ArgumentTypeError(f"got {shown(text)}, several devices; expected one: auto, cpu, cuda or cuda:N")
+    return _device(text, "auto, cpu, cuda, cuda:N")
+
+
+def devices(text: str) -> str:
+    """The same where work is spread over several: also cuda:all, or a list of one kind, cuda:0,cuda:1 or cpu,cpu."""
+    return text if re.fullmatch(_DEVICES, text) else _device(text, "auto, cpu, cuda, cuda:N, cuda:all, cuda:0,cuda:1, cpu,cpu")
+
+
+def _device(text: str, known: str) -> str:
+    if not re.fullmatch(_DEVICE, text):
+        near = get_close_matches(text, ("auto", "cpu", "cuda"), 1, 0.5)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {known}")
+    return text
+
+
+def out_file(text: str) -> Path:
+    """The `type=` of an option that names a file to write: refused before the work starts where that cannot be."""
+    where = path(text)
+    if _is(where, Path.is_dir):
+        raise argparse.ArgumentTypeError(f"{where}: is a folder; name a file to write")
+    _writable(where, where.parent)
+    return where
+
+
+def out_folder(text: str) -> Path:
+    """The `type=` of an option that names a folder to write into: refused before the work starts where that cannot be."""
+    where = path(text)
+    if _is(where, Path.exists) and not _is(where, Path.is_dir):
+        raise argparse.ArgumentTypeError(f"{where}: is a file; name a folder to write into")
+    _writable(where, where)
+    return where
+
+
+def _is(where: Path, what: Callable[[Path], bool]) -> bool:
+    try:
+        return what(where)
+    except OSError as error:  # a name too long, or one that the file system cannot hold
+        raise argparse.ArgumentTypeError(f"{shown(str(where))}: {error.strerror}; choose another name") from error
+
+
+def _writable(where: Path, folder: Path) -> None:
+    """Whether a file can be made in `folder`, which may not exist yet; writes nothing."""
+    _is(where, Path.exists)
+    there = next(p for p in (folder.absolute(), *folder.absolute().parents) if _is(p, Path.exists))
+    if not there.is_dir():
+        raise argparse.ArgumentTypeError(f"{where}: {there} is a file, so nothing can be written below it; choose another place")
+    try:
+        with tempfile.TemporaryFile(dir=there):  # tried, because permissions alone say nothing to root or of /proc
+            pass
+    except OSError as error:
+        said = f"{where}: {there} cannot be written ({error.strerror}); choose another place"
+        raise argparse.ArgumentTypeError(said) from error

@@ -1,0 +1,47 @@
+"""Which fishmj this is: what the files that it makes say of it, and what results that are kept depend on."""
+
+import hashlib
+import subprocess
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from fishmj import __version__
+from fishmj.base.calib import calib_folder
+
+HERE = Path(__file__).resolve().parents[1]
+
+
+@cache
+def package_sha256() -> str:
+    """Hex digest over the source of this package and its constants."""
+    digest = hashlib.sha256()
+    for path in [*sorted(HERE.rglob("*.py")), *sorted(calib_folder().glob("*.toml"))]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def commit() -> str:
+    """The commit that this package is checked out at, `-dirty` where files differ from it; `fishmj 1.2` where it is installed."""
+    asked = (("ls-files", "--error-unmatch", HERE.name), ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"))
+    try:
+        # the first asks whether the repository around is ours: an environment may lie in anybody's
+        said = [subprocess.run(["git", *words], cwd=HERE.parent, capture_output=True, text=True, timeout=5) for words in asked]
+    except (OSError, subprocess.TimeoutExpired):
+        said = []
+    if len(said) == len(asked) and all(one.returncode == 0 for one in said):
+        return said[-1].stdout.strip()
+    return f"fishmj {__version__}"
+
+
+def made_by(*packages: str) -> dict:
+    """The keys `versions` and `commit` of the meta data of a trial that fishmj makes, with the versions of `packages`."""
+    return {"versions": {"fishmj": __version__, **{name: _version(name) for name in packages}}, "commit": commit()}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,141 @@
+"""Atomic writes: the old file or the new one, never a part.
+
+A write goes to a temporary file in the target's folder, is flushed and fsynced, renamed over the target in one step
+(POSIX rename is atomic) and the folder is fsynced. Every failure is a `StoreError` that names the file and what to do;
+a full disk also says how many bytes were needed.
+"""
+
+import errno
+import json
+import math
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.base import interrupt
+from fishmj.base.errors import StoreError
+from fishmj.base.plain_file import trouble
+from fishmj.base.store.temporary import temporary_beside
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def write_bytes(path: str | Path, data: bytes) -> Path:
+    """Replace `path` by `data` atomically; parent folders are made.
+
+    Raises:
+        StoreError: could not be written; `errno` is kept, the old file is untouched, no temporary file stays.
+    """
+    path = Path(path)
+    temporary = temporary_beside(path)
+    with interrupt.writing:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open(temporary, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+            sync_folder(path.parent)
+        except OSError as error:
+            raise _write_error(path, error, len(data)) from error
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+    return path
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Replace a UTF-8 text file atomically."""
+    try:
+        return write_bytes(path, text.encode("utf-8"))
+    except UnicodeEncodeError as error:
+        raise StoreError(f"{path}: text is not valid Unicode ({error}); remove lone surrogates") from error
+
+
+def write_json(path: str | Path, value) -> Path:
+    """Replace a JSON file atomically. NumPy values become plain ones, NaN and infinity become null."""
+    return write_text(path, json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n")
+
+
+def clear(folder: Path, *patterns: str) -> None:
+    """Remove what an earlier run left in `folder`: the files and folders whose names match one of the globs, nothing else.
+
+    Raises:
+        StoreError: one cannot be removed.
+    """
+    for path in [path for pattern in patterns for path in folder.glob(pattern)]:
+        try:
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+        except OSError as error:
+            raise StoreError(f"{path}: of an earlier run, cannot be removed ({error.strerror}); choose another folder") from error
+
+
+def put_in_place(temporary: Path, place: Path) -> None:
+    """Rename a finished file or folder to `place`; a folder that stands there is moved aside, and put back when that fails."""
+    old = temporary_beside(place, ".old")
+    if place.is_dir():
+        os.rename(place, old)
+    try:
+        os.replace(temporary, place)
+    except OSError:
+        if old.exists():
+            with suppress(OSError):
+                os.rename(old, place)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    sync_folder(place.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames inside `folder` durable."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def plain(value):
+    """`value` with only what strict JSON knows: NumPy scalars and arrays, tuples, paths and dataclass-free dicts."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def read_json(path: str | Path):
+    """Parse one JSON file.
+
+    Raises:
+        StoreError: missing, no plain file, or not JSON.
+    """
+    if why := trouble(path):
+        raise StoreError(f"{path}: {why}")
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise StoreError(f"{path}: not valid JSON: {error}; write it again from its source") from error
+
+
+def _write_error(path: Path, error: OSError, needed: int) -> StoreError:
+    if error.errno in _FULL:
+        free = shutil.disk_usage(path.parent).free if path.parent.is_dir() else 0
+        text = f"{path}: disk full: needs {needed} bytes, {free} free; the old file is untouched; free some space and save again"
+    else:
+        text = f"{path}: could not be written ({error.strerror or error}); needs {needed} bytes; the old file is untouched"
+    failure = StoreError(text)
+    failure.errno = error.errno
+    return failure

@@ -1,0 +1,106 @@
+"""`manifest.json`: the sha256 of every file of a folder, so that a changed or missing one is named; and what comes with fishmj.
+
+That is `data/` of a checkout, or `_data` of an installed package, which holds what verbs open on their own.
+"""
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+from fishmj.base.calib import OWN, ROOTS
+from fishmj.base.errors import StoreError
+from fishmj.base.plain_file import trouble
+from fishmj.base.store.atomic import read_json, write_json
+
+MANIFEST = "manifest.json"
+SOURCES = "in a checkout or the source distribution (sdist)"
+
+
+def sha256(path: str | Path) -> str:
+    """Hex digest of a file's bytes."""
+    if why := trouble(path):
+        raise StoreError(f"{path}: {why}")
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+@dataclass(frozen=True)
+class Change:
+    """One file that is not as the manifest says. `got` is None when it is missing."""
+
+    path: str
+    expected: str
+    got: str | None
+
+    def __str__(self) -> str:
+        return f"{self.path}: expected sha256 {self.expected}, got {self.got or 'no such file'}"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """sha256 of every file of a folder (`manifest.json` itself and hidden files left out), with free-form `meta`."""
+
+    files: dict[str, str]
+    meta: dict = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, folder: str | Path, meta: dict | None = None) -> "Manifest":
+        """Hash what is in `folder` now."""
+        folder = Path(folder)
+        names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+        kept = [n for n in names if n != MANIFEST and not any(part.startswith(".") for part in PurePosixPath(n).parts)]
+        return cls({name: sha256(folder / name) for name in kept}, dict(meta or {}))
+
+    @classmethod
+    def read(cls, folder: str | Path) -> "Manifest":
+        """Read `folder/manifest.json`; paths that leave the folder are refused."""
+        path = Path(folder) / MANIFEST
+        table = read_json(path)
+        files = table.get("files") if isinstance(table, dict) else None
+        if not isinstance(files, dict) or not all(isinstance(v, str) for v in files.values()):
+            raise StoreError(
+                f'{path}: expected {{"files": {{path: sha256}}}}; write it again with Manifest.of(folder).write(folder)'
+            )
+        for name in files:
+            if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
+                raise StoreError(f"{path}: {name!r} points outside the folder")
+        meta = table.get("meta")
+        return cls(dict(files), meta if isinstance(meta, dict) else {})
+
+    def write(self, folder: str | Path) -> Path:
+        """Write `folder/manifest.json` atomically."""
+        return write_json(Path(folder) / MANIFEST, {"meta": self.meta, "files": self.files})
+
+    def check(self, folder: str | Path) -> list[Change]:
+        """Missing and changed files, in the manifest's order; empty when all is as written."""
+        changes = []
+        for name, expected in self.files.items():
+            path = Path(folder) / name
+            got = sha256(path) if path.is_file() else None
+            if got != expected:
+                changes.append(Change(name, expected, got))
+        return changes
+
+    def verify(self, folder: str | Path) -> None:
+        """Raise one `StoreError` that lists every change."""
+        if changes := self.check(folder):
+            lines = "\n  ".join(map(str, changes))
+            count = f"{len(changes)} of {len(self.files)} files"
+            raise StoreError(f"{folder}: {count} missing or changed:\n  {lines}\n  restore them or write them again")
+
+
+def shipped(path: str | Path) -> Path:
+    """A path such as `data/gap/lbm/nulls`: in the working directory, else what came with fishmj, else as it was given."""
+    path = Path(path)
+    below = path.parts[1:] if path.parts[:1] == ("data",) and not path.exists() else ()
+    return next((root.joinpath(*below) for root in ROOTS if below and root.joinpath(*below).exists()), path)
+
+
+def left_out(path: str | Path) -> str:
+    """Where to get what lies below `data/` in the sources alone: words that end an error; "" in a checkout, or of other paths."""
+    if OWN in ROOTS or Path(path).parts[:1] != ("data",):
+        return ""
+    return f"; fishmj's own data/ is whole {SOURCES} only"

@@ -1,0 +1,199 @@
+"""Controllers for station holding behind one interface: egocentric, all trials at once.
+
+    controller = make("dob", robot)             a name of NAMES, a shipped policy, a policy file, or the folder of a training
+    controller.reset(n)
+    commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
+
+A controller sees the 11 observations only, noisy and late: no flow, no pose. What they know of the fish is
+data/calib/controllers.toml; how their gains were found is docs/train/controllers.md.
+
+A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS`.
+
+`chosen` also takes one's own, as `module:Name` (docs/simulate/your_own_code.md): for what a user typed, never for a name
+from a file.
+"""
+
+import argparse
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from fishmj.base import console, plugins
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.control.policy import SHIPPED, is_policy
+from fishmj.control.policy import shipped as shipped_policies
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.choice import in_water
+
+
+class Controller(Protocol):
+    """What `make` returns."""
+
+    name: str
+
+    def reset(self, n: int) -> None:
+        """Start n trials."""
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """obs (B, 5 + 2 J) -> the control step's bus commands (B, T, J), rad."""
+
+
+class Entry(NamedTuple):
+    """One controller: `fishmj.control.<module>.build(robot, name, gains)` makes it.
+
+    Attributes:
+        about: one line. tuned: it has a section of its name in controllers.toml, whose values are its gains.
+    """
+
+    module: str
+    about: str
+    tuned: bool = True
+
+
+CONTROLLERS = {
+    "drift": Entry("passive", "joints at zero", tuned=False),
+    "pd": Entry("line_of_sight", "CPG + PD on the line of sight"),
+    "pi": Entry("line_of_sight", "CPG + PI on the position vector"),
+    "dob": Entry("observer", "CPG + flow observer: the bar"),
+    "adrc-c1": Entry("adrc", "proportional navigation + ADRC"),
+    "adrc-c2": Entry("adrc", "the same with other gains"),
+    "adrc-c3": Entry("adrc", "the same with other gains"),
+}
+NAMES = tuple(CONTROLLERS)
+
+
+class _FormerOption(argparse.Action):
+    """`--any-command-path`: does what `--anyway` does, and says so."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        console.warn(f"{option_string} is now --anyway; the old option goes with the release after this one")
+        namespace.anyway = True
+
+
+def anyway_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--anyway`, and its former name without help."""
+    about = "let policies steer on another command path than they were trained on; another structure is refused all the same"
+    parser.add_argument("--anyway", action="store_true", help=about)
+    hidden = argparse.SUPPRESS
+    parser.add_argument("--any-command-path", action=_FormerOption, nargs=0, default=hidden, dest="anyway", help=hidden)
+
+
+def shipped_lines() -> str:
+    """Every shipped policy with one line, for the help of a verb."""
+    wide = max(map(len, SHIPPED))
+    rows = [f"  {name:<{wide}}  {about}" for name, about in SHIPPED.items()]
+    return "\n".join(["shipped policies (figures: docs/train/controllers.md):", *rows])
+
+
+def _swimming(robot: "Robot | str") -> Robot:
+    """A robot as it is handed over; one by name or file in its default water."""
+    return robot if isinstance(robot, Robot) else in_water(load_robot(robot))
+
+
+def make(
+    name: "str | Path",
+    robot: "Robot | str" = "fish",
+    *,
+    anyway: bool = False,
+    any_command_path: bool | None = None,
+    **options: Any,
+) -> Controller:
+    """A controller by name, or a policy by name, file or folder. It runs no code but fishmj's, so the name may come from a file.
+
+    Args:
+        anyway: a policy may steer on another command path than it was trained on; `any_command_path` is its former name.
+        options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
+
+    Raises:
+        UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for, or
+            is not the one that the policy is for.
+    """
+    robot, name = _swimming(robot), str(name)
+    entry = CONTROLLERS.get(name)
+    if entry is None and not is_policy(name):
+        raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
+    if options and not (entry and entry.tuned):
+        raise ConfigError(f"controller {name}: has no gains, got {', '.join(options)}")
+    if entry is None:
+        from fishmj.control.learned import LearnedController
+
+        if any_command_path is not None:
+            console.warn("any_command_path= is now anyway=; the old name goes with the release after this one")
+        return LearnedController(robot, name, anyway or bool(any_command_path))
+    gains = gains_of(name, options) if entry.tuned else {}
+    return import_module(f"fishmj.control.{entry.module}").build(robot, name, gains)
+
+
+def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> Controller:
+    """A controller that the user named: as `make`, or one's own by `module:Name`, `file.py:Name` or entry point. Runs that code.
+
+    Args:
+        policy: `anyway` of `make`.
+    Raises:
+        OwnCodeError: it is not there, fails, or is no controller. As `make` besides.
+    """
+    robot, text = _swimming(robot), str(text)
+    own = plugins.is_reference(text) or text in plugins.listed("controller")
+    known = text in NAMES or is_policy(text)
+    if known or not (own or ".py" in text or ":" in text):
+        if not known and (extra := plugins.listed("controller")):
+            raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))
+        return make(text, robot, **policy)
+    from fishmj.control.own_controller import Own
+
+    return Own(robot, plugins.load("controller", text, (*NAMES, *shipped_policies())), text)
+
+
+def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Controller]:
+    """`chosen` for a list, `policy` as there; of two with one name (two best.safetensors) the second gets `-2`."""
+    made = [chosen(text, robot, **policy) for text in texts]
+    names: list[str] = []
+    for controller in made:
+        same = [f"{controller.name[:60]}-{k}" for k in range(2, len(made) + 1)]
+        controller.name = next(name for name in (controller.name, *same) if name not in names)
+        names.append(controller.name)
+    return made
+
+
+@cache
+def _file() -> dict:
+    return read_toml(calib_folder() / "controllers.toml")
+
+
+def gains_of(section: str, changes: dict | None = None) -> dict:
+    """Values of one section, some of them changed.
+
+    A section with `like = "other"` starts from that section. Raises UnknownName for a gain that does not exist.
+    """
+    table = dict(_file()[section])
+    base = table.pop("like", None)
+    values = gains_of(base) if base else {}
+    values.update({key: entry["value"] for key, entry in table.items()})
+    for key in changes or {}:
+        if key not in values:
+            raise UnknownName(f"gain of {section}", key, values)
+    return {**values, **(changes or {})}
+
+
+def gait_of(robot: Robot, name: str) -> dict:
+    """The section `gait`, for the controller `name` of this robot; `lag` is in rad.
+
+    Raises:
+        ConfigError: the robot has not the joints that the gait is for.
+    """
+    gait = gains_of("gait")
+    lag = np.radians(gait["lag_deg"])
+    if len(lag) != robot.n_joints:
+        raise ConfigError(
+            f"controller {name}: its gait is for {len(lag)} joints, {robot.name} has {robot.n_joints}; use drift or a policy"
+        )
+    return {**gait, "lag": lag}
+
+
+__all__ = [
+    "CONTROLLERS", "NAMES", "Controller", "anyway_option", "chosen", "make", "several", "shipped_lines", "shipped_policies",
+]  # fmt: skip

@@ -1,0 +1,164 @@
+"""Steady gaits of the structured water: what the flow observer knows about its own fish.
+
+`measure` swims the nominal fish in still water over a grid of frequency and amplitude, and with bias; the numbers that the
+controllers read are in data/calib/controllers.toml [gait]. Remake them with
+
+    python -m fishmj.control.gait_table                 prints the block
+
+A throttle u in [0, 1] moves along one line of the map, f = f0 + u (f1 - f0), A = A0 + u (A1 - A0), on which speed rises.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fishmj import engines
+from fishmj.base import console
+from fishmj.control.cpg import Cpg, Rates
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.flow import Flow, stack
+
+FREQUENCIES = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # Hz
+AMPLITUDES_DEG = (5, 10, 15, 20, 25, 30, 35)
+QUICK = Rates(frequency=20.0, amplitude=10.0, bias=10.0)  # start-up does not matter here
+SETTLE, WATCH = 10.0, 10.0  # s
+
+
+def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=SETTLE + WATCH, engine="batch"):
+    """Traces of steady gaits in still water: pose (B, T, 3), joint (B, T, J), servo power (B, T); 50 Hz."""
+    n = len(frequency)
+    engine, cpg = engines.make(engine, robot), Cpg(robot, lag, QUICK)
+    cpg.reset(n)
+    state, params, current = engines.at_rest(robot, np.zeros((n, 3))), engines.nominal_params(robot, n), stack([Flow()] * n)
+    if velocity is not None:
+        state.v[:, 0] = velocity
+    tick, rows = np.zeros(n, int), []
+    for _ in range(round(seconds / robot.timing.control_dt)):
+        state, trace = engine.advance(state, cpg(frequency, amplitude, bias), params, current, tick)
+        tick = tick + cpg.ticks
+        rows.append((trace.pose, trace.joint, trace.power))
+    return tuple(np.concatenate([np.asarray(a) for a in column], 1) for column in zip(*rows, strict=True))
+
+
+def measure(robot: "Robot | str" = "fish", lag_deg=(0.0, 60.0, 120.0), engine: str = "batch") -> dict:
+    """Steady speed over the grid, head yaw and sway a joint angle, turning rate a bias, gliding length.
+
+    Returns:
+        speed (F, A) m/s; power (F, A) W, servos; wobble (J,) rad/rad; sway (J,) m/rad; turn rad/s a rad of bias and m/s of
+        speed; glide m; residual: parts of head yaw and sway that the joints do not explain.
+    """
+    robot, lag = load_robot(robot), np.radians(lag_deg)
+    f, a = (g.ravel() for g in np.meshgrid(FREQUENCIES, np.radians(AMPLITUDES_DEG), indexing="ij"))
+    pose, joint, power = swim(robot, lag, f, a, np.zeros(len(f)), engine=engine)
+    late = round(SETTLE / robot.timing.bus_dt)
+    shift = np.linalg.norm(pose[:, -1, :2] - pose[:, late, :2], axis=-1)
+    speed = shift / ((pose.shape[1] - 1 - late) * robot.timing.bus_dt)
+    grid = (len(FREQUENCIES), len(AMPLITUDES_DEG))
+    keep = (speed > 0.05) & (speed < 0.45)
+    wobble, sway, residual = _beat(pose[keep, late:], joint[keep, late:])
+    return {
+        "speed": speed.reshape(grid),
+        "power": power[:, late:].mean(1).reshape(grid),
+        "wobble": wobble,
+        "sway": sway,
+        "residual": residual,
+        "turn": _turn(robot, lag, engine),
+        "glide": _glide(robot, lag, engine),
+    }
+
+
+def _beat(pose, joint):
+    """c and s in psi_head = psi - c . J and y = s . J, by least squares over gaits, with a little ridge; and what is left."""
+    t = np.linspace(-1, 1, pose.shape[1])
+    line = np.stack([np.ones_like(t), t], 1)
+    level = lambda x: x - line @ np.linalg.lstsq(line, x, rcond=None)[0]
+    way = pose[:, -1, :2] - pose[:, 0, :2]
+    normal = np.stack([-way[:, 1], way[:, 0]], -1) / np.linalg.norm(way, axis=-1, keepdims=True)
+    left = np.einsum("btk,bk->bt", pose[:, :, :2], normal)
+    x = np.concatenate([level(j) for j in joint])
+    y = np.concatenate([level(np.stack([-yaw, side], 1)) for yaw, side in zip(pose[:, :, 2], left, strict=True)])
+    fit = np.linalg.solve(x.T @ x + 1e-2 * np.trace(x.T @ x) * np.eye(x.shape[1]), x.T @ y)
+    return fit[:, 0], fit[:, 1], (y - x @ fit).std(0) / y.std(0)
+
+
+def _turn(robot: Robot, lag, engine) -> float:
+    """Median of yaw rate over (bias x steady speed), rad/s a rad and m/s: how strongly a bias turns a swimming fish."""
+    f, a, b = (g.ravel() for g in np.meshgrid((0.6, 1.0, 1.4), np.radians([15, 20, 25]), np.radians([15, 30, 60]), indexing="ij"))
+    pose, _, _ = swim(robot, lag, f, a, b, engine=engine)
+    late, dt = round(SETTLE / robot.timing.bus_dt), robot.timing.bus_dt
+    rate = (pose[:, -1, 2] - pose[:, late, 2]) / ((pose.shape[1] - 1 - late) * dt)
+    path = np.linalg.norm(np.diff(pose[:, late:, :2], axis=1), axis=-1).sum(1) / ((pose.shape[1] - 1 - late) * dt)
+    return float(np.median(rate / (b * path)))
+
+
+def _glide(robot: Robot, lag, engine) -> float:
+    """l in v' = -v^2 / l for a straight fish: the distance over which a glide loses the factor e of its speed, m."""
+    start = 0.3
+    pose, _, _ = swim(robot, lag, np.zeros(1), np.zeros(1), np.zeros(1), np.full(1, start), seconds=3.0, engine=engine)
+    speed = np.diff(pose[0, :, 0]) / robot.timing.bus_dt
+    gone = np.cumsum(speed) * robot.timing.bus_dt
+    return float(gone[-1] / np.log(start / speed[-1]))
+
+
+class SpeedToGait:
+    """Speed <-> (f, A) along the gait line, from the measured map.
+
+    Args:
+        gait: the values of controllers.toml [gait].
+        low, high: ends of the line, (f [Hz], A [rad]).
+    """
+
+    def __init__(self, gait: Mapping, low, high):
+        self.axes = np.asarray(gait["frequency"], float), np.radians(gait["amplitude_deg"])
+        self.map = np.asarray(gait["speed"], float)
+        self.low, self.high = np.asarray(low, float), np.asarray(high, float)
+        self.u = np.linspace(0, 1, 41)
+        line = self.low + self.u[:, None] * (self.high - self.low)
+        self.speeds = np.maximum.accumulate(self.speed(*line.T))
+        self.top = self.speeds[-1]
+
+    def speed(self, frequency, amplitude):
+        """Steady speed [m/s] at f [Hz] and A [rad], (B,); bilinear, and proportional to A^1.5 below the map."""
+        floor = self.axes[1][0]
+        scale = np.minimum(amplitude / floor, 1.0) ** 1.5 * np.minimum(frequency / self.axes[0][0], 1.0)
+        (i, p), (j, q) = (_cell(axis, x) for axis, x in zip(self.axes, (frequency, amplitude), strict=True))
+        m = self.map
+        value = (1 - p) * ((1 - q) * m[i, j] + q * m[i, j + 1]) + p * ((1 - q) * m[i + 1, j] + q * m[i + 1, j + 1])
+        return scale * value
+
+    def __call__(self, speed):
+        """(f [Hz], A [rad]) for a wanted steady speed (B,) m/s, kept on the line."""
+        u = np.interp(speed, self.speeds, self.u)
+        return tuple(self.low[i] + u * (self.high[i] - self.low[i]) for i in range(2))
+
+
+def throttle_of(gait: Mapping, gains: Mapping) -> SpeedToGait:
+    """The gait line between the two ends that a controller's gains name."""
+    low, high = ((f, np.radians(a)) for f, a in zip(gains["frequency"], gains["amplitude_deg"], strict=True))
+    return SpeedToGait(gait, low, high)
+
+
+def _cell(axis, x):
+    """Index of the cell that holds x and the part of it, clamped to the axis."""
+    x = np.clip(x, axis[0], axis[-1])
+    i = np.clip(np.searchsorted(axis, x, "right") - 1, 0, len(axis) - 2)
+    return i, (x - axis[i]) / (axis[i + 1] - axis[i])
+
+
+def main(argv: list[str]) -> int:
+    parser = console.parser("controllers.gait", "Measure the steady gaits of the structured water.", json=False)
+    parser.add_argument("--robot", default="fish")
+    parser.add_argument("--engine", default="batch")
+    args = parser.parse_args(argv)
+    m = measure(args.robot, engine=args.engine)
+    rounded = lambda a, n: [rounded(r, n) for r in a] if np.ndim(a) else round(float(a), n)
+    source = 'source = "derived: python -m fishmj.control.gait_table"'
+    told = (("speed", "m/s", 4), ("wobble", "1", 3), ("sway", "m/rad", 4), ("turn", "1/m", 3), ("glide", "m", 3))
+    for key, unit, digits in told:
+        console.say(f'{key} = {{ value = {rounded(m[key], digits)}, unit = "{unit}", {source} }}')
+    console.say(f"# not explained by the joints: {m['residual'][0]:.2f} of the head's yaw, {m['residual'][1]:.2f} of the sway")
+    return console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

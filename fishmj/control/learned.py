@@ -1,0 +1,97 @@
+"""A trained policy as a controller: 11 numbers in, three joint angles out, on the robot's command path."""
+
+import os
+from functools import cache
+from hashlib import sha256
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError
+from fishmj.base.names import nearest
+from fishmj.control.policy import FOLDER, Policy, PolicyBody, PolicyFit, file_of, fit
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.tasks import station_hold as task
+from fishmj.water.identity import water_identity
+
+SHIPPED_ROBOTS = ("fish", "tendon_fish")
+TOLD = ("robot", "structure_sha256", "constants_sha256", "water", "command_path", "seed", "command")  # of a header
+OTHERS = "the controller drift serves any robot, and fishmj train --robot FILE makes a policy for this one"
+
+
+class LearnedController:
+    """Wraps `fishmj.control.policy.Policy`; `action` is its last answer, `sha256` the file's, `notes` what is worth a line.
+
+    Args:
+        source: path of a policy file or of a training's folder, or the name of a shipped one.
+        anyway: it may steer on another command path than it was trained on.
+
+    Raises:
+        UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot or command path.
+    """
+
+    def __init__(self, robot: Robot, source: str, anyway: bool = False):
+        self.robot, self.policy = robot, Policy.load(source)
+        path, of_a_run = file_of(source), os.path.isdir(source)
+        shipped = path.resolve().parent == FOLDER
+        self.name = path.stem if shipped else nearest(path.parent.resolve().name if of_a_run else path.stem) or "policy"
+        self.sha256 = sha256(path.read_bytes()).hexdigest()
+        wanted = (5 + 2 * robot.n_joints, robot.n_joints)
+        if (self.policy.n_obs, self.policy.n_act) != wanted:
+            raise ConfigError(
+                f"policy {source}: takes {self.policy.n_obs} observations and gives {self.policy.n_act} actions; "
+                f"robot {robot.name} has {wanted[0]} and {wanted[1]}; {OTHERS}"
+            )
+        self.anyway = anyway
+        found = self._fit(robot)
+        if found.refused:
+            raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {OTHERS}")
+        taken = (f"taken from {path}",) if of_a_run and not shipped else ()
+        self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
+
+    def trained(self, robot: Robot | None = None) -> dict:
+        """How it was trained and what is different here, in plain types for results and logs.
+
+        Args:
+            robot: in the water that it swims in; by default as the policy was made for it.
+        Returns:
+            what the header says of TOLD, "differs": {what: [there, here]}, "said": that in one clause, "lacks": [what]
+        """
+        found = self._fit(robot or self.robot)
+        told = {key: self.policy.meta[key] for key in TOLD if self.policy.meta.get(key) is not None}
+        differs = {key: list(both) for key, both in found.differs.items()}
+        return {**told, "differs": differs, "said": found.said, "lacks": list(found.lacks)}
+
+    def _fit(self, robot: Robot) -> PolicyFit:
+        return fit(self.policy.meta, body_of(robot), anyway=self.anyway, known=shipped_structures())
+
+    def reset(self, n: int) -> None:
+        """n episodes: the policy's memory is empty, the last command zero."""
+        self.policy.reset(n)
+        self.command = np.zeros((n, self.robot.n_joints))
+
+    def __call__(self, obs) -> np.ndarray:
+        """Commands (B, T, J) rad."""
+        self.action = np.asarray(self.policy(obs), float)
+        commands = task.chunk(np, self.robot, self.command, self.action)
+        self.command = commands[:, -1]
+        return commands
+
+
+def body_of(robot: Robot) -> PolicyBody:
+    """What the header of a policy is compared with."""
+    return PolicyBody(
+        name=robot.name,
+        structure=structure_of(robot),
+        constants_sha256=constants_sha256(robot),
+        water=water_identity(robot),
+        observation=observation_of(robot.n_joints),
+        command_path=robot.timing.command_path,
+        control_dt=robot.timing.control_dt,
+    )
+
+
+@cache
+def shipped_structures() -> dict[str, dict]:
+    """Structures of the robots that come with fishmj, by name: for policies whose header only names one of them."""
+    return {robot.name: structure_of(robot) for robot in map(load_robot, SHIPPED_ROBOTS)}

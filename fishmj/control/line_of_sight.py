@@ -1,0 +1,89 @@
+"""PD on the line of sight, and PI on the position vector. Neither knows of the flow; the PI's integral learns it.
+
+    pd   W = k_p r - k_d v                      r to the target, v over ground, all in axes fixed at reset
+    pi   W = k_p r - k_d v + I,   I' = k_i r    |I| <= integral_max; near the target it can only be minus the flow
+Course = direction of W, speed through the water = |W|, the proportional part capped at `approach`.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fishmj.base.units import wrap
+from fishmj.control import gait_of
+from fishmj.control.cpg import Cpg, cpg_of
+from fishmj.control.estimator import StateEstimate, StateEstimator
+from fishmj.control.gait_table import throttle_of
+from fishmj.mjcf.description import Robot
+
+
+class HeadingSpeedController:
+    """Course and speed of B fish to bias and throttle: what PD, PI and DOB share. Gains are named in controllers.toml.
+
+        bias = -(k_heading wrap(psi_d - psi) - k_turn psi') / (g max(s, s_floor)),   |bias| <= bias_max
+        s_d  = speed max(cos(psi_d - psi), 0)                                         no thrust into a wrong direction
+
+    A bias turns the fish in proportion to the steady speed s of its gait (g, measured), so the bias is scheduled with it.
+    A slow gait cannot turn: with a large error the amplitude rises towards `turn_amplitude`.
+    """
+
+    def __init__(self, robot: Robot, gait: Mapping, cpg: Cpg, gains: Mapping):
+        self.cpg, self.k = cpg, gains
+        self.throttle = throttle_of(gait, gains)
+        self.authority = -gait["turn"]
+
+    def reset(self, n: int) -> None:
+        self.cpg.reset(n)
+
+    @property
+    def steady(self):
+        """Speed (B,) m/s that the present gait would settle at in still water."""
+        return self.throttle.speed(self.cpg.frequency, self.cpg.amplitude)
+
+    def __call__(self, fix: StateEstimate, course, speed) -> np.ndarray:
+        """Commands (B, T, J) rad for a course [rad] and a speed through the water [m/s], (B,)."""
+        k = self.k
+        error = wrap(np, course - fix.heading)
+        f, a = self.throttle(speed * np.maximum(np.cos(error), 0.0))
+        eager = np.clip(np.abs(error) / np.radians(k["turn_error_deg"]), 0, 1) ** 2
+        a = np.maximum(a, eager * np.radians(k["turn_amplitude_deg"]))
+        f = np.maximum(f, eager * k["turn_frequency"])
+        want = k["heading"] * error - k["turn_rate"] * fix.turn
+        bias = -want / (self.authority * np.maximum(self.throttle.speed(f, a), k["speed_floor"]))
+        most = np.radians(k["bias_deg"])
+        return self.cpg(f, a, np.clip(bias, -most, most))
+
+
+def capped(vectors, most):
+    """Vectors (B, 2) shortened to at most `most`."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors * np.minimum(1.0, most / np.maximum(length, 1e-9))
+
+
+class LineOfSight:
+    """CPG with line-of-sight PD; with `integral` > 0 vector PI."""
+
+    def __init__(self, name: str, steering: HeadingSpeedController, navigator: StateEstimator, gains):
+        self.name, self.steering, self.navigator, self.k = name, steering, navigator, gains
+        self.dt = navigator.dt
+
+    def reset(self, n: int) -> None:
+        """n fish, integral empty."""
+        self.steering.reset(n)
+        self.navigator.reset(n)
+        self.integral = np.zeros((n, 2))
+
+    def __call__(self, obs) -> np.ndarray:
+        """Commands (B, T, J) rad."""
+        k, fix = self.k, self.navigator(obs)
+        if k["integral"]:
+            near = np.linalg.norm(fix.target, axis=-1, keepdims=True) < k["integral_within"]
+            self.integral = capped(self.integral + self.dt * k["integral"] * fix.target * near, k["integral_max"])
+        want = capped(k["position"] * fix.target, k["approach"]) - k["velocity"] * fix.velocity + self.integral
+        return self.steering(fix, np.arctan2(want[:, 1], want[:, 0]), np.linalg.norm(want, axis=-1))
+
+
+def build(robot: Robot, name: str, gains: dict) -> LineOfSight:
+    gait = gait_of(robot, name)
+    steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
+    return LineOfSight(name, steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains)

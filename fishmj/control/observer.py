@@ -1,0 +1,76 @@
+"""CPG with a flow observer ("dob"): the classical controller that learning has to beat.
+
+    v_w' = (s(f, A)^2 - v_w^2) / l               speed through the water; l the glide length, s the steady gait
+    U^  <- U^ + dt / tau (v - v_w e(psi) - U^)   flow = what is left of the velocity over ground; tau grows from 0 to its value
+    W    = v_d + I - U^,   v_d = k (r - v t_a),  I' = k_i r
+
+r - v t_a is where the target will be when a command given now acts; |v_d| <= approach. Within `hold` of the target (until
+beyond `release`) the fish holds: k differs along and across the stream, I (small) takes up what a wrong gait map leaves,
+and W stays within `cone` of upstream, so that the fish never turns its tail to the current but lets itself drift back.
+Course = direction of W, speed = the part of W along it.
+"""
+
+import numpy as np
+
+from fishmj.base.units import wrap
+from fishmj.control import gait_of
+from fishmj.control.cpg import cpg_of
+from fishmj.control.estimator import StateEstimator, turned
+from fishmj.control.line_of_sight import HeadingSpeedController, capped
+from fishmj.mjcf.description import Robot
+
+
+class FlowObserver:
+    """CPG + disturbance observer. Egocentric: flow and target live in axes fixed at reset."""
+
+    name = "dob"
+
+    def __init__(self, steering: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
+        self.steering, self.navigator, self.k, self.glide = steering, navigator, gains, glide
+        self.dt = navigator.dt
+
+    def reset(self, n: int) -> None:
+        """n fish that know nothing of the flow."""
+        self.steering.reset(n)
+        self.navigator.reset(n)
+        self.surge = np.zeros(n)  # v_w, m/s
+        self.flow = np.zeros((n, 2))  # U^, m/s
+        self.offset = np.zeros((n, 2))  # m/s
+        self.holding = np.zeros(n, bool)
+        self.age = 0.0  # s
+
+    def __call__(self, obs) -> np.ndarray:
+        """Commands (B, T, J) rad."""
+        k, fix = self.k, self.navigator(obs)
+        self._observe(fix)
+        distance = np.linalg.norm(fix.target, axis=-1)
+        self.holding = np.where(self.holding, distance < k["release"], distance < k["hold"])
+        gain = self.dt * k["integral"] * self.holding
+        self.offset = capped(self.offset * self.holding[:, None] + gain[:, None] * fix.target, k["integral_max"])
+        upstream = np.arctan2(-self.flow[:, 1], -self.flow[:, 0])
+        ahead = fix.target - k["ahead"] * fix.velocity
+        stream = turned(ahead, -upstream) * np.array([k["hold_along"], k["hold_across"]])
+        toward = np.where(self.holding[:, None], turned(stream, upstream), k["position"] * ahead)
+        want = capped(toward, k["approach"]) + self.offset - self.flow
+        course = np.arctan2(want[:, 1], want[:, 0])
+        cone = np.radians(k["cone_deg"])
+        kept = upstream + np.clip(wrap(np, course - upstream), -cone, cone)
+        course = np.where(self.holding, kept, course)
+        speed = np.maximum(np.cos(course) * want[:, 0] + np.sin(course) * want[:, 1], 0.0)
+        return self.steering(fix, course, speed)
+
+    def _observe(self, fix) -> None:
+        """One step of the glide model and of the flow estimate."""
+        k, steps = self.k, 10
+        goal = self.steering.steady
+        for _ in range(steps):
+            self.surge = self.surge + self.dt / steps * (goal**2 - self.surge**2) / self.glide
+        ahead = turned(np.stack([self.surge, 0 * self.surge], -1), fix.heading)
+        self.age = min(self.age + self.dt, k["observer_time"])
+        self.flow = self.flow + self.dt / self.age * (fix.velocity - ahead - self.flow)
+
+
+def build(robot: Robot, name: str, gains: dict) -> FlowObserver:
+    gait = gait_of(robot, name)
+    steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
+    return FlowObserver(steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains, gait["glide"])

@@ -1,0 +1,61 @@
+"""A controller of the user's own behind the common interface: asked with a copy, and its answer looked at in every step."""
+
+from typing import Any
+
+import numpy as np
+
+from fishmj.base import plugins
+from fishmj.base.errors import OwnCodeError
+from fishmj.base.names import nearest
+from fishmj.control import NAMES, shipped_policies
+from fishmj.engines import ticks_per
+from fishmj.mjcf.description import Robot
+
+LARGEST = np.pi  # rad, of a command: no hinge goes there, so it is degrees
+
+
+class Own:
+    """Wraps `factory(robot)`.
+
+    Attributes:
+        name: the object's own `name` as far as it can stand in a path, else made from the reference. sha256: of its source file.
+
+    Raises:
+        OwnCodeError: the factory fails, or what it gives has no `reset(n)` and `__call__(obs)`.
+    """
+
+    def __init__(self, robot: Robot, factory: Any, text: str):
+        self.robot, self.what = robot, f"controller {text}"
+        plugins.takes(self.what, factory, "Name(robot)", 1)
+        self.controller = plugins.call(self.what, factory, robot)
+        plugins.takes(self.what, getattr(self.controller, "reset", None), "reset(n)", 1)
+        plugins.takes(self.what, self.controller, "__call__(obs)", 1)
+        declared = nearest(str(getattr(self.controller, "name", "")))
+        self.name = declared if declared and declared not in (*NAMES, *shipped_policies()) else plugins.name_of(text)
+        self.sha256 = plugins.source_sha256(factory)
+
+    def reset(self, n: int) -> None:
+        """Start n trials."""
+        self.n, self.count = n, 0
+        plugins.call(f"{self.what}: reset({n})", self.controller.reset, n)
+
+    def __call__(self, obs) -> np.ndarray:
+        """Commands (B, T, J) rad. Raises OwnCodeError: it fails, or gives another shape, no finite numbers, or degrees."""
+        answer = plugins.call(f"{self.what}, control step {self.count}", self.controller, np.array(obs, float))
+        shape = (len(obs), ticks_per(self.robot)[1], self.robot.n_joints)
+        expected = f"bus commands {shape}, (trials, ticks, joints) in rad"
+        try:
+            commands = np.array(answer, float)
+        except (TypeError, ValueError) as error:
+            raise self._wrong(f"gave a {type(answer).__name__} that is no array of numbers", expected) from error
+        if commands.shape != shape:
+            raise self._wrong(f"gave an array of shape {commands.shape}", expected)
+        if not np.isfinite(commands).all():
+            raise self._wrong(f"gave {int((~np.isfinite(commands)).sum())} values that are not finite", expected)
+        if (most := float(np.abs(commands).max())) > LARGEST:
+            raise self._wrong(f"gave a command of {most:.4g}", f"{expected}, below {LARGEST:.3g}; are these degrees?")
+        self.count += 1
+        return commands
+
+    def _wrong(self, got: str, expected: str) -> OwnCodeError:
+        return OwnCodeError(f"{self.what}, control step {self.count}: {got}; expected {expected}")

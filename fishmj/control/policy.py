@@ -1,0 +1,440 @@
+"""A trained policy as plain NumPy: what the robot's host runs. No JAX, no MuJoCo.
+
+    h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
+
+A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot of which structure, which observations, scale,
+activation, memory, command path (`check_header`), how it was trained. With memory m > 1 the input is the newest observation
+followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself. The header's keys:
+
+    structure         {links, lengths, joints, servo_range, reference_point}, and its `structure_sha256`: another count, order or
+                      range is refused, a length or reference point that is off by more than 10 %, too
+    observation       [{name, unit}, ..] in order, with the divisors `scale`: another one is refused
+    control_dt        s between two decisions: another one is refused
+    command_path      how commands travel between two decisions: another one is refused, unless a user says to go on anyway
+    constants_sha256  of the rest of the description but its water, water {name, kind, sha256}, robot, a name: others are said
+    seed, command     of the training; the command as it was typed, null where Python called it
+
+What an older file does not say is not compared, and that is said; its servo range and joint count are read from `action` and
+`joints`. For the shipped files that keep their bytes, headers.json beside them says it.
+"""
+
+import json
+import math
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
+from fishmj.base.names import is_name
+from fishmj.base.plain_file import trouble
+from fishmj.base.store import read_json, read_tensors, write_tensors
+
+SCHEMA = "fishmj.policy/1"
+FOLDER = Path(__file__).resolve().parent / "policies"
+OF_A_RUN = ("best.safetensors", "last.safetensors")  # what a training leaves, the better one first
+_ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
+CLOSE = 0.10  # of a link's length, what calibrations change
+SAME = 1e-3  # of ranges and times: rounding
+MOST = 1000  # links, observations: beyond them it is no fish
+LONGEST = 4000  # characters of a training command
+KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files have no last one
+SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md has their figures
+    "station": "PPO, trained in the water fitted to the flow solver",
+    "station-sac": "SAC with the paper's budget, trained in the same water",
+    "pilot": "PPO, trained in an earlier fit of that water; steered episodes that the present one is fitted to",
+    "paper": "PPO, trained in the structured water",
+    "paper-sac": "SAC with the paper's budget, trained in the structured water",
+}
+FORMER = {"fitted": "station", "fitted-sac": "station-sac"}  # names of shipped policies, old -> new
+ALSO = "headers.json"  # beside the shipped files
+HASHED = {  # what differs by its hash -> what that may be
+    "structure": "lengths or reference point off by less than 10 %",
+    "constants": "other masses, sections, servo, timing or effects",
+}
+
+
+class PolicyFit(NamedTuple):
+    """Whether a policy may steer a robot.
+
+    Attributes:
+        refused: reasons to refuse it. differs: what is not as in training -> (there, here), short words each.
+        lacks: what its header does not say.
+    """
+
+    refused: tuple[str, ...]
+    differs: dict[str, tuple[str, str]]
+    lacks: tuple[str, ...]
+
+    @property
+    def said(self) -> str:
+        """What differs in one clause, "" where nothing does."""
+        return "; ".join(HASHED.get(key, f"{key} {there}, here {here}") for key, (there, here) in self.differs.items())
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One line for what differs and one for what the header does not say, where there is something."""
+        differs = (f"not as trained: {self.said}",) if self.differs else ()
+        lacks = (f"its header does not say {', '.join(self.lacks)}; that is not compared",) if self.lacks else ()
+        return differs + lacks
+
+
+def check_header(meta: Any, where: str) -> None:
+    """Whether every key of a header that is there can be used. Raises ConfigError, one line."""
+    if not isinstance(meta, dict):
+        raise ConfigError(f"{where}: the header is {shown(meta)}; expected a table of keys: this is not a policy file")
+    for key in ("robot", "name", "command_path", "algorithm"):
+        if meta.get(key) is not None and not is_label(meta[key], key):
+            raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 1 to 64 letters, digits, '_', '.' or '-'")
+    control_dt, joints = meta.get("control_dt"), meta.get("joints")
+    if control_dt is not None and not (is_number(control_dt) and 0 < control_dt <= 100):
+        raise ConfigError(f"{where}: control_dt {shown(control_dt)}; expected seconds, above 0 to 100")
+    if joints is not None and not (isinstance(joints, int) and not isinstance(joints, bool) and 1 <= joints <= MOST):
+        raise ConfigError(f"{where}: joints {shown(joints)}; expected how many there are, 1 to {MOST}")
+    for key in ("structure_sha256", "constants_sha256"):
+        if meta.get(key) is not None and not _is_digest(meta[key]):
+            raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 64 hex digits")
+    if (structure := meta.get("structure")) is not None:
+        _check_structure(structure, where)
+        if meta.get("structure_sha256") not in (None, structure_sha256(structure)):
+            raise ConfigError(f"{where}: structure and structure_sha256 do not belong together; train or export it again")
+    if meta.get("water") is not None:
+        _check_water(meta["water"], where)
+    command = meta.get("command")
+    if command is not None and not (isinstance(command, str) and len(command) <= LONGEST and command.isprintable()):
+        raise ConfigError(f"{where}: command {shown(command)}; expected one line of at most {LONGEST} printable characters")
+    if meta.get("observation") is not None:
+        _check_observation(meta["observation"], len(meta["scale"]), where)
+
+
+def is_label(value: Any, key: str) -> bool:
+    """A name; an algorithm of one's own is module:Name."""
+    if not isinstance(value, str):
+        return False
+    return is_name(value) or (key == "algorithm" and re.fullmatch(r"[A-Za-z0-9_./:-]{1,200}", value) is not None)
+
+
+def is_number(value: Any) -> bool:
+    """A finite number, and no bool."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and math.isfinite(value)
+
+
+def shown(value: Any) -> str:
+    """A value of a foreign file for one line of an error."""
+    try:
+        text = repr(value) if not isinstance(value, list) or len(value) <= 20 else f"a list of {len(value)}"
+    except (ValueError, RecursionError):  # an integer of thousands of digits; a table nested without end
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 80 else text[:76] + "..."
+
+
+class PolicyBody(NamedTuple):
+    """What a policy must find again on a robot (mjcf.identity)."""
+
+    name: str
+    structure: dict
+    constants_sha256: str
+    water: dict  # {name, kind} and, where there is one, sha256
+    observation: list[dict]
+    command_path: str
+    control_dt: float  # s
+
+
+def structure_sha256(structure: dict) -> str:
+    """Hex digest of a structure as a header holds it."""
+    return sha256(json.dumps(structure, sort_keys=True).encode()).hexdigest()
+
+
+def one_line(command: str) -> str:
+    """A typed command as a header can hold it: printable, and not too long."""
+    return "".join(c if c.isprintable() else "?" for c in command)[:LONGEST]
+
+
+def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFit:
+    """Whether the policy with this header, which was checked, may steer a robot.
+
+    Args:
+        anyway: another command path than it was trained on is no reason to refuse it. known: structures by robot name, for
+            headers that name a robot and do not say what it is.
+    """
+    refused: list[str] = []
+    differs: dict[str, tuple[str, str]] = {}
+    said, name, theirs = meta.get("structure_sha256"), meta.get("robot"), structure_in(meta)
+    if name in known and not said:
+        theirs = known[name] | theirs
+    ours = structure_sha256(robot.structure)
+    refused += _differences(theirs, robot.structure)
+    if said and "links" not in theirs and said != ours:
+        refused.append(f"made for structure {said[:12]}, the robot's is {ours[:12]}")
+    if isinstance(seen := meta.get("observation"), list) and seen != robot.observation:
+        a, b = (", ".join(f"{row['name']} [{row['unit']}]" for row in rows)[:200] for rows in (seen, robot.observation))
+        refused.append(f"sees {a}; the robot gives {b}")
+    wanted, path = meta.get("command_path"), robot.command_path
+    if wanted not in (None, path) and not anyway:
+        refused.append(f"trained on command path {wanted}, the robot's is {path}: steer on {wanted}, or add --anyway")
+    if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
+        todo = f"evaluate with --control-dt {step:g}, or put control_dt = {step:g} into [timing] of the robot's description"
+        refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s: {todo}")
+    for key, there, here in (("robot", name, robot.name), ("command path", wanted, path)):
+        if there not in (None, here):
+            differs[key] = there, here
+    if "reference_point" in theirs:
+        rounded = structure_sha256(theirs | {"servo_range": robot.structure["servo_range"]})  # another range is refused
+        if rounded != ours:
+            differs["structure"] = rounded[:12], ours[:12]
+    if (constants := meta.get("constants_sha256")) not in (None, robot.constants_sha256):
+        differs["constants"] = constants[:12], robot.constants_sha256[:12]
+    if meta.get("water") and (words := _waters(meta["water"], robot.water)):
+        differs["water"] = words
+    has = {
+        "robot": name, "links": "links" in theirs or said, "reference point": "reference_point" in theirs or said,
+        "constants": constants, "water": meta.get("water"), "command path": wanted,
+        "observations": isinstance(meta.get("observation"), list), "seed": meta.get("seed") is not None,
+        "training command": "command" in meta,
+    }  # fmt: skip
+    return PolicyFit(tuple(refused), differs, tuple(key for key, there in has.items() if not there))
+
+
+def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
+    """Two waters in short words where they are not the same; without a hash on both sides the name decides."""
+    a, b = theirs.get("sha256"), ours.get("sha256")
+    named = theirs["name"] == ours["name"]
+    if theirs["kind"] == ours["kind"] and (a == b if a and b else named):
+        return None
+    there, here = (f"{w['name']} ({w['kind']} {w.get('sha256', '')[:8]})" if named else w["name"] for w in (theirs, ours))
+    return there, here
+
+
+def structure_in(meta: dict) -> dict:
+    """What a checked header says of the structure; of an older file the joint count as names, and the servo range."""
+    if meta.get("structure") is not None:
+        return dict(meta["structure"])
+    found: dict[str, Any] = {}
+    if meta.get("joints") is not None:
+        found["joints"] = [f"j{i}" for i in range(1, meta["joints"] + 1)]
+    said = re.fullmatch(r"joint angle over (\d{1,3}\.\d{1,9}) rad", str(meta.get("action", ""))[:80])
+    if said:
+        found["servo_range"] = float(said[1])
+    return found
+
+
+def _differences(theirs: dict, ours: dict) -> list[str]:
+    """What is another structure, each as one clause with both."""
+    found = []
+    for key in ("joints", "links"):
+        if key in theirs and list(theirs[key]) != list(ours[key]):
+            a, b = (f"{len(x[key])} {key} ({', '.join(x[key][:8])}{', ..' if len(x[key]) > 8 else ''})" for x in (theirs, ours))
+            found.append(f"made for {a}, the robot has {b}")
+            break
+    if not found and "lengths" in theirs:
+        for link, a, b in zip(ours["links"], theirs["lengths"], ours["lengths"], strict=True):
+            if abs(a / b - 1) > CLOSE:
+                found.append(f"made for a {link} of {a:.3g} m, the robot's is {b:.3g} m")
+    if not found and "reference_point" in theirs and abs(theirs["reference_point"] / ours["reference_point"] - 1) > CLOSE:
+        a, b = theirs["reference_point"], ours["reference_point"]
+        found.append(f"made for a reference point {a:.3g} m behind the nose, the robot's is {b:.3g} m")
+    if "servo_range" in theirs and abs(theirs["servo_range"] / ours["servo_range"] - 1) > SAME:
+        found.append(f"made for servos of +-{theirs['servo_range']:.4g} rad, the robot's have +-{ours['servo_range']:.4g} rad")
+    return found
+
+
+def _check_structure(table: Any, where: str) -> None:
+    if not isinstance(table, dict) or not set(KEYS[:-1]) <= set(table) <= set(KEYS):
+        raise ConfigError(f"{where}: structure {shown(table)}; expected {', '.join(KEYS)}")
+    names = all(_list_of(table[key], is_name) for key in ("links", "joints"))
+    positive = _list_of(table["lengths"], lambda x: is_number(x) and 0 < x < 1000)
+    point = table.get("reference_point", 1.0)
+    within = lambda x, most: is_number(x) and 0 < x < most
+    if not (names and positive and within(table["servo_range"], 100) and within(point, 1000)):
+        what = "names, positive lengths in m, a servo range in rad and a reference point in m"
+        raise ConfigError(f"{where}: structure {shown(table)}; expected {what}")
+    n = len(table["links"])
+    if not (len(table["lengths"]) == n and len(table["joints"]) == n - 1):
+        sizes = f"{n} links, {len(table['lengths'])} lengths and {len(table['joints'])} joints"
+        raise ConfigError(f"{where}: structure has {sizes}; a chain of n links has n lengths and n - 1 joints")
+
+
+def _check_water(table: Any, where: str) -> None:
+    whole = isinstance(table, dict) and {"name", "kind"} <= set(table) <= {"name", "kind", "sha256"}
+    if not (whole and is_name(table["name"]) and is_name(table["kind"]) and _is_digest(table.get("sha256", "0" * 64))):
+        raise ConfigError(f"{where}: water {shown(table)}; expected {{name, kind}}, names both, and sha256 where there is one")
+
+
+def _is_digest(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value) is not None
+
+
+def _check_observation(rows: Any, count: int, where: str) -> None:
+    if isinstance(rows, str) and len(rows) <= 1000:
+        return  # an older file: a sentence, for people
+    row = lambda x: isinstance(x, dict) and set(x) == {"name", "unit"} and is_name(x["name"]) and _is_unit(x["unit"])
+    if not _list_of(rows, row) or len(rows) != count:
+        raise ConfigError(
+            f"{where}: observation {shown(rows)}; expected {count} rows {{name, unit}}, one for each divisor of scale"
+        )
+
+
+def _is_unit(text: Any) -> bool:
+    return isinstance(text, str) and re.fullmatch(r"[A-Za-z0-9/^ ]{1,16}", text) is not None
+
+
+def _list_of(value: Any, test) -> bool:
+    return isinstance(value, list) and 1 <= len(value) <= MOST and all(test(item) for item in value)
+
+
+def shipped() -> list[str]:
+    """Names of the policies that come with fishmj."""
+    return sorted(p.stem for p in FOLDER.glob("*.safetensors"))
+
+
+def is_policy(text: "str | Path") -> bool:
+    """Whether `text` names a policy: a shipped one, a file *.safetensors, or a folder, as of a training."""
+    return str(text).endswith(".safetensors") or str(text) in (*shipped(), *FORMER) or os.path.isdir(text)
+
+
+@cache
+def _renamed(old: str) -> None:
+    """Say once what a shipped policy is called now."""
+    console.warn(f"policy {old} is now called {FORMER[old]}; the old name goes with the release after this one")
+
+
+def file_of(source: "str | Path") -> Path:
+    """The file of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
+
+    Raises:
+        UnknownName: no such file or name. StoreError: not a plain file, or a folder without a policy.
+    """
+    if str(source) in FORMER:
+        _renamed(str(source))
+        source = FORMER[str(source)]
+    path, named = Path(source), FOLDER / f"{source}.safetensors"
+    if os.path.isdir(source) and path.suffix != ".safetensors" and str(source) not in shipped():
+        inside = [path / name for name in OF_A_RUN if (path / name).is_file()]
+        deeper = [str(found.parent) for name in OF_A_RUN for found in sorted(path.glob(f"*/{name}"))]
+        if not inside:
+            also = f"; there is one in {', '.join(dict.fromkeys(deeper))}" if deeper else ""
+            expected = f"expected a policy file or the folder of a training{also}"
+            raise StoreError(f"{path}: a folder without {' or '.join(OF_A_RUN)}; {expected}")
+        return inside[0]
+    if path.suffix == ".safetensors" and (why := trouble(path)).startswith("is "):
+        raise StoreError(f"{path}: {why}")
+    if path.is_file():
+        return path
+    if not named.is_file():
+        raise UnknownName("policy", str(source), shipped())
+    return named
+
+
+@dataclass
+class Policy:
+    """weights: list of (W (out, in), b (out,)); meta: the file's header."""
+
+    weights: list[tuple[np.ndarray, np.ndarray]]
+    meta: dict
+    _window: np.ndarray | None = field(default=None, repr=False)
+
+    @classmethod
+    def load(cls, source: "str | Path") -> "Policy":
+        """Read a policy by shipped name or path, as `file_of`.
+
+        Raises:
+            UnknownName: no such file or name. StoreError: damaged file. ConfigError: not a policy, or shapes that do not fit.
+        """
+        path = file_of(source)
+        arrays, meta = read_tensors(path)
+        schema = meta.get("schema") if isinstance(meta, dict) else meta
+        if schema != SCHEMA:
+            raise ConfigError(f"{path}: schema {shown(schema)}, expected {SCHEMA!r}: this is not a policy file")
+        if path.resolve().parent == FOLDER:
+            meta = meta | read_json(FOLDER / ALSO).get(path.stem, {})
+        layers = len(arrays) // 2
+        if layers == 0 or set(arrays) != {f"{kind}{i}" for kind in "wb" for i in range(layers)}:
+            raise ConfigError(f"{path}: holds {', '.join(sorted(arrays))[:200] or 'no arrays'}; expected w0, b0, w1, b1, ...")
+        policy = cls([(arrays[f"w{i}"], arrays[f"b{i}"]) for i in range(layers)], meta)
+        policy.check(str(path))
+        return policy
+
+    def save(self, path: "str | Path") -> Path:
+        """Write the policy; atomic, checksummed."""
+        self.check(str(path))
+        arrays = {}
+        for i, (w, b) in enumerate(self.weights):
+            arrays[f"w{i}"], arrays[f"b{i}"] = np.asarray(w, np.float32), np.asarray(b, np.float32)
+        return write_tensors(path, arrays, {**self.meta, "schema": SCHEMA})
+
+    def check(self, where: str) -> None:
+        """Shapes, scale, memory, activation and header fit together; otherwise one ConfigError."""
+        scale, memory, activation = (self.meta.get(k) for k in ("scale", "memory", "activation"))
+        if not (isinstance(activation, str) and activation in _ACTIVATIONS):
+            raise ConfigError(f"{where}: activation {shown(activation)}; known: {', '.join(_ACTIVATIONS)}")
+        if not (isinstance(scale, list) and 0 < len(scale) <= MOST and all(is_number(s) and 1e-30 < s < 1e30 for s in scale)):
+            raise ConfigError(f"{where}: scale {shown(scale)}; expected one positive divisor for each observation")
+        if not (memory is None or (isinstance(memory, int) and not isinstance(memory, bool) and 1 <= memory <= MOST)):
+            raise ConfigError(
+                f"{where}: memory {shown(memory)}; expected the number of observations that the policy sees, 1 to {MOST}"
+            )
+        if not self.weights:
+            raise ConfigError(f"{where}: holds no layers")
+        if not all(a.dtype.kind == "f" for layer in self.weights for a in layer):
+            raise ConfigError(f"{where}: weights are no floating-point numbers")
+        width = self.n_obs * self.memory + (self.weights[-1][1].size if self.weights[-1][1].ndim == 1 else 0) * (self.memory - 1)
+        for i, (w, b) in enumerate(self.weights):
+            if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],) or w.shape[0] == 0:
+                raise ConfigError(f"{where}: layer {i} has weights {w.shape} and bias {b.shape}, expected {width} inputs")
+            width = w.shape[0]
+        if not all(np.isfinite(w).all() and np.isfinite(b).all() for w, b in self.weights):
+            raise ConfigError(f"{where}: weights are not finite")
+        check_header(self.meta, where)
+
+    @property
+    def n_obs(self) -> int:
+        return len(self.meta["scale"])
+
+    @property
+    def n_act(self) -> int:
+        return self.weights[-1][1].shape[0]
+
+    @property
+    def memory(self) -> int:
+        return self.meta.get("memory") or 1
+
+    def reset(self, n: int = 1) -> None:
+        """Forget the past of n fish."""
+        self._window = None
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Actions (B, J) in [-1, 1] for observations (B, n_obs)."""
+        obs = np.atleast_2d(np.asarray(obs, np.float32))
+        if obs.shape[1] != self.n_obs:
+            raise ConfigError(f"policy {self.meta.get('name', '')}: got {obs.shape[1]} observations, expected {self.n_obs}")
+        sight = obs / np.asarray(self.meta["scale"], np.float32)
+        x = seen = self._recall(sight)
+        f = _ACTIVATIONS[self.meta["activation"]]
+        for w, b in self.weights[:-1]:
+            x = f(x @ w.T + b)
+        w, b = self.weights[-1]
+        action = np.tanh(x @ w.T + b)
+        if not np.isfinite(action).all():
+            raise ConfigError(
+                f"policy {self.meta.get('name', '')}: its answer is not finite; the weights are too large, or obs is not"
+            )
+        if self.memory > 1:
+            self._window = np.concatenate([action, seen], 1)
+        return action
+
+    def _recall(self, sight: np.ndarray) -> np.ndarray:
+        """The network's input: what is seen now, then the window; at the start as if the fish had rested here."""
+        if self.memory == 1:
+            return sight
+        if self._window is None or len(self._window) != len(sight):
+            pair = np.concatenate([np.zeros((len(sight), self.n_act), np.float32), sight], 1)
+            self._window = np.concatenate([pair] * (self.memory - 1), 1)
+        width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
+        return np.concatenate([sight, self._window], 1)[:, :width]

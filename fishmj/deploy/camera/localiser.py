@@ -1,0 +1,186 @@
+"""Camera and tracker together: pictures in, fixes out.
+
+Beside the tank both run in a process of their own (`tracker_process`), and the loop takes what is ready: a tracker in a thread of
+the host holds the interpreter for milliseconds at a time, and the loop waits. In lockstep the loop calls them itself.
+
+    {"t": s, "pose": [m, m, rad], "covariance": [9 numbers], "quality": 0..1, "counts": [frames, fixes, skipped, repeated]}
+
+is a line of that process: one a fix, without the first four where a picture gave none, {"failed": "why"} where the camera goes.
+
+A camera that hangs gives one picture for ever, and a tracker that follows the fish finds it there a little elsewhere each time.
+So pictures are compared: noise makes two of a living camera differ, and one that repeats the picture before it is none.
+"""
+
+import json
+import os
+import select
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from typing import IO, Protocol
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.camera.cameras import Camera
+from fishmj.deploy.tracker.fix import Fix, Tracker
+
+STARTS = 30.0  # s that the process may take until its camera is open
+ENDS = 2.0  # s that it may take to end
+COUNTS = ("frames", "fixes", "skipped", "repeated")
+EVERY = 16  # rows of a picture between two that are compared first: nearly all pictures differ there already
+
+
+class Localiser(Protocol):
+    """What the loop asks for fixes.
+
+    Attributes:
+        counts: frames looked at, fixes found, frames left out because newer ones waited, frames that repeat the one before.
+    """
+
+    counts: dict[str, int]
+
+    def open(self) -> None: ...
+    def fixes(self, now: float) -> list[Fix]: ...
+    def close(self) -> None: ...
+
+
+class Repeats:
+    """Tells whether a picture (H, W, 3) is, to the last bit, the one before. A "picture" that is no image never is."""
+
+    def __init__(self) -> None:
+        self._last: np.ndarray | None = None
+
+    def __call__(self, image: np.ndarray) -> bool:
+        last, self._last = self._last, image
+        if last is None or image.ndim != 3 or last.shape != image.shape:
+            return False
+        return last is image or (np.array_equal(last[::EVERY], image[::EVERY]) and np.array_equal(last, image))
+
+
+class Looking:
+    """A camera and its tracker, picture by picture."""
+
+    def __init__(self, camera: Camera, tracker: Tracker):
+        self.camera, self.tracker = camera, tracker
+        self.counts = dict.fromkeys(COUNTS, 0)
+        self._repeats = Repeats()
+
+    def open(self) -> None:
+        self.camera.open()
+
+    def close(self) -> None:
+        self.camera.close()
+
+    def _found(self, t: float, image: np.ndarray) -> Fix | None:
+        self.counts["frames"] += 1
+        if self._repeats(image):
+            self.counts["repeated"] += 1
+            return None
+        fix = self.tracker.locate(image, t)
+        self.counts["fixes"] += fix is not None
+        return fix
+
+
+class InStep(Looking):
+    """Looks at every frame when it is asked to: for lockstep, where time waits."""
+
+    def fixes(self, now: float) -> list[Fix]:
+        found = [self._found(t, image) for t, image in self.camera.read(now)]
+        return [fix for fix in found if fix is not None]
+
+
+class Newest(Looking):
+    """Looks at the newest frame that waits and leaves older ones out."""
+
+    def look(self, most: float) -> Fix | None:
+        """The fix of the next picture, waiting up to `most` s for it; None where there is none. Raises what the camera raises."""
+        frames = self.camera.wait(most)
+        self.counts["skipped"] += max(len(frames) - 1, 0)
+        return self._found(*frames[-1]) if frames else None
+
+
+class InProcess:
+    """Camera and tracker in a process of their own, which ends with this one.
+
+    Args:
+        words: its command line. It prints the lines above, the first one empty when its camera is open.
+
+    Attributes:
+        failed: why no more fixes come, None while all is well.
+    """
+
+    def __init__(self, words: Sequence[str]):
+        self.words = list(words)
+        self.counts = dict.fromkeys(COUNTS, 0)
+        self.failed: Exception | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._told: IO[bytes] | None = None
+        self._text = b""
+
+    def open(self) -> None:
+        """Start it and wait until its camera is open. Raises ConfigError: it says why not."""
+        self._told = tempfile.TemporaryFile()  # noqa: SIM115  open as long as the process
+        self._process = subprocess.Popen(  # a session of its own: Ctrl-C is for the host, which brings the fish to rest first
+            self.words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._told, start_new_session=True
+        )
+        end = time.monotonic() + STARTS
+        while b"\n" not in self._text and self.failed is None and time.monotonic() < end:
+            select.select([self._pipe], [], [], 0.1)
+            self._read()
+        if b"\n" in self._text:
+            return
+        why = self.failed or f"no picture within {STARTS:g} s"
+        self.close()
+        raise ConfigError(str(why).removeprefix("tracker: "))
+
+    def fixes(self, now: float) -> list[Fix]:
+        self._read()
+        found, (*lines, self._text) = [], self._text.split(b"\n")
+        for line in filter(None, lines):
+            told = json.loads(line)
+            if "failed" in told:
+                self.failed = ConfigError(told["failed"])
+                continue
+            self.counts = dict(zip(COUNTS, told["counts"], strict=True))
+            if "t" in told:
+                x, y, yaw = told["pose"]
+                found.append(Fix(told["t"], x, y, yaw, np.reshape(told["covariance"], (3, 3)), told["quality"]))
+        return found
+
+    def close(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.terminate()
+            try:
+                process.wait(ENDS)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+        if self._told is not None:
+            self._told.close()
+            self._told = None
+
+    @property
+    def _pipe(self) -> int:
+        return self._process.stdout.fileno() if self._process is not None and self._process.stdout is not None else -1
+
+    def _read(self) -> None:
+        """Take in what came since the last call; does not wait."""
+        while self._process is not None and self.failed is None and select.select([self._pipe], [], [], 0.0)[0]:
+            data = os.read(self._pipe, 65536)
+            if not data:
+                self.failed = ConfigError(f"tracker: {self._last_words()}")
+            self._text += data
+
+    def _last_words(self) -> str:
+        """Why it ended, as it said itself."""
+        if self._told is None or self._process is None:
+            return "closed"
+        self._told.seek(0)
+        said = self._told.read(100_000).decode("utf-8", "replace").strip().splitlines()
+        code = self._process.wait()
+        return said[-1].removeprefix("fishmj: ")[:300] if said else f"its process ended with exit code {code}"

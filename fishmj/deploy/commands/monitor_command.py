@@ -1,0 +1,96 @@
+"""`fishmj deploy monitor`: when robot and model parted, on logs."""
+
+from pathlib import Path
+
+from fishmj.base import console
+from fishmj.base.errors import LogError
+from fishmj.base.store import write_text
+from fishmj.deploy.monitor.monitor import RATE, SETTLE, Monitor, flow_of, has, reference_of, said
+from fishmj.deploy.monitor.picture import drawn
+from fishmj.deploy.monitor.rows import as_heard
+from fishmj.deploy.monitor.statistics import LEAST_BLOCKS
+from fishmj.log import Trial, read_trial
+from fishmj.log.dataset import take
+from fishmj.log.folder import FLAT_FILE, META_FILE
+from fishmj.mjcf.description import load_robot
+
+EXAMPLES = """examples:
+  fishmj deploy monitor runs/swim_07                             learns from the first 5 minutes, watches the rest
+  fishmj deploy monitor runs/swim_07 --healthy runs/swim_01      against a healthy swim of the same robot
+  fishmj deploy monitor runs/swim_07 --picture parted.svg --json"""
+
+
+def options() -> console.Parser:
+    """The arguments."""
+    made = console.parser("deploy monitor", "Say when robot and model part, and in which channel.", examples=EXAMPLES)
+    add = made.add_argument
+    add("trials", nargs="+", type=console.path, metavar="TRIAL", help="trial folders, or data sets of them")
+    learnt = "swims of the same robot to learn from (default: the first minutes of each)"
+    add("--healthy", nargs="+", type=console.path, default=[], metavar="TRIAL", help=learnt)
+    add("--robot", type=console.text, default="fish", help="the model: shipped name or TOML file (default fish)")
+    add("--rate", type=console.number(1e-6, 60), default=RATE, help=f"false alarms an hour, all tests together (default {RATE})")
+    settle = f"s of every trial to learn from, without --healthy (default {SETTLE:.0f})"
+    add("--settle", type=console.number(1, 36000), default=SETTLE, help=settle)
+    drawing = "SVG of the statistics over time; of several trials, one each with its name (default none)"
+    add("--picture", type=console.out_file, help=drawing)
+    return made
+
+
+def main(argv: list[str]) -> int:
+    """The command. Exit code 0: nothing parted; 1: an alarm; 3: no trial is longer than what is learnt from."""
+    args = options().parse_args(argv)
+    robot = load_robot(args.robot)
+    trials, healthy = opened(args.trials), opened(args.healthy)
+    everything = list({**trials, **healthy}.values())
+    for name, trial in {**trials, **healthy}.items():
+        missing = [table for table in ("cmd", "joint") if not has([trial], table)]
+        if missing:
+            raise LogError(f"{name}: no table {', '.join(missing)}; the monitor compares commands with joint angles at least")
+    tables = {table: has(everything, table) for table in ("pose", "power")}
+    for table, there in tables.items():
+        if not there:
+            console.warn(f"no table {table} in every trial: its channels are not watched")
+    reference = reference_of(robot, healthy.values(), **tables) if healthy else None
+    rows, pictures, watched = [], [], 0
+    for name, trial in trials.items():
+        late = trial.value("latency.pose")
+        monitor = Monitor(robot, flow_of(trial), args.rate, args.settle, reference, camera=late, **tables)
+        monitor.update(as_heard(trial.tables))
+        watched += bool(monitor.history.t)
+        seconds = monitor.history.t[-1] - monitor.history.t[0] if monitor.history.t else 0.0
+        first = monitor.alarms[0] if monitor.alarms else None
+        highest = (
+            {c: max(share[c] for share in monitor.history.share) for c in monitor.blocks.probes} if monitor.history.t else {}
+        )
+        row = {"trial": name, "watched_s": round(seconds, 1), "alarms": len(monitor.alarms)}
+        row |= {"first_s": first.t if first else None, "channel": first.channel if first else None}
+        rows.append({**row, "probe": first.probe if first else None, "highest": highest})
+        for alarm in monitor.alarms[:1]:
+            console.say(f"{name}: {said(alarm)}")
+        if args.picture and monitor.history.t:
+            path = Path(args.picture)
+            path = path if len(trials) == 1 else path.with_name(f"{path.stem}_{Path(name).name}{path.suffix}")
+            write_text(path, drawn(name, monitor.history, monitor.alarms))
+            pictures.append(str(path))
+    console.say(console.table([{k: v for k, v in row.items() if k != "highest"} for row in rows]), *pictures)
+    parted = [row["trial"] for row in rows if row["alarms"]]
+    if parted:
+        console.say(f"next: fishmj gap find {parted[0]}'s data set, with trials from before and after")
+    if not watched:
+        console.warn(
+            f"nothing was watched: every trial is shorter than what is learnt from ({args.settle:.0f} s); give --healthy"
+        )
+    if args.json:
+        console.emit_json({"rate": args.rate, "trials": rows, "pictures": pictures, "least_blocks": LEAST_BLOCKS})
+    return console.FAILED_CHECK if parted else console.OK if watched else console.CANNOT_TELL
+
+
+def opened(paths: list) -> dict[str, Trial]:
+    """Trials by path: trial folders as they are, of a data set every trial."""
+    found: dict[str, Trial] = {}
+    for path in map(Path, paths):
+        if (path / META_FILE).is_file() or (path / FLAT_FILE).is_file():
+            found[str(path)] = read_trial(path)
+        else:
+            found |= {str(path / name): trial for name, trial in take(path).trials.items()}
+    return found

@@ -1,0 +1,1 @@
+"""Links to a robot: transports, servo buses, ROS 2, MCAP."""

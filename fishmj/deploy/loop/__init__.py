@@ -1,0 +1,1 @@
+"""The control loop of a real robot: clock, supervisor, arming, pilot, journal."""

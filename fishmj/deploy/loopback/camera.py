@@ -1,0 +1,82 @@
+"""The camera over the loopback's tank: when it exposes, when its frames can be read, and what goes wrong with it.
+
+    exposure    k period + jitter u,  u in [0, 1)         stamped then; a planted error of the clock is in the stamp
+    readable    exposure + latency
+
+What is on a frame is the business of `camera_frames`; here a frame is the pose that is to be drawn.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.deploy.loopback.bodies import MILLISECOND, Body
+from fishmj.deploy.loopback.faults import Fault, active
+from fishmj.gap.laboratory.virtual_robot import random_streams
+
+KEPT = 64  # frames
+
+
+class CameraTiming(NamedTuple):
+    """When frames are taken and readable, s."""
+
+    period: float = 0.02
+    latency: float = 0.065  # from exposure until the frame can be read
+    jitter: float = 0.002  # of the exposure, uniform
+
+
+class Frame(NamedTuple):
+    """One frame: what a camera saw."""
+
+    t: float  # s, its stamp
+    pose: np.ndarray  # (3 + J,): x, y [m], yaw [rad], hinges [rad]
+    drawn: float  # s, time of the scene: ripple, glare and noise are of it; that of an older frame where the picture is frozen
+    readable: float  # s
+
+
+class LoopbackCamera:
+    """Frames of a body.
+
+    Args:
+        timing: when. seed: of the jitter. faults: those of the camera count.
+    """
+
+    def __init__(self, body: Body, timing: CameraTiming, seed: int, faults: Iterable[Fault] = ()):
+        self.body, self.timing, self._faults = body, timing, tuple(faults)
+        self._random = random_streams.stream(seed, "exposure")
+        self._count = 0
+        self._frames: deque[Frame] = deque(maxlen=KEPT)
+        self._fresh: deque[Frame] = deque(maxlen=KEPT)
+        self._frozen: Frame | None = None
+
+    def next_exposure(self) -> int:
+        """ms of the next exposure; call once for each."""
+        t = self._count * self.timing.period + self.timing.jitter * self._random.random()
+        self._count += 1
+        return round(t / MILLISECOND)
+
+    def expose(self) -> None:
+        """Take a frame of the body as it is now."""
+        now = self.body.time
+        stamp, pose = self.body.seen()
+        if fault := active(self._faults, "camera_jump", now):
+            pose = pose + np.r_[fault.value, np.zeros(len(pose) - 1)]
+        frame = Frame(stamp, pose, now, now + self.timing.latency)
+        if active(self._faults, "camera_freeze", now):
+            self._frozen = self._frozen or frame
+            frame = frame._replace(pose=self._frozen.pose, drawn=self._frozen.drawn)
+        else:
+            self._frozen = None
+        if not active(self._faults, "camera_loss", now):
+            self._frames.append(frame)
+            self._fresh.append(frame)
+
+    def frames(self, since: float, now: float) -> list[Frame]:
+        """Frames that can be read now and became readable after `since`, oldest first."""
+        return [frame for frame in self._frames if since < frame.readable <= now]
+
+    def exposed(self) -> list[Frame]:
+        """Frames taken since the last call, readable or not: for who draws them in the meantime."""
+        return [self._fresh.popleft() for _ in range(len(self._fresh))]

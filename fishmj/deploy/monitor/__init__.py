@@ -1,0 +1,1 @@
+"""Comparison of a running swim with its simulation: prediction, statistics, alarms."""

@@ -1,0 +1,156 @@
+"""The open robot's UDP layout as its firmware publishes it, and what that firmware makes of angles. Little-endian.
+
+    robot -> host   <3i 3f 3f 3i   servo id, joint [rad], voltage at the servo [V], temperature [deg C]   every 20 ms, 48 bytes
+    host -> robot   <6f            joint [rad], speed [rad/s], 0 = as fast as it can                        24 bytes
+
+Neither has a number, a time or a checksum, so nothing here can tell an old datagram from a new one, and the robot keeps the last
+angle for ever when the host falls silent: `LACKS`. A host that uses it has to ask a person before it arms.
+
+Firmware 0.1.0 converts with whole numbers: 1000 / 240 is 4 instead of 4.17 servo counts a degree, so the joint goes to 0.96 of
+the angle asked for; 240 / 1000 is 0, so each reading is zero. "fixed" is the same layout from a firmware that converts with
+floating-point numbers; then only the servo's own steps of 0.24 deg remain.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+from fishmj.base.errors import UnknownName
+from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.messages import Telemetry
+from fishmj.deploy.protocols.servo_counts import RAD_PER_COUNT
+
+Firmware = Literal["mish-0.1.0", "fixed"]
+FIRMWARES: tuple[Firmware, ...] = ("mish-0.1.0", "fixed")
+UPLINK, DOWNLINK = struct.Struct("<3i3f3f3i"), struct.Struct("<6f")
+JOINTS = 3
+ROBOT_PORT, HOST_PORT = 2333, 6060
+PERIOD = 0.02  # s between two datagrams of the robot
+SERVO_RANGE = 1.047  # rad, the firmware's own bound
+SLOWEST, FASTEST = 0.05, 5.23  # rad/s, the firmware's bounds of a speed that is not 0
+LACKS = (
+    "sequence number",
+    "robot time",
+    "checksum",
+    "echo",
+    "state",
+    "watchdog",
+    "battery voltage and current",
+    "servo faults",
+    "info",
+)
+MOST_ANGLE = 3.1415927410125732  # rad, pi as a float32: what is sent can be read back
+MOST_SPEED = 50.0  # rad/s
+MOST_VOLTAGE = 64.0  # V; exact as a float32
+MOST_TEMPERATURE = 255.0  # deg C, either way
+_INT_SCALE = 4  # counts a degree in 0.1.0: the whole part of 1000 / 240
+
+
+class Downlink(NamedTuple):
+    """What a command datagram asks for: rad, (3,); rad/s, (3,), 0 = as fast as it can."""
+
+    joint: tuple[float, ...]
+    speed: tuple[float, ...]
+
+
+def encode_command(joint: Sequence[float], speed: Sequence[float] | None = None) -> bytes:
+    """A command. joint: rad, (3,). speed: rad/s, (3,), 0 or None: as fast as it can. Raises ProtocolError."""
+    speeds = (0.0,) * JOINTS if speed is None else tuple(speed)
+    if len(joint) != JOINTS or len(speeds) != JOINTS:
+        raise ProtocolError(f"command of {len(joint)} joints and {len(speeds)} speeds; this robot has {JOINTS}")
+    return DOWNLINK.pack(*_checked(joint, MOST_ANGLE, "joint"), *_speeds(speeds))
+
+
+def decode_command(data: bytes) -> Downlink:
+    """Raises ProtocolError for any bytes that are no command, and never anything else."""
+    values = DOWNLINK.unpack(_sized(data, DOWNLINK.size, "command"))
+    return Downlink(_checked(values[:3], MOST_ANGLE, "joint"), _speeds(values[3:]))
+
+
+def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmware = "fixed") -> bytes:
+    """What the robot sends: the true joint angles, rad, become what `firmware` makes of them.
+
+    Args:
+        ids: of the servos, (3,). Without servo_voltage and temperature zeros are sent, as the robot does for a servo that is
+            silent.
+    Raises:
+        ProtocolError: other counts, or a value that is not finite or out of range. UnknownName: no such firmware.
+    """
+    it = telemetry
+    volts, degrees = it.servo_voltage or (0.0,) * JOINTS, it.temperature or (0.0,) * JOINTS
+    if {len(it.joint), len(ids), len(volts), len(degrees)} != {JOINTS}:
+        raise ProtocolError(f"telemetry of {len(it.joint)} joints and {len(ids)} servo ids; this robot has {JOINTS} of each")
+    read = [reading(angle, firmware) for angle in _checked(it.joint, MOST_ANGLE, "joint")]
+    whole = [round(value) for value in _checked(degrees, MOST_TEMPERATURE, "temperature")]
+    return UPLINK.pack(*_ids(ids), *read, *_volts(volts), *whole)
+
+
+def decode_telemetry(data: bytes) -> Telemetry:
+    """What the robot says; all that the layout does not carry is None.
+
+    Raises:
+        ProtocolError: for any bytes that are no telemetry, and never anything else.
+    """
+    values = UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))
+    _ids(values[:3])
+    degrees = _checked([float(value) for value in values[9:]], MOST_TEMPERATURE, "temperature")
+    return Telemetry(_checked(values[3:6], MOST_ANGLE, "joint"), servo_voltage=_volts(values[6:9]), temperature=degrees)
+
+
+def servo_ids(data: bytes) -> tuple[int, ...]:
+    """The servo ids of a telemetry datagram, (3,). Raises ProtocolError."""
+    return _ids(UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))[:3])
+
+
+def commanded(joint: float, firmware: Firmware = "fixed") -> float:
+    """The angle, rad, that the firmware sends its servo to when asked for `joint`, rad; the servo's own zero is not in it."""
+    bound = max(-SERVO_RANGE, min(SERVO_RANGE, joint))
+    counts = int(math.degrees(bound) * _INT_SCALE) if _checked_name(firmware) == "mish-0.1.0" else round(bound / RAD_PER_COUNT)
+    return counts * RAD_PER_COUNT
+
+
+def reading(joint: float, firmware: Firmware = "fixed") -> float:
+    """The angle, rad, that the firmware reports when the joint is at `joint`, rad."""
+    return 0.0 if _checked_name(firmware) == "mish-0.1.0" else round(joint / RAD_PER_COUNT) * RAD_PER_COUNT
+
+
+def moved_at(speed: float) -> float | None:
+    """How fast the firmware moves when asked for `speed`, rad/s; None: as fast as the servo can."""
+    return None if speed == 0.0 else max(SLOWEST, min(FASTEST, abs(speed)))
+
+
+def _checked_name(firmware: str) -> str:
+    if firmware not in FIRMWARES:
+        raise UnknownName("firmware", firmware, FIRMWARES)
+    return firmware
+
+
+def _sized(data: bytes, size: int, what: str) -> bytes:
+    if len(data) != size:
+        raise ProtocolError(f"{what} of {len(data)} bytes; expected {size}")
+    return data
+
+
+def _checked(values: Sequence[float], most: float, what: str) -> tuple[float, ...]:
+    if not all(-most <= value <= most for value in values):  # nan is not, either
+        raise ProtocolError(f"{what} {tuple(values)}; expected -{most:g} to {most:g}")
+    return tuple(float(value) for value in values)
+
+
+def _speeds(values: Sequence[float]) -> tuple[float, ...]:
+    if not all(0.0 <= value <= MOST_SPEED for value in values):
+        raise ProtocolError(f"speed {tuple(values)}; expected 0 to {MOST_SPEED:g} rad/s")
+    return tuple(float(value) for value in values)
+
+
+def _volts(values: Sequence[float]) -> tuple[float, ...]:
+    if not all(0.0 <= value <= MOST_VOLTAGE for value in values):
+        raise ProtocolError(f"servo voltage {tuple(values)}; expected 0 to {MOST_VOLTAGE:g} V")
+    return tuple(float(value) for value in values)
+
+
+def _ids(values: Sequence[int]) -> tuple[int, ...]:
+    if not all(isinstance(value, int) and 0 <= value <= 253 for value in values):
+        raise ProtocolError(f"servo ids {tuple(values)}; expected 0 to 253")
+    return tuple(int(value) for value in values)

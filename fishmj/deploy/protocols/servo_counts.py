@@ -1,0 +1,71 @@
+"""Counts of servos and what they are in SI: the one place for units and offsets. `LX` is the default scale.
+
+    angle = (counts - CENTRE - zero) x 0.24 deg          0..1000 counts <-> 0..240 deg
+    trim  = offset x 0.24 deg                            -125..125 counts <-> -30..30 deg, kept in the servo itself
+    volts = mV / 1000                                    time in ms, temperature in deg C
+
+`zero` is where a joint is straight, counted from the middle: assembly leaves some, and each joint has its own.
+"""
+
+import math
+
+from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.mjcf.servo_buses import LX, Scale
+
+SPAN, CENTRE, RAD_PER_COUNT = LX  # counts of a whole turn range; of its middle
+MOST_OFFSET = 125  # counts, 30 deg
+MOST_TIME = 30_000  # ms, of one move
+VOLTAGE = (4500, 12_000)  # mV, bounds of a voltage limit
+
+
+def counts(angle: float, zero: float = 0.0, scale: Scale = LX) -> int:
+    """The servo position nearest to a joint angle.
+
+    Args:
+        angle: rad, 0 = straight. zero: rad, where the servo stands, from its middle, when the joint is straight.
+        scale: of the servo.
+    Returns: 0 to `scale.span`; beyond the servo's range the end of it.
+    Raises: ProtocolError where the sum is not finite.
+    """
+    if not math.isfinite(angle + zero):
+        raise ProtocolError(f"joint angle {angle} rad, zero {zero} rad; expected finite numbers")
+    exact = scale.centre + (angle + zero) / scale.step
+    return round(max(0.0, min(float(scale.span), exact)))
+
+
+def angle(position: int, zero: float = 0.0, scale: Scale = LX) -> float:
+    """The joint angle, rad, of a position in counts; servos report some counts below 0 and above their span, too."""
+    return (position - scale.centre) * scale.step - zero
+
+
+def offset_counts(trim: float) -> int:
+    """The servo's own offset nearest to `trim`, rad. Raises ProtocolError beyond +- 30 deg."""
+    if not abs(trim) <= (MOST_OFFSET + 0.5) * RAD_PER_COUNT:
+        raise ProtocolError(f"offset {trim} rad; expected at most {MOST_OFFSET * RAD_PER_COUNT:.4f}, 30 deg, either way")
+    return max(-MOST_OFFSET, min(MOST_OFFSET, round(trim / RAD_PER_COUNT)))
+
+
+def offset_angle(offset: int) -> float:
+    """rad of a servo's own offset in counts."""
+    return offset * RAD_PER_COUNT
+
+
+def volts(millivolts: int) -> float:
+    return millivolts / 1000
+
+
+def millivolts(value: float) -> int:
+    """mV of a voltage in V. Raises ProtocolError where 16 bits do not hold it."""
+    if not 0.0 <= value <= 65.535:
+        raise ProtocolError(f"voltage {value} V; expected 0 to 65.535")
+    return round(value * 1000)
+
+
+def move_time(distance: float, speed: float) -> int:
+    """ms that a move over `distance`, rad, takes at `speed`, rad/s; at most 30 s, which is the longest that a servo counts.
+
+    Raises ProtocolError where the speed is not positive, or a value not finite.
+    """
+    if not (math.isfinite(distance) and math.isfinite(speed) and speed > 0):
+        raise ProtocolError(f"move over {distance} rad at {speed} rad/s; expected finite numbers and a speed above 0")
+    return round(min(float(MOST_TIME), abs(distance) / speed * 1000))

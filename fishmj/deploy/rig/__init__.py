@@ -1,0 +1,1 @@
+"""Experiments of a rig: prompts, captures, weighings, excitations."""

@@ -1,0 +1,16 @@
+"""What every tracker asks of a frame."""
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.tracker.calibration import Calibration
+
+
+def same_size(image: np.ndarray, calibration: Calibration) -> None:
+    """Raises ConfigError: no frame (H, W, 3) uint8 of the size that was calibrated."""
+    width, height = calibration.size
+    shape, kind = getattr(image, "shape", None), getattr(image, "dtype", None)
+    if shape != (height, width, 3) or kind != np.uint8:
+        raise ConfigError(
+            f"frame of {shape} {kind}, expected ({height}, {width}, 3) uint8: a calibration holds for its own image size only"
+        )

@@ -1,0 +1,1 @@
+"""Series of station-holding trials on the robot, and their tables."""

@@ -1,0 +1,46 @@
+"""A hybrid as an engine: another engine moves the fish, segments of the flow solver correct its water from tick to tick."""
+
+from typing import Any
+
+import numpy as np
+
+from fishmj import engines
+from fishmj.engines import FishParams, FishState, Trace, check_commands
+from fishmj.engines.hybrid.hybrid import Hybrid, HybridOptions
+from fishmj.engines.hybrid.segment import Oracle, Replay
+from fishmj.mjcf.description import Robot
+from fishmj.water.flow import Current, Flow
+
+
+class Engine:
+    """Fish that swim side by side, each corrected by segments of its own.
+
+    Args:
+        kind: a flow with the turbulence and box of the background. inner: engine that moves the fish, by name or as one.
+        oracle, replay: as of `Hybrid`.
+
+    Attributes:
+        name: what tables call it.
+    """
+
+    jittable = False
+
+    def __init__(
+        self, robot: Robot, kind: Flow | None = None, options: HybridOptions | None = None, *, inner: Any = "batch",
+        oracle: Oracle | None = None, replay: Replay | None = None,
+    ):  # fmt: skip
+        self.robot = robot
+        self.inner = engines.make(inner, robot) if isinstance(inner, str) else inner
+        self.hybrid = Hybrid(robot, options, kind=kind, oracle=oracle, replay=replay)
+        self.name = self.hybrid.options.label(robot)
+
+    def advance(self, state: FishState, commands, params: FishParams, current: Current, tick) -> tuple[FishState, Trace]:
+        """As the engine's that moves the fish; `tick` is the same for all of them."""
+        commands, tick = np.asarray(commands, float), np.asarray(tick)
+        check_commands(commands, self.robot.n_joints)
+        traces = []
+        for k in range(commands.shape[1]):
+            water = self.hybrid.tick(state, params, current, int(tick[0]) + k)
+            state, trace = self.inner.advance(state, commands[:, k : k + 1], *water, tick + k)
+            traces.append(trace)
+        return state, Trace(*(np.concatenate([np.asarray(a) for a in column], 1) for column in zip(*traces, strict=True)))

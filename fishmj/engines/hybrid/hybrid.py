@@ -1,0 +1,312 @@
+"""The water of a swimming fish, corrected by short segments in a better water.
+
+    hybrid = Hybrid(robot, HybridOptions(every=50.0), kind=flow)
+    params, current = hybrid.tick(fish, params, current, k)     before bus tick k: the water and stream that MuJoCo takes then
+    hybrid.report()                                             what was corrected, when, by how much and how sure
+
+    MuJoCo      |first|---------- every ----------|---------- every ----------|
+    segments          |lead|span|                 |lead|span|                    seeded from MuJoCo's own state and stream
+                                 |.. solved ..|^  corrected from this tick on
+
+B fish are watched at once, each with a correction of its own (`hydro_fit.online_correction`). The swim itself is never moved, so
+that a corrected one has no jumps. MuJoCo does not wait: a worker thread has the solver and the comparison, and what it finds
+enters at the next bus tick; with `wait` everything happens between two ticks, the same in every run. A better water that is
+missing or fails is switched off with one warning; what was learnt stays.
+"""
+
+import atexit
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fishmj.base import console
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import ConfigError
+from fishmj.base.options import checked_kind
+from fishmj.engines import FishParams, FishState
+from fishmj.engines.hybrid import online_correction
+from fishmj.engines.hybrid.online_correction import FACTORS, Correction
+from fishmj.engines.hybrid.segment import Misses, Oracle, Replay, Segment, Swum
+from fishmj.lbm_oracle.run.domain import PREVIEWS
+from fishmj.mjcf.description import Robot
+from fishmj.water import choice
+from fishmj.water.flow import Current, Flow, shifted
+
+OWN = 2.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/simulate/fitted_water.md
+LEAVING = 10.0  # s that the end of the program waits for a tick of the solver
+BOX = "window_coarse"  # where the water does not say which box it was fitted in
+
+
+@dataclass(frozen=True, kw_only=True)
+class HybridOptions:
+    """When and by what a water is corrected.
+
+    Attributes:
+        first, every, lead, span: s; from `first` on the solver swims (lead + span) of every `every`.
+        domain: box of water by name; None: the one that the fitted water was made in. `laptop` is a preview.
+        slip: of the hull in the solver. device: auto, cpu, cuda or cuda:N.
+        tank: its mean is the stream of the tanks, whose eddies are MuJoCo's; None: as MuJoCo is told.
+        own: mean square miss, in tolerances, that nine of ten segments of a right water stay below.
+        patience: wall-clock s that a segment may take; a later one is dropped. side_by_side: tanks at a time.
+        wait: MuJoCo waits for the solver, however long it takes, and every run is the same.
+
+    Raises:
+        ConfigError: times that cannot be.
+    """
+
+    first: float = 10.0
+    every: float = 50.0
+    lead: float = 1.5
+    span: float = 2.0
+    domain: str | None = None
+    slip: float = 1.0
+    device: str = "auto"
+    tank: Flow | None = None
+    own: float = OWN
+    patience: float = 60.0
+    side_by_side: int = 12
+    wait: bool = False
+
+    def __post_init__(self):
+        if not (self.span > 0 and self.lead > 0 and self.first >= 0 and self.lead + self.span <= self.every + 1e-9):
+            got = f"first {self.first}, lead {self.lead} and span {self.span} s"
+            raise ConfigError(f"hybrid: {got}; expected first >= 0, lead and span > 0, and both within {self.every} s")
+
+    def box(self, robot: Robot) -> str:
+        """Name of the box of water."""
+        name = robot.name if choice.label(robot) == choice.FITTED else choice.label(robot)
+        return self.domain or (BOX if name in choice.KINDS else str(choice.fitted_water(name).dataset.get("grid", BOX)))
+
+    def label(self, robot: Robot) -> str:
+        """One line for tables: all that a swim depends on."""
+        return f"hybrid, {self.box(robot)}, slip {self.slip:g}, {self.lead + self.span:g} of {self.every:g} s"
+
+
+@dataclass
+class _Recording:
+    """A segment under way, of all fish: what they were and met at its begin, states and commands since then."""
+
+    tick: int
+    params: FishParams
+    current: Current
+    states: list = field(default_factory=list)  # (q, v) of the lead
+    start: Any = None  # FishState where the lead ends
+    commands: list = field(default_factory=list)
+
+    def segments(self, kind: Flow) -> list[Segment]:
+        """One of each fish that is still in its senses."""
+        q, v = (np.stack(column, 1) for column in zip(*self.states, strict=True))
+        commands = np.stack(self.commands, 1)
+        made = []
+        for i in range(len(q)):
+            row = lambda tree: type(tree)(*(np.asarray(a)[i : i + 1] for a in tree))  # noqa: B023, E731  used at once
+            current = Current._make([*(np.asarray(a)[i : i + 1] for a in self.current[:5]), *self.current[5:]])
+            made.append(Segment(i, self.tick, q[i], v[i], row(self.start), commands[i], row(self.params), current, kind))
+        return [one for one in made if np.isfinite(one.q).all() and np.isfinite(one.commands).all()]
+
+
+@dataclass
+class _Job:
+    """Segments in the better water, and what they say of the simulation's."""
+
+    segments: list[Segment]
+    states: list[Correction]  # of all fish, when the segments were swum
+    idle: list[float]  # s since the last segment of each fish
+    began: float = field(default_factory=time.perf_counter)
+    found: list[tuple[Segment, Correction, dict]] = field(default_factory=list)
+    failed: str = ""
+    done: bool = False
+
+    def run(self, oracle: Callable[[], Oracle], replay: Replay, own: float) -> None:
+        """Solve, replay, compare."""
+        try:
+            seen = list(zip(self.segments, oracle().swim(self.segments), strict=True))
+            matched = lambda pair: self._matched(pair[0], pair[1], replay, own)
+            self.found = [matched(pair) for pair in seen[:1]]  # compiles, once and not in every thread
+            with ThreadPoolExecutor(usable_cores()) as pool:
+                self.found += pool.map(matched, seen[1:])
+        except Exception as error:  # noqa: BLE001  whatever becomes of solver, driver or device: the fish swims on
+            self.failed = " ".join(str(error).split()) or type(error).__name__
+        self.wall, self.done = time.perf_counter() - self.began, True
+
+    def _matched(self, segment: Segment, seen: "Swum | str", replay: Replay, own: float):
+        before = self.states[segment.fish]
+        if isinstance(seen, str):
+            return segment, before, {"failed": seen}
+        misses = Misses(replay, segment, seen, own)
+        size = lambda state: float(np.sqrt(np.mean(misses(state.factors[:, None], state.stream[:, None]) ** 2)))
+        after = online_correction.matched(before, misses, idle=self.idle[segment.fish])
+        moved = not np.array_equal(after.unknowns, before.unknowns)
+        return segment, after, {"moved": moved, "before": size(before), "after": size(after) if moved else size(before)}
+
+
+class Hybrid:
+    """Watches fish that swim, and corrects their water.
+
+    Args:
+        kind: a flow with the turbulence and box of the background.
+        oracle: the better water; the flow solver by default.
+        replay: of what the simulation swims, where that is not the robot's own.
+
+    Attributes:
+        states: the correction of each fish. rows: of each fish, what its segments said.
+        off: why there are no more segments, "" while there are.
+    """
+
+    def __init__(
+        self, robot: Robot, options: HybridOptions | None = None, *, kind: Flow | None = None, oracle: Oracle | None = None,
+        replay: Replay | None = None,
+    ):  # fmt: skip
+        options = checked_kind("hybrid: options", options, HybridOptions) or HybridOptions()
+        self.robot, self.options, self.kind = robot, options, kind or Flow()
+        self.domain = self.options.box(robot)
+        if oracle is None and self.domain in PREVIEWS:
+            console.warn(
+                f"hybrid: the box {self.domain} is a preview: its coarse water is not the one that the robot's was fitted to"
+            )
+        self._oracle, self._replay = oracle, replay or Replay(robot)
+        self.size = robot.timing.bus_dt
+        self.off, self._told = "", set[str]()
+        self._thread: threading.Thread | None = None
+        self._over = False
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing swum and nothing corrected yet; a solver that was switched off stays so."""
+        self.states: list[Correction] = []
+        self.rows: list[list[dict]] = []
+        self._last = -1
+        self._recording: _Recording | None = None
+        self._job: _Job | None = None
+
+    def tick(self, fish: FishState, params: FishParams, current: Current, tick: int) -> tuple[FishParams, Current]:
+        """Before bus tick `tick` of B fish: what MuJoCo's water is in it.
+
+        Args:
+            fish: as they are. params, current: the fish and the background flow as they are given, without any correction.
+        Returns:
+            params with the corrected water, current with the corrected stream; the same objects where nothing is corrected.
+        """
+        if tick <= self._last:
+            self.reset()
+        if not self.states:
+            self.states = [online_correction.fresh() for _ in np.asarray(fish.q)]
+            self.rows = [[] for _ in self.states]
+        self._last = tick
+        self._collect(tick)
+        self._watch(fish, params, current, tick)
+        self._collect(tick)  # where it has waited for a segment
+        return self._corrected(params, current, tick)
+
+    def close(self) -> None:
+        """Wait for a segment that is under way, and take what it says."""
+        if self._thread is not None:
+            self._thread.join()
+        self._collect(self._last)
+
+    def report(self, fish: int = 0) -> dict:
+        """What was corrected: options, segments by time, factors and stream with their standard deviations, and why it ended."""
+        o, state = self.options, self.states[fish] if self.states else online_correction.fresh()
+        covered = len(self.rows[fish]) * (o.lead + o.span) if self.rows else 0.0
+        told = {"domain": self.domain, "slip": o.slip, "every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
+        share = covered / max((self._last + 1) * self.size, self.size)
+        return {**told, "segments": self.rows[fish] if self.rows else [], "solver_share": share, **_told(state), "off": self.off}
+
+    # ---- the record ----
+
+    def _watch(self, fish: FishState, params: FishParams, current: Current, tick: int) -> None:
+        """Note states and commands while a segment is under way; hand it over where it ends."""
+        o = self.options
+        lead, span, every, first = (round(s / self.size) for s in (o.lead, o.span, o.every, o.first))
+        now = self._recording
+        if now is not None and tick > now.tick + lead:
+            now.commands.append(np.array(np.asarray(fish.buffer)[:, -1], float))
+            if tick == now.tick + lead + span:
+                self._recording = None
+                if np.array_equal(now.current.mean, current.mean):  # else somebody has turned the stream meanwhile
+                    self._hand_over(now.segments(self.kind))
+        if tick >= first and (tick - first) % every == 0 and not self.off:
+            if self._thread is not None and self._thread.is_alive():
+                self._say("slow", "the solver is still at work when the next segment is due, which is left out")
+            else:
+                self._recording = _Recording(tick, params, current)
+        now = self._recording
+        if now is not None and tick <= now.tick + lead:
+            now.states.append((np.array(fish.q, float), np.array(fish.v, float)))
+            if tick == now.tick + lead:
+                now.start = FishState(*(np.array(a, float) for a in fish))
+
+    def _hand_over(self, segments: list[Segment]) -> None:
+        idle = [self.options.every if rows else 0.0 for rows in self.rows]
+        job = self._job = _Job(segments, list(self.states), idle)
+        arguments = (self._better, self._replay, self.options.own)
+        if self.options.wait:
+            job.run(*arguments)
+            return
+        if self._thread is None:
+            atexit.register(self._leave)
+        self._thread = threading.Thread(target=job.run, args=arguments, daemon=True, name="fishmj-hybrid")
+        self._thread.start()
+
+    def _leave(self) -> None:
+        """The program ends: so does the solver, after its tick, before the interpreter goes from under it."""
+        self._over = True
+        if self._thread is not None:
+            self._thread.join(LEAVING)
+
+    def _better(self) -> Oracle:
+        """The better water, made when it is first asked."""
+        if self._oracle is None:
+            from fishmj.engines.hybrid.tanks import Tanks
+
+            o = self.options
+            water: dict[str, Any] = {"domain": self.domain, "slip": o.slip, "device": o.device, "stream": o.tank}
+            self._oracle = Tanks(self.robot, **water, side_by_side=o.side_by_side, go_on=lambda: not self._over)
+        return self._oracle
+
+    # ---- what came of it ----
+
+    def _collect(self, tick: int) -> None:
+        """Take what a worker has found."""
+        job = self._job
+        if job is None or not job.done:
+            return
+        self._job = None
+        late = not self.options.wait and job.wall > self.options.patience
+        if job.failed:
+            self.off = job.failed
+            self._say("off", f"the fish swims on in the water as it is: {job.failed}")
+        elif late:
+            self._say("late", f"a segment took {job.wall:.0f} s of the {self.options.patience:g} s that it may: dropped")
+        for segment, state, row in [] if late else job.found:
+            if "failed" in row:
+                self._say("failed", f"a segment came to no end: {row['failed']}")
+            else:
+                self.states[segment.fish] = state
+            times = {"t": segment.tick * self.size, "applied": tick * self.size}
+            self.rows[segment.fish].append({**times, **row, "wall_s": job.wall, **_told(state)})
+
+    def _corrected(self, params: FishParams, current: Current, tick: int) -> tuple[FishParams, Current]:
+        if all(not state.unknowns.any() for state in self.states):
+            return params, current
+        factors, stream = (np.stack([getattr(s, name) for s in self.states], -1) for name in ("factors", "stream"))
+        water = online_correction.applied_to_rows(params.water, factors)
+        return params._replace(water=water), shifted(current, stream.T, np.full(len(water), tick))
+
+    def _say(self, what: str, text: str) -> None:
+        """A warning, once of each kind."""
+        if what not in self._told:
+            self._told.add(what)
+            console.warn(f"hybrid: {text}")
+
+
+def _told(state: Correction) -> dict:
+    """Factors and stream with their standard deviations (the factors' of their logarithms)."""
+    sd = state.sd
+    known = {"factors": state.factors, "factors_sd": sd[:FACTORS], "stream": state.stream, "stream_sd": sd[FACTORS:]}
+    return {name: np.round(value, 6).tolist() for name, value in known.items()}

@@ -1,0 +1,165 @@
+"""A water corrected while it runs: factors and a stream that follow how a better water's fish moves over short segments.
+
+    min |r(x)|^2 + |x - x'|^2_P                                 Gauss-Newton; x', P: before, P grown by forgetting
+    P_k^-1 = prior + lambda (P_k-1^-1 - prior) + J^T J          lambda = exp(-t / MEMORY), t since the segment before
+
+x are the logarithms of ten factors on the coefficients, and the mean stream's offset from what the simulation is told, m/s.
+r (K, C) are differences of movement in K windows and C channels over what a right surrogate misses by, whose error has no unknown
+that mends it. Four beliefs explain a segment. `right`: x stays where it is; or what is wrong is the factors, the stream, or both:
+they are somewhere in P. x moves by the belief of the greatest evidence, if with it
+
+    max_c mean_k r(x')^2 > 1    and    2 ln(p_wrong / p_right) = |r(x')|^2 - |r(x)|^2 - |x - x'|^2_P - ln det(1 + J P J^T) > 0
+
+The first, since a right surrogate is off the same way in window after window: within its own misses any pattern may be its own.
+By channel, since a stream, say, shows in one of them.
+The second is Laplace's approximation of both likelihoods: what is free must gain more than it could by chance, so that a stream
+is not explained by seven factors, nor a hull by a stream. A segment that a right surrogate could have swum moves nothing, to
+the bit, and P need not protect it: `WRONG` is how far a wrong one may have to move. Friction, which tells a hull that holds the
+water from one along which it slides, and cross-flow drag by half and more; the others less, since two seconds hardly tell them
+from these two. Wrenches are no guide: large forces, each wrong by a few per cent, leave speed and turning over, and ten factors
+find many ways to mend the sum.
+
+Recursive least squares with a forgetting factor: Ljung 1999, System Identification, section 11.2. The likelihood of a belief with
+free factors: MacKay 1992, Bayesian interpolation, Neural Computation 4.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.water.dynamics import strip_forces
+from fishmj.water.prior import unflat
+
+KINDS = ("added_mass", "cross_flow", "friction", "form", "edge")
+FACTORS = 2 * len(KINDS)  # unknowns 0 to 9; 10 and 11 are the stream
+BOUNDS = (0.3, 3.0)
+WIDER = (0.001, 30.0)  # of friction, which is all of a hull that holds the water and next to none of one that lets it slide
+PLATE = 0.005  # friction of a smooth plate at Re 1e5 (Blasius 0.0042; turbulent 0.007)
+FASTEST = 0.3  # m/s, of the stream's offset
+WRONG = np.array([0.02, 0.5, 1.5, 0.2, 0.1])  # standard deviation of ln factor by kind, of a surrogate that is wrong
+STREAM = 0.05  # m/s, the same of the stream, each way
+MEMORY = 30.0  # s, after which what was seen counts for 1/e
+FREE = [0, 1, 2, 3, 5, 6, 9]  # factors of the ten that touch a coefficient
+BELIEFS = (FREE, [10, 11], [*FREE, 10, 11])  # what may be wrong
+ROUNDS, DAMPING, LEAST = 6, (0.0, 0.1, 1.0, 10.0), 0.01  # Gauss-Newton: LEAST of the objective
+NUDGE = np.array([0.05] * FACTORS + [0.005] * 2)  # of an unknown
+_LOW, _HIGH = ([*np.log(2 * [w if kind == "friction" else b for kind in KINDS]), f, f]
+               for b, w, f in zip(BOUNDS, WIDER, (-FASTEST, FASTEST), strict=True))  # fmt: skip
+LIMITS = np.array([_LOW, _HIGH])[..., None]
+
+Misses = Callable[[np.ndarray, np.ndarray], np.ndarray]  # factors (10, B), stream (2, B) m/s -> (K, C, B)
+
+
+class Correction(NamedTuple):
+    """What is corrected and what is known of it. Order of the factors: `KINDS` for the body's links, then for the last link."""
+
+    factors: np.ndarray  # (10,)
+    stream: np.ndarray  # (2,) m/s, world frame: how much faster the water is than the simulation is told
+    information: np.ndarray  # (12, 12) inverse covariance of the factors' logarithms and the stream
+
+    @property
+    def unknowns(self) -> np.ndarray:
+        """(12,) logarithms of the factors, and the stream."""
+        return np.concatenate([np.log(self.factors), self.stream])
+
+    @property
+    def sd(self) -> np.ndarray:
+        """(12,) standard deviations of the unknowns."""
+        return np.sqrt(np.diag(np.linalg.inv(self.information)))
+
+
+def fresh() -> Correction:
+    """Nothing corrected yet."""
+    return Correction(np.ones(FACTORS), np.zeros(2), _prior())
+
+
+def _prior() -> np.ndarray:
+    return np.diag(1 / np.array([*WRONG, *WRONG, STREAM, STREAM]) ** 2)
+
+
+def applied(c: strip_forces.Coefficients, factors) -> strip_forces.Coefficients:
+    """Coefficients times their factors (10,) or (10, B); friction and head form have the body's.
+
+    The factor of friction is that of friction and `PLATE` together: a water without friction may have to get some.
+    """
+    (mass, cross, skin, form, _), (tail_mass, tail_cross, _, _, edge) = factors[:5], factors[5:]
+    body = len(c.k) - 1
+    return c._replace(
+        k=[v * mass for v in c.k[:body]] + [c.k[body] * tail_mass],
+        cn=[v * cross for v in c.cn[:body]] + [c.cn[body] * tail_cross],
+        cf=np.maximum(c.cf + (c.cf + PLATE) * (skin - 1.0), 0.0),
+        ca_forward=c.ca_forward * form,
+        ca_backward=c.ca_backward * form,
+        ke=c.ke * edge,
+    )
+
+
+def applied_to_rows(water: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """(B, P) flat coefficients of B fish times their factors (10, B)."""
+    c = applied(unflat(list(np.asarray(water, float).T)), factors)
+    return np.stack(np.broadcast_arrays(*c.k, *c.cn, *c[2:]), 1)
+
+
+def matched(state: Correction, misses: Misses, *, idle: float = 0.0) -> Correction:
+    """Follow a segment that was swum by both: factors and stream with which the surrogate moves as the better water's fish did.
+
+    Args:
+        misses: factors (10, B) and streams (2, B) of B surrogates -> (K, C, B) differences of movement in K windows and C
+            channels over what a right one differs by. idle: s since the segment before.
+    Returns:
+        The state after it: where the segment does not refute them, the same unknowns, known as they were but for forgetting.
+    """
+    belief = _prior() + np.exp(-idle / MEMORY) * (state.information - _prior())
+    start = state.unknowns
+    seen = misses(state.factors[:, None], state.stream[:, None])[..., 0]
+    if not refuted(seen):
+        return state._replace(information=belief)
+    of, first = (lambda x: misses(np.exp(x[:FACTORS]), x[FACTORS:]).reshape(seen.size, -1)), seen.ravel()
+    found = max((_fitted(start, free, belief, first, of) for free in BELIEFS), key=lambda fit: fit.gain)
+    if not found.gain > 0:
+        return state._replace(information=belief)
+    belief[np.ix_(found.free, found.free)] += found.normal
+    return Correction(np.exp(found.x[:FACTORS]), found.x[FACTORS:], belief)
+
+
+def refuted(misses: np.ndarray) -> bool:
+    """Whether misses (K, C) are more than those of a right surrogate, in any channel."""
+    return bool((misses**2).mean(0).max() > 1.0)
+
+
+class _Fit(NamedTuple):
+    """One belief: its free unknowns, where they went, J^T J there, and 2 ln(p / p_right)."""
+
+    free: list
+    x: np.ndarray
+    normal: np.ndarray
+    gain: float
+
+
+def _fitted(start: np.ndarray, free: list, belief: np.ndarray, first: np.ndarray, of: Callable) -> _Fit:
+    """Gauss-Newton on the free unknowns from `start`, where the misses are `first`."""
+    held, x, last, nudge = belief[np.ix_(free, free)], start, first, NUDGE[free]
+    jacobian = np.zeros((len(first), len(free)))
+    for _ in range(ROUNDS):
+        tries = np.repeat(x[:, None], len(free), 1)
+        tries[free, np.arange(len(free))] += nudge
+        jacobian, off = (of(tries) - last[:, None]) / nudge, (x - start)[free]
+        if not np.isfinite(jacobian).all():
+            break
+        normal, slope = jacobian.T @ jacobian + held, jacobian.T @ last + held @ off
+        tries = np.repeat(x[:, None], len(DAMPING), 1)
+        tries[free] -= np.stack([np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in DAMPING], 1)
+        tries = np.clip(tries, *LIMITS)
+        r, far = of(tries), (tries - start[:, None])[free]
+        costs = (r**2).sum(0) + np.einsum("ib,ij,jb->b", far, held, far)
+        costs = np.where(np.isfinite(costs), costs, np.inf)  # a fish that a step too far has lost
+        best, now = int(np.argmin(costs)), float(last @ last + off @ held @ off)
+        if not costs[best] < now:  # nan, too
+            break
+        x, last = tries[:, best], r[:, best]
+        if costs[best] > (1 - LEAST) * now:
+            break
+    off, normal = (x - start)[free], jacobian.T @ jacobian if np.isfinite(jacobian).all() else np.zeros_like(held)
+    chance = np.linalg.slogdet(held + normal)[1] - np.linalg.slogdet(held)[1]  # ln det(1 + J P J^T)
+    return _Fit(free, x, normal, float(first @ first - last @ last - off @ held @ off - chance))

@@ -1,0 +1,83 @@
+"""The better water of a hybrid: tanks of the flow solver, one a segment, side by side on one device.
+
+Every segment gets a tank of its own in MuJoCo's background flow of that time: the same eddies, where they are at that moment, on
+the tank's own mean stream where that is given. The fish is MuJoCo's, with its masses, gains and latency, in MuJoCo's state.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from fishmj.engines import lbm
+from fishmj.engines.hybrid.segment import Segment, Swum
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.model import reference_qpos
+from fishmj.water.flow import DrawnFlow, Flow, shifted
+
+
+class Tanks:
+    """The flow solver.
+
+    Args:
+        domain: box of water by name. slip: of the hull there. device: auto, cpu or cuda.
+        stream: its mean is that of the tanks; None: as MuJoCo is told. side_by_side: segments at a time.
+        go_on: asked before every tick; False gives the segments up.
+    """
+
+    def __init__(
+        self, robot: Robot, *, domain: str, slip: float = 1.0, device: str = "auto", stream: Flow | None = None,
+        side_by_side: int = 12, go_on: Callable[[], bool] = lambda: True,
+    ):  # fmt: skip
+        self.robot, self.stream, self.side_by_side, self.go_on = robot, stream, side_by_side, go_on
+        self.water: dict[str, Any] = {"domain": domain, "slip": slip, "device": device}
+
+    def swim(self, segments: Sequence[Segment]) -> list["Swum | str"]:
+        """As `Oracle.swim`."""
+        some = self.side_by_side
+        return [one for k in range(0, len(segments), some) for one in self._together(segments[k : k + some])]
+
+    def flow(self, segment: Segment) -> Flow:
+        """The background flow of a segment's tank."""
+        drawn = segment.current
+        if self.stream is not None:
+            drawn = shifted(drawn, self.stream.mean[None, :2] - drawn.mean, np.array([segment.tick]))
+        return DrawnFlow.of(drawn, segment.kind)
+
+    def _together(self, segments: Sequence[Segment]) -> list["Swum | str"]:
+        runs = [self._seeded(segment) for segment in segments]
+        tanks = ConcurrentRuns(runs)
+        for _ in range(len(segments[0].q) - 1):
+            self._tick(tanks)
+        for run, segment in zip(runs, segments, strict=True):
+            run.tethered, run.root, run.prescribed = False, None, None
+            run.commands, run.rows = list(segment.start.buffer[0]), []
+            run.ticks = len(run.commands) - 1
+        for commands in zip(*(segment.commands for segment in segments), strict=True):
+            self._tick(tanks, commands)
+        return [run.stopped or _swum(run) for run in runs]
+
+    def _tick(self, tanks: ConcurrentRuns, commands=None) -> None:
+        if not self.go_on():
+            raise RuntimeError("given up")
+        tanks.tick(commands)
+
+    def _seeded(self, segment: Segment) -> Run:
+        """A tank with the fish at the begin of its lead."""
+        engine = lbm.Engine(self.robot, [self.flow(segment)], **self.water)
+        kept = None if engine.active is None else segment.start.memory[0, : len(engine.active.memory)]
+        run = engine.tank(0, segment.q[0], segment.params, kept)
+        lbm.set_clock(run, segment.tick * self.robot.timing.bus_dt)
+        q, v = segment.q, segment.v
+        run.coupled.body.place(reference_qpos(run.coupled.body.model, q[0, :3], q[0, 3:]), v[0])
+        run.begin()
+        path = CubicHermiteSpline(np.arange(len(q)) * self.robot.timing.bus_dt, q, v)
+        run.root, run.prescribed = (lambda t: path(t)[:3]), (lambda t: path(t)[3:])
+        return run
+
+
+def _swum(run: Run) -> Swum:
+    pose, joint, rate = (np.array([row[i] for row in run.rows]) for i in (3, 4, 5))
+    return Swum(np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1))

@@ -1,0 +1,127 @@
+"""Benchmarks: each figure with a baseline that runs in turn beside it, so that a busy machine slows both.
+
+A benchmark is a function that prepares and returns a `Work`; a later part adds its own:
+
+    @benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
+    def engine_planar(quick: bool) -> Work: ...
+
+`Work.run()` does `Work.amount` units of work. Rounds go A B A B ...; a figure is the median over rounds.
+"""
+
+import platform
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import NamedTuple
+
+from fishmj.base.cores import usable_cores
+from fishmj.base.doctor import processor, version
+from fishmj.base.errors import MissingExtra, UnknownName
+
+
+class Work(NamedTuple):
+    """A prepared and warmed-up piece of work."""
+
+    run: Callable[[], object]
+    amount: float  # units done by one `run`
+    where: str = "cpu"  # what it runs on
+
+
+Prepare = Callable[[bool], Work]
+
+
+class Benchmark(NamedTuple):
+    """A named figure."""
+
+    name: str
+    unit: str
+    prepare: Prepare
+    baseline: Prepare | None
+
+    @property
+    def summary(self) -> str:
+        return (self.prepare.__doc__ or "").strip().partition("\n")[0]
+
+
+REGISTRY: dict[str, Benchmark] = {}
+SUITES = (
+    "fishmj.evaluate.bench.engines",
+    "fishmj.evaluate.bench.hydro",
+    "fishmj.evaluate.bench.oracle",
+    "fishmj.evaluate.bench.devices",
+    "fishmj.evaluate.bench.surrogate",
+)  # modules that register benchmarks when imported
+
+
+class NotHere(Exception):
+    """Raised by a `prepare` that cannot run on this machine; the message is the reason."""
+
+
+def benchmark(name: str, unit: str, baseline: Prepare | None = None) -> Callable[[Prepare], Prepare]:
+    """Register `prepare(quick)` under a name; `baseline` is another `prepare` with the same unit."""
+
+    def register(prepare: Prepare) -> Prepare:
+        REGISTRY[name] = Benchmark(name, unit, prepare, baseline)
+        return prepare
+
+    return register
+
+
+def known() -> dict[str, Benchmark]:
+    """All benchmarks, after importing the suites."""
+    from importlib import import_module
+
+    for suite in SUITES:
+        import_module(suite)
+    return REGISTRY
+
+
+def pick(names: list[str]) -> list[Benchmark]:
+    """The benchmarks of these names; all for none. Raises UnknownName."""
+    table = known()
+    for name in names:
+        if name not in table:
+            raise UnknownName("benchmark", name, table)
+    return [table[name] for name in names or table]
+
+
+def machine(where: str = "cpu") -> str:
+    """One line that a figure cannot do without: processor, cores, device, versions."""
+    parts = [processor(), f"{usable_cores()} cores", where, f"Python {platform.python_version()}"]
+    return ", ".join([*parts, *(f"{name} {found}" for name in ("mujoco", "jax") if (found := version(name)))])
+
+
+def rate(work: Work, clock: Callable[[], float]) -> float:
+    """Units a second of one run."""
+    start = clock()
+    work.run()
+    return work.amount / max(clock() - start, 1e-12)
+
+
+def measure(bench: Benchmark, *, rounds: int = 5, quick: bool = False, clock: Callable[[], float] = time.perf_counter) -> dict:
+    """Run one benchmark beside its baseline.
+
+    Returns:
+        {"name", "value", "unit", "baseline", "ratio", "machine"}; baseline and ratio None where there is none;
+        {"name", "skipped"} with the reason where it cannot run here.
+    """
+    try:
+        work = bench.prepare(quick)
+        beside = bench.baseline(quick) if bench.baseline else None
+    except (NotHere, MissingExtra) as reason:
+        return {"name": bench.name, "skipped": str(reason)}
+    values, baselines = [], []
+    for _ in range(rounds):
+        values.append(rate(work, clock))
+        if beside:
+            baselines.append(rate(beside, clock))
+    value = median(values)
+    base = median(baselines) if baselines else None
+    return {
+        "name": bench.name,
+        "value": value,
+        "unit": bench.unit,
+        "baseline": base,
+        "ratio": value / base if base else None,
+        "machine": machine(work.where),
+    }

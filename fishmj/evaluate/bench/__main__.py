@@ -1,0 +1,74 @@
+"""Throughput of this machine, one JSON line a benchmark, each beside its baseline."""
+
+import json
+import traceback
+
+from fishmj.base import console, interrupt
+from fishmj.evaluate.bench import Benchmark, engines, known, measure, pick
+from fishmj.water import choice
+
+
+def _figure(value):
+    """Four digits are more than a shared machine repeats."""
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def _measured(bench: Benchmark, quick: bool) -> dict:
+    """One result; a fault in one benchmark is reported and does not take the others with it."""
+    try:
+        return measure(bench, rounds=3 if quick else 7, quick=quick)
+    except Exception as error:  # noqa: BLE001
+        traceback.print_exc()
+        return {"name": bench.name, "failed": f"{type(error).__name__}: {error}"}
+
+
+def _words(todo: list[Benchmark], done: int) -> str:
+    """What an interrupted run says."""
+    left = " ".join(bench.name for bench in todo[done:])
+    return f"the lines above are {done} of {len(todo)} benchmarks; go on with: fishmj bench {left}"
+
+
+EXAMPLES = """examples:
+  fishmj bench --list                            what there is
+  fishmj bench engine_compiled --quick           does it run at all
+"""
+
+
+def options() -> console.Parser:
+    """The arguments of `bench`."""
+    summary = "Throughput of this machine, one JSON line a benchmark, each beside its baseline."
+    parser = console.parser("bench", summary, examples=EXAMPLES)
+    parser.add_argument(
+        "names", type=console.text, nargs="*", action=console.Distinct, metavar="NAME", help="of --list; default: all"
+    )
+    parser.add_argument("--list", action="store_true", help="name the benchmarks and stop")
+    parser.add_argument("--water", type=console.text, help=f"of the engines and the environment. {choice.HELP}")
+    parser.add_argument("--quick", action="store_true", help="small batches, three rounds: does it run at all")
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """The verb `bench`. Returns the exit code."""
+    args = options().parse_args(argv)
+    if args.list:
+        rows = [{"name": b.name, "unit": b.unit, "what": b.summary} for b in known().values()]
+        console.say(console.table(rows))
+        if args.json:
+            console.emit_json({"benchmarks": rows})
+        return console.OK
+    results, todo = [], pick(args.names)
+    engines.WATER[:] = [args.water]
+    engines.swimming()  # a wrong name fails before anything runs
+    with interrupt.keeping(lambda: _words(todo, len(results))), console.Progress(len(todo), "bench", "benchmarks") as bar:
+        for k, bench in enumerate(todo):
+            bar.stage(f"{bench.name}, {k + 1} of {len(todo)}: compiling, then measuring")
+            found = _measured(bench, args.quick)
+            results.append({key: _figure(value) for key, value in found.items()})
+            console.say(json.dumps(results[-1]))
+    if args.json:
+        console.emit_json({"benchmarks": results})
+    return console.FAILED_CHECK if any("failed" in found for found in results) else console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

@@ -1,0 +1,120 @@
+"""Tanks on several GPUs of one host beside tanks on one: how the steps of all of them grow with the number of GPUs.
+
+    fishmj bench oracle_devices_2 oracle_devices_4 oracle_devices_8     steps a second on so many GPUs, on one, and their ratio
+
+As in `--device cuda:all`, every GPU has a process of its own with as many tanks as keep it busy; one host serves all of them.
+"""
+
+import traceback
+import weakref
+from collections.abc import Sequence
+from typing import Any
+
+from fishmj.base import processes
+from fishmj.base.errors import ConfigError
+from fishmj.evaluate.bench import NotHere, Work, benchmark
+from fishmj.evaluate.bench.oracle import TANKS, TANKS_CPU, TICKS, TICKS_CPU, TICKS_QUICK, _resting
+
+PATIENCE = 5.0  # s that a process has to end
+
+
+def scaled(devices: Sequence[str], quick: bool = False) -> Work:
+    """Fish at rest in tanks on each of these devices at the same time, steps of all tanks added up.
+
+    Raises:
+        RuntimeError: a process did not come to its tanks; with its traceback.
+    """
+    side = _Side(devices, quick)
+    each = TANKS if devices[0].startswith("cuda") else TANKS_CPU
+    return Work(side.run, side.amount, f"{' '.join(devices)}, tanks: {len(devices)} x {each}")
+
+
+class _Side:
+    """A process a device, each with its tanks, waiting to be told."""
+
+    def __init__(self, devices: Sequence[str], quick: bool):
+        with processes.deaf():
+            side = [processes.beside(_tanks, device, (n, len(devices)), quick) for n, device in enumerate(devices)]
+        self.pipes, begun = [pipe for pipe, _ in side], [process for _, process in side]
+        weakref.finalize(self, _end, begun)
+        self.amount = sum(self._heard())
+
+    def run(self) -> None:
+        """So many ticks of all."""
+        for pipe in self.pipes:
+            pipe.send(True)
+        self._heard()
+
+    def _heard(self) -> list[float]:
+        """What every process says, once each has."""
+        said: list[Any] = [pipe.recv() for pipe in self.pipes]
+        if wrong := [text for text in said if isinstance(text, str)]:
+            raise RuntimeError(wrong[0])
+        return said
+
+
+def _end(begun: list) -> None:
+    for process in begun:
+        process.kill()
+    for process in begun:
+        process.join(PATIENCE)
+
+
+def _tanks(pipe, device: str, share: tuple[int, int], quick: bool) -> None:
+    """The process of one device: says how many steps a run has, then does one whenever it is told."""
+    from fishmj.lbm_oracle.fluid.device import device_of
+    from fishmj.lbm_oracle.run.domain import preset
+
+    processes.ends_with_its_parent()
+    try:
+        if device.startswith("cpu"):
+            processes.bind(*share)
+        here = device_of(device)
+        name, ticks, tanks = ("paper", TICKS, TANKS) if here.is_cuda else ("laptop", TICKS_CPU, TANKS_CPU)
+        work = _resting(preset(name), here, TICKS_QUICK if quick else ticks, tanks)
+        pipe.send(work.amount)
+        while pipe.recv():
+            work.run()
+            pipe.send(work.amount)
+    except Exception:  # noqa: BLE001  the one that waits must hear of it
+        pipe.send(f"on device {device}:\n{traceback.format_exc()}")
+
+
+def gpus(count: int) -> tuple[str, ...]:
+    """The first so many GPUs.
+
+    Raises:
+        NotHere: there are fewer.
+    """
+    from fishmj.lbm_oracle.fluid.device import devices_of
+
+    try:
+        found = devices_of("cuda:all")
+    except ConfigError:
+        found = ()
+    if len(found) < count:
+        raise NotHere(f"needs {count} GPUs in one host; here: {len(found)}")
+    return found[:count]
+
+
+def one_gpu(quick: bool) -> Work:
+    """The same tanks on one GPU, in a process of its own too."""
+    return scaled(gpus(1), quick)
+
+
+@benchmark("oracle_devices_2", "tank-steps/s", baseline=one_gpu)
+def two_gpus(quick: bool) -> Work:
+    """Twelve tanks on each of two GPUs of this host, beside twelve on one."""
+    return scaled(gpus(2), quick)
+
+
+@benchmark("oracle_devices_4", "tank-steps/s", baseline=one_gpu)
+def four_gpus(quick: bool) -> Work:
+    """The same on four."""
+    return scaled(gpus(4), quick)
+
+
+@benchmark("oracle_devices_8", "tank-steps/s", baseline=one_gpu)
+def eight_gpus(quick: bool) -> Work:
+    """The same on eight."""
+    return scaled(gpus(8), quick)

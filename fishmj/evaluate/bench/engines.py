@@ -1,0 +1,162 @@
+"""Engines in control steps (0.2 s) a second: randomised fish, command latency, turbulent flow and water on.
+
+The baseline of each is bare MuJoCo on one core: `mj_step` of the same robot without water, randomisation or latency,
+physics steps counted as control steps.
+"""
+
+import numpy as np
+
+from fishmj.base.calib import constant
+from fishmj.evaluate.bench import NotHere, Work, benchmark
+from fishmj.water.choice import in_water, label
+
+SEED = 5
+WATER: list[str | None] = [None]  # of the engines and the environment: `fishmj bench --water`
+
+
+def swimming():
+    """The shipped robot in the water that was asked for."""
+    from fishmj.mjcf import load_robot
+
+    return in_water(load_robot("fish"), WATER[0], who="bench")
+
+
+def bare_mujoco(quick: bool) -> Work:
+    """`mj_step` of the robot alone, one core."""
+    import mujoco
+
+    from fishmj import mjcf
+    from fishmj.mjcf import load_robot
+
+    model, timing = mjcf.build("fish", bare=True), load_robot("fish").timing
+    data = mujoco.MjData(model)
+    steps = round(timing.control_dt / timing.physics_dt)
+    control = 40 if quick else 200
+
+    def run():
+        mujoco.mj_step(model, data, control * steps)
+
+    run()
+    return Work(run, control)
+
+
+def _school(robot, fish: int):
+    """(state, commands, params, current, tick) of `fish` randomised fish beating their tails in turbulent flow, NumPy."""
+    from fishmj import engines
+    from fishmj.tasks import station_hold as task
+    from fishmj.water import flow
+
+    rng = np.random.default_rng(SEED)
+    params, _ = task.draw_fish(np, robot, rng.random((fish, task.n_fish(robot))))
+    start = task.draw_start(np, rng.random((fish, task.N_START)))
+    table, cell = flow.table_of("default")
+    intensity = np.full(fish, constant("turbulence", "intensity"))
+    current = flow.draw(np, "default", table, cell, start.speed, start.direction, intensity, rng.random((fish, task.N_FLOW)))
+    _, ticks = engines.ticks_per(robot)
+    clock = np.arange(ticks) * robot.timing.bus_dt
+    lag = np.arange(robot.n_joints) * np.radians(constant("calibration", "phase_lag_second_deg")[0])
+    swing = np.radians(constant("calibration", "amplitude_deg"))
+    beat = swing * np.sin(2 * np.pi * constant("calibration", "frequency") * clock[:, None] - lag)
+    commands = np.broadcast_to(beat, (fish, *beat.shape)).copy()
+    return engines.at_rest(robot, start.pose), commands, params, current, np.zeros(fish, np.int32)
+
+
+def _engine(name: str, fish: int, chunks: int) -> Work:
+    """`chunks` control steps of `fish` fish per run; on an engine that jits, all in one compiled scan."""
+    from fishmj import engines
+
+    robot = swimming()
+    try:
+        engine = engines.make(name, robot)
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("fishmj."):
+            raise
+        raise NotHere(f"this build has no engine {name}") from error
+    state, commands, params, current, tick = _school(robot, fish)
+    run, where = (_compiled if getattr(engine, "jittable", False) else _stepped)(
+        engine, state, commands, params, current, tick, chunks
+    )
+    if not np.all(np.isfinite(run())):
+        raise NotHere(f"{name} left the finite numbers: its rate would mean nothing")
+    return Work(run, fish * chunks, f"{where}, water {label(robot)}")
+
+
+def _stepped(engine, state, commands, params, current, tick, chunks):
+    def run():
+        now, clock = state, tick
+        for _ in range(chunks):
+            now, _ = engine.advance(now, commands, params, current, clock)
+            clock = clock + commands.shape[1]
+        return np.asarray(now.q)
+
+    return run, "cpu"
+
+
+def _compiled(engine, state, commands, params, current, tick, chunks):
+    import jax
+    from jax import lax
+
+    single = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a, tree)
+    state, commands, params, current = (jax.device_put(single(part)) for part in (state, commands, params, current))
+
+    @jax.jit
+    def swim(state, commands, params, current, tick):
+        def chunk(carry, _):
+            now, clock = carry
+            now, _ = engine.advance(now, commands, params, current, clock)
+            return (now, clock + commands.shape[1]), None
+
+        (now, _), _ = lax.scan(chunk, (state, tick), None, length=chunks)
+        return now.q
+
+    device = jax.devices()[0]
+    return lambda: np.asarray(swim(state, commands, params, current, tick)), device.device_kind
+
+
+def _on_gpu() -> bool:
+    import jax
+
+    return jax.default_backend() == "gpu"
+
+
+@benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
+def engine_planar(quick: bool) -> Work:
+    """Closed-form planar fish in JAX."""
+    return _engine("planar", 131072 if _on_gpu() else 256, 2 if quick else 10)
+
+
+@benchmark("engine_compiled", "control steps/s", baseline=bare_mujoco)
+def engine_compiled(quick: bool) -> Work:
+    """Closed-form planar fish compiled for the CPU."""
+    return _engine("compiled", 256 if quick else 4096, 2 if quick else 5)
+
+
+@benchmark("engine_batch", "control steps/s", baseline=bare_mujoco)
+def engine_batch(quick: bool) -> Work:
+    """MuJoCo in C, many fish at once, with the water."""
+    return _engine("batch", 64 if quick else 256, 1 if quick else 4)
+
+
+@benchmark("engine_mjx", "control steps/s", baseline=bare_mujoco)
+def engine_mjx(quick: bool) -> Work:
+    """MuJoCo in JAX with the water."""
+    return _engine("mjx", 16384 if _on_gpu() else 16 if quick else 128, 1 if quick else 2)
+
+
+@benchmark("environment", "control steps/s", baseline=bare_mujoco)
+def environment(quick: bool) -> Work:
+    """Station holding in JAX: closed form plus observation, camera, noise, reward, new episodes."""
+    import jax
+    from jax import lax
+
+    from fishmj.tasks.env import StationHold
+
+    fish, chunks = 65536 if _on_gpu() else 256, 2 if quick else 10
+    env = StationHold(swimming())
+    start = env.reset(jax.random.key(SEED), fish, True)
+    action = jax.random.uniform(jax.random.key(SEED + 1), (chunks, fish, env.n_act), minval=-0.5, maxval=0.5)
+    swim = jax.jit(lambda state, actions: lax.scan(lambda s, a: (env.step(s, a), s.reward), state, actions)[1])
+    run = lambda: np.asarray(swim(start, action))
+    if not np.all(np.isfinite(run())):
+        raise NotHere("the environment left the finite numbers: its rate would mean nothing")
+    return Work(run, fish * chunks, f"{jax.devices()[0].device_kind}, water {label(env.robot)}")

@@ -1,0 +1,235 @@
+"""What a physics step costs on each way by which water gets into the fish, with and without the learnt residual.
+
+| benchmark | way | baseline |
+|---|---|---|
+| hydro_passive | mjcb_passive, NumPy, one fish | bare `mj_step` |
+| hydro_passive_residual | mjcb_passive with the residual | hydro_passive |
+| hydro_wrench_residual | xfrc_applied with the residual, NumPy, one fish | hydro_passive_residual |
+| hydro_ellipsoid | MuJoCo's own fluid, C, one fish | bare `mj_step` |
+| hydro_batch_residual | engine `batch`, strips and residual | the strips alone |
+| hydro_compiled_residual | engine `compiled`, strips and residual | the strips alone |
+| hydro_mjx_residual | engine `mjx`, strips and residual | the strips alone |
+| hydro_residual | closed form in JAX, a long swim | the strips alone |
+
+Nominal fish, one gait, still water; `engine_*` measure engines with randomised fish, latency and turbulence, strips alone.
+"""
+
+import atexit
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+
+import numpy as np
+
+from fishmj.base.errors import FishmjError
+from fishmj.evaluate.bench import NotHere, Work, benchmark
+
+MODEL, FISH, SECONDS = "swift", 256, 2.0
+FISH_COMPILED = 4096
+MEMBERS, HIDDEN = 5, 16  # of the residual that the recipe learns
+
+
+def _robot(learnt: bool):
+    """The shipped fish in the shipped fitted water, without its residual or with one of the usual shape.
+
+    The weights are made up and small: a step costs the same whatever they are, and the shipped fit may have none.
+    """
+    from fishmj.engines import in_water
+    from fishmj.mjcf import load_robot
+
+    try:
+        return in_water(load_robot("fish"), _with_residual() if learnt else f"{MODEL}-base")
+    except FishmjError as error:
+        raise NotHere(f"no fitted water {MODEL}: {error}") from error
+
+
+@cache
+def _with_residual() -> Path:
+    """File of the shipped fit with a made-up residual."""
+    from fishmj.water import residual_hooks, residual_network
+    from fishmj.water.hydro_model import HydroModel
+
+    model = HydroModel.load(MODEL)
+    net = residual_network.blank(len(model.base.k), MEMBERS, HIDDEN, seed=0)
+    net = net._replace(outer=0.01 * np.random.default_rng(0).standard_normal(net.outer.shape))
+    learnt = residual_hooks.Residual(net, residual_hooks.unlimited(len(model.base.k)))
+    folder = Path(mkdtemp())
+    atexit.register(rmtree, folder, ignore_errors=True)
+    return replace(model, name="bench", learnt=learnt).save(folder)
+
+
+def _beat(t, joints: int) -> np.ndarray:
+    """A gait of 1 Hz that grows in the first second, (.., J) rad."""
+    t = np.asarray(t, float)[..., None]
+    return np.minimum(t, 1.0) * 0.4 * np.sin(2 * np.pi * t - np.arange(joints))
+
+
+def _finite(run, what: str, amount: float, where: str = "cpu") -> Work:
+    """A warmed-up piece of work, refused where the fish left the finite numbers."""
+    if not np.isfinite(run()).all():
+        raise NotHere(f"{what} left the finite numbers: its rate would mean nothing")
+    return Work(run, amount, where)
+
+
+# one fish in MuJoCo
+
+
+def _alone(quick: bool, water: str) -> Work:
+    """One fish by `mj_step`; water: none, ellipsoid, passive (strips), residual (the same way) or wrench (xfrc_applied)."""
+    from contextlib import nullcontext
+
+    import mujoco
+
+    from fishmj import mjcf
+    from fishmj.engines.extensions import Extensions
+    from fishmj.water.dynamics import planar_chain
+    from fishmj.water.injection import inject
+    from fishmj.water.link_wrench import LinkWrench
+    from fishmj.water.planar_water import PlanarWater
+
+    robot = _robot(water in ("residual", "wrench"))
+    model = mjcf.build(robot, bare=True, ellipsoid=water == "ellipsoid")
+    steps = 200 if quick else 1000
+    beat = _beat(np.arange(steps) * robot.timing.physics_dt, robot.n_joints)
+    swimmer, learnt = planar_chain.nominal(robot), Extensions.of(robot).learnt
+
+    def run():
+        data, strips = mujoco.MjData(model), PlanarWater(robot, swimmer, learnt=learnt)
+        solo = LinkWrench(model, strips) if water == "wrench" else None
+        with inject(model, strips) if water in ("passive", "residual") else nullcontext(solo) as fish:
+            for target in beat:
+                data.ctrl[:] = target
+                fish.step(data) if fish else mujoco.mj_step(model, data)
+        return data.qpos.copy()
+
+    return _finite(run, water, steps)
+
+
+def bare_steps(quick: bool) -> Work:
+    """`mj_step` of the fish without water, from Python."""
+    return _alone(quick, "none")
+
+
+@benchmark("hydro_passive", "physics steps/s", baseline=bare_steps)
+def hydro_passive(quick: bool) -> Work:
+    """Strips through mjcb_passive in NumPy, one fish."""
+    return _alone(quick, "passive")
+
+
+@benchmark("hydro_passive_residual", "physics steps/s", baseline=hydro_passive)
+def hydro_passive_residual(quick: bool) -> Work:
+    """Strips and residual through mjcb_passive in NumPy, one fish."""
+    return _alone(quick, "residual")
+
+
+@benchmark("hydro_wrench_residual", "physics steps/s", baseline=hydro_passive_residual)
+def hydro_wrench_residual(quick: bool) -> Work:
+    """Strips and residual as wrenches of the links in xfrc_applied, in NumPy, one fish."""
+    return _alone(quick, "wrench")
+
+
+@benchmark("hydro_ellipsoid", "physics steps/s", baseline=bare_steps)
+def hydro_ellipsoid(quick: bool) -> Work:
+    """MuJoCo's own fluid, one fish."""
+    return _alone(quick, "ellipsoid")
+
+
+# engines: many fish
+
+
+def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> Work:
+    """One control step of `fish` fish by an engine, compiled where it can be."""
+    from fishmj import engines
+    from fishmj.water.flow import Flow, stack
+
+    robot = _robot(learnt)
+    engine = engines.make(name, robot)
+    steps, ticks = engines.ticks_per(robot)
+    fish = fish // 8 if quick else fish
+    beat = _beat(1.0 + np.arange(ticks) * robot.timing.bus_dt, robot.n_joints)
+    state = engines.at_rest(robot, np.zeros((fish, 3)))
+    given = (state, np.tile(beat, (fish, 1, 1)), engines.nominal_params(robot, fish), stack([Flow()] * fish))
+    advance, where = engine.advance, "cpu"
+    if getattr(engine, "jittable", False):
+        import jax
+
+        single = lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a
+        given, advance = jax.device_put(jax.tree.map(single, given)), jax.jit(engine.advance)
+        where = jax.devices()[0].device_kind
+    tick = np.zeros(fish, np.int32)
+    return _finite(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)
+
+
+def hydro_batch(quick: bool) -> Work:
+    """Strips in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
+    return _engine("batch", quick)
+
+
+@benchmark("hydro_batch_residual", "physics steps/s", baseline=hydro_batch)
+def hydro_batch_residual(quick: bool) -> Work:
+    """Strips and residual in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
+    return _engine("batch", quick, True)
+
+
+def hydro_compiled(quick: bool) -> Work:
+    """Strips in the compiled engine."""
+    return _engine("compiled", quick, fish=FISH_COMPILED)
+
+
+@benchmark("hydro_compiled_residual", "physics steps/s", baseline=hydro_compiled)
+def hydro_compiled_residual(quick: bool) -> Work:
+    """Strips and residual in the compiled engine; 50 physics steps are a control step."""
+    return _engine("compiled", quick, True, FISH_COMPILED)
+
+
+def hydro_mjx(quick: bool) -> Work:
+    """Strips in MJX, a batch."""
+    return _engine("mjx", quick)
+
+
+@benchmark("hydro_mjx_residual", "physics steps/s", baseline=hydro_mjx)
+def hydro_mjx_residual(quick: bool) -> Work:
+    """Strips and residual in MJX, a batch; not with --quick."""
+    if quick:
+        raise NotHere("compiling MJX with the residual takes half a minute of CPU; run it without --quick")
+    return _engine("mjx", quick, True)
+
+
+# closed form in JAX, a long swim
+
+
+def _swim(quick: bool, learnt: bool) -> Work:
+    """Free swims of `FISH` fish by one gait in the shipped fitted water, single precision, one compiled scan."""
+    from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow
+    from fishmj.mjcf import load_robot
+    from fishmj.water.dynamics import planar_chain
+    from fishmj.water.hydro_model import HydroModel
+    from fishmj.water.prior import flat
+
+    robot = load_robot("fish")
+    try:
+        model = HydroModel.load(_with_residual())
+    except FishmjError as error:
+        raise NotHere(f"no fitted water {MODEL}: {error}") from error
+    ch, tick = planar_chain.chain_of(robot), robot.timing.bus_dt
+    ticks, steps = round((0.5 if quick else 1.0) * SECONDS / tick), round(tick / ch.dt)
+    beat = _beat(np.arange(ticks * steps) * ch.dt, robot.n_joints)
+    target = np.broadcast_to(beat.reshape(ticks, steps, -1), (FISH, ticks, steps, robot.n_joints))
+    state, none = np.zeros((FISH, ticks + 1, ch.n + 2)), np.zeros((FISH, ticks))
+    still = np.zeros((FISH, ticks, ch.n, 2))
+    fleet = FishBatch(state, state, target, still, still[:, :, 0], none, none + 1, ((0, 0),) * FISH)
+    swim, water = SwimWindow(ch, planar_chain.nominal(robot)), flat(model.base)
+    return _finite(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
+
+
+def hydro_base(quick: bool) -> Work:
+    """The strips alone."""
+    return _swim(quick, False)
+
+
+@benchmark("hydro_residual", "physics steps/s", baseline=hydro_base)
+def hydro_residual(quick: bool) -> Work:
+    """Strips with the learnt residual, a batch of fish in JAX."""
+    return _swim(quick, True)

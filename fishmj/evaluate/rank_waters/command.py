@@ -1,0 +1,246 @@
+"""The verb `python -m fishmj.hydro_fit rank`: are controllers worth the same in a fitted water and in the flow solver?
+
+    python -m fishmj.hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all control, both waters
+    python -m fishmj.hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
+    python -m fishmj.hydro_fit rank ... --model OTHER                trials in the solver are kept: seconds
+    python -m fishmj.hydro_fit rank pd --again 3                     trials again: in the solver twice a part of a cell away and
+                                                                     once with half its time step, in the surrogate 8 times
+
+A gap may be twice what the solver's own mean moves by when it repeats the trials; of repeated trials it is between the means.
+
+Exit code 1 where a tolerance is missed, 3 where too few trials tell the controllers apart.
+"""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from fishmj import control, engines
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.base.store import clear, write_json
+from fishmj.evaluate import protocol, run_trials
+from fishmj.evaluate.rank_waters import compare_waters, rank
+from fishmj.evaluate.rank_waters.plot import picture
+from fishmj.hydro_fit.campaign.data.collect import GO, ON_GPU, domain_of_model
+from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
+from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.run import solver_cost
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
+from fishmj.mjcf.description import load_robot
+from fishmj.water.hydro_model import HydroModel, shipped
+
+DEFAULT = ("dob", "pi", "pd", "adrc-c1", "station-sac", "station", "drift")
+MEANING = {
+    "station": "PPO",
+    "station-sac": "SAC",
+    "dob": "flow observer",
+    "pi": "vector PI",
+    "pd": "PD",
+    "adrc-c1": "PNL + ADRC-C1",
+}
+SAID = {True: "yes", False: "NO", None: "cannot be told"}
+
+
+def options() -> console.Parser:
+    """The arguments of `rank`."""
+    parser = console.parser("hydro_fit rank", "Rank controllers in the flow solver and in a fitted water, on the same trials.")
+    add = parser.add_argument
+    brains = f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name"
+    add("controllers", type=console.text, nargs="*", action=console.Distinct, metavar="CONTROLLER", help=brains)
+    control.anyway_option(parser)
+    add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
+    model = "the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
+    add("--model", type=console.text, help=model)
+    add("--engine", choices=engines.NAMES, default="batch", help="of the surrogate")
+    add("--domain", choices=EVERY, help="box of the solver; by default that of the model's segments; laptop is a preview")
+    add("--device", type=console.device, default="auto", help="of the solver: auto, cpu, cuda or cuda:N")
+    tanks = f"trials side by side in the solver; by default {ON_GPU} on a GPU, else 1"
+    add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
+    part = "of the decided 72, spread over speeds and directions"
+    add("--trials", type=console.whole(1, 72), default=24, metavar="N", help=part)
+    add("--seconds", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
+    often = console.whole(0, len(compare_waters.AGAIN))
+    add("--again", type=often, default=0, metavar="N", help="repeats in the solver, 8 in the surrogate; 3 is all")
+    budget = "wall clock after which no further trial is begun in the solver; by default none"
+    add("--budget", type=console.number(0, 1e7), metavar="S", help=budget)
+    add("--seed", type=console.SEED, default=0, help="of the trials")
+    out = "finished trials, which are not run again, and rank.json, rank.png, in place of old ones"
+    add("--out", type=console.out_folder, default="runs/rank", metavar="DIR", help=out)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Run what is missing, judge, print, write.
+
+    Raises:
+        UnknownName, ConfigError: a controller, water, box or number that cannot be.
+    """
+    args = options().parse_args(argv)
+    robot, water = load_robot(args.fish), args.model or default_model(args.fish)
+    model, fitted = HydroModel.load(water), engines.in_water(robot, water)
+    args.domain = domain_of_model(args.domain, model).name
+    names = list(args.controllers) or list(DEFAULT)
+    brains = control.several(names, run_trials.solved(robot), anyway=args.anyway)
+    for note in (note for brain in brains for note in getattr(brain, "notes", ())):
+        console.warn(note)
+    trials = chosen(args)
+    runs = (run_trials.UNCHANGED, *compare_waters.AGAIN[: args.again])
+    total = trials.duration * len(trials) * len(brains) * len(runs)
+    less = "--domain laptop --trials 6 --seconds 10 is a preview"
+    solver_cost.agree(
+        "hydro_fit rank",
+        args.device,
+        [(preset(args.domain), total)],
+        instead=less,
+        tanks=args.tanks or 1,
+        flag=GO,
+        asked=args.budget is not None,
+    )
+    device = str(device_of(args.device))
+    tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
+    box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
+    waters = [compare_waters.in_solver(robot, args.out, **box, variation=run) for run in runs]
+    beside = [(0.0, 0.0), *(compare_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]
+    body = engines.make(args.engine, fitted)
+    surrogates = [compare_waters.in_surrogate(fitted, body, shift) for shift in beside]
+    with interrupt.keeping(lambda: kept_words(args.out)):
+        with console.Progress(total, "rank in the solver", unit="sim s") as bar:
+            trials, solved = in_turn(brains, trials, waters, tanks, args.budget, bar)
+        each = trials.duration * len(trials) * len(brains)
+        with console.Progress(each * len(surrogates), "rank in the surrogate", unit="sim s") as bar:
+            reports = [report_after(bar, i * each) for i in range(len(surrogates))]
+            swum = [
+                compare_waters.swim(brains, trials, water, report=told) for water, told in zip(surrogates, reports, strict=True)
+            ]
+        return shown(verdict(trials, solved, swum, model, args), args)
+
+
+def kept_words(folder: Path) -> str:
+    """What an interrupted ranking says."""
+    swims = compare_waters.kept_in(folder)
+    return f"{swims} holds {len(list(swims.glob('*.npz')))} finished trials of the solver; {interrupt.again()}"
+
+
+def report_after(bar: console.Progress, before: float) -> compare_waters.Said:
+    """A report to the bar of a run that begins when `before` s of water are done."""
+    return lambda name, done: bar.update(before + done, controller=name)
+
+
+def in_turn(brains, trials: protocol.Trials, waters: list, tanks: int, budget: float | None, bar) -> tuple:
+    """All trials in the solver, then again in its repeats: the trials that all of them have finished, and the figures of every
+    run."""
+    found, before = [], 0.0
+    for water in waters:
+        report = report_after(bar, before)
+        trials, figures = compare_waters.solve(brains, trials, water, group=tanks, budget=budget, report=report)
+        found.append(figures)
+        before += trials.duration * len(trials) * len(brains)
+    return trials, [{name: {k: v[: len(trials)] for k, v in rows.items()} for name, rows in figures.items()} for figures in found]
+
+
+def default_model(fish: str) -> str:
+    """The fitted water of this fish, or the one that comes with fishmj.
+
+    Raises:
+        ConfigError: none comes with it.
+    """
+    name, known = load_robot(fish).name, shipped()
+    if not known:
+        raise ConfigError("rank: no fitted water is shipped with this build; fit one: python -m fishmj.hydro_fit fit")
+    return name if name in known else known[0]
+
+
+def chosen(args) -> protocol.Trials:
+    """The first `--trials` of the decided ones, in their spread order."""
+    every = compare_waters.spread(protocol.trials(seed=args.seed, duration=args.seconds))
+    return replace(every, items=every.items[: args.trials])
+
+
+def verdict(trials: protocol.Trials, solved: list[dict], swum: list[dict], model: HydroModel, args) -> dict:
+    """The judgement of both figures, plain, with all that it depends on; `ok` is None where nothing can be told.
+
+    Args:
+        solved, swum: controller -> key -> (n,) in solver and surrogate, of every run, the trials as they are drawn first.
+    Returns:
+        among others conditions: (m/s, line of sight in deg, repeat) of each trial, in the order of `by_trial`.
+    """
+    of = lambda runs, key: [{name: figures[key] for name, figures in run.items()} for run in runs]
+    judged = {key: rank.judged(key, of(solved, key), of(swum, key)) for key in compare_waters.KEYS}
+    return {
+        "ok": rank.all_of(list(judged["rmse_after_arrival"]["passed"].values())),
+        "preview": args.domain in PREVIEWS,
+        "origin": "synthetic",
+        "model": model.name,
+        "model_fitted_on": model.dataset.get("grid", ""),
+        "model_dataset_sha256": model.dataset.get("sha256", ""),
+        "slip": model.slip,
+        "domain": args.domain,
+        "solver_sha256": solver_sha256(),
+        "seed": args.seed,
+        "trials": {"n": len(trials), "asked": args.trials} | {key: x for key, x in asdict(trials).items() if key != "items"},
+        "conditions": [[item.speed, round(float(np.degrees(item.los)), 6), item.repeat] for item in trials.items],
+        "by_trial": {"solver": solved, "surrogate": swum},
+        **judged,
+    }
+
+
+def shown(found: dict, args) -> int:
+    """Tables, files and the exit code."""
+    t, judged = found["trials"], found["rmse_after_arrival"]
+    head = f"{t['n']} trials of {t['duration']:g} s, {found['model']} against the solver on {found['domain']}"
+    head = f"preview, not a judgement: {head}" if found["preview"] else head
+    console.say("", head, "value (95 % bootstrap interval over trials); gap = surrogate - solver, paired", "")
+    for key in compare_waters.KEYS:
+        console.say(console.table([row_of(key, row) for row in found[key]["controllers"]]), "")
+    console.say(*unbounded(found))
+    if t["n"] < t["asked"]:
+        console.warn(f"{t['n']} of {t['asked']} trials are finished; the same command goes on with the rest")
+    if found["model_fitted_on"] not in ("", found["domain"]):
+        console.warn(f"{found['model']} was fitted to the solver on {found['model_fitted_on']}, ranked on {found['domain']}")
+    console.say(*verdict_lines(judged))
+    clear(args.out, "rank.png")
+    console.say(f"wrote {write_json(args.out / 'rank.json', found)}")
+    try:
+        console.say(f"wrote {picture(judged, args.out / 'rank.png', head)}")
+    except MissingExtra as error:
+        console.warn(f"no picture: {error}")
+    if args.json:
+        console.emit_json(found)
+    return {True: console.OK, False: console.FAILED_CHECK, None: console.CANNOT_TELL}[found["ok"]]
+
+
+def unbounded(found: dict) -> list[str]:
+    """Which controllers' figures stand there without an interval, and why: a line a reason."""
+    rows = [(key, row) for key in compare_waters.KEYS for row in found[key]["controllers"] if row["gap"]["why"]]
+    reasons = dict.fromkeys((key, row["gap"]["why"]) for key, row in rows)
+    named = lambda reason: [row["controller"] for key, row in rows if (key, row["gap"]["why"]) == reason]
+    return [f"{reason[0]} of {', '.join(named(reason))}: {reason[1]}" for reason in reasons]
+
+
+def row_of(key: str, row: dict) -> dict:
+    """One controller as the terminal shows it."""
+    bounds = lambda e, sign: "" if e["why"] else f" ({e['low']:{sign}.3f} {e['high']:{sign}.3f})"
+    cell = lambda e, sign="": f"{e['value']:{sign}.3f}{bounds(e, sign)}"
+    name = row["controller"]
+    about = {"controller": name, "is": MEANING.get(name, "") if row["ranked"] else "not ranked", "n": row["n"]}
+    about |= {
+        f"{key}, solver [m]": cell(row["solver"]),
+        "surrogate [m]": cell(row["surrogate"]),
+        "gap [m]": cell(row["gap"], "+"),
+    }
+    if row["repeats"]:
+        about["solver again [m]"] = " ".join(f"{value:+.3f}" for value in row["repeats"])
+    return about | {"allowed [m]": f"{row['allowed']:.3f}", "within": SAID[row["within"]] if row["ranked"] else ""}
+
+
+def verdict_lines(judged: dict) -> list[str]:
+    """What passed, in words."""
+    told, passed = judged["told_apart"], judged["passed"]
+    return [
+        f"largest gap {judged['gap_max']:.3f} m, each at most what is allowed: {SAID[passed['gap_max']]}",
+        f"Kendall tau {judged['tau']:.2f}, at least {rank.TAU:g}: {SAID[passed['tau']]}; {judged['counted']} of {judged['of']}"
+        f" pairs count, told apart in both waters ({told['solver']} in the solver, {told['surrogate']} in the surrogate);"
+        f" over all pairs, counted or not: {judged['tau_all_pairs']:.2f}",
+    ]

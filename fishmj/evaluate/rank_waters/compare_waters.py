@@ -1,0 +1,138 @@
+"""The same controllers on the same trials in the flow solver and in a surrogate: targets, flows, fish, latencies and noise alike.
+
+Trials are taken in an order of which every beginning is spread over speeds and directions, group by group with all controllers,
+so that a run that ends early leaves complete trials. The solver keeps each finished trial in a folder named by its code; the
+surrogate takes seconds and always runs anew.
+
+    rmse_after_arrival   m, from first entry to 30 s, without arrival from 10 s on        of shorter trials: to the end, the
+    rmse_holding         m, over 40 to 60 s                                               last two thirds, the last third
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import lcm
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fishmj import engines
+from fishmj.base.calib import constant
+from fishmj.evaluate import metrics, run_trials
+from fishmj.evaluate.metrics import Result, arrival_tick
+from fishmj.evaluate.protocol import Trials
+from fishmj.evaluate.run_trials import run
+from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
+from fishmj.mjcf.description import Robot
+
+KEYS = ("rmse_after_arrival", "rmse_holding")
+AGAIN = (
+    run_trials.Variation("r1", (0.37, -0.21)),
+    run_trials.Variation("r2", (-0.14, 0.46)),
+    run_trials.Variation("half", finer=2),
+)
+OFTEN = 8  # repeats of the surrogate beside those of the solver, each with its fish half a cell away at most
+STRIDE = 3  # between directions that follow each other in the order
+
+Report = Callable[[int], None]  # control steps done, summed over trials
+Water = Callable[..., Result]  # (controller, trials, report) -> result
+Figures = dict[str, np.ndarray]  # key -> (n,)
+ByController = dict[str, Figures]
+Said = Callable[[str, float], None]  # controller, seconds of water done
+
+
+def silent(name: str, seconds: float) -> None:
+    """A report that nobody asked for."""
+
+
+def in_solver(
+    robot: Robot, folder: Path, *, domain: str, slip: float, device: str, tanks: int,
+    variation: run_trials.Variation = run_trials.UNCHANGED,
+) -> Water:  # fmt: skip
+    """The flow solver; finished trials are kept in `folder` under the solver's own sha256 and not run again."""
+    kept = kept_in(folder).parent
+
+    def judge(brain, trials: Trials, report: Report) -> Result:
+        box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "tanks": tanks, "variation": variation}
+        return run_trials.judge_in_solver(brain, robot, trials, kept, progress=report, **box)
+
+    return judge
+
+
+def kept_in(folder: Path) -> Path:
+    """Where `in_solver` keeps finished trials."""
+    return Path(folder) / f"solver-{solver_sha256()[:8]}" / run_trials.KEPT
+
+
+def in_surrogate(robot: Robot, engine="batch", shift: tuple[float, float] = (0.0, 0.0)) -> Water:
+    """The robot's own water, fitted or not, in an engine or one by name; every fish let go `shift` m beside its trial's start."""
+    body = engines.make(engine, robot) if isinstance(engine, str) else engine
+    return lambda brain, trials, report: run(brain, robot, trials, body, shift=shift, progress=lambda k: report(k * len(trials)))
+
+
+def shifts(seed: int, cell: float) -> list[tuple[float, float]]:
+    """Where the fish of the surrogate's repeats are let go, m beside their trials: anywhere in the cell around that."""
+    drawn = np.random.default_rng([seed, OFTEN]).uniform(-0.5, 0.5, (OFTEN, 2)) * cell
+    return [(float(x), float(y)) for x, y in drawn]
+
+
+def solve(
+    brains: Sequence, trials: Trials, solver: Water, *, group: int = 1, budget: float | None = None, report: Said = silent
+) -> tuple[Trials, ByController]:
+    """All controllers in the solver, trial by trial.
+
+    Args:
+        brains: controllers. trials: in the order in which they are run. group: trials that run side by side.
+        budget: s of wall clock after which no further group is begun; the first one always is.
+    Returns:
+        the trials that all controllers have finished, and their figures.
+    """
+    began, done, water = time.monotonic(), 0, 0.0
+    rows: dict[str, list[Figures]] = {brain.name: [] for brain in brains}
+    while done < len(trials) and not (done and budget is not None and time.monotonic() - began > budget):
+        some = replace(trials, items=trials.items[done : done + group])
+        for brain in brains:
+            rows[brain.name].append(_one(brain, some, solver, water, report))
+            water += len(some) * trials.duration
+        done += len(some)
+    joined = {name: {key: np.concatenate([row[key] for row in found]) for key in KEYS} for name, found in rows.items()}
+    return replace(trials, items=trials.items[:done]), joined
+
+
+def swim(brains: Sequence, trials: Trials, surrogate: Water, *, report: Said = silent) -> ByController:
+    """All controllers in the surrogate, all trials at once."""
+    each = len(trials) * trials.duration
+    return {brain.name: _one(brain, trials, surrogate, i * each, report) for i, brain in enumerate(brains)}
+
+
+def _one(brain, trials: Trials, water: Water, before: float, report: Said) -> Figures:
+    """One controller; `before` s of water were done when it began."""
+    step = constant("timing", "control_dt")
+    found = figures(water(brain, trials, lambda k: report(brain.name, before + k * step)))
+    report(brain.name, before + len(trials) * trials.duration)
+    return found
+
+
+def figures(r: Result) -> Figures:
+    """Both figures of every trial, (n,) m; of 60 s they are the judge's own rmse_after_arrival and rmse_last20."""
+    last, first = float(r.t[-1]), arrival_tick(r)
+    end = min(constant("protocol", "arrival_time"), last)
+    missed = constant("protocol", "missed_window")[0] * end / constant("protocol", "arrival_time")
+    since = np.where(first >= 0, r.t[first], missed)
+    steady = np.array(constant("protocol", "steady_window")) / constant("protocol", "duration")
+    return {"rmse_after_arrival": metrics.rms(r, since, end), "rmse_holding": metrics.rms(r, *(steady * last))}
+
+
+def spread(trials: Trials) -> Trials:
+    """The same trials in an order of which every beginning has all speeds and directions about equally often, repeats last."""
+    speeds, angles = (sorted({getattr(t, name) for t in trials.items}) for name in ("speed", "los"))
+    period = lcm(len(speeds), len(angles))
+    stride = STRIDE if lcm(STRIDE, len(angles)) == STRIDE * len(angles) else 1
+
+    def place(k: int) -> tuple[float, float]:
+        """Condition k: both move on with k; after a period the speed moves on once more, so that none comes twice."""
+        return speeds[(k + k // period) % len(speeds)], angles[stride * k % len(angles)]
+
+    order = {place(k): k for k in range(len(speeds) * len(angles))}
+    return replace(trials, items=tuple(sorted(trials.items, key=lambda t: (t.repeat, order[t.speed, t.los]))))

@@ -1,0 +1,215 @@
+"""`gap bench --generator` over families: robots are drawn, calibrated, questioned; rows of several machines scored together."""
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+from fishmj.base import console, cost, interrupt
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import write_text
+from fishmj.gap import progress
+from fishmj.gap.bench import families, family_rows, family_score, power, solver_sets
+from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.drawn_robots import BenchRobot, robots
+from fishmj.gap.bench.rows import kept
+from fishmj.gap.bench.workers import answered
+from fishmj.gap.workflow import compiled
+
+ALL = "families"
+CASES, FEW = 1140, 84  # by default; a small benchmark's: of some 60 there is a search
+LOGS, SHORT = 6, 4  # of a case; a small benchmark's
+DECIDED = ("truth", "seed", "experiments", "weighed", "as_described")  # of a row, before anything is asked
+A_CASE = 80.0  # s of a core, those included that are not searched
+
+
+def named(generators: list[str]) -> tuple[str, ...]:
+    """Families that were asked for; none of those that are benchmarks of their own."""
+    wanted = [name for one in generators for name in (families.NAMES if one == ALL else (one,))]
+    return tuple(name for name in families.NAMES if name in wanted)
+
+
+def bench(args, names: tuple[str, ...]) -> int:
+    """Do what was asked for, and score it."""
+    return asked(dealt(args, names), args)
+
+
+def solver(args) -> int:
+    """The same of robots of the flow solver, whose data sets are there (`--sets`)."""
+    todo = solver_sets.robots(args.sets, args.kinds, args.cases)[args.shard[0] :: args.shard[1]]
+    if args.effects:
+        todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
+    if not todo:
+        raise ConfigError(f"gap bench: --sets {args.sets}: no case is left; take other --kinds, --effects or --shard")
+    return asked(todo, args, partial(solver_sets.rows, folder=args.sets))
+
+
+def asked(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] | None = None) -> int:
+    """Rows of robots, and their score. ask: as `judged`."""
+    jobs = args.jobs or usable_cores()
+    found = done(args.out)
+    left = sum(case.id not in found for robot in todo for case in robot.cases)
+    less = "take fewer --cases, --small, more --jobs, or --shard I/N for several machines"
+    cost.time(
+        "gap bench", left * A_CASE / min(jobs, usable_cores()), f"{left} cases", instead=less, flag="--yes", agreed=args.yes
+    )
+    rows = judged(todo, args, found, jobs, ask)
+    strict = args.strict or not (args.small or args.effects or args.shard[1] > 1)
+    return scored(rows, args, strict)
+
+
+def dealt(args, names: tuple[str, ...]) -> list[BenchRobot]:
+    """Robots of this machine's share, each with all of its cases that were asked for.
+
+    Raises:
+        ConfigError: none is left.
+    """
+    (index, shards), logs = args.shard, args.logs or (SHORT if args.small else LOGS)
+    many = args.cases or (FEW if args.small else power.CASES if args.power else CASES)
+    if args.power:
+        todo = power.robots(many, args.seed, names, args.effects, logs)[index::shards]
+    else:
+        todo = robots(many, args.seed, names, args.kinds, logs)[index::shards]
+    if args.effects and not args.power:
+        todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
+    if not todo:
+        raise ConfigError(f"gap bench: no robot is left of {many} cases, every {shards}th from {index}; take more --cases")
+    return todo
+
+
+def scored(rows: list[dict], args, strict: bool) -> int:
+    """Print a score; exit 1 where an aim is missed and somebody cares."""
+    if any(row.get("times") for row in rows):
+        return rated(rows, args, strict)
+    result = family_score.score(rows)
+    if args.out:
+        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
+    console.say(*family_score.told(result))
+    if args.json:
+        console.emit_json(result)
+    missed = [aim["aim"] for aim in result["aims"] if aim["met"] is False]
+    return console.FAILED_CHECK if strict and missed else console.OK
+
+
+def rated(rows: list[dict], args, strict: bool) -> int:
+    """Print the table of power; exit 1 where an aim is missed and somebody cares."""
+    result = power.score(rows)
+    if args.out:
+        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
+    console.say(*power.told(result))
+    if args.json:
+        console.emit_json(result)
+    return console.FAILED_CHECK if strict and False in result["met"].values() else console.OK
+
+
+def together(folders: list[Path], args) -> int:
+    """Score the rows of several folders.
+
+    Raises:
+        ConfigError: a folder without rows, or rows of two benchmarks under one id.
+    """
+    rows: dict[str, dict] = {}
+    for folder in folders:
+        mine = kept(folder / "rows.jsonl")
+        if not mine:
+            raise ConfigError(f"gap bench: --score {folder}: no rows.jsonl with rows in it; name folders of --out")
+        for row in mine:
+            if "family" not in row:
+                raise ConfigError(
+                    f"gap bench: --score {folder}: row {row.get('id')} is of another benchmark; expected --generator families"
+                )
+            other = rows.setdefault(row["id"], row)
+            if any(other.get(key) != row.get(key) for key in DECIDED):
+                raise ConfigError(
+                    f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark at a time"
+                )
+    return scored(list(rows.values()), args, not args.small or args.strict)
+
+
+def hiding_any(one: BenchRobot, effects: tuple[str, ...]) -> BenchRobot:
+    """The robot with those of its cases in which one of `effects` is hidden."""
+    return one._replace(cases=tuple(case for case in one.cases if set(effects) & set(case.effects)))
+
+
+def done(out: Path | None) -> dict[str, dict]:
+    """Rows that are there already, by id."""
+    return {row["id"]: row for row in kept(out / "rows.jsonl")} if out else {}
+
+
+def there(row: dict | None, case: Case, one: family_rows.Asked) -> bool:
+    """Whether a case is done. Raises ConfigError where its row is of another benchmark."""
+    if row is None:
+        return False
+    begun = console.plain(family_rows.begun(case, one))
+    keys = DECIDED if not case.times else (*DECIDED[1:], "times", "drawn")  # its size was scaled since
+    if differs := [key for key in keys if row.get(key) != begun[key]]:
+        what = f"row {case.id} differs in {', '.join(differs)}"
+        raise ConfigError(f"gap bench: {one.out} holds another benchmark: {what}; take another --out, or the options of before")
+    return True
+
+
+def judged(
+    todo: list[BenchRobot], args, found: dict[str, dict], jobs: int, ask: Callable[..., list[dict]] | None = None
+) -> list[dict]:
+    """Rows of all cases, found or made now. Each process writes its own down: one that is stopped loses the case it was at.
+
+    ask: makes the rows of one robot, by default `family_rows.rows`.
+    """
+    waiting = []
+    for robot in todo:
+        one = family_rows.Asked(robot, not args.uncalibrated, args.weighed, args.out)
+        left = tuple(case for case in robot.cases if not there(found.get(case.id), case, one))
+        waiting += [one._replace(robot=robot._replace(cases=left))] if left else []
+    ids = [case.id for robot in todo for case in robot.cases]
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+    if waiting:
+        warmed({one.robot.family for one in waiting})
+
+    def words() -> str:
+        if args.out is None:
+            return "nothing was kept: with --out DIR every finished case is"
+        return f"{args.out} holds {len(set(ids) & set(done(args.out)))} of {len(ids)} cases; {interrupt.again()}"
+
+    with interrupt.keeping(words), progress.shown(len(ids), "bench", "cases") as bar:
+        with following(lambda: bar.update(len(set(ids) & set(done(args.out) or found)))):
+            for made in answered(waiting, ask or family_rows.rows, jobs):
+                found |= {row["id"]: row for row in made}
+        bar.update(len(ids))
+    return [found[i] for i in ids]
+
+
+@contextmanager
+def following(look: Callable[[], None], every: float = 10.0) -> Iterator[None]:
+    """Have `look` called now and then [s]: rows are written by other processes, a robot's one after another."""
+    stop = threading.Event()
+
+    def watch_rows() -> None:
+        while not stop.wait(every):
+            look()
+
+    thread = threading.Thread(target=watch_rows, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def warmed(names: set[str]) -> None:
+    """Compile what all processes share, once, before they begin: they then read it from disk."""
+    from fishmj.gap.calibrate.water_plant import WaterPlant
+    from fishmj.gap.models.swimming_fish import SwimmingFish
+    from fishmj.gap.records.records import record_of
+    from fishmj.mjcf.description import load_robot
+
+    robot = load_robot("fish")
+    for plant in (SwimmingFish(robot), WaterPlant(robot)):
+        compiled(plant, console.say)
+    for name in sorted({*names, families.SECOND} & set(families.NAMES)):
+        swum = families.trials(name, {}, ["idle"], 0, robot)
+    plant.predict([record_of(trial, plant.dt) for trial in swum], plant.null)

@@ -1,0 +1,162 @@
+"""The cases of one robot, one after another: describe it, calibrate it, hide, ask, write down.
+
+    rows(Asked(robot)) -> [row]         one row a case, all in the process that calibrated the robot; kept as each is done
+
+The null runs of a robot are made for its first case and read from disk for the others. They are told to leave fish of the
+robot's own family out (`SimulatedNull.without`).
+"""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, LogError, SimDiverged
+from fishmj.gap.bench import calibrated, families, power
+from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.drawn_robots import BenchRobot, described, number_of, searched
+from fishmj.gap.bench.rows import keep
+from fishmj.gap.bench.run import answered_by
+from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.progress import Quiet
+from fishmj.gap.search import healthy_swims
+from fishmj.gap.search.healthy_swims import Healthy
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.workflow import investigate
+from fishmj.log import Trial
+from fishmj.mjcf.description import Robot
+
+UNABLE = (ConfigError, LogError, SimDiverged)  # of one robot or its logs; anything else stops the benchmark
+APART = 1000  # trials from one case of a robot to the next, so that each has noise of its own
+
+
+class Asked(NamedTuple):
+    """Work of one process: a robot with the cases that are to be done.
+
+    calibrate: its water first. weighed: with a page of weighings. out: folder of rows.jsonl.
+    """
+
+    robot: BenchRobot
+    calibrate: bool = True
+    weighed: bool = False
+    out: Path | None = None
+
+
+class Laps:
+    """Bars that nobody sees, which add up the process's time by stage."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, total: float, label: str, unit: str = "", at_most: bool = False) -> Iterator[Quiet]:
+        begin = time.process_time()
+        yield Quiet()
+        self.seconds[label] = self.seconds.get(label, 0.0) + time.process_time() - begin
+
+
+def rows(one: Asked) -> list[dict]:
+    """A row of every case. What cannot be searched, or cannot swim, says so in its row."""
+    return written(one, _rows(one))
+
+
+def written(one: Asked, found: Iterable[dict]) -> list[dict]:
+    """Rows as they are found, each put into the folder of `one` at once."""
+    made = []
+    for row in found:
+        made.append(console.plain(row))
+        if one.out:
+            keep(one.out / "rows.jsonl", made[-1])
+    return made
+
+
+def _rows(one: Asked) -> Iterator[dict]:
+    robot = one.robot
+    about = {"model": "drawn" if robot.drawn else "fish"}
+    try:
+        known, model, own, more = questioned(one)
+    except UNABLE as error:
+        yield from (begun(case, one) | about | refused(error) for case in robot.cases)
+        return
+    for case in robot.cases:
+        yield begun(case, one) | about | more | row(one, case, known, model, own)
+
+
+def questioned(one: Asked) -> tuple[Robot, object, Healthy | None, dict]:
+    """(true description, the model that is questioned, what its own healthy swims tell, what rows say of all three)."""
+    from fishmj.gap.models.swimming_fish import SwimmingFish
+
+    begin = time.process_time()
+    known, redraws, speed = described(one.robot)
+    facts = of_body(known) | {"redraws": redraws, "lengths_a_second": speed, "calibrated": None}
+    believed = known
+    if one.calibrate:
+        believed, facts["calibrated"] = calibrated.calibrated(one.robot.family, one.robot.seed, known)
+    model = SwimmingFish(believed)
+    _ = model.kernel
+    own = None
+    if one.calibrate:
+        swims = calibrated.swims(one.robot.family, one.robot.seed, known)
+        own = healthy_swims.known(model, swims, SimulatedNull(without=one.robot.family))
+    facts["own"] = own.left if own else 0.0
+    return known, model, own, facts | {"robot_cpu_seconds": time.process_time() - begin}
+
+
+def row(one: Asked, case: Case, known: Robot, model, own: Healthy | None = None) -> dict:
+    """What a row says of one case of a robot."""
+    robot, begin, about = one.robot, time.process_time(), {}
+    try:
+        if case.times:
+            hidden, strength = power.scaled(robot.family, case, known)
+            case, about = case._replace(effects=hidden), {"truth": hidden}
+            if not power.reached(strength, case.times):
+                return about | {"answer": power.NOT_REACHED, "detectable": strength}
+        number = APART * (1 + number_of(case))
+        trials = families.trials(robot.family, case.effects, case.logs, robot.seed, known, first=number, noise=case.noise)
+        seen = families.detectable(robot.family, case.effects, case.logs, robot.seed, known)
+    except (ConfigError, SimDiverged) as error:  # what is hidden leaves no robot, or one that does not swim
+        return {"answer": "DIVERGED", "reason": str(error)}
+    page = families.page(robot.family, case.effects, robot.seed, known) if one.weighed else None
+    return about | answered(case, robot, model, trials, seen, page, time.process_time() - begin, own)
+
+
+def answered(
+    case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float,
+    own: Healthy | None = None,
+) -> dict:  # fmt: skip
+    """What a row says of a search, where there is one. seen: how much of what is hidden shows, by the generator; data: CPU
+    seconds that the trials took; own: what the swims tell that it was calibrated to."""
+    about = {"detectable": seen["all"], "each_detectable": seen["each"]}
+    about |= {"noise_only": seen["noise_only"], "each_noise_only": seen["each_noise_only"]}
+    if not case.times and not searched(case, seen["each"]):
+        return about | {"answer": "NOT_SEARCHED"}
+    made, start, laps = time.process_time(), time.monotonic(), Laps()
+    null = SimulatedNull(noise=case.noise, without=robot.family)
+    try:
+        asked = partial(investigate, model, trials, gates=frozen(), null=null, seed=robot.seed, bars=laps)
+        verdict = asked(page=page, mass_known=False, healthy=own).verdict
+    except UNABLE as error:
+        return about | refused(error)
+    cpu = {"data": data, **laps.seconds, "whole search": time.process_time() - made}
+    return about | answered_by(verdict) | {"cpu_seconds": cpu, "seconds": data + time.monotonic() - start}
+
+
+def of_body(robot: Robot) -> dict:
+    """What a row says of a description."""
+    return {"links": len(robot.links), "length": robot.length, "mass": robot.mass}
+
+
+def begun(case: Case, one: Asked) -> dict:
+    """What a row says of a case before anything is asked: two rows of one id that differ in it are of two benchmarks."""
+    out = {"id": case.id, "kind": case.kind, "truth": case.effects, "noise": case.noise, "logs": len(case.logs)}
+    out |= {"times": case.times, "drawn": case.effects} if case.times else {}
+    out |= {"experiments": list(case.logs), "weighed": one.weighed, "as_described": not one.calibrate}
+    return out | {"family": one.robot.family, "robot": one.robot.id, "seed": one.robot.seed}
+
+
+def refused(error: Exception) -> dict:
+    """Of a search that was refused: it named nothing, and agreed with nothing."""
+    return {"answer": "REFUSED", "reason": str(error), "said": [], "rivals": []}

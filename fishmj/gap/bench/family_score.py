@@ -1,0 +1,154 @@
+"""What rows of several families amount to: per family and pooled, each share with its 95 % bounds, and the aims.
+
+    detectable      mean square of what is hidden, over the noise and what healthy robots of that family differ by, above 5
+    precision       of detectable singles that are NAMED: the hidden effect and nothing beside it; a phantom counts as wrong
+    phantoms        names beside those that are hidden, of all NAMED rows with something hidden, whatever its size
+    or twins        `CLASS` counts, too, where it lists the hidden effect and what is the same by construction alone
+    old definition  over the noise alone (`noise_only`), the figure of the benchmark on the second robot
+
+A search that was refused counts as one that says nothing. A robot that left the finite numbers is left out, and counted; so is
+what was not searched, being too small to be seen (`drawn_robots.searched`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.base import console
+from fishmj.gap.bench.score import inside, names, relative_errors, same, share, twin
+from fishmj.gap.laboratory.generators.detectability import BOUND
+
+
+class Aim(NamedTuple):
+    """A share of `scored`, where it should lie, and of how many cases (asked in sum)."""
+
+    key: str
+    low: float
+    high: float
+    asked: int
+
+    def met(self, found: dict) -> bool | None:
+        """Whether the point estimate lies there; None of no case at all."""
+        return self.low <= found["value"] <= self.high if found["n"] else None
+
+
+AIMS = (
+    Aim("false_alarms", 0.0, 0.02, 200),
+    Aim("agrees", 0.80, 1.0, 200),
+    Aim("precision", 0.97, 1.0, 1),
+    Aim("coverage", 0.80, 1.0, 200),
+    Aim("misnamed_off_catalogue", 0.0, 0.05, 80),
+    Aim("pairs_both_found", 0.50, 1.0, 60),
+    Aim("intervals_hold", 0.80, 0.97, 1),
+)
+FEWEST = 25  # cases of a family and kind
+KINDS = {"false_alarms": "none", "coverage": "detectable singles", "misnamed_off_catalogue": "off", "pairs_both_found": "pairs"}
+
+
+def score(rows: list[dict]) -> dict:
+    """{"pooled": figures, "families": {name: figures}, "models": {"drawn", "fish"}, "aims": [..]}, figures as of `figures`."""
+    apart = lambda key: {name: figures([r for r in rows if r[key] == name]) for name in sorted({r[key] for r in rows})}
+    pooled = figures(rows)
+    aims = [
+        {
+            "aim": aim.key,
+            "low": aim.low,
+            "high": aim.high,
+            "asked": aim.asked,
+            "n": pooled[aim.key]["n"],
+            "met": aim.met(pooled[aim.key]),
+        }
+        for aim in AIMS
+    ]
+    return {"pooled": pooled, "families": apart("family"), "models": apart("model"), "aims": aims}
+
+
+def figures(every: list[dict]) -> dict:
+    """All shares of some rows."""
+    rows = [r for r in every if r["answer"] not in ("DIVERGED", "NOT_SEARCHED")]
+    kind = {k: [r for r in rows if r["kind"] == k] for k in ("single", "pair", "none", "off")}
+    singles = [r for r in kind["single"] if r.get("detectable", 0.0) > BOUND]
+    old = [r for r in kind["single"] if r.get("noise_only", 0.0) > BOUND]
+    named = [r for r in singles if r["answer"] == "NAMED"]
+    whole = [r for r in named if names(r) == set(r["truth"])]
+    right = [r for r in old if r["answer"] == "NAMED" and names(r) == set(r["truth"])]
+    alike = [r for r in named if len(names(r)) == 1 and same(next(iter(names(r))), next(iter(r["truth"])))]
+    hiding = [r for k in ("single", "pair") for r in kind[k] if r["answer"] == "NAMED"]
+    twins = [r for r in singles if r["answer"] == "CLASS" and twin(r)]
+    pairs = [r for r in kind["pair"] if min(r.get("each_detectable", {"": 0.0}).values()) > BOUND]
+    either = [r for r in kind["pair"] if r.get("detectable", 0.0) > BOUND]
+    said = [r for r in singles if r["said"]]
+    errors = [e for r in whole for e in relative_errors(r)]
+    seconds = [r["seconds"] for r in rows if "seconds" in r]
+    count = lambda given, *answers: sum(r["answer"] in answers for r in given)
+    return {
+        "n": len(rows),
+        "robots": len({r["robot"] for r in rows}),
+        "false_alarms": share(count(kind["none"], "NAMED", "CLASS"), len(kind["none"])),
+        "agrees": share(count(kind["none"], "AGREES"), len(kind["none"])),
+        "precision": share(len(whole), len(named)),
+        "precision_of_class": share(len(alike), len(named)),
+        "coverage": share(len(whole), len(singles)),
+        "coverage_or_twins": share(len(whole) + len(twins), len(singles)),
+        "first_is_right": share(sum(same(r["said"][0]["name"], next(iter(r["truth"]))) for r in said), len(said)),
+        "agrees_though_detectable": share(count(singles, "AGREES"), len(singles)),
+        "coverage_old_definition": share(len(right), len(old)),
+        "phantoms": share(sum(not names(r) <= set(r["truth"]) for r in hiding), len(hiding)),
+        "misnamed_off_catalogue": share(count(kind["off"], "NAMED"), len(kind["off"])),
+        "pairs_both_found": share(sum(r["answer"] == "NAMED" and set(r["truth"]) <= names(r) for r in pairs), len(pairs)),
+        "pairs_one_found": share(sum(r["answer"] == "NAMED" and bool(set(r["truth"]) & names(r)) for r in either), len(either)),
+        "intervals_hold": share(sum(held := [c for r in whole for c in inside(r)]), len(held)),
+        "value_error_median": float(np.median(errors)) if errors else None,
+        "value_error_p90": float(np.percentile(errors, 90)) if errors else None,
+        "refused": count(rows, "REFUSED"),
+        "diverged": count(every, "DIVERGED"),
+        "not_searched": count(every, "NOT_SEARCHED"),
+        "redraws": sum({r["robot"]: r.get("redraws", 0) for r in rows}.values()),
+        "speed_error_mean": _mean(
+            [r["calibrated"]["value"] for r in rows if r.get("calibrated") and r["calibrated"]["value"] is not None]
+        ),
+        "seconds_median": float(np.median(seconds)) if seconds else None,
+    }
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def told(result: dict) -> list[str]:
+    """The score in lines: the pooled figures with their aims, then a table of the families and of the two kinds of model."""
+    aims = {aim["aim"]: aim for aim in result["aims"]}
+    lines = ["all families", *(_line(key, value, aims.get(key)) for key, value in result["pooled"].items())]
+    parts = {**result["families"], **{f"model {name}": found for name, found in result["models"].items()}}
+    lines += ["", console.table([{"": name} | _cells(found) for name, found in parts.items()])]
+    few = [(aim["n"], aim["asked"], KINDS[aim["aim"]]) for aim in result["aims"] if aim["aim"] in KINDS]
+    less = ", ".join(f"{n} of {asked} {what}" for n, asked, what in few if n < asked)
+    thin = ", ".join(
+        f"{name} {found[key]['n']} {what}"
+        for name, found in result["families"].items()
+        for key, what in KINDS.items()
+        if found[key]["n"] < FEWEST
+    )
+    lines += [f"fewer than asked in sum: {less}"] if less else []
+    return lines + ([f"fewer than {FEWEST} in a family: {thin}"] if thin else [])
+
+
+def _cells(found: dict) -> dict:
+    """Of a family: what the aims are about, hits and cases."""
+    return {aim.key.replace("_", " "): f"{found[aim.key]['hits']} of {found[aim.key]['n']}" for aim in AIMS}
+
+
+def _line(key: str, value, aim: dict | None = None) -> str:
+    if not isinstance(value, dict):
+        return f"  {key:28s} {value if value is None or isinstance(value, int) else round(value, 3)}"
+    if not value["n"]:
+        return f"  {key:28s}      -  (none)"
+    text = (
+        f"  {key:28s} {value['value']:6.1%}  ({value['hits']} of {value['n']}; 95 %: {value['low']:.1%} to {value['high']:.1%})"
+    )
+    return text if aim is None else f"{text}  aim {_ends(aim)}: {'met' if aim['met'] else 'MISSED'}"
+
+
+def _ends(aim: dict) -> str:
+    low, high = aim["low"], aim["high"]
+    return f"<= {high:.0%}" if low == 0.0 else f">= {low:.0%}" if high == 1.0 else f"{low:.0%} to {high:.0%}"

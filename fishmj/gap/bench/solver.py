@@ -1,0 +1,74 @@
+"""Cases of the flow solver: data sets that it made, some with an effect hidden in them, and null sets of its own fish.
+
+    data/gap/lbm/nulls/<name>.npz        nothing hidden            `RecordedNull` without the one in question
+    data/gap/lbm/planted/<name>.npz      an effect each
+    data/gap/lbm/truth.json              {name: {"effects": {..}, "seed": ..}}, opened here only
+
+The search sees the model in the water that was fitted to the solver. How large a hidden effect is (`true_gap`) is told by the
+second robot, with and without it: the same constants and servos in another water.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import StoreError
+from fishmj.base.store import read_json
+from fishmj.base.store.manifest import SOURCES
+from fishmj.engines import in_water
+from fishmj.gap.bench.cases import Case
+from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
+from fishmj.log import Trial
+from fishmj.mjcf.description import load_robot
+
+WATER = "swift-base"
+
+
+class Given(NamedTuple):
+    """A case with its data, and a null that leaves them out."""
+
+    case: Case
+    trials: list[Trial] | None  # None: the second robot makes them
+    null: SimulatedNull
+
+    @property
+    def id(self) -> str:
+        """Of the case."""
+        return self.case.id
+
+
+def folder() -> Path:
+    """Of the shipped data sets."""
+    return calib_folder().parent / "gap" / "lbm"
+
+
+@cache
+def plant():
+    """The fish in the water fitted to the solver."""
+    from fishmj.gap.models.swimming_fish import SwimmingFish
+
+    return SwimmingFish(in_water(load_robot("fish"), WATER))
+
+
+def draw(where: Path | None = None) -> list[Given]:
+    """Every data set as a case; all of its experiments.
+
+    Raises:
+        StoreError: the planted sets are not here, as in an installed package; a data set without its truth, or the truth of none.
+    """
+    where = where or folder()
+    if not (where / "planted").is_dir():
+        raise StoreError(f"{where}: no folder `planted`: the solver's cases are not in the installed package, only {SOURCES}")
+    truth = read_json(where / "truth.json")
+    paths = {path.stem: path for part in ("nulls", "planted") for path in sorted((where / part).glob("*.npz"))}
+    if odd := set(paths) ^ set(truth):
+        raise StoreError(f"{where}: data sets and truth.json differ: {', '.join(sorted(odd)[:5])}; fetch the folder again")
+    out = []
+    for name, path in paths.items():
+        trials, told = list(trials_of(path)), truth[name]
+        logs = tuple(str(trial.value("excitation")) for trial in trials)
+        kind = {0: "none", 1: "single"}.get(len(told["effects"]), "pair")
+        case = Case(name, kind, told["effects"], 1.0, logs, int(told["seed"]))
+        out.append(Given(case, trials, RecordedNull(folder=where / "nulls", without=(name,))))
+    return out

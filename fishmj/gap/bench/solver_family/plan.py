@@ -1,0 +1,173 @@
+"""What is swum in the solver: robots of several models, each with free swims to calibrate by, a session, and cases.
+
+    planned(Asked(models={"fish": "fish"}, robots=14, seed=1)) -> Plan         drawn from the seed, kept as plan.json
+
+A robot carries one case with nothing hidden, singles, and every other one a fault outside the catalogue, all in one session of
+designed experiments. Every four robots of a model share two sessions which have no experiment in common, so that each experiment
+is swum by half of the healthy robots: by what these differ by, an effect is detectable or not (detectability.py).
+
+The solver is slow, so that what nobody could see is not swum: a single is drawn again until its mean square in the second
+robot's water is `LIKELY` at least. That is a forecast; what counts is the solver's own, found afterwards.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, SimDiverged, StoreError
+from fishmj.base.store import read_json, write_json, write_text
+from fishmj.gap.bench import calibrated, families
+from fishmj.gap.bench.cases import STRENGTH, Case, dealt
+from fishmj.gap.bench.drawn_robots import FIRST
+from fishmj.gap.laboratory.generators.detectability import BOUND
+from fishmj.log import excitation
+from fishmj.log.excitation import PERIOD, Excitation
+from fishmj.mjcf.description import Robot, load_robot
+
+SOLVER = "solver"  # name of the family, in rows and in the structural error
+SCHEMA = "fishmj.solver_family/1"
+FILE = "plan.json"
+MODELS = "models"  # folder of descriptions
+LOGS = 6  # of a session: half of the designed experiments
+SHARING = 4  # robots of a model that share two sessions
+LIKELY = BOUND / 2
+DRAWS = 12  # of a single, at most
+
+
+class Asked(NamedTuple):
+    """What a plan is drawn from. models: name -> description. seconds: to which experiments are cut; calibration: free swims."""
+
+    models: dict[str, str]
+    robots: int = 14
+    singles: int = 2
+    seed: int = 0
+    seconds: float = 10.0
+    calibration: float = 8.0
+    domain: str = "window_coarse"
+
+
+class Planned(NamedTuple):
+    """One robot: its model's name, its seed, the experiments of its session, and its cases. forecasts: of each."""
+
+    id: str
+    model: str
+    seed: int
+    experiments: tuple[str, ...]
+    cases: tuple[Case, ...]
+    forecasts: tuple[float | None, ...]
+
+
+class Plan(NamedTuple):
+    """All of it. descriptions: of the models, by name."""
+
+    asked: Asked
+    robots: tuple[Planned, ...]
+    descriptions: dict[str, Robot]
+
+
+def swims(robot: Robot, seconds: float) -> list[Excitation]:
+    """Free swims that a robot's water is calibrated to, each cut to `seconds`."""
+    return [cut(what, seconds) for what in families.runs_of(calibrated.SWIMS, robot)]
+
+
+def session(one: Planned, robot: Robot, seconds: float) -> list[Excitation]:
+    """Experiments of a robot, each cut to `seconds`."""
+    return [cut(what, seconds) for what in families.runs_of(one.experiments, robot)]
+
+
+def cut(what: Excitation, seconds: float) -> Excitation:
+    """The first `seconds` of an experiment."""
+    return replace(what, commands=what.commands[: max(round(seconds / PERIOD), 1)])
+
+
+def planned(asked: Asked, tick=lambda done: None) -> Plan:
+    """Draw everything. tick: is told how many robots are done.
+
+    Raises:
+        ConfigError, UnknownName: no such model.
+    """
+    descriptions = {name: load_robot(source) for name, source in asked.models.items()}
+    found: dict[tuple[int, int], Planned] = {}
+    for number, name in enumerate(asked.models):
+        decks: dict[str, list[str]] = {"single": [], "off": []}
+        sessions = [_session(asked.seed, number, turn) for turn in range(asked.robots)]
+        # those of one session one after another: the healthy robots of a forecast are made once a session
+        for turn in sorted(range(asked.robots), key=lambda turn: (sessions[turn], turn)):
+            found[turn, number] = _robot(asked, name, number, turn, sessions[turn], descriptions[name], decks)
+            tick(len(found))
+    return Plan(asked, tuple(found[key] for key in sorted(found)), descriptions)
+
+
+def _session(seed: int, number: int, turn: int) -> tuple[str, ...]:
+    """One half or the other of the designed experiments."""
+    order = np.random.default_rng([seed, 22, number, turn // SHARING]).permutation(len(excitation.DESIGNED))
+    half = order[:LOGS] if turn % 2 == 0 else order[-LOGS:]
+    return tuple(excitation.DESIGNED[k] for k in sorted(half.tolist()))
+
+
+def _robot(asked: Asked, name: str, number: int, turn: int, runs: tuple[str, ...], robot: Robot, decks: dict) -> Planned:
+    rng = np.random.default_rng([asked.seed, 23, number, turn])
+    seed = FIRST + 1_000_000 * (asked.seed % 500) + 10_000 * len(families.NAMES) + 1000 * number + turn
+    kinds = ["none", *["single"] * asked.singles, *(["off"] if turn % 2 else [])]
+    told = f"{SOLVER}-{asked.seed}-{name}-{turn:02d}"
+    able, cases, forecasts = families.pool(families.SECOND), [], []
+    for i, kind in enumerate(kinds):
+        effects: dict = {}
+        forecast = None
+        for _ in range(DRAWS if kind == "single" else 1 if kind == "off" else 0):
+            source = able.off if kind == "off" else able.catalogued
+            chosen = dealt(decks[kind], list(source), rng)
+            effects = {chosen: source[chosen].draw(rng, float(np.exp(rng.uniform(*np.log(STRENGTH)))))}
+            if kind == "off":
+                break
+            try:
+                forecast = families.detectable(families.SECOND, effects, runs, seed, robot)["all"]
+            except (ConfigError, SimDiverged):
+                forecast = 0.0
+            if forecast >= LIKELY:
+                break
+        cases.append(Case(f"{told}-{i}", kind, effects, 1.0, runs, seed))
+        forecasts.append(forecast)
+    return Planned(told, name, seed, runs, tuple(cases), tuple(forecasts))
+
+
+# ------------------------------------------------------------------------------------------------------------------------ on disk
+def write(plan: Plan, folder: Path) -> None:
+    """plan.json, and beside it the descriptions that are files."""
+    models = {}
+    for name, source in plan.asked.models.items():
+        models[name] = source
+        if Path(source).is_file():
+            models[name] = f"{MODELS}/{name}.toml"
+            write_text(folder / models[name], Path(source).read_text(encoding="utf-8"))
+    robots = []
+    for one in plan.robots:
+        cases = [
+            {"id": case.id, "kind": case.kind, "effects": case.effects, "forecast": forecast}
+            for case, forecast in zip(one.cases, one.forecasts, strict=True)
+        ]
+        robots.append({"id": one.id, "model": one.model, "seed": one.seed, "experiments": list(one.experiments), "cases": cases})
+    body = {"schema": SCHEMA, "origin": "synthetic", "asked": plan.asked._asdict() | {"models": models}, "robots": robots}
+    write_json(folder / FILE, console.plain(body))
+
+
+def read(folder: Path) -> Plan:
+    """The plan of a folder.
+
+    Raises:
+        StoreError: there is none, or it is none.
+    """
+    told: dict[str, Any] = read_json(folder / FILE)
+    if told.get("schema") != SCHEMA:
+        raise StoreError(f"{folder / FILE}: schema {told.get('schema')!r}, expected {SCHEMA!r}")
+    asked = Asked(**told["asked"])
+    places = {name: str(folder / source) if (folder / source).is_file() else source for name, source in asked.models.items()}
+    robots = []
+    for one in told["robots"]:
+        runs = tuple(one["experiments"])
+        cases = tuple(Case(c["id"], c["kind"], c["effects"], 1.0, runs, one["seed"]) for c in one["cases"])
+        robots.append(Planned(one["id"], one["model"], one["seed"], runs, cases, tuple(c["forecast"] for c in one["cases"])))
+    return Plan(asked, tuple(robots), {name: load_robot(place) for name, place in places.items()})

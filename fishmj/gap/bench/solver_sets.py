@@ -1,0 +1,112 @@
+"""Robots of the flow solver as a family of the benchmark: their data sets were swum before (`studies.solver_family`).
+
+Each robot's model is calibrated to its own free swims in the solver; the search is told to leave the solver out, so that the null
+runs are the second robot's and the structural error has never seen a fish of the solver.
+
+    robots(folder, kinds) -> [BenchRobot]        those whose data sets are complete
+    rows(Asked(robot), folder) -> [row]          as `family_rows.rows`
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.base.machine_code import cache_folder
+from fishmj.base.store import read_json
+from fishmj.gap.bench import calibrated
+from fishmj.gap.bench.drawn_robots import BenchRobot
+from fishmj.gap.bench.family_rows import UNABLE, Asked, answered, begun, of_body, refused, written
+from fishmj.gap.bench.solver_family import plan as plans
+from fishmj.gap.bench.solver_family.layout import FREE, SETS, TRUTH
+from fishmj.gap.null.null_runs import SimulatedNull, digest
+from fishmj.gap.search import healthy_swims
+from fishmj.gap.search.healthy_swims import Healthy
+from fishmj.log import Trial
+from fishmj.log.dataset import read_bundle
+from fishmj.mjcf.description import Robot
+
+SHIPPED = "fish"
+
+
+def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
+    """Robots with their cases of these kinds, `many` in sum at most, of which the data sets are there.
+
+    Raises:
+        ConfigError: there are none. StoreError: the folder is none of `studies.solver_family`.
+    """
+    plan, known = plans.read(folder), read_json(folder / TRUTH)["cases"]
+    out: list[BenchRobot] = []
+    left = many or sum(len(one.cases) for one in plan.robots)
+    for one in plan.robots:
+        mine = tuple(case for case in one.cases if case.kind in kinds and case.id in known)[:left]
+        if mine:
+            out.append(BenchRobot(one.id, plans.SOLVER, one.model != SHIPPED, one.seed, mine))
+        left -= len(mine)
+    if not out:
+        raise ConfigError(
+            f"gap bench: --sets {folder}: no data set is complete;"
+            f" python -m fishmj.gap.bench.solver_family --out {folder} goes on"
+        )
+    return out
+
+
+def rows(one: Asked, folder: Path) -> list[dict]:
+    """A row of every case, each put down as it is done."""
+    return written(one, _rows(one, folder))
+
+
+def _rows(one: Asked, folder: Path) -> Iterator[dict]:
+    plan, truth = plans.read(folder), read_json(folder / TRUTH)["cases"]
+    told = next(robot for robot in plan.robots if robot.id == one.robot.id)
+    known = plan.descriptions[told.model]
+    about: dict = {"model": "drawn" if one.robot.drawn else SHIPPED, "described": told.model, "domain": plan.asked.domain}
+    about |= of_body(known) | {"redraws": 0, "calibrated": None}
+    try:
+        model, error, own = questioned(one, known, read_bundle(folder / SETS / f"{one.robot.id}-{FREE}.npz"))
+    except UNABLE as refusal:
+        yield from (begun(case, one) | about | refused(refusal) for case in one.robot.cases)
+        return
+    about |= {"calibrated": error, "own": own.left if own else 0.0}
+    for case in one.robot.cases:
+        begin = time.process_time()
+        trials = read_bundle(folder / SETS / f"{case.id}.npz")
+        seen, data = truth[case.id]["detectable"], time.process_time() - begin
+        more = {"swum": len(trials), "healthy": seen["healthy"]}
+        yield begun(case, one) | about | more | answered(case, one.robot, model, trials, seen, None, data, own)
+
+
+def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dict | None, Healthy | None]:
+    """(the model that is questioned, how wrong its speed is on swims left out of its calibration, what these swims tell).
+
+    Raises:
+        LogError: the free swims say nothing.
+    """
+    from fishmj.gap.models.swimming_fish import SwimmingFish
+
+    believed, error, own = known, None, None
+    if one.calibrate:
+        told = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
+        path = cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
+        believed, error = calibrated.kept(path, plans.SOLVER, known, lambda: free)
+    model = SwimmingFish(believed)
+    _ = model.kernel
+    if one.calibrate:
+        own = healthy_swims.known(model, free, SimulatedNull(without=plans.SOLVER))
+    return model, error, own
+
+
+def fingerprint(trials: list[Trial]) -> str:
+    """Hash of all that was logged."""
+    found = hashlib.sha256()
+    for trial in trials:
+        found.update(json.dumps(console.plain(trial.meta), sort_keys=True).encode())
+        for _, table in sorted(trial.tables.items()):
+            for _, values in sorted(table.items()):
+                found.update(np.ascontiguousarray(values, float).tobytes())
+    return found.hexdigest()

@@ -1,0 +1,67 @@
+"""Cases of a benchmark side by side, a process and a core each.
+
+A search by itself leaves most of a second core idle: only its rollouts share their work between threads. Each process is bound to
+one core, so that everything in it (rollouts, BLAS, null runs) keeps to one thread.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from typing import Any
+
+from fishmj.base.cores import usable_cores
+from fishmj.base.processes import bind, deaf, ends_with_its_parent
+
+ALONE = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "JAX_PLATFORMS": "cpu",
+}
+
+
+def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
+    """What is made of each, as they are done; ask and all of todo can be pickled. One job works here, in order.
+
+    Raises:
+        what `ask` raises, once; the others are stopped where they are, as by Ctrl-C.
+    """
+    if jobs <= 1 or len(todo) < 2:
+        yield from map(ask, todo)
+        return
+    context, others = get_context("spawn"), active_children()
+    with alone(), deaf():
+        pool = ProcessPoolExecutor(min(jobs, len(todo)), context, bound, (context.Value("i", 0),))
+        waiting = [pool.submit(ask, one) for one in todo]
+    try:
+        for done in as_completed(waiting):
+            yield done.result()
+    except BaseException:
+        for child in active_children():
+            if child not in others:
+                child.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """Processes begun meanwhile find libraries set to one thread; what is set already stays."""
+    before = dict(os.environ)
+    os.environ.update({key: value for key, value in ALONE.items() if key not in before})
+    try:
+        yield
+    finally:
+        for key in ALONE.keys() - before.keys():
+            del os.environ[key]
+
+
+def bound(begun) -> None:
+    """First in each process: a core of its own, and an end with the one that began it. begun: how many there are."""
+    ends_with_its_parent()
+    with begun.get_lock():
+        number, begun.value = begun.value, begun.value + 1
+    bind(number, usable_cores())

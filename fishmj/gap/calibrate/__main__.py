@@ -1,0 +1,176 @@
+"""Calibrate a fish against its logs: servo, latency, slip, water, mass."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from fishmj.base import console, interrupt
+from fishmj.base.console import Command
+from fishmj.base.errors import ConfigError
+from fishmj.mjcf.description import load_robot
+
+CHECKED = Path("runs") / "calibrate" / "check"  # finished robots of `check`
+RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
+
+
+def fit(verb: str, argv: list[str]) -> int:
+    """One of the calibrations: servo, latency, slip, water, mass."""
+    from fishmj.gap.calibrate.commands import VERBS
+
+    again = interrupt.again("start again")
+    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
+        args = options(verb).parse_args(argv)
+        if args.out and args.out.is_file():
+            load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
+        if verb == "slip":
+            if args.ratios and not args.recompute:
+                raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
+            args.ratios = args.ratios or RATIOS
+            if args.reference:
+                args.grid, args.boundary = reference_grid(args.grid, args.boundary)
+            args.boundary = args.boundary or "plain"
+        answer = VERBS[verb](args)
+    if args.out:
+        console.say(f"written: {args.out}")
+    if "report" in answer:
+        console.say(f"report: {answer['report']}")
+    if args.json:
+        console.emit_json(answer)
+    return console.OK
+
+
+def reference_grid(grid: str | None, boundary: str | None = None) -> tuple[str, str]:
+    """Grid, for a fish that swims away, and boundary of the reference water. Raises ConfigError where others are asked for."""
+    from fishmj.lbm_oracle.run.solver_water import REFERENCE, boundary_name
+
+    if given := f"--grid {grid}" if grid is not None else f"--boundary {boundary}" if boundary else "":
+        raise ConfigError(f"calibrate slip: {given} beside --reference, which is {REFERENCE.window}; leave one of them out")
+    return REFERENCE.window, boundary_name(REFERENCE.sharpness)
+
+
+def options(verb: str) -> console.Parser:
+    """The arguments of a calibration."""
+    from fishmj.gap.calibrate.calibration_logs import shipped
+    from fishmj.gap.calibrate.commands import VERBS, default_report
+
+    made = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
+    add = made.add_argument
+    add("--data", type=console.path, default=shipped(), help="data set of trials; for mass, the folder of measurements.toml")
+    add("--model", type=console.text, default="fish", help="the fish to start from: shipped name or TOML file")
+    add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    add(
+        "--out",
+        type=_model_file,
+        help="fish file (.toml) to write, or to go on with when it is there; by default none is written",
+    )
+    add(
+        "--report",
+        type=console.out_folder,
+        default=str(default_report(verb)),
+        help="folder for report.html and pictures; those that are there are replaced",
+    )
+    if verb == "slip":
+        from fishmj.lbm_oracle.run.solver_water import boundary_option
+
+        add(
+            "--grid",
+            type=console.text,
+            help="grid of the solver's table: paper, window, laptop; default: the trials', else window",
+        )
+        boundary_option(add, default=None)
+        near = "grid and boundary of the reference water, in place of --grid; by default not"
+        add("--reference", action="store_true", help=near)
+        add("--recompute", action="store_true", help="run the solver and print a new entry of the table; keeps finished swims")
+        ratios = console.Listed(console.number(0, 1), 20)
+        add(
+            "--ratios",
+            type=ratios,
+            metavar="S,..",
+            help="with --recompute: slip ratios to run; default 0,0.9,0.95,0.98,0.99,0.998,1",
+        )
+        place = "with --recompute: auto, cpu, cuda, cuda:N, cuda:all or a list of them; default cpu"
+        add("--device", type=console.devices, default="cpu", help=place)
+        tanks = "with --recompute: swims side by side on each device; default 1"
+        add("--tanks", type=console.whole(1, 64), default=1, help=tanks)
+    return made
+
+
+def drawn(argv: list[str]) -> int:
+    """`check`: the second simulator makes robots, the calibration does not know of whom."""
+    from fishmj.gap.calibrate.calibration_logs import Logs, PartialResults
+    from fishmj.gap.calibrate.commands import check_one, check_rows
+    from fishmj.gap.laboratory.hidden_lbm.calibration_trials import hidden, trials, truth
+    from fishmj.gap.models.swimming_fish import ServoStand
+    from fishmj.gap.progress import shown
+
+    about = (
+        f"Calibrate robots drawn anew, whose numbers are known: errors and coverage. Those that are done are kept in {CHECKED}"
+    )
+    parser = console.parser("calibrate check", f"{about} and not done again.")
+    parser.add_argument("--robots", type=console.whole(1, 1000), default=8, help="how many are drawn; a robot takes minutes")
+    parser.add_argument("--seed", type=console.SEED, default=100, help="of the first")
+    args = parser.parse_args(argv)
+    names = {f"robot-{seed}": seed for seed in range(args.seed, args.seed + args.robots)}
+    kept, plant, robots = PartialResults(CHECKED, {}), ServoStand(), []
+    with interrupt.keeping(lambda: kept.words(list(names), "robots")), shown(args.robots, "robots", "robots") as bar:
+        for done, (name, seed) in enumerate(names.items(), 1):
+            off = kept.find(name)
+            if off is None:
+                off = kept.keep(name, check_one(truth(hidden(seed)), Logs(Path("drawn anew"), trials(seed)), plant))
+            robots.append(off)
+            bar.update(done)
+    rows = check_rows(robots)
+    console.say(console.table(rows))
+    if args.json:
+        console.emit_json({"check": rows})
+    return console.OK
+
+
+def _model_file(text: str) -> Path:
+    """The `type=` of --out."""
+    path = console.out_file(text)
+    if path.suffix != ".toml":
+        raise argparse.ArgumentTypeError(f"{path}: a fish file is a .toml")
+    return path
+
+
+main = console.CommandGroup(
+    "calibrate",
+    __doc__ or "",
+    {
+        "servo": Command(
+            partial(fit, "servo"),
+            "sine, square and impulse, in air and water",
+            "fishmj calibrate servo --out fish.calibrated.toml",
+        ),
+        "latency": Command(
+            partial(fit, "latency"), "the same trials: commands, camera", "fishmj calibrate latency --out fish.calibrated.toml"
+        ),
+        "slip": Command(
+            partial(fit, "slip"),
+            "swims at two beats and a coast-down; prints the profile over s",
+            "fishmj calibrate slip --out fish.calibrated.toml",
+        ),
+        "water": Command(
+            partial(fit, "water"),
+            "free swims: gaits, turns, coasting; thrust, drag, added mass",
+            "fishmj calibrate water --data my_swims --out fish.calibrated.toml",
+        ),
+        "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
+        "score": Command(
+            "fishmj.gap.laboratory.hidden_lbm.score",
+            "synthetic trials only: fitted against the sealed values",
+            "fishmj calibrate score --model fish.calibrated.toml",
+        ),
+        "families": Command(
+            "fishmj.gap.bench.water_families",
+            "how far off water is, on robots of every generator",
+            "fishmj calibrate families --robots 3 --jobs 2",
+        ),
+        "check": Command(drawn, "how far off it is, on robots drawn anew", "fishmj calibrate check --robots 16"),
+    },
+)
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))

@@ -1,0 +1,307 @@
+"""Least squares with intervals that hold although neighbouring residuals are alike.
+
+    theta* = argmin sum_b |r_b|^2 / (s_b^2 tau_b) + sum_c ((theta_c - mean_c) / sigma_c)^2
+    s_b: root mean square of block b's residual at theta*;  tau_b = 1 + 2 sum rho(k), its correlation in samples (Sokal's window)
+
+Standard deviation of a parameter, the largest of three, because a model is never the robot:
+
+    curvature   H^-1, H the normal matrix of the above
+    trials      jackknife over trials:         (L - 1)/L sum_l |theta_-l - theta*|^2
+    signals     the same over kinds of trial (signal and medium): what another experiment would have said
+
+theta_-l is one Gauss-Newton step from theta* (Efron & Stein 1981). The interval is 90 %, with Student's t of the groups' number.
+Fewer than FEW groups tell no width (t = 6.3): there the curvature stands alone.
+
+Residuals beyond a block's `outlier` count by their size instead of their square (Huber 1964, by weights between passes), so that
+a few readings that are no angle do not pull the fit.
+What a calibration is off by although its fit is good (`data/calib/calibrate.toml`) widens every interval.
+"""
+
+from collections.abc import Callable
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.base.calib import read_toml, resolve
+
+PASSES, ROUNDS = 3, 15
+DAMPINGS = (1e-6, 1e-2, 1e-1, 1.0, 10.0)
+NORMAL = 1.645  # standard deviations of a 90 % interval
+FIELDS = ("low", "high", "start", "step", "sigma")
+ENOUGH = 1e-5  # of the cost: less is no progress
+FEW = 3  # groups, below which no jackknife is taken
+AT_BOUND = 1e-3  # of a parameter's range
+
+
+class FreeParameter(NamedTuple):
+    """What is fitted. step: for derivatives; sigma: of the prior about `start`, inf for none."""
+
+    name: str
+    unit: str
+    start: float
+    step: float
+    low: float = -np.inf
+    high: float = np.inf
+    sigma: float = np.inf
+
+
+class Block(NamedTuple):
+    """Where one channel of one trial lies in the residual.
+
+    group: kind of trial, for the jackknife; its blocks share a weight. sigma: what the residual may be, where that is known.
+    outlier: residual from which a sample counts by its size.
+    """
+
+    trial: str
+    group: str
+    where: slice
+    sigma: float | None = None
+    outlier: float = np.inf
+
+
+class ParameterEstimate(NamedTuple):
+    """One parameter with its 90 % interval and what decided its width."""
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    sd: float
+    widest: str  # curvature, trials or signals; "model" where the systematic part is wider
+    bound: str = ""  # "lower" or "upper" where the value ended at a bound of its range
+
+
+class Spread(NamedTuple):
+    """One way to tell how uncertain the parameters are: their covariance (K, K), and Student's quantile of a 90 % interval."""
+
+    covariance: np.ndarray
+    quantile: float
+
+
+class LeastSquaresFit(NamedTuple):
+    """theta (K,), its estimates, the residual (m,) there and at the start, both in units of the channels; spreads by kind."""
+
+    theta: np.ndarray
+    estimates: dict[str, ParameterEstimate]
+    before: np.ndarray
+    after: np.ndarray
+    rounds: int
+    spreads: dict[str, Spread]
+
+
+Residual = Callable[[np.ndarray], np.ndarray]  # (R, K) -> (R, m)
+Tick = Callable[[float], None]  # share of a fit that is done, at the least
+
+
+def fit(
+    parameters: list[FreeParameter],
+    residual: Residual,
+    blocks: list[Block],
+    tick: Tick = lambda share: None,
+    begin: np.ndarray | None = None,
+) -> LeastSquaresFit:
+    """Fit `parameters` so that `residual` becomes small. begin: (K,) where to begin, by default at their `start`."""
+    theta = np.array([p.start for p in parameters]) if begin is None else np.array(begin)
+    before, rounds = residual(theta[None])[0], 0
+    weight = _weights(before, blocks)
+    for done in range(PASSES):  # weighs by what the pass before could not fit
+        theta, more = _descend(parameters, residual, theta, weight, tick, done)
+        rounds, after = rounds + more, residual(theta[None])[0]
+        weight = _weights(after, blocks)
+    r, jac = _linear(parameters, residual, theta, weight)
+    spreads = _spreads(parameters, theta, r, jac, blocks)
+    return LeastSquaresFit(theta, _estimates(parameters, theta, spreads), before, after, rounds, spreads)
+
+
+class Minimum(NamedTuple):
+    """Where a descent ended. theta (K,); residual (m,) weighted; slopes (m, K) a step size; held: (K,) bool, at a bound."""
+
+    theta: np.ndarray
+    cost: float
+    residual: np.ndarray
+    slopes: np.ndarray
+    held: np.ndarray
+    rounds: int
+
+
+def minimum(
+    parameters: list[FreeParameter], residual: Residual, weight: np.ndarray, begin: np.ndarray, rounds: int, enough: float,
+) -> Minimum:  # fmt: skip
+    """Least of |weight residual|^2 + prior, by Levenberg and Marquardt; what pushes against its bound stays there.
+
+    Args:
+        begin: (K,). rounds: at most. enough: two rounds in a row that lower the cost by a smaller share are the last.
+    """
+    low, high, start, step, sigma = (np.array([getattr(p, key) for p in parameters]) for key in FIELDS)
+    theta, small = np.array(begin, float), 0
+    cost = lambda values, points: np.sum(values**2, 1) + np.sum(((points - start) / sigma) ** 2, 1)
+    for done in range(rounds + 1):
+        r, jac = _linear(parameters, residual, theta, weight)
+        slope, curve = _prior(parameters, theta)
+        push = jac.T @ r + slope
+        held = ((theta <= low) & (push > 0)) | ((theta >= high) & (push < 0))
+        now, free = cost(r[None], theta[None])[0], ~held
+        if done == rounds or small == 2:
+            break
+        normal = (jac.T @ jac + curve)[np.ix_(free, free)]
+        scale, changes = np.diag(np.diag(normal)), np.zeros((len(DAMPINGS) + 1, len(theta)))
+        for change, damping in zip(changes, DAMPINGS, strict=False):
+            change[free] = -np.linalg.solve(normal + damping * scale, push[free])
+        changes[-1] = 0.5 * changes[0]
+        tried = np.clip(theta + changes * step, low, high)
+        costs = cost(residual(tried) * weight, tried)
+        best = int(np.argmin(costs))
+        small = small + 1 if not costs[best] < now * (1 - enough) else 0
+        if costs[best] < now:
+            theta = tried[best]
+        else:
+            break
+    return Minimum(theta, float(now), r, jac, held, done)
+
+
+def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
+    """(m,) 1 / (s sqrt(tau)) of each block, from the blocks of its group: a long memory makes a sample worth less."""
+    groups: dict[str, list[Block]] = {}
+    for b in blocks:
+        groups.setdefault(b.group, []).append(b)
+    out = np.empty(len(r))
+    for members in groups.values():
+        robust = [np.sqrt(np.minimum(1.0, b.outlier / np.maximum(np.abs(r[b.where]), 1e-18))) for b in members]
+        kept = [r[b.where] * share for b, share in zip(members, robust, strict=True)]
+        square = np.mean([np.mean(part**2) for part in kept])
+        tau = np.mean([correlation_length(part) for part in kept])
+        for b, share in zip(members, robust, strict=True):
+            out[b.where] = share * (1.0 / np.sqrt(square * tau + 1e-18) if b.sigma is None else 1.0 / b.sigma)
+    return out
+
+
+def _linear(parameters: list[FreeParameter], residual: Residual, theta: np.ndarray, weight: np.ndarray):
+    """Weighted residual (m,) and its slopes (m, K) per step size."""
+    rows = [theta]
+    for k, p in enumerate(parameters):
+        row = theta.copy()
+        row[k] += p.step if row[k] + p.step <= p.high else -p.step
+        rows.append(row)
+    values = residual(np.array(rows)) * weight
+    moved = np.array([row[k] - theta[k] for k, row in enumerate(rows[1:])])
+    steps = np.array([p.step for p in parameters])
+    return values[0], ((values[1:] - values[0]) / moved[:, None] * steps[:, None]).T
+
+
+def _prior(parameters: list[FreeParameter], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slope and curvature of the priors per step size."""
+    step = np.array([p.step for p in parameters])
+    sigma = np.array([p.sigma for p in parameters]) / step
+    off = (theta - np.array([p.start for p in parameters])) / step
+    return off / sigma**2, np.diag(1.0 / sigma**2)
+
+
+def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick, done: int) -> tuple[np.ndarray, int]:
+    """Levenberg and Marquardt's way down, after `done` passes; all dampings of a round are tried in one batch."""
+    low, high = np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
+    start, step = np.array([p.start for p in parameters]), np.array([p.step for p in parameters])
+    sigma = np.array([p.sigma for p in parameters])
+
+    def cost(values, points):
+        return np.sum(values**2, 1) + np.sum(((points - start) / sigma) ** 2, 1)
+
+    for rounds in range(1, ROUNDS + 1):
+        r, jac = _linear(parameters, residual, theta, weight)
+        slope, curve = _prior(parameters, theta)
+        normal, push = jac.T @ jac + curve, jac.T @ r + slope
+        scale = np.diag(np.diag(normal) + 1e-12)
+        changes = [-np.linalg.solve(normal + damping * scale, push) for damping in DAMPINGS]
+        tried = np.clip(theta + np.array(changes) * step, low, high)
+        costs = cost(residual(tried) * weight, tried)
+        best, now = int(np.argmin(costs)), cost(r[None], theta[None])[0]
+        tick((done + rounds / ROUNDS) / PASSES)
+        if not costs[best] < now * (1 - ENOUGH):
+            return theta, rounds
+        theta = tried[best]
+    return theta, ROUNDS
+
+
+def _spreads(parameters, theta, r, jac, blocks) -> dict[str, Spread]:
+    """Curvature, and the jackknifes over what the blocks are of."""
+    from scipy.stats import t as student
+
+    step = np.array([p.step for p in parameters])
+    curve = _prior(parameters, theta)[1]
+    normal = jac.T @ jac + curve
+    floor = 1e-9 * np.diag(np.diag(normal) + 1e-12)
+    scaled = lambda covariance: covariance * np.outer(step, step)
+    found = {"curvature": Spread(scaled(np.linalg.inv(normal + floor)), NORMAL)}
+    for kind, key in (("trials", lambda b: b.trial), ("signals", lambda b: b.group)):
+        groups = sorted({key(b) for b in blocks})
+        if len(groups) >= FEW:
+            quantile = float(student.ppf(0.95, len(groups) - 1))
+            found[kind] = Spread(scaled(_jackknife(r, jac, blocks, curve, key, groups)), quantile)
+    return found
+
+
+def _estimates(parameters, theta, spreads: dict[str, Spread]) -> dict[str, ParameterEstimate]:
+    out = {}
+    for k, p in enumerate(parameters):
+        sds = {kind: float(np.sqrt(spread.covariance[k, k])) for kind, spread in spreads.items()}
+        widest = max(sds, key=lambda kind: sds[kind] * spreads[kind].quantile)
+        sd, quantile, value = sds[widest], spreads[widest].quantile, float(theta[k])
+        low, high = max(value - quantile * sd, p.low), min(value + quantile * sd, p.high)
+        out[p.name] = ParameterEstimate(p.name, p.unit, value, low, high, sd, widest, bound_of(p, value))
+    return out
+
+
+def bound_of(parameter: FreeParameter, value: float) -> str:
+    """ "lower" or "upper" where a fitted value lies at that bound, else ""."""
+    width = parameter.high - parameter.low
+    near = AT_BOUND * (width if np.isfinite(width) else abs(parameter.step))
+    return "lower" if value <= parameter.low + near else "upper" if value >= parameter.high - near else ""
+
+
+def _jackknife(r, jac, blocks, curve, key, groups) -> np.ndarray:
+    """(K, K) covariance per step size from leaving out one group after another."""
+    normal, slope = jac.T @ jac + curve, jac.T @ r
+    steps = []
+    for group in groups:
+        rows = np.concatenate([np.arange(b.where.start, b.where.stop) for b in blocks if key(b) == group])
+        part = jac[rows]
+        # theta* itself need not be a root of the slope where a bound holds it: the change is against it
+        rest, push = normal - part.T @ part, slope - part.T @ r[rows]
+        steps.append(
+            -np.linalg.solve(rest + 1e-9 * np.diag(np.diag(normal) + 1e-12), push - slope * (len(groups) - 1) / len(groups))
+        )
+    off = np.array(steps) - np.mean(steps, 0)
+    n = len(groups)
+    return (n - 1) / n * off.T @ off
+
+
+def correlation_length(r: np.ndarray) -> float:
+    """tau = 1 + 2 sum rho(k), in samples, up to the first k > 5 tau; at least 1."""
+    x = r - r.mean()
+    n = len(x)
+    power = np.abs(np.fft.rfft(x, 2 * n)) ** 2
+    rho = np.fft.irfft(power)[:n]
+    if rho[0] <= 0:
+        return 1.0
+    rho = rho / rho[0]
+    tau = 1.0 + 2.0 * np.cumsum(rho[1:])
+    stop = np.flatnonzero(np.arange(1, n) > 5 * tau)
+    return float(max(1.0, tau[stop[0]] if len(stop) else tau[-1]))
+
+
+def calibration_table() -> dict:
+    """The whole of `calibrate.toml`."""
+    return read_toml(resolve("calibrate"))
+
+
+def widened(estimate: ParameterEstimate) -> ParameterEstimate:
+    """The estimate with the systematic part of its name in sd and interval, added in squares."""
+    entry = calibration_table()["systematic"].get(estimate.name)
+    if entry is None:
+        return estimate
+    more = entry["value"] * (abs(estimate.value) if entry["of"] == "value" else 1.0)
+    low, high = (hypot(end - estimate.value, NORMAL * more) for end in (estimate.low, estimate.high))
+    widest = "model" if NORMAL * more > max(estimate.value - estimate.low, estimate.high - estimate.value) else estimate.widest
+    bottom = max(estimate.value - low, 0.0)
+    return estimate._replace(low=bottom, high=estimate.value + high, sd=hypot(estimate.sd, more), widest=widest)

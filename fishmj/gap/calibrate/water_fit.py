@@ -1,0 +1,284 @@
+"""Water from free swims: the coefficients of the strips with which the described fish swims as the logged one did.
+
+    rates    velocity ahead, to the left, and yaw rate of the body over 0.2 s, and their means over 2 s
+    r        (measured - simulated) / tolerance, whole free runs from the start pose
+    theta*   by least squares from two starts; a mean counts as much as (`RATE` / `MEAN`)^2 of its rates: their error is mostly
+             the beat's and hides a mean that is wrong by a tenth
+
+Coefficients stand in for each other: a fish cannot tell drag from thrust at one speed, and no strip is the real water. So what is
+told are quantities that the body feels (water_plant.physical) with intervals, and how wrong the fish still is on swims that the
+fit has not seen: the kinds of swim lie in folds, each is predicted by a fit to the others. Servo and latencies are taken as they
+are described: calibrate them first.
+
+Intervals are 90 %: what the noise leaves open (curvature) and what the fits to the folds disagree by (a jackknife, delete one
+fold, refitted), in squares. The second is the structural part: a form that is not the water's says something else on other swims.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import t as student
+
+from fishmj.base.errors import LogError
+from fishmj.gap.calibrate.calibration_logs import QUIET, Logs
+from fishmj.gap.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, bound_of, minimum
+from fishmj.gap.calibrate.water_plant import PHYSICAL, WaterPlant
+from fishmj.gap.progress import Bars, silent
+from fishmj.gap.records.movement import pace
+from fishmj.gap.records.records import Record, Sensor
+from fishmj.log import Trial
+from fishmj.mjcf.description import Robot
+from fishmj.water.choice import STRUCTURED
+from fishmj.water.dynamics.tolerance import of_movement
+
+SHORT, LONG = 0.2, 10  # s over which places are averaged; rates of a mean
+RATE, MEAN = 8.0, 0.5  # tolerances that a rate, and a mean, may be off by
+FOLDS = 5
+ROUNDS, AGAIN = 40, 12  # of a fit, and of a fit to other swims that begins at the whole one's end
+ENOUGH, ENOUGH_AGAIN = 1e-3, 3e-3  # of the cost
+FEWEST = 4  # swims: with fewer nothing can be left out
+KINDS = 3  # kinds of swim (`excitation`) at least, or one gait's thrust and drag stand in for each other
+SLOW = 0.05  # m/s: below it a relative error of speed means nothing
+LOOSE = 0.03  # of an amplitude: a fish's speed goes with it
+FAR = 1e3  # tolerances of a fish that a coefficient too far has lost
+MOVED = 0.05  # m/s or rad/s of a push
+
+
+class HeldOut(NamedTuple):
+    """One swim, predicted by a fit to others. Speeds in m/s, yaw rates in rad/s; `place`: m between the paths at the end."""
+
+    trial: str
+    kind: str
+    speed: float
+    simulated: float
+    yaw_rate: float
+    simulated_yaw_rate: float
+    place: float
+
+    @property
+    def speed_error(self) -> float:
+        """Relative; NaN of a fish that hardly moves."""
+        return abs(self.simulated / self.speed - 1.0) if self.speed > SLOW else np.nan
+
+
+class WaterFit(NamedTuple):
+    """The fit to all swims, what it says of the body, and how it does on swims left out, before and after."""
+
+    plant: WaterPlant
+    records: list[Record]
+    theta: np.ndarray
+    coefficients: dict[str, ParameterEstimate]
+    physical: dict[str, ParameterEstimate]
+    before: list[HeldOut]
+    after: list[HeldOut]
+
+    @property
+    def water(self) -> dict:
+        """The `[water]` table of a description."""
+        return self.plant.table(self.theta)
+
+    @property
+    def robot(self) -> Robot:
+        """The described robot in its calibrated water, as `fishmj calibrate water --out` writes it."""
+        kept = {key: value for key, value in self.plant.robot.water.items() if key == "stations"}
+        return replace(self.plant.robot, water={**self.water, **kept, "model": STRUCTURED})
+
+    @property
+    def speed_error(self) -> ParameterEstimate:
+        """Of swims that the fit has not seen, relative: mean, least and worst."""
+        errors = np.array([swim.speed_error for swim in self.after])
+        errors = errors[np.isfinite(errors)] if np.isfinite(errors).any() else np.full(1, np.nan)
+        mean, least, worst = (float(f(errors)) for f in (np.mean, np.min, np.max))
+        return ParameterEstimate("speed_error", "share", mean, least, worst, float(errors.std()), "swims")
+
+
+def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> tuple[Robot, WaterFit]:
+    """The robot in the water that its free swims show, and what the fit says; nothing is read or written.
+
+    Args:
+        trials: free swims, as a generator or a log folder gives them; names apart, or they are numbered.
+    Raises:
+        LogError: too few swims or kinds of swim, or joints that are not the robot's.
+    """
+    listed = list(trials)
+    named = {trial.name or f"{i:03d}": trial for i, trial in enumerate(listed)}
+    if len(named) < len(listed):
+        named = {f"{i:03d}_{trial.name}": trial for i, trial in enumerate(listed)}
+    found = calibrate(Logs(Path("trials in memory"), named), WaterPlant(robot))
+    return found.robot, found
+
+
+def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent) -> WaterFit:
+    """Fit the water to the free swims of `logs`.
+
+    Raises:
+        LogError: too few swims or kinds of swim.
+    """
+    records = logs.records(plant.dt, swims(logs))
+    folds, starts = folded(records), plant.starts()
+    with bars(len(starts) + len(folds), "water", "fits") as bar:
+        ends = []
+        for done, start in enumerate(starts, 1):
+            ends.append(fitted(plant, records, start, ROUNDS, ENOUGH))
+            bar.update(done)
+        whole = min(ends, key=lambda end: end.cost)
+        after: list[HeldOut] = []
+        others = []
+        for done, fold in enumerate(folds, len(starts) + 1):
+            rest = [r for i, r in enumerate(records) if i not in fold]
+            others.append(fitted(plant, rest, whole.theta, AGAIN, ENOUGH_AGAIN).theta)
+            after += predicted(plant, [records[i] for i in fold], others[-1])
+            bar.update(done)
+    coefficients, physical = intervals(plant, whole, np.array(others))
+    return WaterFit(plant, records, whole.theta, coefficients, physical, predicted(plant, records, starts[0]), after)
+
+
+def swims(logs: Logs) -> list[str]:
+    """Trials in water that a camera saw, in which the fish beat its tail or was let go.
+
+    Raises:
+        LogError: too few of them, or all of one kind.
+    """
+    names = [name for name, trial in logs.trials.items() if trial.value("medium", "water") == "water" and "pose" in trial.tables]
+    records = logs.records(0.02, names) if names else []
+    moves = {r.name: r for r in records if np.ptp(r.commands, 0).max() > QUIET or np.abs(r.push).max() > MOVED}
+    kinds = {kind_of(r) for r in moves.values()}
+    if len(moves) < FEWEST or len(kinds) < KINDS:
+        what = f"{len(moves)} swims of {len(kinds)} kinds ({', '.join(sorted(kinds)) or 'none'})"
+        raise LogError(
+            f"{logs.folder}: water: got {what}, expected {FEWEST} or more of {KINDS} kinds, in water and seen by a camera; record"
+            " gaits at two frequencies or amplitudes, turns to both sides, and coasting (excitation in meta.toml names the kind)"
+        )
+    return list(moves)
+
+
+def pose_of(record: Record) -> Sensor:
+    """What the camera saw. Raises LogError where there is none."""
+    if record.pose is None:
+        raise LogError(f"trial {record.name}: no table pose; water is calibrated by how the fish moves")
+    return record.pose
+
+
+def kind_of(record: Record) -> str:
+    """What was swum; a swim without a name is a kind of its own."""
+    return record.excitation or record.name
+
+
+def folded(records: list[Record]) -> list[list[int]]:
+    """Numbers of the records in each fold; repeats of one experiment lie in one, or a swim would be known beforehand."""
+    kinds = list(dict.fromkeys(map(kind_of, records)))
+    fold_of = {kind: i % FOLDS for i, kind in enumerate(kinds)}
+    folds = [[i for i, r in enumerate(records) if fold_of[kind_of(r)] == fold] for fold in range(FOLDS)]
+    return [fold for fold in folds if fold]
+
+
+class Movement(NamedTuple):
+    """How the rates of one record are taken: the windows of its stamps, and what its fish may be off by."""
+
+    first: np.ndarray  # (W,) first stamp of each window
+    counts: np.ndarray  # (W,)
+    t: np.ndarray  # (W,) s
+    rates: np.ndarray  # (W - 1, 3) measured: ahead, to the left [m/s], yaw rate [rad/s]
+    tolerance: np.ndarray  # (W - 1, 3)
+
+    @classmethod
+    def of(cls, pose: Sensor) -> "Movement":
+        """Of what a camera saw."""
+        number = np.floor(pose.t / SHORT).astype(int)
+        _, first, counts = np.unique(number, return_index=True, return_counts=True)
+        blank = cls(first, counts, np.add.reduceat(pose.t, first) / counts, np.empty(0), np.empty(0))
+        rates = blank.of_poses(pose.values[None])[0]
+        speed, turn = of_movement(*uniform_filter1d(rates, LONG + 1, axis=0, mode="nearest").T)
+        return blank._replace(rates=rates, tolerance=np.stack([speed, speed, turn], 1))
+
+    def of_poses(self, poses: np.ndarray) -> np.ndarray:
+        """(R, W - 1, 3) rates of poses (R, K, 3) at the record's stamps."""
+        mean = np.add.reduceat(poses, self.first, axis=1) / self.counts[:, None]
+        dt = np.diff(self.t)[:, None]
+        step, yaw = np.diff(mean, axis=1) / dt, 0.5 * (mean[:, 1:, 2] + mean[:, :-1, 2])
+        c, s = np.cos(yaw), np.sin(yaw)
+        ahead, left = c * step[..., 0] + s * step[..., 1], c * step[..., 1] - s * step[..., 0]
+        return np.stack([ahead, left, step[..., 2]], -1)
+
+    def misses(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(R, 3, W - 1) and of means (R, 3, M): measured minus simulated, in tolerances."""
+        off = ((self.rates - self.of_poses(poses)) / self.tolerance).transpose(0, 2, 1)
+        size = min(LONG, off.shape[2])
+        whole = off.shape[2] // size
+        return off, off[..., : whole * size].reshape(*off.shape[:2], whole, size).mean(-1)
+
+
+def fitted(plant: WaterPlant, records: list[Record], begin: np.ndarray, rounds: int, enough: float) -> Minimum:
+    """The fit to some records, from parameters (K,)."""
+    bare = [r._replace(joint=None, power=None, placed=None, weighed=None) for r in records]
+    poses = [pose_of(r) for r in records]
+    movements = [Movement.of(pose) for pose in poses]
+
+    def residual(thetas: np.ndarray) -> np.ndarray:
+        seen = plant.predict(bare, plant.rows(thetas))
+        parts = [part for m, p in zip(movements, seen, strict=True) for part in m.misses(p["pose"])]
+        made = np.concatenate([part.reshape(len(thetas), -1) for part in parts], 1)
+        return np.nan_to_num(made, nan=FAR, posinf=FAR, neginf=-FAR)
+
+    sizes = [part.size for m, pose in zip(movements, poses, strict=True) for part in m.misses(pose.values[None])]
+    weight = np.repeat(np.tile([1.0 / RATE, 1.0 / MEAN], len(records)), sizes)
+    return minimum(plant.parameters(), residual, weight, begin, rounds, enough)
+
+
+def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[dict, dict]:
+    """Estimates of the coefficients and of what the body feels. others: (F, K) fits, each without one fold."""
+    parameters = plant.parameters()
+    step, prior = np.array([p.step for p in parameters]), np.array([p.sigma for p in parameters])
+    free = np.flatnonzero(~whole.held)
+    normal = (whole.slopes.T @ whole.slopes + np.diag((step / prior) ** 2))[np.ix_(free, free)]
+    noise = np.zeros((len(step), len(step)))
+    noise[np.ix_(free, free)] = np.linalg.inv(normal) * np.outer(step[free], step[free])
+    rows = np.concatenate([whole.theta[None], whole.theta + np.diag(step), others])
+    quantile = float(student.ppf(0.95, len(others) - 1))
+
+    def estimate(name: str, unit: str, values: np.ndarray, low: float = -np.inf, high: float = np.inf) -> ParameterEstimate:
+        value, slope, left_out = values[0], (values[1 : 1 + len(step)] - values[0]) / step, values[1 + len(step) :]
+        curved = NORMAL * float(np.sqrt(slope @ noise @ slope))
+        n = len(left_out)
+        apart = quantile * float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
+        half = float(np.hypot(curved, apart))
+        widest = "curvature" if curved > apart else "kinds of swim"
+        return ParameterEstimate(
+            name, unit, float(value), max(float(value) - half, low), min(float(value) + half, high), half / NORMAL, widest
+        )
+
+    coefficients = {
+        p.name: estimate(p.name, p.unit, rows[:, k], p.low, p.high)._replace(bound=bound_of(p, float(rows[0, k])))
+        for k, p in enumerate(parameters)
+    }
+    felt = plant.physical(rows)
+    least = lambda name: -np.inf if name == "thrust" else 0.0  # water takes energy, and carried water has a mass
+    return coefficients, {name: estimate(name, unit, felt[name], least(name)) for name, unit in PHYSICAL.items()}
+
+
+def predicted(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> list[HeldOut]:
+    """Speed, yaw rate and place of swims, measured and simulated."""
+    out = []
+    for record, prediction in zip(records, plant.predict(records, plant.rows(theta[None])), strict=True):
+        (t, seen, _), made = pose_of(record), prediction["pose"][0]
+        (speed, turn), (other, other_turn) = pace(t, seen), pace(t, made)
+        place = float(np.hypot(*(made[-1] - seen[-1])[:2]))
+        out.append(HeldOut(record.name, kind_of(record), speed, other, turn, other_turn, place))
+    return out
+
+
+def loose_servo(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> str:
+    """What to say where the measured joints do not move as far as the described servo moves them; "" where they do."""
+    seen = plant.predict(records, plant.rows(theta[None]))
+    spans = [(r.joint.values.std(), p["joint"][0].std()) for r, p in zip(records, seen, strict=True) if r.joint is not None]
+    ratios = [measured / made for measured, made in spans if made > QUIET / 2]
+    if not ratios:
+        return "no trial has joint angles that move: whether the servos move as they are described is not known"
+    if abs((ratio := float(np.median(ratios))) - 1.0) <= LOOSE:
+        return ""
+    moved = f"the joints move {ratio:.2f} times as far as the described servos move them"
+    return f"{moved}: run calibrate servo first, or thrust takes the blame"

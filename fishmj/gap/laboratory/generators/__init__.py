@@ -1,0 +1,35 @@
+"""Generators of blind test data: robotic fish in three forms of water that are not the strip model's and not the second robot's.
+
+    morison     inertia and drag strip by strip; momentum shed wherever the body narrows
+    foil        plates at an angle of attack: quasi-steady lift and drag, a fin that stalls and remembers (Wagner)
+    ellipsoid   one ellipsoid's added mass, quadratic damping by links, a tail fin by thin-foil theory
+
+    generate("morison", effects, excitations, seed) -> [Trial]     trials in which effects are hidden
+    parse(texts, seed, family) -> effects                          as `gap plant` is asked for them
+    page(family, effects, seed) -> dict                            what scales, knife edge and pendulum say of that robot
+    detectable(family, effects, excitations, seed) -> dict         how much of it shows above noise and healthy robots
+
+The rigid bodies, joints, dry friction and actuators are MuJoCo's own. No fitter's room is imported. docs/search/generators.md.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from fishmj.gap.laboratory.generators.families import NAMES
+
+if TYPE_CHECKING:
+    from fishmj.gap.laboratory.generators.catalogue import hidden, parse
+    from fishmj.gap.laboratory.generators.detectability import detectable
+    from fishmj.gap.laboratory.generators.trials import generate
+    from fishmj.gap.laboratory.generators.weighing import page
+
+__all__ = ["NAMES", "detectable", "generate", "hidden", "page", "parse"]
+_WHERE = {"generate": "trials", "parse": "catalogue", "hidden": "catalogue", "detectable": "detectability", "page": "weighing"}
+
+
+def __getattr__(name: str) -> Any:
+    """Loads MuJoCo and numba at first use only."""
+    if name not in _WHERE:
+        raise AttributeError(f"module 'fishmj.gap.laboratory.generators' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"fishmj.gap.laboratory.generators.{_WHERE[name]}"), name)

@@ -1,0 +1,318 @@
+"""What can be hidden in a generator's robot: effects of the catalogue in formulas of this room, and faults outside it.
+
+An effect of the catalogue has the name, the units and the bounds that `fishmj.effects` gives it; what it does to the robot is
+written here, mostly in MuJoCo's own fields. What none can hide is refused by name: gains on the strip model's own
+terms (cross-flow, tail, Munk moment, wake memory, walls), turbulence, gears with play, .. Faults are in `faults.py`.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.effects import Parameter
+from fishmj.gap.laboratory.generators import random_numbers
+from fishmj.gap.laboratory.generators.fish import Fish
+
+LOTTERIES = ("random", "random_odd")
+
+
+class Hidden(NamedTuple):
+    """What can be hidden. act(fish, **values) changes the robot's numbers."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    act: Callable
+    catalogued: bool
+    about: str
+
+    @property
+    def nulls(self) -> dict[str, float]:
+        """Values at which it is not there."""
+        return {p.name: p.null for p in self.parameters}
+
+    def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
+        """Values of typical size, log-uniform in the distance from the null, times strength; either side where signed."""
+        out = {}
+        for p in self.parameters:
+            low, high = (t - p.null for t in p.typical)
+            if p.shape or low * high <= 0.0:
+                out[p.name] = float(rng.uniform(*p.typical))
+                continue
+            near, far = sorted((abs(low), abs(high)))
+            size = float(np.exp(rng.uniform(np.log(near), np.log(far)))) * strength * np.sign(high)
+            side = -1.0 if p.signed and rng.random() < 0.5 else 1.0
+            out[p.name] = float(np.clip(p.null + side * size, p.low, p.high))
+        return out
+
+    def put(self, fish: Fish, values: Mapping[str, float]) -> None:
+        """Hide it in a robot; parameters that are not given stay at their null.
+
+        Raises:
+            UnknownName: no such parameter. ConfigError: a value that is no number or outside its bounds.
+        """
+        known = {p.name: p for p in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                raise UnknownName(f"parameter of {self.name}", name, known)
+            p = known[name]
+            if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not p.low <= value <= p.high:
+                raise ConfigError(f"{self.name}: {name} = {value!r}; expected {p.low:g} to {p.high:g} {p.unit}")
+        self.act(fish, **(self.nulls | {k: float(v) for k, v in values.items()}))
+
+
+# ----------------------------------------------------------------------------------------------- the catalogue, written once more
+def coulomb_friction(fish: Fish, torque):
+    fish.friction += torque
+
+
+def viscous_friction(fish: Fish, damping):
+    """MuJoCo's joint damping, beside the back-EMF; the motor feels the back-EMF alone."""
+    fish.specs.append(lambda spec: _more_damping(spec, fish, damping))
+
+
+def _more_damping(spec, fish, damping):
+    for i in range(fish.joints):
+        joint = spec.joint(f"j{i + 1}")
+        joint.damping = np.asarray(joint.damping) + np.array([damping, 0.0, 0.0])
+
+
+def servo_gain(fish: Fish, gain):
+    fish.kp, fish.kv = fish.kp * (1.0 + gain), fish.kv * (1.0 + gain)
+
+
+def torque_saturation(fish: Fish, limit):
+    fish.torque = np.minimum(fish.torque, limit)
+
+
+def skin_stiffness(fish: Fish, stiffness):
+    fish.spring += stiffness
+
+
+def joint_zero_offset(fish: Fish, offset1, offset2, offset3):
+    fish.zero += np.array([(offset1, offset2, offset3)[min(j, 2)] for j in range(fish.joints)])
+
+
+def servo_deadband(fish: Fish, deadband):
+    fish.firmware.deadband = deadband
+
+
+def command_gain_error(fish: Fish, gain):
+    fish.firmware.gain = gain
+
+
+def command_quantisation(fish: Fish, step):
+    fish.firmware.coarse = step
+
+
+def rate_limit(fish: Fish, slowness):
+    fish.firmware.slowness = slowness
+
+
+def move_time_ramp(fish: Fish, move_time):
+    fish.firmware.move_time = move_time
+
+
+def voltage_sag(fish: Fish, resistance):
+    fish.resistance = resistance
+
+
+def thermal_derating(fish: Fish, rate):
+    fish.derating = rate
+
+
+def command_latency(fish: Fish, delay):
+    fish.network.latency += delay
+
+
+def joint_sensor_delay(fish: Fish, delay):
+    fish.network.reading_delay = delay
+
+
+def camera_latency(fish: Fish, delay):
+    fish.camera.latency += delay
+
+
+def clock_offset(fish: Fish, offset, drift):
+    fish.camera.offset, fish.camera.drift = offset, drift
+
+
+def latency_jitter(fish: Fish, sigma):
+    fish.network.late = sigma
+
+
+def packet_loss(fish: Fish, probability):
+    fish.network.loss = probability
+
+
+def body_mass(fish: Fish, mass, spread):
+    """Water under the skin, by each link's share of the weight; what is not spread sits in the head as a point."""
+    own = np.array([link.mass for link in fish.robot.links])
+    fish.mass += spread * mass * own / own.sum()
+    fish.specs.append(lambda spec: _payload(spec, fish, (1.0 - spread) * mass))
+
+
+def _payload(spec, fish, mass):
+    """A point mass at the reference point: the head's centre of mass moves towards it."""
+    if mass == 0.0:
+        return
+    body = spec.body(fish.robot.links[0].name)
+    own, at = float(body.mass), np.asarray(body.ipos, float)
+    body.mass, body.ipos = own + mass, at * own / (own + mass)
+    turn = own * mass / (own + mass) * (at @ at * np.ones(3) - at**2)
+    body.inertia = np.asarray(body.inertia) + turn
+
+
+def com_offset(fish: Fish, x):
+    fish.com += x
+
+
+def yaw_inertia(fish: Fish, inertia):
+    fish.inertia += inertia
+
+
+def surge_added_mass(fish: Fish, mass):
+    fish.added[0, 0] += mass
+
+
+def sway_added_mass(fish: Fish, mass):
+    fish.added[1, 1] += mass
+
+
+def yaw_added_mass(fish: Fish, inertia):
+    fish.added[2, 2] += inertia
+
+
+def linear_surge_drag(fish: Fish, coefficient):
+    fish.drag[0] += coefficient
+
+
+def quadratic_drag(fish: Fish, coefficient):
+    fish.drag[1] += coefficient
+
+
+def yaw_drag(fish: Fish, coefficient):
+    fish.drag[2] += coefficient
+
+
+def body_lift(fish: Fish, coefficient):
+    fish.drag[3] += coefficient
+
+
+def steady_current(fish: Fish, x, y):
+    fish.flow[:2] += (x, y)
+
+
+def current_shear(fish: Fish, rate):
+    fish.flow[3] += rate
+
+
+def swirl(fish: Fish, rate):
+    fish.flow[3] -= rate
+    fish.flow[4] += rate
+
+
+def tether(fish: Fish, stiffness, x, y):
+    fish.tether[:] = stiffness, x, y
+
+
+def camera_scale(fish: Fish, scale):
+    fish.camera.scale = scale
+
+
+def camera_yaw(fish: Fish, angle):
+    fish.camera.turned = angle
+
+
+def heading_marker_offset(fish: Fish, angle):
+    fish.camera.heading = angle
+
+
+def marker_offset(fish: Fish, x):
+    fish.camera.marker = x
+
+
+def lens_distortion(fish: Fish, k1):
+    fish.camera.lens = k1
+
+
+def power_offset(fish: Fish, power):
+    fish.meter.offset = power
+
+
+ACTS: tuple[Callable, ...] = (
+    *(coulomb_friction, viscous_friction, servo_gain, torque_saturation, skin_stiffness, joint_zero_offset, servo_deadband),
+    *(command_gain_error, command_quantisation, rate_limit, move_time_ramp, voltage_sag, thermal_derating),
+    *(command_latency, joint_sensor_delay, camera_latency, clock_offset, latency_jitter, packet_loss),
+    *(body_mass, com_offset, yaw_inertia, surge_added_mass, sway_added_mass, yaw_added_mass),
+    *(linear_surge_drag, quadratic_drag, yaw_drag, body_lift, steady_current, current_shear, swirl, tether),
+    *(camera_scale, camera_yaw, heading_marker_offset, marker_offset, lens_distortion, power_offset),
+)
+
+
+@cache
+def hidden() -> dict[str, Hidden]:
+    """Everything that can be hidden, effects of the catalogue first."""
+    from fishmj.gap.laboratory.generators.faults import FAULTS
+
+    known = effects.catalogue()
+    own = {f.__name__: Hidden(f.__name__, known[f.__name__].parameters, f, True, known[f.__name__].about) for f in ACTS}
+    return own | {f.name: f for f in FAULTS}
+
+
+def parse(texts: list[str], seed: int, family: str) -> dict[str, dict[str, float]]:
+    """What the user asks to hide: `NAME`, `NAME=value` (first parameter), `NAME:p=1,q=2`, `random`, `random_odd` (a fault).
+
+    Values that are not said are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their null.
+
+    Raises:
+        UnknownName, ConfigError: no such effect here, no number, a value out of bounds, an effect twice, none left to draw.
+    """
+    known = hidden()
+    out: dict[str, dict[str, float]] = {}
+    for position, text in enumerate(texts):
+        rng = random_numbers.stream(seed, "lottery", position)
+        name, colon, listed = text.partition(":")
+        main = "" if colon else name.partition("=")[2]
+        name = name.partition("=")[0]
+        if name in LOTTERIES:
+            left = [n for n, h in known.items() if h.catalogued == (name == "random") and n not in out]
+            if colon or main or not left:
+                raise ConfigError(f"gap plant {text[:60]}: {name} draws one of the {len(left)} that are left, and its size")
+            name = str(rng.choice(left))
+        if name not in known:
+            if name in effects.catalogue():
+                raise ConfigError(f"gap plant {text[:60]}: generator {family} cannot hide {name}; it hides {', '.join(known)}")
+            raise UnknownName("effect", name[:60], [*known, *LOTTERIES])
+        if name in out:
+            raise ConfigError(f"gap plant {text[:60]}: {name} is there already; say all of it in one NAME:p=1,q=2")
+        values = known[name].draw(rng) if not colon else dict(known[name].nulls)
+        pairs = [(known[name].parameters[0].name, main)] if main else [p.partition("=")[::2] for p in listed.split(",") if colon]
+        for key, value in pairs:
+            values[key.strip()] = _number(text, value)
+        _within(text, known[name], values)
+        out[name] = values
+    return out
+
+
+def _number(text: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
+        raise ConfigError(f"gap plant {text[:60]}: {value[:40]!r} is no finite number; write NAME=0.03 or NAME:p=0.03,q=1 (SI)")
+    return number
+
+
+def _within(text: str, what: Hidden, values: Mapping[str, float]) -> None:
+    known = {p.name: p for p in what.parameters}
+    for name, value in values.items():
+        if name not in known:
+            raise UnknownName(f"parameter of {what.name}", name[:60], known)
+        p = known[name]
+        if not p.low <= value <= p.high:
+            raise ConfigError(f"gap plant {text[:60]}: {name} = {value:g}; expected {p.low:g} to {p.high:g} {p.unit}")

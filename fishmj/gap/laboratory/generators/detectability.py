@@ -1,0 +1,141 @@
+"""How much of what is hidden can be seen at all: computed by the generator, from robots of its own, never by a search.
+
+    s   what the effect does to a sample: the same seed with and without it, without noise
+    n   the sensors' noise there;  d  standard deviation of healthy robots of the family there
+    mean over records and channels of  mean s^2 / (n^2 + d^2)
+
+Detectable is a mean square above 5 (`BOUND`). Beside it stands the measure without d, which the second robot's benchmark uses.
+numba, which makes the generators' trials, is loaded at first use only: the benchmark's tables are read without it.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from fishmj.base.errors import StoreError
+from fishmj.base.machine_code import cache_folder
+from fishmj.base.store import read_npz, write_npz
+from fishmj.gap.laboratory.generators.family import Effects
+from fishmj.log import Trial, excitation
+from fishmj.log.excitation import Excitation
+from fishmj.mjcf.description import Robot, load_robot
+
+BOUND = 5.0
+HEALTHY = 8  # robots of the family
+FIRST = 700_000_000  # their seeds: beyond those that a benchmark draws
+TABLES = ("joint", "pose", "power")
+NOTHING = {"all": 0.0, "each": {}, "noise_only": 0.0, "each_noise_only": {}, "bound": BOUND, "healthy": 0}  # of no effect
+
+
+class Seen(NamedTuple):
+    """Channels of one record at its stamps: (K, C) values, (C,) noise."""
+
+    t: np.ndarray
+    values: np.ndarray
+    sigma: np.ndarray
+
+
+def detectable(
+    family: str, effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
+    robot: "str | Robot" = "fish", healthy: int = HEALTHY,
+) -> dict:  # fmt: skip
+    """Mean squares of all that is hidden together and of each effect alone.
+
+    Returns:
+        {"all": .., "each": {name: ..}, "noise_only": .., "each_noise_only": {..}, "bound": 5, "healthy": how many robots}
+    Raises:
+        as `trials.generate`.
+    """
+    from fishmj.gap.laboratory.generators.sensors import sigmas
+    from fishmj.gap.laboratory.generators.trials import generate, robot_of
+
+    if not effects:
+        return dict(NOTHING)
+    runs = [excitation.get(item) if isinstance(item, str) else item for item in excitations]
+    described, fish = load_robot(robot), robot_of(family, {}, seed, nuisance=nuisance, robot=robot)
+    sigma = sigmas(fish, noise)
+
+    def seen(hidden: Effects) -> list[Seen]:
+        return [s for trial in generate(family, hidden, runs, seed, 0.0, nuisance, robot) for s in channels(trial, sigma)]
+
+    spread = [d for what in runs for d in tolerance(family, what, described, nuisance, healthy)]
+    return mean_squares(seen, spread, effects, healthy)
+
+
+def mean_squares(seen: Callable[[Effects], list[Seen]], spread: list[np.ndarray], effects: Effects, healthy: int) -> dict:
+    """What `detectable` returns, of any robots. seen: what is hidden -> channels of every record; spread: their variance."""
+    plain = seen({})
+    parts = {name: {name: values} for name, values in effects.items()} if len(effects) > 1 else {}
+    both = {name: shares(seen(h), plain, spread) for name, h in {"": effects, **parts}.items()}
+    each = {name: both.get(name, both[""]) for name in effects}
+    return {
+        "all": both[""][0],
+        "each": {name: one[0] for name, one in each.items()},
+        "noise_only": both[""][1],
+        "each_noise_only": {name: one[1] for name, one in each.items()},
+        "bound": BOUND,
+        "healthy": healthy,
+    }
+
+
+def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, healthy: int = HEALTHY) -> list[np.ndarray]:
+    """Variance of healthy robots of a family in one experiment, (K, C) of joints, pose and power; kept on disk, made once."""
+    told = (family, robot, nuisance, healthy, FIRST, what.id, what.start, what.push, mujoco.__version__)
+    key = hashlib.sha256(repr(told).encode() + np.ascontiguousarray(what.commands).tobytes() + _sources()).hexdigest()[:32]
+    path = cache_folder() / "generators" / f"{key}.npz"
+    try:
+        kept = read_npz(path)
+        return [kept[name] for name in TABLES]
+    except StoreError:
+        pass
+    from fishmj.gap.laboratory.generators.trials import generate
+
+    trials = [generate(family, {}, [what], FIRST + k, 0.0, nuisance, robot)[0] for k in range(healthy)]
+    seen = [channels(trial, trial.meta["sigma"]) for trial in trials]
+    made = {name: spreads([one[i] for one in seen], seen[0][i]) for i, name in enumerate(TABLES)}
+    write_npz(path, made)
+    return [made[name] for name in TABLES]
+
+
+@cache
+def _sources() -> bytes:
+    """Hash of the code that makes a healthy robot swim."""
+    here = Path(__file__).resolve().parent
+    files = [*sorted(here.glob("*.py")), *sorted((here.parents[2] / "mjcf").glob("*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
+
+
+def channels(trial: Trial, sigma: Mapping[str, float]) -> list[Seen]:
+    """Joints, pose and power of a trial; sigma: noise of each column."""
+    out = []
+    for table, names in (("joint", [n for n in trial.table("joint") if n != "t"]), ("pose", ["x", "y", "yaw"])):
+        rows = trial.table(table)
+        out.append(Seen(rows["t"], np.stack([rows[n] for n in names], 1), np.array([sigma[n] for n in names])))
+    rows = trial.table("power")
+    watts, error = rows["V"] * rows["I"], np.hypot(sigma["V"] * np.mean(rows["I"]), sigma["I"] * np.mean(rows["V"]))
+    return [*out, Seen(rows["t"], watts[:, None], np.array([error]))]
+
+
+def at(seen: Seen, t: np.ndarray) -> np.ndarray:
+    """(K, C) values at other stamps, straight between."""
+    return np.stack([np.interp(t, seen.t, column) for column in seen.values.T], 1)
+
+
+def spreads(others: list[Seen], plain: Seen) -> np.ndarray:
+    """(K, C) variance of healthy robots at the stamps of `plain`."""
+    return np.var([at(other, plain.t) for other in others], axis=0, ddof=1)
+
+
+def shares(hidden: list[Seen], plain: list[Seen], spread: list[np.ndarray]) -> tuple[float, float]:
+    """(mean square over noise and healthy robots, over noise alone), every record and channel alike."""
+    both, alone = [], []
+    for h, p, d in zip(hidden, plain, spread, strict=True):
+        square, floor = (at(h, p.t) - p.values) ** 2, np.broadcast_to(p.sigma**2, p.values.shape)
+        both += list((square / np.maximum(floor + d, 1e-30)).mean(0))
+        alone += list((square / np.maximum(floor, 1e-30)).mean(0))
+    return float(np.mean(both)), float(np.mean(alone))

@@ -1,0 +1,127 @@
+"""Trials of a generator's robot: trial folders as a lab's, labelled synthetic, with nothing in them that tells what is hidden.
+
+    from fishmj import generators
+    trials = generators.generate("morison", {"command_latency": {"delay": 0.04}}, ["gait", "chirp"], seed=7)
+
+One seed is one robot (its constants) and one noise, whatever is hidden and for however many experiments.
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.source import made_by
+from fishmj.gap.laboratory.generators import catalogue, families, random_numbers, sensors
+from fishmj.gap.laboratory.generators.family import Effects
+from fishmj.gap.laboratory.generators.fish import Fish, healthy
+from fishmj.gap.laboratory.generators.swim import STEP, Recording, swim
+from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.log.excitation import Excitation
+from fishmj.mjcf.description import Robot, load_robot
+
+LINKS = (2, 8)  # that a fish may have
+PLACED = (0.0015, 0.005)  # m, rad: how well the fish is put at its start (chosen)
+
+
+def robot_of(
+    family: str, effects: Effects, seed: int, *, nuisance: float = 0.1, robot: "str | Robot" = "fish",
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> Fish:  # fmt: skip
+    """One robot with what is hidden in it. flow: speed [m/s] of the ordered stream and where it moves to [rad].
+
+    Raises:
+        UnknownName: no such generator, effect or parameter. ConfigError: an impossible value, fewer than 2 or more than 8 links,
+            or a nuisance outside 0 to 0.5.
+    """
+    if not 0.0 <= nuisance <= 0.5:
+        raise ConfigError(f"generator {family}: nuisance = {nuisance}; expected a relative half width from 0 to 0.5")
+    described = load_robot(robot)
+    if not LINKS[0] <= len(described.links) <= LINKS[1]:
+        has = f"{described.name} has {len(described.links)} links"
+        raise ConfigError(f"generator {family}: {has}; expected {LINKS[0]} to {LINKS[1]}")
+    stream = (flow[0] * np.cos(flow[1]), flow[0] * np.sin(flow[1]))
+    fish = healthy(described, families.get(family), seed, nuisance, stream)
+    known = catalogue.hidden()
+    for name, values in effects.items():
+        if name not in known:
+            raise UnknownName(f"effect of generator {family}", name, known)
+        known[name].put(fish, values)
+    return fish
+
+
+def generate(
+    family: str, effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
+    robot: "str | Robot" = "fish", *, flow: tuple[float, float] = (0.0, 0.0), tick: Callable[[int], None] = lambda done: None,
+) -> list[Trial]:  # fmt: skip
+    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+
+    Args:
+        family: a name of `families`. effects: {name: {parameter: value}}, SI; {} hides nothing.
+        noise: factor on every sensor's noise and on how badly the fish is placed; 0 leaves counts and latencies.
+        nuisance: relative half width of unmeasured constants; 0.1 takes each one's own tolerance.
+        tick: is told how many trials are done.
+    Raises:
+        as `robot_of`. SimDiverged: the robot left the finite numbers.
+    """
+    fish = robot_of(family, effects, seed, nuisance=nuisance, robot=robot, flow=flow)
+    trials: list[Trial] = []
+    first: dict[str, str] = {}
+    for index, item in enumerate(excitations):
+        what = excitation.get(item) if isinstance(item, str) else item
+        name = f"{index + 1:02d}_{what.id}"
+        trials.append(trial_of(fish, what, seed, index, noise, name, first.get(what.id, ""), flow))
+        first.setdefault(what.id, name)
+        tick(len(trials))
+    return trials
+
+
+def laid_on(fish: Fish, what: Excitation) -> np.ndarray:
+    """(T, J) commands of an experiment for the fish's joints."""
+    given = np.asarray(what.commands, float)
+    return given if given.shape[1] == fish.joints else excitation.bent(given, fish.joints)
+
+
+def record(fish: Fish, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> Recording:
+    """What really happens in trial `index`."""
+    commands = laid_on(fish, what)
+    hand = noise * random_numbers.stream(seed, "placing", index).standard_normal(3)
+    start = np.array(what.start) + hand * np.array([PLACED[0], PLACED[0], PLACED[1]])
+    radio = random_numbers.stream(seed, "radio", index)
+    times, rows = sensors.arrivals(fish.network, what.t, radio, noise)
+    return swim(fish, times, commands[rows], what.seconds, start, what.push, commands[0], step=step)
+
+
+def trial_of(
+    fish: Fish, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str = "",
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> Trial:  # fmt: skip
+    """Swim, then look through the sensors."""
+    motion, draw = record(fish, what, seed, index, noise), lambda purpose: random_numbers.stream(seed, purpose, index)
+    commands = laid_on(fish, what)
+    tables = {
+        "cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", commands)},
+        "joint": sensors.joints(fish, motion, draw("joint"), noise),
+        "power": sensors.power(fish.meter, motion, draw("power"), noise),
+        "pose": sensors.poses(fish, motion, draw("camera"), noise),
+    }
+    meta = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": fish.robot.name,
+        "medium": "water",
+        "water": f"generator {fish.family.name}",
+        "flow": {"speed": float(flow[0]), "direction": float(flow[1]), "known": True},
+        "excitation": what.id,
+        "replicate_of": replicate_of,
+        "start": list(map(float, what.start)),
+        "push": list(map(float, what.push)),
+        "sigma": sensors.sigmas(fish, noise),
+        "clock": {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, received", "power": "host, reading"},
+        "controller": "open loop",
+        **made_by("mujoco"),
+        "source": f"fishmj.generators, {fish.family.name}",
+        "licence": "Apache-2.0",
+        "notes": "simulated by a generator with another form of water; what is hidden in it is kept elsewhere",
+    }
+    return Trial(meta, tables, name=name)

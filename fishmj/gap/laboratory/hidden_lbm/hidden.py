@@ -1,0 +1,359 @@
+"""The flow solver as a generator of logs: the immersed fish on the second robot's servos, radio and camera; hidden effects.
+
+    from fishmj.gap.laboratory.hidden_lbm.hidden import generate_lbm
+    trials = generate_lbm({"command_latency": {"delay": 0.04}}, ["gait", "steps", "tow_ahead"], seed=7)
+
+Actuator, timing and measurement effects are the second robot's own code; masses are the immersed body's; a steady current is the
+solver's; other effects of the water are the force that they make in the second robot's water, added to the solver's. One seed
+is one robot (servo, radio, masses, slip) and one noise, whatever is planted. Nothing in a trial says what that is.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError, OracleUnstable, SimDiverged
+from fishmj.base.source import made_by
+from fishmj.gap.laboratory.hidden_lbm.hidden_body import Electronics, HiddenBody, Queue
+from fishmj.gap.laboratory.virtual_robot import network, random_streams, sensors
+from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
+from fishmj.gap.laboratory.virtual_robot.simulate import Recording, at_rest
+from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, Effects, plant, sense, sigmas, weather
+from fishmj.hydro_fit.campaign.data.run_segments import DOUBT
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
+from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.refined_run import in_levels
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, JointDriver, LeftDomain, Run
+from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
+from fishmj.lbm_oracle.run.spread import Waiting
+from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.log.excitation import PERIOD, Excitation
+from fishmj.mjcf.description import Robot
+from fishmj.water.flow import Flow
+
+CARRY = 1.5  # s that a carriage takes the fish along, or holds it in a stream: after them the drag stays within a tenth
+WIDTH, PASSES = 3, 2  # of the immersed boundary
+SLIPPERY = 0.02  # at nuisance 0.1 the slip ratio is 1 to 0.998 of what is asked for: 15 % of the speed at s = 1
+HEAVY = 0.2  # of the nuisance: nobody weighs a fish to a tenth
+SHORTEST = 1.0  # s; less of an experiment is no trial
+CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One trial: a robot, an experiment, what its noise is drawn from.
+
+    heavier: factor on all masses. slip, sharpness: of the boundary. flow: ordered stream, m/s and rad. hand: seed of
+    how the fish is placed and how late packets are, in the place of the robot's own.
+    """
+
+    made: RobotConstants
+    what: Excitation
+    seed: int
+    index: int
+    name: str
+    replicate_of: str = ""
+    noise: float = 1.0
+    slip: float = 1.0
+    heavier: float = 1.0
+    flow: tuple[float, float] = (0.0, 0.0)
+    domain: Domain = field(default_factory=lambda: preset("laptop"))
+    hand: int | None = None
+    sharpness: Sharpness = PLAIN
+
+    @property
+    def placing(self) -> int:
+        """Seed of the hand and the radio."""
+        return self.seed if self.hand is None else self.hand
+
+    @property
+    def steps(self) -> int:
+        """Of the domain's own length, the coarsest water's."""
+        return round((self.what.seconds + (CARRY if self.carried else 0.0)) / self.domain.dt)
+
+    @property
+    def stream(self) -> np.ndarray:
+        """(2,) the ordered stream and a steady current, m/s."""
+        tank = self.made.tank
+        return np.array([tank.flow_x + tank.current_x, tank.flow_y + tank.current_y])
+
+    @property
+    def carried(self) -> bool:
+        """Whether a carriage takes the fish along, or holds it in a stream, before it lets go."""
+        return any(self.what.push) or bool(np.any(self.stream))
+
+
+class HiddenRun(Run):
+    """A `Run` on the second robot's servos; `tick` takes no notice of the command, the queue has them all.
+
+    Raises:
+        OracleUnstable, ConfigError: the job could not be set up.
+    """
+
+    def __init__(self, job: Job, device: str):
+        self.job, what, made = job, job.what, job.made
+        hand = random_streams.stream(job.placing, "placing", job.index).standard_normal(3) * job.noise
+        start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
+        state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
+        state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
+        state.ramp[:, :2] = what.commands[0][:, None]
+        packets = network.deliver(made.network, made.odd, what.t, what.commands, job.placing, job.index, job.noise)
+        gust = weather(made, what.seconds, job.seed, job.index)
+        self.electronics = Electronics(made, state, Queue(packets.times, packets.commands), gust)
+        stage = _stage(job, device, carriage(start, what.push, CARRY), what.commands[0] + made.zero)
+        coupled = stage.assembled(HiddenBody(made, job.domain.body_level.dt, job.heavier))
+        super().__init__(coupled, made.robot, latency=0.0, follow=DomainWatch(job.domain, stage.pose[2]))
+        if job.carried:
+            try:
+                self._carry(start)
+            except (LeftDomain, SimDiverged, OracleUnstable) as error:
+                self.stopped = str(error)
+        self.electronics.place(_hidden(coupled))
+        self.begin()
+
+    @property
+    def end(self) -> int:
+        """Ticks of the whole experiment."""
+        return round(self.job.what.seconds / PERIOD)
+
+    @property
+    def done(self) -> bool:
+        return self.ticks >= self.end or bool(self.stopped)
+
+    def recording(self) -> Recording:
+        """Every finished tick, a row a millisecond."""
+        whole = self.electronics.recording()
+        rows = round(self.ticks * PERIOD * 1000)
+        return Recording(whole.t[:rows], whole.data[:rows])
+
+    def _carry(self, start: np.ndarray) -> None:
+        """Take the fish along, or hold it, joints still, until t = 0 at `start`."""
+        dt, push = self.coupled.body.dt, self.job.what.push
+        steps, still = round(CARRY / dt), np.zeros(self.joints)
+        before = carriage(start, push, CARRY)
+        for i in range(steps):
+            after = carriage(start, push, CARRY - (i + 1) * dt)
+            _hidden(self.coupled).set_torque(still, still)
+            self.coupled.step(np.ones(3 + self.joints), np.concatenate([(after - before) / dt, still]))
+            if self.follow is not None:
+                self.follow(self.coupled)
+            before = after
+        self.coupled.join_stream()
+        self.coupled.take_wrench(CARRY)
+
+    def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
+        return ElectronicsDriver(self.electronics, coupled, self.ticks)
+
+
+def hidden_run(job: Job, device: str) -> HiddenRun:
+    """The run of a job, in levels where its box of water has some; raises as `HiddenRun`."""
+    return (HiddenRun if job.domain.fine is None else in_levels(HiddenRun))(job, device)
+
+
+class ElectronicsDriver:
+    """The joints' torque from the electronics for one tick; a joint that friction holds is prescribed not to move."""
+
+    power = 0.0  # their own record has it
+
+    def __init__(self, electronics: Electronics, coupled: FluidStructure, tick: int):
+        self.electronics, self.body, self.began = electronics, _hidden(coupled), tick * PERIOD
+        electronics.begin_tick(tick)
+        electronics.place(self.body)
+
+    def actuate(self, step: int) -> tuple[np.ndarray, np.ndarray]:
+        self.electronics.actuate(self.body, self.began + step * self.body.dt)
+        fixed = np.concatenate([np.zeros(3), self.electronics.held])
+        return fixed, np.zeros(len(fixed))
+
+    def record(self) -> None:
+        """Nothing to keep."""
+
+    def follow(self) -> None:
+        self.electronics.follow(self.body)
+
+
+def _hidden(coupled: FluidStructure) -> HiddenBody:
+    return cast(HiddenBody, coupled.body)
+
+
+def carriage(start: np.ndarray, push, before: float) -> np.ndarray:
+    """Pose (3,) `before` s ahead of t = 0 of a carriage with steady velocity `push` in its own axes, at `start` at t = 0."""
+    u, v, r = push
+    turned = -r * before
+    yaw = start[2] + turned
+    if abs(turned) < 1e-9:
+        along, across = before * u, before * v
+    else:  # the chord of an arc, in the axes at the start of it
+        s, c = np.sin(r * before) / r, (1.0 - np.cos(r * before)) / r
+        along, across = u * s - v * c, u * c + v * s
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([start[0] - (c * along - s * across), start[1] - (s * along + c * across), yaw])
+
+
+def _stage(job: Job, device: str, pose: np.ndarray, joints: np.ndarray) -> SwimSetup:
+    """Fish and water at the start; the stream and a steady current are the water's own."""
+    flow = Flow(speed=float(np.hypot(*job.stream)), direction=float(np.arctan2(job.stream[1], job.stream[0])))
+    x, y, yaw = pose.tolist()
+    grid: dict[str, Any] = {"domain": job.domain, "device": device, "width": WIDTH, "passes": PASSES}
+    grid["sharpness"] = job.sharpness
+    return SwimSetup(robot=job.made.robot, flow=flow, slip=job.slip, pose=(x, y, yaw), joints=tuple(joints.tolist()), **grid)
+
+
+def generate_lbm(
+    effects: Effects,
+    excitations: Iterable[str | Excitation],
+    seed: int,
+    noise: float = 1.0,
+    nuisance: float = 0.1,
+    domain: "str | Domain" = "laptop",
+    device: str = "cpu",
+    slip: float = 1.0,
+    *,
+    flow: tuple[float, float] = (0.0, 0.0),
+    robot: "str | Robot" = "fish",
+    tanks: int = 1,
+    say: Callable[[str], None] = lambda text: None,
+) -> list[Trial]:
+    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+
+    Args:
+        effects, noise, flow: as `virtual_robot.generate`. nuisance: relative half width of the servo's and radio's constants; a
+            fifth of it that of the masses, and slip is drawn between `slip` and (1 - 0.02 nuisance) `slip`.
+        domain: box of water, or its name; "laptop" is a preview. slip: ratio of the hull. robot: description, file or name.
+        tanks: experiments side by side.
+
+    Raises:
+        UnknownName, ConfigError: as `virtual_robot.generate`; no such domain. OracleUnstable: an experiment could not be set up,
+        or less than a second of it was sound.
+    """
+    waiting = jobs(effects, excitations, seed, noise, nuisance, domain, slip, flow=flow, robot=robot)
+    order = [job.name for job in waiting]
+    made: dict[str, Trial] = {}
+    for run in swum(waiting, device, tanks):
+        made[run.job.name] = trial = trial_of(run)
+        say(f"{trial.name}: {trial.span[1]:.1f} s")
+    return [made[name] for name in order]
+
+
+def jobs(
+    effects: Effects,
+    excitations: Iterable[str | Excitation],
+    seed: int,
+    noise: float = 1.0,
+    nuisance: float = 0.1,
+    domain: "str | Domain" = "laptop",
+    slip: float = 1.0,
+    *,
+    flow: tuple[float, float] = (0.0, 0.0),
+    robot: "str | Robot" = "fish",
+) -> list[Job]:
+    """The experiments of one robot, not yet run; arguments as `generate_lbm`."""
+    box = preset(domain) if isinstance(domain, str) else domain
+    if not 0.0 <= slip <= 1.0:
+        raise ConfigError(f"slip = {slip}; a ratio from 0, water that sticks to the hull, to 1, water that slides along it")
+    made = plant(effects, seed, nuisance=nuisance, robot=robot)
+    speed, direction = flow
+    made = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
+    rng = random_streams.stream(seed, "immersed")
+    heavier, smooth = 1.0 + HEAVY * nuisance * rng.uniform(-1, 1), slip * (1.0 - SLIPPERY * nuisance * rng.uniform(0, 1))
+    out: list[Job] = []
+    first: dict[str, str] = {}
+    for index, item in enumerate(excitations):
+        what = excitation.get(item, made.robot.n_joints) if isinstance(item, str) else item
+        name = f"{index + 1:02d}_{what.id}"
+        job = Job(made=made, what=what, seed=seed, index=index, name=name, noise=noise, slip=smooth, domain=box)
+        out.append(replace(job, replicate_of=first.get(what.id, ""), heavier=heavier, flow=flow))
+        first.setdefault(what.id, name)
+    return out
+
+
+def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
+    """Run jobs, `tanks` side by side; they come back as they finish, or stop; a device of several (`spread`) has its part."""
+    queue: Waiting = deque(waiting) if isinstance(waiting, Iterable) else waiting
+    busy: list[HiddenRun] = []
+    while busy or queue:
+        while len(busy) < tanks and queue:
+            busy.append(hidden_run(queue.popleft(), device))
+        ConcurrentRuns(busy).tick([np.zeros(run.joints) for run in busy])
+        for run in [run for run in busy if run.done]:
+            busy.remove(run)
+            yield run
+
+
+class Owned:
+    """Jobs of a `waiting` that holds pairs of an owner and its job: `swum` takes the jobs, `owner` says whose a run was."""
+
+    def __init__(self, waiting: Waiting):
+        self.waiting = waiting
+        self.of: dict[int, Any] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self.waiting)
+
+    def popleft(self) -> Job:
+        owner, job = self.waiting.popleft()
+        self.of[id(job)] = owner
+        return job
+
+    def owner(self, run: HiddenRun) -> Any:
+        return self.of.pop(id(run.job))
+
+
+def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = None) -> Trial:
+    """What the sensors made of a finished run; a run that failed is kept as far as it was sound.
+
+    noise: factor on the sensors' noise in the place of the job's. draw: of which trial number their noise is, by default the
+    job's.
+
+    Raises:
+        OracleUnstable: less than a second of it was.
+    """
+    job, made, what = run.job, run.job.made, run.job.what
+    record, ticks = run.recording(), run.ticks
+    if run.stopped and not run.stopped.startswith("left_domain"):
+        ticks = max(0, ticks - round(DOUBT / PERIOD))
+        rows = round(ticks * PERIOD * 1000)
+        record = record._replace(t=record.t[:rows], data=record.data[:rows])
+    if ticks * PERIOD < SHORTEST:
+        raise OracleUnstable(
+            f"{job.name}: {ticks * PERIOD:.2f} s were sound; {run.stopped}. Another seed or a finer grid may hold"
+        )
+    sent = what.t[:ticks]
+    tables = {"cmd": {"t": sent, "seq": np.arange(ticks), **numbered("c#", what.commands[:ticks])}}
+    factor, number = job.noise if noise is None else noise, job.index if draw is None else draw
+    streams = {name: random_streams.stream(job.seed, name, number) for name in SENSORS}
+    tables |= sense(made, record, streams, (0.0, float(record.t[-1])), factor)
+    tables["pose"] = sensors.on_its_clock(made.camera, sensors.track(made.camera, tables["pose"]))
+    return Trial(_meta(run, tables, factor), tables, name=job.name)
+
+
+def _meta(run: HiddenRun, tables: dict, noise: float) -> dict:
+    job, box, what = run.job, run.job.domain, run.job.what
+    grid = {"domain": box.name, "dx": box.dx, "dt": box.dt, "shape": list(box.shape), "kernel": WIDTH, "passes": PASSES}
+    return {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": job.made.robot.name,
+        "medium": "water",
+        "water": "lbm",
+        "grid": grid | {"preview": box.name in PREVIEWS, "device": str(run.coupled.fluid.device)},
+        "flow": {"speed": float(job.flow[0]), "direction": float(job.flow[1]), "known": True},
+        "excitation": what.id,
+        "replicate_of": job.replicate_of,
+        "start": list(map(float, what.start)),
+        "push": list(map(float, what.push)),
+        "carried": CARRY if any(what.push) else 0.0,
+        "sigma": sigmas(job.made, noise),
+        "clock": {table: CLOCKS[table] for table in tables},
+        "controller": "open loop",
+        "refined_ticks": run.refined,
+        "stopped": " ".join(run.stopped.split()),
+        **made_by("numpy"),
+        "source": "fishmj.campaign.hidden_lbm.hidden",
+        "licence": "Apache-2.0",
+        "notes": "simulated: immersed fish, electronics of the second robot; what is hidden in it is kept elsewhere",
+    }

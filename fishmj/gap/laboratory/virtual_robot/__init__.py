@@ -1,0 +1,29 @@
+"""A second robotic fish, written independently of the strip model that is fitted to data: the generator of blind tests.
+
+It shares the drawn outline, masses and servo numbers with the first one and nothing else; see docs/search/virtual_robot.md.
+
+    generate(effects, excitations, seed) -> [Trial]     trials in which effects are hidden
+    plant(effects, seed) -> Plant                       the numbers of such a robot
+    EFFECTS                                             what can be hidden: the catalogue and families outside it
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fishmj.gap.laboratory.virtual_robot.closed_loop_robot import ClosedLoopRobot
+    from fishmj.gap.laboratory.virtual_robot.trials import EFFECTS, generate, plant
+
+__all__ = ["EFFECTS", "ClosedLoopRobot", "generate", "plant"]
+
+
+def __getattr__(name: str) -> Any:
+    """Loads numba at first use only."""
+    if name == "ClosedLoopRobot":
+        from fishmj.gap.laboratory.virtual_robot.closed_loop_robot import ClosedLoopRobot
+
+        return ClosedLoopRobot
+    if name in __all__:
+        from fishmj.gap.laboratory.virtual_robot import trials
+
+        return getattr(trials, name)
+    raise AttributeError(f"module 'fishmj.gap.laboratory.virtual_robot' has no attribute {name!r}")

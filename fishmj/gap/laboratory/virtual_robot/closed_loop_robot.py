@@ -1,0 +1,96 @@
+"""The same robot step by step, for a loop that is closed from outside: a radio that loops back, a controller under test.
+
+    fish = ClosedLoopRobot({"command_latency": {"delay": 0.02}}, seed=3)
+    fish.send((0.3, 0.2, 0.1))                  # leaves now, arrives after the radio's latency, or never
+    packets = fish.advance(0.02)                # {"joint": {...}, "power": {...}, "pose": {...}} that became readable
+
+Time is the robot's own and moves only with `advance`; whoever wants real time waits between calls.
+"""
+
+import heapq
+from collections.abc import Sequence
+from itertools import count
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError
+from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory.virtual_robot.loop import H
+from fishmj.gap.laboratory.virtual_robot.network import Radio
+from fishmj.gap.laboratory.virtual_robot.sensors import on_its_clock
+from fishmj.gap.laboratory.virtual_robot.simulate import STILL, Recording, at_rest, run
+from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, Effects, plant, sense, weather
+from fishmj.mjcf.description import Robot
+
+MEMORY = 1.0  # s of motion that late sensors may look back on
+HORIZON = 3600.0  # s of weather drawn at the start; afterwards it stays as it is
+
+
+class ClosedLoopRobot:
+    """One virtual robot that waits for commands.
+
+    Args:
+        effects, seed, noise, nuisance, robot, medium: as `trials.generate`.
+        start: (x, y, yaw) in the tank, m and rad. flow: speed [m/s] and direction [rad] of the stream.
+    """
+
+    def __init__(
+        self, effects: Effects | None = None, seed: int = 0, noise: float = 1.0, nuisance: float = 0.1,
+        robot: "str | Robot" = "fish", medium: str = "water", start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        flow: tuple[float, float] = (0.0, 0.0),
+    ):  # fmt: skip
+        self.plant = made = plant(effects or {}, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow)
+        self.noise = noise
+        self._state = at_rest(start, made.zero, made.motor.voltage)
+        for told in (self._state.goal, self._state.aim, self._state.seen, self._state.ramp):
+            told[:] = 0.0
+        self._anchor = self._state.z[:3].copy()
+        changing = made.tank.sigma > 0.0 or made.odd.pulse != 0.0
+        self._gust = weather(made, HORIZON, seed, 0) if changing else STILL
+        self._radio = Radio(made.network, made.odd, seed, 0, noise)
+        self._streams = {name: random_streams.stream(seed, name, 0) for name in SENSORS}
+        self._queue: list[tuple[float, int, np.ndarray]] = []
+        self._order = count()
+        self._past: Recording | None = None
+
+    @property
+    def time(self) -> float:
+        """The robot's time, s."""
+        return float(self._state.clock[0])
+
+    def send(self, command: Sequence[float] | np.ndarray) -> None:
+        """Send the joints' angles (J,) [rad] now."""
+        angles, joints = np.asarray(command, float), len(self.plant.zero)
+        if angles.shape != (joints,) or not np.all(np.isfinite(angles)):
+            raise ConfigError(f"virtual robot: command {command!r}; expected {joints} finite angles in rad")
+        arrival = self._radio.arrival(self.time, angles)
+        if arrival is not None:
+            heapq.heappush(self._queue, (arrival, next(self._order), angles))
+
+    def advance(self, seconds: float) -> dict[str, dict[str, np.ndarray]]:
+        """Move on by whole milliseconds; returns the tables' rows that fell due, without the tracker's velocity."""
+        steps = round(seconds / H)
+        if steps < 1:
+            raise ConfigError(f"virtual robot: advance({seconds}); at least one step of {H} s")
+        begin = self.time
+        due = sorted(self._queue)
+        commands = np.array([angles for _, _, angles in due]).reshape(-1, len(self.plant.zero))
+        fresh = run(self.plant, self._state, [t for t, _, _ in due], commands, steps * H, self._gust, self._anchor)
+        self._queue = [entry for entry in self._queue if entry[0] > fresh.t[-1] + 1e-9]
+        heapq.heapify(self._queue)
+        self._past = fresh if self._past is None else _joined(self._past, fresh)
+        tables = sense(self.plant, self._past, self._streams, (begin, self.time), self.noise)
+        if "pose" in tables:
+            tables["pose"] = on_its_clock(self.plant.camera, tables["pose"])
+        return tables
+
+    def truth(self) -> np.ndarray:
+        """Exact pose of the reference point and hinge angles (3 + J,): x, y, yaw, j1 ..; for scoring, not for control."""
+        z = self._state.z
+        return np.array([z[0], z[1], z[2], *np.diff(z[2:])])
+
+
+def _joined(past: Recording, fresh: Recording) -> Recording:
+    """Both in a row, the last MEMORY seconds before the fresh part kept."""
+    keep = past.t >= fresh.t[0] - MEMORY
+    return Recording(np.concatenate([past.t[keep], fresh.t]), np.concatenate([past.data[keep], fresh.data]))

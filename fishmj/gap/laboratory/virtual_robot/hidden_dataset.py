@@ -1,0 +1,165 @@
+"""Hidden effects on disk: a data set of trials, and its truth in another file.
+
+The truth file is JSON with what was planted, the seed and the hash of the data set's manifest. It may not lie in the data set.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.names import checked
+from fishmj.base.store import Manifest, sha256, write_json
+from fishmj.base.store.manifest import MANIFEST
+from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, EntryParameter
+from fishmj.gap.laboratory.virtual_robot.trials import EFFECTS
+from fishmj.log import Trial, measurements, write_dataset
+from fishmj.log.folder import META_FILE
+
+SCHEMA = "fishmj.truth/1"
+WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn
+Limits = Callable[[str, EntryParameter], tuple[float, float]]
+OWN = re.compile(r"([^:=]+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)+):[A-Za-z_][\w.]*")  # an effect's name has no dot
+INSTEAD = (
+    "list it in a fish (docs/simulate/your_own_code.md) and make logs of that with fishmj evaluate --robot FISH.toml --effects,"
+    " or, if it acts on what sensors report alone, put it on logs that are there: fishmj gap plant --generator log --from DATA"
+)
+LOTTERIES = {"random": CATALOGUE, "random_odd": ODDITIES}
+
+
+def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> dict[str, dict[str, float]]:
+    """What `--plant` says: `NAME`, `NAME=value` (main parameter), `NAME:p=1,q=2`, `random`, `random_odd`.
+
+    Values that are not said are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their nulls.
+    limits: of each parameter of an effect; default, `bounds`.
+
+    Raises:
+        UnknownName: no such effect or parameter. ConfigError: no number, one out of its range, an effect that is said twice, or
+            one of the user's own.
+    """
+    effects: dict[str, dict[str, float]] = {}
+    for position, text in enumerate(texts):
+        if own := own_reference(text):
+            raise ConfigError(f"effect {own[:60]}: the second robot cannot hide it, having equations of its own; {INSTEAD}")
+        rng = random_streams.stream(seed, "lottery", position)
+        name, colon, list_ = text.partition(":")
+        main = None
+        if not colon:
+            name, equals, value = text.partition("=")
+            main = _number(text, value) if equals else None
+        if name in LOTTERIES:
+            left = sorted(set(LOTTERIES[name]) - set(effects))
+            if not left or main is not None or colon:
+                raise ConfigError(
+                    f"--plant {text[:60]}: {name} draws one of the effects that are left ({len(left)}) and its size"
+                )
+            name = str(rng.choice(left))
+        if name not in EFFECTS:
+            raise UnknownName("effect", name[:60], [*EFFECTS, *LOTTERIES])
+        if name in effects:
+            raise ConfigError(f"--plant {text[:60]}: {name} is there already; say all of it in one NAME:p=1,q=2")
+        effect = EFFECTS[name]
+        if main is not None:
+            effects[name] = {effect.parameters[0].name: main}
+        elif colon:
+            pairs = [pair.partition("=") for pair in list_.split(",")]
+            effects[name] = {key.strip(): _number(text, value) for key, _, value in pairs}
+        else:
+            effects[name] = effect.draw(rng)
+        effect.fields(effects[name])
+        for parameter in effect.parameters:
+            _ranged(text, parameter, effects[name].get(parameter.name, parameter.null), (limits or bounds)(name, parameter))
+    return effects
+
+
+def own_reference(text: str) -> str:
+    """The `package.module:Name` or `file.py:Name` that what a user wrote begins with; "" for a plain name."""
+    found = OWN.match(text)
+    return found[0] if found else ""
+
+
+def bounds(name: str, parameter: EntryParameter) -> tuple[float, float]:
+    """What may be planted: what is possible, up to WIDEST times the largest typical size; without a sign, little below null."""
+    size = max(abs(t - (0.0 if parameter.default else parameter.null)) for t in parameter.typical)
+    below = WIDEST if parameter.signed or parameter.null else BELOW
+    low, high = max(parameter.least, parameter.null - below * size), min(parameter.most, parameter.null + WIDEST * size)
+    return low, high
+
+
+def _ranged(text: str, parameter: EntryParameter, value: float, limits: tuple[float, float]) -> None:
+    low, high = limits
+    if not low <= value <= high:
+        expected = f"expected {low:g} to {high:g} {parameter.unit}"
+        raise ConfigError(f"--plant {text[:60]}: {parameter.name} = {value:g}; {expected}")
+
+
+def placed(folder: Path, truth: Path, names: Iterable[str], overwrite: bool) -> tuple[Path, Path]:
+    """Where a data set and its truth go, as absolute paths; asked before the work.
+
+    Raises:
+        ConfigError: a name that cannot stand in a path, something else is there, or it would lie inside another data set.
+    """
+    folder, truth = Path(folder).absolute(), Path(truth).absolute()
+    checked(folder.resolve().name, "data set", "--out")
+    if truth.is_dir():
+        raise ConfigError(f"--truth {truth}: is a folder; name a file outside the data set")
+    _apart(folder, truth)
+    if truth.exists() and not overwrite:
+        raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
+    above = next((p for p in folder.resolve().parents if any((p / f).is_file() for f in (MANIFEST, META_FILE))), None)
+    if above is not None:
+        raise ConfigError(f"--out {folder} lies inside {above}, which is a data set or a trial; choose a folder outside")
+    if not folder.exists() or not any(folder.iterdir()):
+        return folder, truth
+    if not overwrite:
+        raise ConfigError(f"--out {folder} exists; choose another name or pass --overwrite")
+    if not (folder / MANIFEST).is_file():
+        raise ConfigError(
+            f"--out {folder} holds other things than a data set; --overwrite is for data sets. Choose another folder"
+        )
+    old = {str(Path(file).parent) for file in Manifest.read(folder).files if Path(file).name == META_FILE} - set(names)
+    if old:
+        held = f"{len(old)} trials that this run does not write ({', '.join(sorted(old)[:3])})"
+        raise ConfigError(f"--out {folder} holds {held}; remove the folder, or choose another")
+    return folder, truth
+
+
+def _apart(folder: Path, truth: Path) -> None:
+    if truth.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"--truth {truth} lies inside the data set {folder}; choose a file outside, or nothing stays hidden")
+
+
+def write_hidden(
+    folder: Path, truth: Path, trials: list[Trial], effects: Mapping, facts: Mapping, overwrite: bool = False,
+    page: Mapping | None = None,
+) -> None:  # fmt: skip
+    """Write the data set, with a page of weighings if there is one, then its truth.
+
+    Raises:
+        ConfigError: the truth would lie inside the data set. StoreError: a file is there already, or the disk refuses.
+    """
+    folder, truth = Path(folder), Path(truth)
+    _apart(folder, truth)
+    if truth.exists() and not overwrite:
+        raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
+    if overwrite:
+        (folder / measurements.FILE).unlink(missing_ok=True)  # of another robot
+    named = {trial.name: trial for trial in trials}
+    write_dataset(folder, named, meta={"origin": "synthetic"}, overwrite=overwrite, page=page)
+    sealed = {"schema": SCHEMA, "origin": "synthetic", "effects": effects, **facts}
+    write_json(truth, sealed | {"manifest_sha256": sha256(folder / MANIFEST)})
+
+
+def _number(text: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
+        raise ConfigError(
+            f"--plant {text[:60]}: {value[:40]!r} is no finite number; write NAME, NAME=0.03 or NAME:parameter=0.03,other=1 (SI)"
+        )
+    return number

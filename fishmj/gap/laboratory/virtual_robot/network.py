@@ -1,0 +1,66 @@
+"""Radio and bus: a queue of command packets, each with its own delay; telemetry of the joints.
+
+A packet that is sent at t_k reaches the servos at t_k + latency + jitter, unless it is lost; a late packet may be overtaken, and
+then the older command comes last and stays until the next one. The small jitter of a good radio has no mean (the nominal latency
+holds it); the effect only ever delays. Stamps are the sender's.
+"""
+
+import heapq
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory.virtual_robot.constants import Network, Uncatalogued
+from fishmj.gap.laboratory.virtual_robot.simulate import Recording
+
+
+class Delivery(NamedTuple):
+    """What reaches the servos. times (K,) s rising, commands (K, J) rad."""
+
+    times: np.ndarray
+    commands: np.ndarray
+
+
+class Radio:
+    """Decides, packet by packet, when a command reaches the servos."""
+
+    def __init__(self, network: Network, odd: Uncatalogued, seed: int, trial: int, noise: float):
+        self.network, self.odd, self.noise = network, odd, noise
+        self._streams = [random_streams.stream(seed, purpose, trial) for purpose in ("radio", "radio tail", "loss")]
+        self._last: np.ndarray | None = None
+
+    def arrival(self, sent: float, command: np.ndarray) -> float | None:
+        """Time of arrival [s] of a command (J,) sent at `sent`; None when it is lost."""
+        n, (base, tail, loss) = self.network, self._streams
+        delay = (
+            n.latency + n.delay + self.noise * n.jitter * random_streams.jitter(base) + n.sigma * random_streams.lateness(tail)
+        )
+        if self.odd.busy > 0.0:  # the bus is slower while the joints are asked to be fast
+            last = command if self._last is None else self._last
+            delay += self.odd.busy * float(np.max(np.abs(command - last))) / n.period
+        self._last = np.array(command)
+        return None if loss.random() < n.loss else sent + max(delay, 0.001)
+
+
+def deliver(
+    network: Network, odd: Uncatalogued, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
+) -> Delivery:
+    """Send commands (K, J) at `sent` (K,) and take them out of the queue in order of arrival."""
+    radio = Radio(network, odd, seed, trial, noise)
+    times = [radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)]
+    queue = [(t, k) for k, t in enumerate(times) if t is not None]
+    heapq.heapify(queue)
+    arrived = [heapq.heappop(queue) for _ in range(len(queue))]
+    order = [k for _, k in arrived]
+    return Delivery(np.array([t for t, _ in arrived]), commands[order].reshape(-1, commands.shape[1]))
+
+
+def telemetry(net: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
+    """Table `joint`: the hinges' own sensors, read at t (K,), reported for the stamped time but `joint_delay` old."""
+    stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
+    names = [f"j{k + 1}" for k in range(len(zero))]
+    angle = record.at(stamps - net.joint_delay, *names) - zero
+    angle = angle + noise * net.angle_noise * rng.standard_normal(angle.shape)
+    angle = np.round(angle / net.angle_step) * net.angle_step
+    return {"t": stamps, **dict(zip(names, angle.T, strict=True))}

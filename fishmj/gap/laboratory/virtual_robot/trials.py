@@ -1,0 +1,191 @@
+"""Synthetic trials of a robot in which effects are hidden.
+
+    from fishmj.gap.laboratory.virtual_robot import generate
+    trials = generate({"command_latency": {"delay": 0.038}}, ["gait", "chirp"], seed=7)
+
+Nothing in a trial says what was planted. One seed is one robot (nuisance draw) and one noise, whatever is planted.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.source import made_by
+from fishmj.gap.laboratory.virtual_robot import network, random_streams
+from fishmj.gap.laboratory.virtual_robot import sensors as cameras
+from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, CatalogueEntry
+from fishmj.gap.laboratory.virtual_robot.loop import GUST
+from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, RobotConstants, WaterScales, buildable, nominal
+from fishmj.gap.laboratory.virtual_robot.simulate import Recording, at_rest, run
+from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.log.excitation import Excitation
+from fishmj.mjcf.description import Robot, load_robot
+
+EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
+MEDIA = ("water", "air")
+SENSORS = ("joint", "power", "pose")
+USUAL: Mapping[str, float] = MappingProxyType({})  # sensors of the constants' page
+NOMINAL: Mapping[str, np.ndarray] = MappingProxyType({})  # every sensor at its own period
+Effects = Mapping[str, Mapping[str, float]]
+
+
+def plant(
+    effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water",
+    flow: tuple[float, float] = (0.0, 0.0), scales: WaterScales = AS_IT_IS,
+) -> RobotConstants:  # fmt: skip
+    """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
+
+    flow: speed [m/s] of the stream that was ordered and where it moves to [rad]. scales: of its water.
+
+    Raises:
+        UnknownName: an effect or parameter that does not exist. ConfigError: an impossible value, medium or robot.
+    """
+    if medium not in MEDIA:
+        raise ConfigError(f"virtual robot: medium = {medium!r}; choose one of {', '.join(MEDIA)}")
+    if not 0.0 <= nuisance < 1.0:
+        raise ConfigError(f"virtual robot: nuisance = {nuisance}; a relative half width from 0 to below 1")
+    described = load_robot(robot)
+    buildable(described)
+    made, (speed, direction) = nominal(described, medium, nuisance, random_streams.stream(seed, "nuisance"), scales), flow
+    fields = {"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)}
+    for name, values in effects.items():
+        if name not in EFFECTS:
+            raise UnknownName("effect", name, EFFECTS)
+        fields |= EFFECTS[name].fields(values)
+    return made.with_fields(fields)
+
+
+def generate(
+    effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
+    robot: "str | Robot" = "fish", medium: str = "water", *, flow: tuple[float, float] = (0.0, 0.0),
+    sensors: Mapping[str, float] = USUAL, tick: Callable[[int], None] = lambda done: None,
+) -> list[Trial]:  # fmt: skip
+    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+
+    Args:
+        effects: {name: {parameter: value}}, SI; {} hides nothing.
+        noise: factor on the noise of every sensor (and on how badly the fish is placed); 0 leaves counts and latencies.
+        nuisance: relative half width of the draw of unmeasured constants.
+        medium: "water", or "air": hung on a thread, no camera.
+        flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
+        sensors: fields of network, camera and meter (constants.py) that are not the usual: {"camera.period": 1 / 30}.
+        tick: is told how many trials are done.
+    """
+    made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow).with_fields(dict(sensors))
+    trials: list[Trial] = []
+    first: dict[str, str] = {}
+    for index, item in enumerate(excitations):
+        what = excitation.get(item, made.robot.n_joints) if isinstance(item, str) else item
+        name = trial_name(index, what.id)
+        trials.append(trial_of(made, what, seed, index, noise, name, first.get(what.id, ""), flow))
+        first.setdefault(what.id, name)
+        tick(len(trials))
+    return trials
+
+
+def trial_name(index: int, excitation_id: str) -> str:
+    """Of the trial number `index` [from 0] of a session."""
+    return f"{index + 1:02d}_{excitation_id}"
+
+
+def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
+    """What really happens in trial `index`: place the fish, send the commands, move."""
+    if what.commands.shape[1] != made.robot.n_joints:
+        counts = f"{what.commands.shape[1]} joints, {made.robot.name} has {made.robot.n_joints}"
+        raise ConfigError(f"virtual robot: experiment {what.id!r} commands {counts}; take excitation.get(name, joints)")
+    hand = random_streams.stream(seed, "placing", index).standard_normal(3) * noise
+    start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
+    state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
+    state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
+    state.ramp[:, :2] = what.commands[0][:, None]
+    queue = network.deliver(made.network, made.odd, what.t, what.commands, seed, index, noise)
+    return run(made, state, queue.times, queue.commands, what.seconds, weather(made, what.seconds, seed, index))
+
+
+def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.ndarray:
+    """Water velocity that varies in time (G, 2), every GUST s: turbulence, and a current that comes and goes."""
+    tank, odd, n = made.tank, made.odd, int(seconds / GUST) + 3
+    table = np.zeros((n, 2))
+    if tank.sigma > 0.0:
+        table += random_streams.gusts(random_streams.stream(seed, "turbulence", index), n, GUST, tank.sigma, tank.time)
+    if odd.pulse != 0.0:
+        phase = random_streams.stream(seed, "pulse", index).uniform(0.0, 2 * np.pi)
+        table[:, 0] += odd.pulse * np.sin(2 * np.pi * np.arange(n) * GUST / odd.pulse_period + phase)
+    return table
+
+
+def trial_of(
+    made: RobotConstants, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str,
+    flow: tuple[float, float], stamps: Mapping[str, np.ndarray] = NOMINAL,
+) -> Trial:  # fmt: skip
+    """Move, then look through the sensors; the trial holds what a lab would have on disk. stamps: as `sense`."""
+    record = swim(made, what, seed, index, noise)
+    wet = made.water.active > 0.0
+    tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
+    streams = {name: random_streams.stream(seed, name, index) for name in SENSORS}
+    tables |= sense(made, record, streams, (0.0, record.t[-1]), noise, stamps)
+    if "pose" in tables:
+        tables["pose"] = cameras.on_its_clock(made.camera, cameras.track(made.camera, tables["pose"]))
+    clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
+    meta = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": made.robot.name,
+        "medium": "water" if wet else "air",
+        "water": "virtual robot" if wet else "none",
+        "flow": {"speed": float(flow[0]), "direction": float(flow[1]), "known": True},
+        "excitation": what.id,
+        "replicate_of": replicate_of,
+        "start": list(map(float, what.start)),
+        "push": list(map(float, what.push)),
+        "sigma": sigmas(made, noise),
+        "clock": {table: clocks[table] for table in tables},
+        "controller": "open loop",
+        **made_by("numpy"),
+        "source": "fishmj.virtual_robot",
+        "licence": "Apache-2.0",
+        "notes": "simulated by the second robot; what is hidden in it is kept elsewhere",
+    }
+    return Trial(meta, tables, name=name)
+
+
+def sense(
+    made: RobotConstants, record: Recording, streams: dict, span: tuple[float, float], noise: float,
+    stamps: Mapping[str, np.ndarray] = NOMINAL,
+) -> dict[str, dict]:  # fmt: skip
+    """Tables joint, power and (in water) pose with the readings from span[0] to before span[1].
+
+    stamps: sensor -> times (K,) s at which it is read in the place of its own period.
+    """
+
+    def due(sensor: str, period: float) -> np.ndarray:
+        if sensor in stamps:
+            return stamps[sensor]
+        return np.arange(np.ceil(span[0] / period - 1e-9), np.ceil(span[1] / period - 1e-9)) * period
+
+    network_, camera, meter = made.network, made.camera, made.meter
+    tables = {
+        "joint": network.telemetry(network_, made.zero, record, due("joint", network_.period), streams["joint"], noise),
+        "power": cameras.metered(meter, record, due("power", meter.period), streams["power"], noise),
+    }
+    if made.water.active > 0.0:
+        tables["pose"] = cameras.watch(camera, made.odd, record, due("pose", camera.period), streams["pose"], noise)
+    return tables
+
+
+def sigmas(made: RobotConstants, noise: float) -> dict[str, float]:
+    """Standard deviation of each channel's noise, counts included, and of the hand that places the fish, in their units."""
+    c, n, m = made.camera, made.network, made.meter
+    joint = float(np.hypot(noise * n.angle_noise, n.angle_step / np.sqrt(12)))
+    return {
+        "x": noise * c.position_noise,
+        "y": noise * c.position_noise,
+        "yaw": noise * c.heading_noise,
+        **{f"j{j + 1}": joint for j in range(made.robot.n_joints)},
+        "V": noise * m.voltage_noise,
+        "I": noise * m.current_noise,
+        "start": noise * made.placing.position,
+        "start_yaw": noise * made.placing.heading,
+    }

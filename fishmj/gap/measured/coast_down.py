@@ -1,0 +1,120 @@
+"""A body that coasts to rest: (m + X) du/dt = -c |u| u + effects, seen as its speed alone.
+
+The speed at which each coast began is no measurement but a free number of it: among trajectories from `STARTS` speeds the one
+that fits the coast's own rows is taken, under every law anew. So a law is judged by how the speed falls, not by where it began.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.base.errors import LogError
+from fishmj.effects.effect import Effect
+from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody
+from fishmj.gap.measured.study_logs import Log
+from fishmj.gap.measured.study_schema import StudyInput
+from fishmj.gap.models.swimming_fish import Constant
+from fishmj.gap.records.records import Sensor
+
+STARTS = 28  # speeds at the start that are tried
+STRIDE = 5  # model's steps between two samples of a trajectory
+LEAST = 5  # rows of a coast
+LONGEST = 1800.0  # s
+
+
+class Coast(NamedTuple):
+    """Speeds of one coast; pose: Sensor of one column, m/s."""
+
+    name: str
+    group: str
+    dt: float
+    pose: Sensor
+    joint: None = None
+    power: None = None
+
+
+class CoastDown:
+    """Args: hull: nominal mass and drag. constants: factors that a fit adapts. catalogue: effects. speeds: range of starts."""
+
+    def __init__(
+        self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect], speeds: tuple[float, float], dt: float
+    ):
+        self.body = PlanarBody(hull, constants, catalogue, dt)
+        self.constants, self.active, self.dt = constants, self.body.active, dt
+        self.starts = np.geomspace(*speeds, STARTS)
+
+    @property
+    def null(self) -> np.ndarray:
+        """(P,) the body as it is."""
+        return self.body.null
+
+    def index(self, effect: str, parameter: str) -> int:
+        """Place of an effect's parameter in a row."""
+        return self.body.index(effect, parameter)
+
+    def predict(self, records: Sequence[Coast], rows) -> list[dict]:
+        """Speed at the stamps of every coast, for every parameter row (R, P): {"pose": (R, K, 1)}."""
+        rows = np.atleast_2d(np.asarray(rows, float))
+        step = STRIDE * self.dt
+        seconds = step * (np.ceil(max(float(r.pose.t[-1]) for r in records) / step) + 1)
+        states = np.zeros((STARTS, 6))
+        states[:, 3] = self.starts
+        nothing = Sensor(np.zeros(0), np.zeros((0, 3)), np.ones(3))
+        swim = MeanGait("coast", "coast", self.dt, np.zeros((1, 2)), states, float(seconds), nothing)
+        speeds = np.nan_to_num(self.body.tracks([swim], rows, STRIDE)[0][..., 3], nan=1e3, posinf=1e3, neginf=-1e3)  # (R, S, N)
+        return [{"pose": _nearest(speeds, r, step, self.starts)[..., None]} for r in records]
+
+
+def _nearest(speeds: np.ndarray, r: Coast, step: float, starts: np.ndarray) -> np.ndarray:
+    """(R, K) the trajectory that fits a coast's rows best, between three of the starts. speeds: (R, S, N)."""
+    at = r.pose.t / step
+    i = np.minimum(at.astype(int), speeds.shape[-1] - 2)
+    seen = speeds[..., i] + (at - i) * (speeds[..., i + 1] - speeds[..., i])  # (R, S, K)
+    squares = np.sum((seen - r.pose.values[:, 0]) ** 2, -1)
+    middle = np.clip(np.argmin(squares, 1), 1, len(starts) - 2)
+    which = np.arange(len(seen))
+    three = np.stack([seen[which, middle + k] for k in (-1, 0, 1)], 1)  # (R, 3, K)
+    # the least of the parabola through three sums, in steps of the (geometric) grid
+    a, b, c = (squares[which, middle + k] for k in (-1, 0, 1))
+    bend = np.maximum(a - 2 * b + c, 1e-30)
+    x = np.clip(0.5 * (a - c) / bend, -1.0, 1.0)[:, None]
+    return 0.5 * x * (x - 1) * three[:, 0] + (1 - x * x) * three[:, 1] + 0.5 * x * (x + 1) * three[:, 2]
+
+
+def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[Coast]:
+    """Every log, whole or up to the horizon.
+
+    Raises:
+        LogError: too few rows, too long, or a body that never moves ahead.
+    """
+    out, sigma = [], np.array([study.given.noise.speed])
+    for log, group in zip(logs, groups, strict=True):
+        t, speed = log.series["speed"]
+        t = t - t[0]
+        keep = t <= study.given.prediction.horizon if study.given.prediction.horizon else np.ones(len(t), bool)
+        if keep.sum() < LEAST:
+            raise LogError(f"{log.where}: {int(keep.sum())} rows, expected {LEAST} at least in a coast; leave it out")
+        if t[keep][-1] > LONGEST:
+            raise LogError(
+                f"{log.where}: {t[keep][-1]:.4g} s, expected at most {LONGEST:g} s; is the unit of t right? Or set a horizon"
+            )
+        if not float(np.median(speed[keep][:LEAST])) > 3 * study.given.noise.speed:
+            raise LogError(
+                f"{log.where}: begins at {np.median(speed[keep][:LEAST]):.3g} m/s, expected a body that moves ahead, three times "
+                "the noise at least; cut it where it was let go, or turn the sign in [columns]"
+            )
+        out.append(Coast(log.name, group, dt, Sensor(t[keep], speed[keep][:, None], sigma)))
+    return out
+
+
+def range_of(found: Sequence[Coast]) -> tuple[float, float]:
+    """The speeds at which a coast may have begun, m/s."""
+    first = [float(np.max(r.pose.values[: max(LEAST, 1)])) for r in found]
+    return 0.4 * min(first), 2.0 * max(first)
+
+
+def error(plant: CoastDown, found: Sequence[Coast], row: np.ndarray) -> float:
+    """Mean over the coasts of the mean square error, (m/s)^2."""
+    seen = plant.predict(list(found), row)
+    return float(np.mean([np.mean((p["pose"][0] - r.pose.values) ** 2) for p, r in zip(seen, found, strict=True)]))

@@ -1,0 +1,197 @@
+"""`gap fetch NAME`: a public data set from its source, at a pinned commit, every file checked.
+
+    fetch("tail_fish", "data/tail_fish")
+
+What is pinned lies in `public/<name>.toml`: repository, commit, and sha256 and size of every file. A file gets its name only
+after its sum was right; what is already there and right is not asked for again, and a body that broke off goes on where it
+stopped. The manifest comes last, so a folder with a manifest is whole.
+"""
+
+import hashlib
+import io
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from urllib.parse import quote
+
+from fishmj.base import console
+from fishmj.base.calib import read_toml
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
+from fishmj.base.store import Manifest, sha256, write_bytes
+from fishmj.base.store.manifest import MANIFEST
+from fishmj.gap.measured.download import Missing, download
+
+SOURCE = "https://raw.githubusercontent.com"
+FOLDER = Path(__file__).resolve().parent / "public"
+ARCHIVE_LIMIT = 200 * 2**20  # bytes; the largest archive here is a few MB
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Pin:
+    """One file: where it goes, and what it must be."""
+
+    path: str
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True)
+class PublicSet:
+    """A public data set: single files of `folder`, or members of one `archive`."""
+
+    name: str
+    about: str
+    repository: str
+    commit: str
+    licence: str
+    files: tuple[Pin, ...]
+    licence_file: Pin
+    licence_commit: str
+    folder: str = ""
+    archive: str = ""
+    note: str = ""
+
+    def url(self, base: str, path: str, commit: str = "") -> str:
+        """Address of a file of the repository at a commit."""
+        return f"{base.rstrip('/')}/{self.repository}/{commit or self.commit}/{quote(path)}"
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """What a fetch did."""
+
+    name: str
+    folder: Path
+    files: int
+    downloaded: int  # bytes
+    kept: int  # files that were there already
+    notes: tuple[str, ...]
+
+
+def names() -> list[str]:
+    """The sets that can be fetched."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def public_set(name: str) -> PublicSet:
+    """The pinned description of one set; `UnknownName` lists the others."""
+    if name not in names():
+        raise UnknownName("public data set", name, names())
+    spec = read_toml(FOLDER / f"{name}.toml")
+    files = tuple(Pin(path, entry["sha256"], entry["bytes"]) for path, entry in spec["files"].items())
+    told = spec["licence_file"]
+    return PublicSet(
+        name=name,
+        files=files,
+        licence_file=Pin(told["path"], told["sha256"], told["bytes"]),
+        licence_commit=told.get("commit", spec["commit"]),
+        **{key: spec[key] for key in ("about", "repository", "commit", "licence")},
+        **{key: spec[key] for key in ("folder", "archive", "note") if key in spec},
+    )
+
+
+def fetch(name: str, out: str | Path, base_url: str | None = None, *, say: Say | None = None) -> Fetched:
+    """Download the set `name` into the folder `out`; run again, it goes on where it stopped.
+
+    Args:
+        base_url: another server with the same paths (a mirror); the public source when None.
+        say: gets one line now and then.
+
+    Raises:
+        UnknownName: no such set. ConfigError: `out` is a file, or holds another set. StoreError: the server lacks a file, the
+        connection broke three times, or a sum is wrong; the files that were right stay.
+    """
+    wanted, out = public_set(name), Path(out)
+    base = base_url or SOURCE
+    if not base.startswith(("https://", "http://")):
+        raise ConfigError(f"base_url = {base!r}; expected an address that begins with https:// or http://")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out}: is a file; choose a folder for the data set")
+    _refuse_other(wanted, out)
+    missing = [pin for pin in wanted.files if not _right(out / pin.path, pin)]
+    notes = [wanted.note] if wanted.note else []
+    tell = say or (lambda line: None)
+    received = 0
+    if missing and wanted.archive:
+        received = _unpack(wanted, base, out, missing, tell)
+    elif missing:
+        for i, pin in enumerate(missing, start=1):
+            tell(f"{name}: {i} of {len(missing)}: {pin.path} ({pin.bytes} bytes)")
+            data = download(
+                wanted.url(base, f"{wanted.folder}/{pin.path}"), out, f"{name}-{pin.sha256[:16]}", pin.sha256, pin.bytes
+            )
+            write_bytes(out / pin.path, data)
+            received += len(data)
+    notes += _licence(wanted, base, out)
+    meta = {"name": name, "source": f"github.com/{wanted.repository}", "commit": wanted.commit, "licence": wanted.licence}
+    keep = {pin.path: pin.sha256 for pin in (*wanted.files, wanted.licence_file) if (out / pin.path).is_file()}
+    Manifest(dict(sorted(keep.items())), meta).write(out)
+    return Fetched(name, out, len(wanted.files), received, len(wanted.files) - len(missing), tuple(notes))
+
+
+def _right(path: Path, pin: Pin) -> bool:
+    return path.is_file() and path.stat().st_size == pin.bytes and sha256(path) == pin.sha256
+
+
+def _refuse_other(wanted: PublicSet, out: Path) -> None:
+    if (out / MANIFEST).is_file():
+        there = Manifest.read(out).meta.get("name")
+        if there != wanted.name:
+            raise ConfigError(f"{out}: holds {there or 'another data set'}, not {wanted.name}; choose another folder")
+
+
+def _unpack(wanted: PublicSet, base: str, out: Path, missing: list[Pin], tell: Say) -> int:
+    """Get the archive and put its pinned members in place. Members are found by the end of their path."""
+    url = wanted.url(base, wanted.archive)
+    tell(f"{wanted.name}: {wanted.archive}")
+    raw = download(url, out, f"{wanted.name}-archive", None, ARCHIVE_LIMIT)
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            inside = {PurePosixPath(info.filename).parts: info for info in archive.infolist() if not info.is_dir()}
+            for pin in missing:
+                write_bytes(out / pin.path, _member(url, archive, inside, pin))
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+        raise StoreError(f"{url}: not a sound zip archive ({error}); run again later, or get it by hand") from error
+    return len(raw)
+
+
+def _member(url: str, archive: zipfile.ZipFile, inside: dict[tuple[str, ...], zipfile.ZipInfo], pin: Pin) -> bytes:
+    tail = PurePosixPath(pin.path).parts
+    found = [info for parts, info in inside.items() if parts[-len(tail) :] == tail and info.file_size == pin.bytes]
+    for info in found:
+        data = archive.read(info)
+        if hashlib.sha256(data).hexdigest() == pin.sha256:
+            return data
+    told = f"{len(found)} of its size, none with sha256 {pin.sha256}" if found else f"none of {pin.bytes} bytes"
+    raise StoreError(f"{url}: member {pin.path}: {told}; the source has changed since it was pinned")
+
+
+def _licence(wanted: PublicSet, base: str, out: Path) -> list[str]:
+    """The licence beside the data; that a repository moved it must not cost the data."""
+    pin = wanted.licence_file
+    if _right(out / pin.path, pin):
+        return []
+    url = wanted.url(base, pin.path, wanted.licence_commit)
+    try:
+        write_bytes(out / pin.path, download(url, out, f"{wanted.name}-licence", pin.sha256, pin.bytes))
+    except Missing:
+        return [f"{url}: not there; the data is under {wanted.licence}, see github.com/{wanted.repository}"]
+    return []
+
+
+def main(argv: list[str]) -> int:
+    """`gap fetch NAME [--out FOLDER] [--base-url URL] [--json]`."""
+    parser = console.parser("gap fetch", "Get a public data set from its source, every file checked.")
+    parser.add_argument("name", help=", ".join(names()))
+    parser.add_argument("--out", type=console.out_folder, help="folder to write (default ./NAME)")
+    parser.add_argument("--base-url", metavar="URL", help="a mirror with the same paths (default the public source)")
+    args = parser.parse_args(argv)
+    got = fetch(args.name, args.out or Path(args.name), args.base_url, say=console.say)
+    console.say(f"{got.files} files in {got.folder}: {got.downloaded} bytes downloaded, {got.kept} files were there", *got.notes)
+    if args.json:
+        told = {"downloaded": got.downloaded, "kept": got.kept, "notes": got.notes}
+        console.emit_json({"name": got.name, "folder": str(got.folder), "files": got.files, **told})
+    return console.OK

@@ -1,0 +1,25 @@
+"""Where the measured data lie: the folder that FISHMJ_MEASURED names."""
+
+import os
+from pathlib import Path
+
+from fishmj.base.errors import LogError
+from fishmj.log import Trial, importers
+
+VARIABLE = "FISHMJ_MEASURED"
+
+
+def trials(name: str) -> dict[str, Trial]:
+    """The trials of one set by name. Raises LogError when the variable is not set or the set is not there."""
+    root = os.environ.get(VARIABLE, "")
+    if not root:
+        raise LogError(
+            f"{VARIABLE} is not set; it must name the folder of the measured data. Get a set with"
+            f" python -m fishmj.gap fetch {name} --out DIR/{name} and set {VARIABLE}=DIR"
+        )
+    folder = Path(root) / name
+    if not folder.is_dir():
+        raise LogError(
+            f"{folder}: no such folder ({VARIABLE}={root}); get it with python -m fishmj.gap fetch {name} --out {folder}"
+        )
+    return importers.read(folder)

@@ -1,0 +1,293 @@
+"""Naming what is missing by cross-validation over groups: conditions, gains, runs that no parameter saw.
+
+    per fold    baseline fitted -> screen -> refit with the constants -> cost on the groups left out
+    accepted    P(the cost left out falls by more than `useful`) over Bayesian bootstrap draws of the groups, best in most folds;
+                and an exact test over the groups of what each fold picks by its own records, where they are not too few for one
+    named       the same best effect in the folds, P(best) over the same draws, rivals by the exact test too, closure on records
+                kept aside for the last figure, or on the groups left out where none are
+
+Constants of the baseline are fitted with every candidate anew: what a constant can explain is no effect.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fishmj.gap import progress
+from fishmj.gap.measured.floor import Scatter
+from fishmj.gap.measured.significance import LEAST_GROUPS, LEVEL, exact_p
+from fishmj.gap.null.whitening import whitening
+from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search import likelihood
+from fishmj.gap.search.fit import Candidate, EffectFitter
+from fishmj.gap.thresholds import thresholds
+
+FIT, POLISH = 16, 6  # iterations
+PRIOR = 0.5  # of a constant, how far the screen lets it turn
+
+
+@dataclass(frozen=True)
+class Study:
+    """One measured set, ready to be searched.
+
+    learn, aside: records; `aside` ones take no part but in the last figure. fold: (L,) of each record of `learn`.
+    error(records, row): mean square over everything that was measured; said as its root times `factor` in `unit`, or as it is
+    where `unit` is "". floor: the mean square below which nothing can be seen, and `floor_of` what says so; replicates: whether
+    it is what repeats differ by, else a sensor's noise. origin: measured or synthetic. rounds: effects to add at most. floor_at:
+    the floor and its words of another parameter row than the nominal one, where it depends on it.
+    """
+
+    name: str
+    plant: Any
+    learn: Sequence
+    aside: Sequence
+    fold: np.ndarray
+    error: Callable[[Sequence, np.ndarray], float]
+    floor: float
+    floor_of: str
+    protocol: tuple[str, ...]
+    unit: str = ""
+    factor: float = 1.0
+    notes: tuple[str, ...] = ()
+    ahead: int = 8  # candidates refitted a fold
+    replicates: bool = True
+    origin: str = "measured"
+    rounds: int = 2
+    floor_at: Callable[[np.ndarray], tuple[float, str]] | None = None
+
+    def settled(self, row: np.ndarray) -> "Study":
+        """The study with the floor of the model that a parameter row is: how far noise at a start goes is up to the model."""
+        if self.floor_at is None:
+            return self
+        floor, of = self.floor_at(row)
+        return replace(self, floor=floor, floor_of=of)
+
+    @property
+    def groups(self) -> list[str]:
+        """The groups that take part in the search."""
+        return sorted({r.group for r in self.learn})
+
+    def figure(self, square: float) -> float:
+        """A mean square as the protocol says it."""
+        return self.factor * float(np.sqrt(square)) if self.unit else float(square)
+
+    def said(self, square: float) -> str:
+        """The same with its unit."""
+        return f"{self.figure(square):.4g} {self.unit}".strip()
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round. names: of the candidates; cost (C, G) on groups left out; best: per fold, by its own records; fitted: on all.
+
+    groups: (G,) as they are counted in. errors: (G, 2) of the study on each group left out, of the model before and of what its
+    fold picks by its own records: no choice saw the group. p_exact: of the cost of those picks, one-sided. p_rival: that the best
+    is better than each other candidate, the same test.
+    """
+
+    names: tuple[str, ...]
+    cost: np.ndarray
+    before: np.ndarray  # (G,)
+    best: tuple[str, ...]
+    values: tuple[dict, ...]  # per fold, candidate name -> row
+    fitted: Candidate
+    useful: float
+    p_best: dict[str, float]
+    accepted: bool
+    groups: tuple[str, ...]
+    errors: np.ndarray
+    p_exact: float
+    p_rival: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the rounds led to, with the error on the records kept aside before and after each."""
+
+    base: Candidate
+    rounds: tuple[Round, ...]
+    learned: tuple[float, ...]  # error on `learn`: baseline, then after each accepted round
+    kept_aside: tuple[float, ...]
+
+    @property
+    def rows(self) -> list[np.ndarray]:
+        """Parameter rows of the baseline and of each accepted round."""
+        return [self.base.row, *(r.fitted.row for r in self.rounds if r.accepted)]
+
+    @property
+    def unseen(self) -> np.ndarray:
+        """(G, 2) error on each group left out, of the baseline and of what was accepted, as the folds picked it."""
+        accepted = [r for r in self.rounds if r.accepted]
+        first, last = self.rounds[0].errors, (accepted or self.rounds)[-1].errors
+        return np.stack([first[:, 0], last[:, 1] if accepted else first[:, 0]], 1)
+
+
+class Fold:
+    """A search on some records, under the scatter of the baseline fitted to them."""
+
+    def __init__(self, study: Study, records: Sequence, start: Candidate | None = None):
+        self.study, self.records = study, list(records)
+        self.layout = ResidualLayout(self.records)
+        self.groups = [r.group for r in self.records]
+        plain = whitening(np.zeros((0, self.layout.size)), self.layout.noise())
+        first = EffectFitter(study.plant, self.records, self.layout, plain)
+        bare = Candidate((), tuple(range(len(study.plant.constants))), study.plant.null, 0.0, np.zeros(0))
+        fit = first.refine([scored(first, start or bare)], FIT)[0]
+        residual = self.layout.residuals(study.plant.predict(self.records, fit.row))[0]
+        self.scatter = Scatter(self.layout, self.groups, residual)
+        self.search = EffectFitter(study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
+        self.base = self.search.refine([scored(self.search, fit)], FIT)[0]
+
+    def ranked(self, effects, count: int) -> list[Candidate]:
+        """The best candidates one effect larger than the baseline, fitted with all constants."""
+        tangents = self._tangents()
+        whiten = self.scatter.whiten(self.layout, self.groups, tangents)
+        rough = EffectFitter(self.study.plant, self.records, self.layout, whiten)
+        found = self.refit(rough.screen(scored(rough, self.base), effects)[:count])
+        self.trust(found[0].row)
+        return self.refit(found)
+
+    def trust(self, row: np.ndarray) -> None:
+        """Take the scatter that this row leaves: the baseline's holds what is missing, too, and would hide its best witness."""
+        residual = self.layout.residuals(self.study.plant.predict(self.records, row))[0]
+        self.scatter = Scatter(self.layout, self.groups, residual)
+        self.search = EffectFitter(self.study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
+        self.base = self.search.refine([scored(self.search, self.base)], POLISH)[0]
+
+    def refit(self, candidates: list[Candidate]) -> list[Candidate]:
+        """The same effects, fitted to these records."""
+        return self.search.refine([scored(self.search, c) for c in candidates], POLISH) if candidates else []
+
+    def costs(self, left_out: Sequence, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """{group: (R,)} |z|^2 of records that were left out."""
+        layout, groups = ResidualLayout(list(left_out)), [r.group for r in left_out]
+        z = EffectFitter(self.study.plant, list(left_out), layout, self.scatter.whiten(layout, groups)).z(rows)
+        each = likelihood.costs(z, layout)
+        return {g: each[:, [i for i, h in enumerate(groups) if h == g]].sum(1) for g in sorted(set(groups))}
+
+    def _tangents(self) -> np.ndarray:
+        """(C, m) what the prior of each fitted place does to the residual."""
+        rows = np.tile(self.base.row, (1 + len(self.base.places), 1))
+        for i, place in enumerate(self.base.places):
+            rows[1 + i, place] += 0.05 * max(abs(rows[0, place]), 0.1)
+        residuals = self.layout.residuals(self.study.plant.predict(self.records, rows))
+        return (residuals[1:] - residuals[0]) * (PRIOR / 0.05)
+
+
+def scored(search: EffectFitter, c: Candidate) -> Candidate:
+    """The candidate with its cost under this search."""
+    z = search.z(c.row[None])[0]
+    return Candidate(c.names, c.places, c.row, float(z @ z), z)
+
+
+def investigate(
+    study: Study,
+    *,
+    most: int = 2,
+    useful: float = 0.02,
+    sure: float = 0.95,
+    has=(),
+    say=lambda text: None,
+    bars: progress.Bars = progress.silent,
+) -> Outcome:
+    """Add effects while groups that no parameter saw get better. has: names of effects that the model already holds."""
+    steps = 2 + len(set(study.fold))  # of a round; the baseline counts as one
+    with bars(most * steps, study.name, "fits") as bar:
+        base = current = extended(study, has)
+        rounds: list[Round] = []
+        learned, kept = [study.error(study.learn, base.row)], [study.error(study.aside, base.row)] if study.aside else []
+        aside = f", {study.said(kept[0])} on the {len(study.aside)} kept aside" if kept else ""
+        say(f"baseline: error {study.said(learned[0])} on {len(study.learn)} records{aside}")
+        while len(rounds) < most:
+            begun = len(rounds) * steps
+            step = one_round(study, current, useful, sure, lambda k, begun=begun: bar.update(begun + 1 + k))
+            rounds.append(step)
+            found = step.fitted.names[-1]
+            verdict = "accepted" if step.accepted else "not accepted"
+            say(
+                f"{found}: best in {step.best.count(found)} of {len(step.best)} folds,"
+                f" P(useful) = {step.useful:.2f}, P(best) = {step.p_best[found]:.2f},"
+                f" exact p = {step.p_exact:.2g} over {len(step.groups)} groups, {verdict}"
+            )
+            if not step.accepted:
+                break
+            current = step.fitted
+            learned.append(study.error(study.learn, current.row))
+            kept += [study.error(study.aside, current.row)] if study.aside else []
+        bar.update(most * steps)
+    return Outcome(base, tuple(rounds), tuple(learned), tuple(kept))
+
+
+def extended(study: Study, has=()) -> Candidate:
+    """The baseline with the effects `has`, all fitted to `learn`."""
+    whole = Fold(study, study.learn)
+    found = whole.base
+    for name in has:
+        found = whole.ranked([next(e for e in study.plant.active.effects if e.name == name)], 1)[0]
+    return found
+
+
+def one_round(study: Study, current: Candidate, useful: float, sure: float, done=lambda k: None) -> Round:
+    """All folds once, for candidates one effect larger than `current`. done: is told how many fits are."""
+    effects = [e for e in study.plant.active.effects if e.name not in current.names]
+    folds, own = [], []
+    for k in sorted(set(study.fold)):
+        fold = Fold(study, [r for r, f in zip(study.learn, study.fold, strict=True) if f != k], current)
+        folds.append((fold, [r for r, f in zip(study.learn, study.fold, strict=True) if f == k]))
+        own.append(fold.ranked(effects, study.ahead))
+        done(len(folds))
+    tried = {c.names[-1]: c for ranked in reversed(own) for c in reversed(ranked)}
+    names = tuple(tried)
+    before: dict[str, float] = {}
+    after: dict[str, np.ndarray] = {}
+    picked: dict[str, float] = {}
+    errors: dict[str, tuple[float, float]] = {}
+    values = []
+    for (fold, left_out), ranked in zip(folds, own, strict=True):
+        known = {c.names[-1]: c for c in ranked}
+        known |= {c.names[-1]: c for c in fold.refit([restarted(tried[n], fold.base) for n in names if n not in known])}
+        rows = np.array([fold.base.row, *(known[n].row for n in names)])
+        pick = 1 + names.index(ranked[0].names[-1])
+        for group, cost in fold.costs(left_out, rows).items():
+            before[group], after[group], picked[group] = float(cost[0]), cost[1:], float(cost[pick])
+            theirs = [r for r in left_out if r.group == group]
+            errors[group] = (study.error(theirs, rows[0]), study.error(theirs, rows[pick]))
+        values.append({n: known[n].row for n in names})
+    groups = sorted(before)
+    start, cost = np.array([before[g] for g in groups]), np.stack([after[g] for g in groups], 1)
+    winner = names[int(np.argmin(cost.sum(1)))]
+    weights = np.random.default_rng(0).dirichlet(np.ones(len(groups)), thresholds().likelihood.bootstrap_draws)
+    gains = weights @ (start - cost[names.index(winner)]) > useful * (weights @ start)
+    share = dict(zip(names, map(float, likelihood.p_best(cost)), strict=True))
+    everything = Fold(study, study.learn, current)
+    everything.trust(everything.refit([tried[winner]])[0].row)
+    fitted = everything.refit([tried[winner]])[0]
+    best = tuple(ranked[0].names[-1] for ranked in own)
+    sure_enough = float(np.mean(gains))
+    p = exact_p((1.0 - useful) * start, np.array([picked[g] for g in groups]))
+    accepted = sure_enough >= sure and 2 * best.count(winner) > len(best) and (p <= LEVEL or len(groups) < LEAST_GROUPS)
+    mine = cost[names.index(winner)]
+    return Round(
+        names,
+        cost,
+        start,
+        best,
+        tuple(values),
+        fitted,
+        sure_enough,
+        share,
+        accepted,
+        tuple(groups),
+        np.array([errors[g] for g in groups]),
+        p,
+        {n: exact_p(c, mine) for n, c in zip(names, cost, strict=True) if n != winner},
+    )
+
+
+def restarted(c: Candidate, base: Candidate) -> Candidate:
+    """The candidate of another fold on this fold's constants."""
+    row = c.row.copy()
+    row[list(base.places)] = base.row[list(base.places)]
+    return Candidate(c.names, c.places, row, c.cost, c.z)

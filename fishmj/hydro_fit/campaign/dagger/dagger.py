@@ -1,0 +1,267 @@
+"""DAgger (dataset aggregation) for the water: a model is fitted again where the policy that uses it goes.
+
+    roll out in the surrogate -> the flow solver swims the same states -> do the returns agree? else aggregate, refit, ...
+
+A water fitted once is right where the campaign's movements were, and a policy soon leaves them. So in each round the policy
+acts in the present surrogate; the solver, as the expert, says what the water does there; the new segments join all earlier ones,
+and the next model is fitted to the lot (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics Ross, Bagnell 2012,
+arXiv 1203.1007). The policy itself is not trained here.
+
+    found = correct("paper", robot, model, folder, setup, refit=refit)       until the returns differ by less than `AGREED`
+
+Each episode yields two segments: the whole of it, steered by the policy in the solver from the same start, from which the return
+is judged, and a short one from the state that the surrogate was in half-way, where the solver may never have taken the policy.
+The last episode of a round validates. Segments, models and rows of finished rounds are kept: the same call goes on with them.
+
+    python -m fishmj.hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct
+
+Nothing is written outside --out: the data set of the first fit is read, the rounds' segments have one of their own.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from math import ceil
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import control
+from fishmj.base import console, interrupt
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, DatasetError
+from fishmj.base.store import read_json, write_json
+from fishmj.hydro_fit.campaign.dagger.surrogate import Surrogate
+from fishmj.hydro_fit.campaign.data import plan as plans
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model
+from fishmj.hydro_fit.campaign.data.plan import Plan
+from fishmj.hydro_fit.campaign.data.run_segments import Setup
+from fishmj.hydro_fit.campaign.data.segment import Segment, drive, ticks_of
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset
+from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.lbm_oracle.run import solver_cost
+from fishmj.lbm_oracle.run.domain import EVERY
+from fishmj.lbm_oracle.run.run import flow_at_links
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.tasks import station_hold as task
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.hydro_model import HydroModel
+from fishmj.water.prior import flat
+
+AGREED = 0.05  # of the solver's mean return
+LEAST = 0.1  # of the reward at the target: a return near zero, where approach and effort cancel, is no yardstick
+SWIMS = 600.0  # s of swims in a fit
+SHORT = 3.0  # s, of the segment from the surrogate's state half-way
+
+
+class Rollout(NamedTuple):
+    """One episode in the surrogate: states after every tick, (T, 3 + J)."""
+
+    q: np.ndarray
+    v: np.ndarray
+
+
+class PolicyDriver:
+    """The part of a `Run` that a `Drive` reads, of a surrogate."""
+
+    def __init__(self, fish: Surrogate):
+        self.fish = fish
+
+    @property
+    def pose(self) -> np.ndarray:
+        return np.concatenate([self.fish.q[:3], self.fish.v[:3]])
+
+    def angles(self) -> np.ndarray:
+        return self.fish.q[3:].copy()
+
+    def rates(self) -> np.ndarray:
+        return self.fish.v[3:].copy()
+
+
+def roll_out(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
+    """The segment's drive, in the surrogate instead of the solver, settling included but not returned."""
+    fish = Surrogate(robot, planar_chain.chain_of(robot), model.swimmer(robot).water, learnt=model.learnt, pose=segment.pose)
+    if segment.velocity:
+        fish.v[:] = segment.velocity
+    if segment.joints:
+        fish.q[3:], fish.commands[0] = segment.joints, np.array(segment.joints)
+    driver, moved = PolicyDriver(fish), drive(segment, robot)
+    states = []
+    before, end = ticks_of(segment, robot)
+    for k in range(end):
+        now = flow_at_links(segment.flow, robot, fish.q[None], np.array([k * robot.timing.bus_dt]))[0]
+        fish.tick(moved.command(k, driver), now)
+        states.append((fish.q.copy(), fish.v.copy()))
+    q, v = (np.array(column) for column in zip(*states[before:], strict=True))
+    return Rollout(q, v)
+
+
+def mean_return(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) -> float:
+    """Mean reward of a control step of the station-holding task, exact states, (T, 3 + J)."""
+    every = round(robot.timing.control_dt / robot.timing.bus_dt)
+    steps = len(q) // every
+    far = np.linalg.norm(q[every - 1 : steps * every : every, :2] - np.asarray(segment.drive["target"], float), axis=-1)
+    return float(np.mean(task.reward(np, far, v[: steps * every, 3:].reshape(steps, every, -1))))
+
+
+def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], number: int) -> Plan:
+    """The segments of a round: each episode, and a short one from the surrogate's state half-way through it."""
+    segments = []
+    for segment, rolled in rolls:
+        at = len(rolled.q) // 2
+        start: dict = {"pose": tuple(rolled.q[at, :3].tolist()), "joints": tuple(rolled.q[at, 3:].tolist())}
+        start |= {"velocity": tuple(rolled.v[at].tolist()), "seconds": min(SHORT, segment.seconds), "settle": 0.0}
+        segments += [segment, replace(segment, id=f"{segment.id}_mid", **start)]
+    return Plan(label=f"round {number} of {policy}", robot=robot, seed=number, segments=tuple(segments))
+
+
+def correct(
+    policy: str, robot: Robot, model: HydroModel, folder: Path, setup: Setup, *, refit: Callable[[HydroModel, Path], HydroModel],
+    rounds: int = 5, episodes: int = 4, seconds: float = 20.0, pool: Pool | None = None,
+) -> dict:  # fmt: skip
+    """Collect, compare, refit, until the returns agree within `AGREED` or the rounds are over.
+
+    Args:
+        model: the surrogate at the start. folder: of the rounds: `solver`, a data set that grows, and a model and a row of each.
+        refit: from the model of a round and the rounds' data set, the next model.
+    Returns:
+        rounds (a row each: returns of solver and surrogate, gap), agreed, model (the last one).
+    Raises:
+        ConfigError: a policy that does not know the fish, or no round. DatasetError: the solver kept nothing of a round.
+    """
+    if rounds < 1 or episodes < 1:
+        raise ConfigError(f"correct: {rounds} rounds of {episodes} episodes; expected 1 or more of each")
+    rows: list[dict] = []
+    for number in range(1, rounds + 1):
+        kept = folder / f"round-{number}.json"
+        row = read_json(kept) if kept.is_file() else {}
+        if row.get("model") != (made := sha256_of(model)):
+            row = {"round": number} | _round(policy, robot, model, folder / "solver", setup, number, episodes, seconds, pool)
+            write_json(kept, row | {"model": made})
+        rows.append(row := {key: value for key, value in row.items() if key != "model"})
+        console.say(
+            f"round {number}: return {row['solver']:.3f} in the solver, {row['surrogate']:.3f} in the surrogate"
+            f" ({100 * row['gap']:.1f} % apart)"
+        )
+        if row["gap"] <= AGREED or number == rounds:
+            break
+        model = _refitted(model, folder, row, refit)
+    return {"rounds": rows, "agreed": rows[-1]["gap"] <= AGREED, "model": model}
+
+
+def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, number: int, episodes, seconds, pool) -> dict:
+    """Roll out, solve, compare."""
+    plan = plans.on_policy(robot, policy, episodes=episodes, seconds=seconds, seed=number, slip=model.slip)
+    rolls = [(segment, roll_out(robot, model, segment)) for segment in plan.segments]
+    collect(round_plan(robot, policy, rolls, number), solver, setup, pool=pool, quiet=True)
+    return compare_returns(robot, solver, rolls)
+
+
+def _refitted(model: HydroModel, folder: Path, row: dict, refit: Callable[[HydroModel, Path], HydroModel]) -> HydroModel:
+    """The model after a round, as it is kept; refitted where none is kept for this model and what it did."""
+    place = folder / f"round-{row['round']}"
+    made = {"from": sha256_of(model), "round": row}
+    note = place / "made.json"
+    if note.is_file() and read_json(note) == made:
+        return HydroModel.load(place / f"{model.name}.toml")
+    model = refit(model, folder / "solver")
+    model.save(place)
+    write_json(note, made)
+    return model
+
+
+def sha256_of(model: HydroModel) -> str:
+    """Of what decides how a fish swims in it."""
+    parts: list = [flat(model.base), *(() if model.learnt is None else (*model.learnt.net, *(model.learnt.reach or ())))]
+    return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()
+
+
+def compare_returns(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollout]]) -> dict:
+    """Mean return in both waters over the ticks that the solver kept, and their difference over the solver's."""
+    data, pairs = open_dataset(folder), []
+    for segment, rolled in rolls:
+        if "file" not in data.about[segment.id]:
+            continue
+        record = data[segment.id]
+        n = len(record.q)
+        if n * robot.timing.bus_dt >= robot.timing.control_dt:
+            pairs.append([mean_return(robot, segment, q[:n], v[:n]) for q, v in ((record.q, record.v), (rolled.q, rolled.v))])
+    if not pairs:
+        raise DatasetError(f"{folder}: the solver kept no episode of this round: {data.lost()}")
+    (solver, surrogate), least = np.mean(pairs, 0).tolist(), LEAST * constant("reward", "wG")
+    return {"n": len(pairs), "solver": solver, "surrogate": surrogate, "gap": abs(surrogate - solver) / max(abs(solver), least)}
+
+
+def main(argv: list[str]) -> int:
+    """The verb `correct`; exit code 1 where the returns do not agree after the last round."""
+    parser = console.parser("hydro_fit correct", "Correct a surrogate where a policy takes it.")
+    add = parser.add_argument
+    add("policy", type=console.text, metavar="POLICY", help="name of a controller or a policy file")
+    add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
+    add("--model", type=console.text, default="swift", help="the surrogate to begin with: name or .toml")
+    add("--data", type=console.path, help="data set that it was fitted to; default data/hydro/<robot>; it is read only")
+    place = "folder of the rounds and of the corrected model; goes on with what is there"
+    add("--out", type=console.out_folder, default="runs/correct", help=place)
+    add("--rounds", type=console.whole(1, 100), default=4, help="at most; it ends when the returns agree")
+    add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
+    add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")
+    add("--domain", choices=EVERY, help="box of water; by default that of the model's segments; laptop is a preview")
+    add("--device", type=console.devices, default="auto", help="auto, cpu, cuda, cuda:N, cuda:all or a list; default auto")
+    args = parser.parse_args(argv)
+    robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
+    control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
+    first = open_dataset(args.data or Path("data") / "hydro" / robot.name)
+    box = domain_of_model(args.domain, began)
+    if (grid := {meta["grid"]["domain"] for meta in first.about.values()}) != {box.name}:
+        console.warn(f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {box.name}: two waters in one fit")
+    water = args.rounds * args.episodes * args.seconds
+    less = "take fewer --rounds and --episodes; --domain laptop is a preview"
+    solver_cost.agree("hydro_fit correct", args.device, [(box, water)], instead=less)
+    devices = devices_of(args.device)
+    setup = Setup(robot=robot, domain=box, device=devices[0])
+    sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
+    pool = Local(ON_GPU if setup.device.startswith("cuda") else 1, devices)
+    refit = lambda model, solver: refitted(robot, model, first, solver, out)
+    with interrupt.keeping(lambda: kept_words(out)):
+        found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, **sized)
+    path = found["model"].save(out)
+    console.say(console.table(found["rounds"]), f"model: {path}")
+    if args.json:
+        console.emit_json({"rounds": found["rounds"], "agreed": found["agreed"], "model": str(path)})
+    return console.OK if found["agreed"] else console.FAILED_CHECK
+
+
+def kept_words(out: Path) -> str:
+    """What an interrupted correction says."""
+    rounds, swims = (len(list(out.glob(kind))) for kind in ("round-*.json", f"solver/{SEGMENTS}/*.json"))
+    return f"{out} holds {rounds} finished rounds and {swims} segments of the solver; {interrupt.again()}"
+
+
+def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Path, out: Path) -> HydroModel:
+    """Taught again by the free swims of all rounds and, thinned to `SWIMS` s, of the first data set.
+
+    Args:
+        out: folder of the rounds; finished stages of the fit are kept there.
+    """
+    from fishmj.hydro_fit.fit.descent import several
+    from fishmj.hydro_fit.fit.gauss_newton import flaps
+    from fishmj.hydro_fit.fit.incremental import Refit
+    from fishmj.hydro_fit.fit.rollout import is_free
+
+    several()
+    keep = lambda r: not r.meta.get("replicate_of") and (is_free(r) or flaps(r))
+    of = lambda data, split: [r for r in data.records(split, slip=model.slip) if keep(r)]
+    added = open_dataset(solver)
+    new, old = ({split: of(data, split) for split in ("train", "val")} for data in (added, first))
+    room = max(SWIMS - sum(r.seconds for r in new["train"]), SWIMS / 3)
+    every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
+    made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"}
+    again = Refit(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made, folder=out / "fit")
+
+    def words() -> str:
+        again.loop.save()  # the stage that is under way
+        return kept_words(out)
+
+    with interrupt.keeping(words):
+        return replace(again.run(), name=model.name)

@@ -1,0 +1,387 @@
+"""Run what a plan still lacks and keep it as a data set: resumable, with progress and time left, within a budget.
+
+    found = collect(full("fish"), "data/hydro/swift", Setup(...), tanks=12)
+
+Written in this order: the split, the segments one by one as they finish, the manifest. What is interrupted is continued by the
+same call; a segment that is there, whole and made in the same way is not run again.
+
+    python -m fishmj.hydro_fit collect --device cuda
+    python -m fishmj.hydro_fit collect --device cuda:all
+    python -m fishmj.hydro_fit collect --preview --out runs/preview
+    python -m fishmj.hydro_fit collect --fish my_fish.toml --scale 0.2 --out runs/my_fish
+    python -m fishmj.hydro_fit collect --ray auto --tanks 12
+"""
+
+import argparse
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError, DatasetError, StoreError
+from fishmj.base.store import Manifest, read_json, sha256, write_json
+from fishmj.hydro_fit.campaign.data import plan as plans
+from fishmj.hydro_fit.campaign.data.plan import Plan
+from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup, on_device
+from fishmj.hydro_fit.campaign.data.segment import Segment
+from fishmj.hydro_fit.record import files, write_record
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
+from fishmj.lbm_oracle.fluid.device import devices_of, several
+from fishmj.lbm_oracle.run import solver_cost
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_option
+from fishmj.lbm_oracle.run.spread import spread
+from fishmj.mjcf.description import Robot, load_robot
+from fishmj.water.hydro_model import HydroModel
+
+SCHEMA = "fishmj.campaign/1"
+ON_GPU = 12  # tanks of two million cells that fill one
+BOX, PREVIEW_BOX = "window", "laptop"  # where no data set says another
+GO = "--budget SECONDS or --device cpu"  # begins what takes a CPU long
+
+
+class Pool(Protocol):
+    """What runs segments: tanks in this process, or workers elsewhere."""
+
+    def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
+        """Finished segments in any order; `go_on` and `waiting` as in `run_segments.side_by_side`."""
+
+
+@dataclass(frozen=True)
+class Local:
+    """Tanks side by side on this machine: on the set-up's device in this process, or on several in one process each.
+
+    tanks: on each device. devices: names of them; none: the set-up's.
+    """
+
+    tanks: int = 1
+    devices: tuple[str, ...] = ()
+
+    def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
+        return spread(partial(on_device, setup=setup, tanks=self.tanks), waiting, self.devices or (setup.device,), go_on)
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What a call of `collect` found and did; seconds of water, wall time, bytes of the whole data set."""
+
+    folder: Path
+    segments: int
+    there: int  # before the call
+    run: int
+    missing: int
+    stopped: dict[str, str]  # why segments ended early, by id
+    lost: list[str]  # of these, the ones of which nothing sound was left
+    recorded_s: float
+    water_s: float  # run by this call
+    wall_s: float
+    bytes: int
+
+    @property
+    def complete(self) -> bool:
+        return self.missing == 0
+
+
+def collect(
+    plan: Plan,
+    out: str | Path,
+    setup: Setup,
+    *,
+    pool: Pool | None = None,
+    budget: float | None = None,
+    retry: bool = False,
+    quiet: bool = False,
+) -> Collected:
+    """Bring the data set in `out` up to the plan; a data set that holds other episodes, too, keeps them.
+
+    Args:
+        budget: seconds of wall time after which it stops with what is finished. retry: run stopped segments again.
+
+    Raises:
+        ConfigError: `out` holds segments of another fish, grid or solver. DatasetError: an episode would change its split.
+        OracleUnstable: a segment could not be set up. StoreError: the disk refuses.
+    """
+    folder, began = Path(out), time.perf_counter()
+    if budget is not None and not budget > 0:
+        raise ConfigError(f"collect: budget = {budget} s; expected a positive time, or none")
+    left = missing(plan, folder, retry)
+    about = _state_split(folder, plan, setup, adding=bool(left))
+    if budget is not None:  # whatever it is cut down to spans the states
+        wanted = {segment.id for segment in left}
+        left = deque(segment for segment in plans.spanning(plan.segments) if segment.id in wanted)
+    there, before, done = len(plan.segments) - len(left), 0.0, 0
+    total = sum(segment.water for segment in left)
+    with console.Progress(max(total, 1e-9), "collect", unit="s", every=1e9 if quiet else None) as bar:
+
+        def go_on(water: float) -> bool:
+            left = float("inf") if budget is None else began + budget - time.perf_counter()
+            ends = {} if budget is None else {"ends_in": console.duration(max(left, 0.0))}
+            bar.update(before + water, segments=there + done, of=len(plan.segments), **ends)
+            return left > 0
+
+        for finished in (pool or Local()).run(left, setup, go_on) if left else ():
+            write_record(folder / SEGMENTS, finished.meta, finished.arrays)
+            before, done = before + finished.segment.water, done + 1
+            bar.update(before, segments=there + done, of=len(plan.segments))
+    return _closed(folder, plan, about, there, done, before, time.perf_counter() - began)
+
+
+def missing(plan: Plan, folder: Path, retry: bool = False) -> deque[Segment]:
+    """Segments of the plan that are not in the folder whole and made as planned; with `retry` those that stopped early, too."""
+    there = {segment.id: _about(folder, segment) for segment in plan.segments}
+    return deque(s for s in plan.segments if (meta := there[s.id]) is None or (retry and meta.get("stopped")))
+
+
+def _closed(folder: Path, plan: Plan, about: dict, there: int, run: int, water: float, wall: float) -> Collected:
+    """Write the manifest and say what the data set holds."""
+    kept = {s.id: meta for s in plan.segments if (meta := _about(folder, s)) is not None}
+    stopped = {name: meta["stopped"] for name, meta in kept.items() if meta.get("stopped")}
+    missing = len(plan.segments) - len(kept)
+    notes = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "licence": "Apache-2.0",
+        "source": "fishmj.campaign",
+        "complete": not missing,
+    }
+    notes |= {"label": plan.label, "seed": plan.seed, "missing": missing, **about}
+    Manifest.of(folder, notes).write(folder)
+    return Collected(
+        folder=folder,
+        segments=len(plan.segments),
+        there=there,
+        run=run,
+        missing=missing,
+        stopped=stopped,
+        lost=sorted(name for name in stopped if "file" not in kept[name]),
+        recorded_s=sum(meta["seconds"] for meta in kept.values() if "file" in meta),
+        water_s=water,
+        wall_s=wall,
+        bytes=sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
+    )
+
+
+def _state_split(folder: Path, plan: Plan, setup: Setup, adding: bool) -> dict:
+    """Write which episode is for what, before anything is run; returns fish, grid and solver of the data set.
+
+    Raises:
+        DatasetError: an episode would change its split. ConfigError: the folder is of another fish or grid, or segments of
+            another solver would be added (a complete data set stays as it is).
+    """
+    path, about = folder / SPLIT, setup.about
+    before = read_json(path) if path.is_file() else {"episodes": {}, "plans": [], **about}
+    try:
+        episodes, plans, made = dict(before["episodes"]), list(before["plans"]), {key: before[key] for key in about}
+    except (TypeError, KeyError, ValueError) as error:
+        raise DatasetError(f"{path}: {error!r}; expected episodes, plans, robot and grid. Take another folder") from error
+    for key, value in about.items():
+        if made[key] != value and (adding or key != "solver"):
+            raise ConfigError(f"{folder} holds segments of another {key}: {made[key]} (now {value}). Take another folder")
+    moved = [
+        f"{name}: expected {episodes[name]}, got {split}"
+        for name, split in plan.episodes.items()
+        if episodes.get(name, split) != split
+    ]
+    if moved:
+        raise DatasetError(f"{path}: episodes would change their split: {', '.join(moved[:5])}; take another folder")
+    episodes |= plan.episodes
+    row = {"label": plan.label, "seed": plan.seed, "segments": len(plan.segments), "split_sha256": plan.split_sha256}
+    table = {"episodes": dict(sorted(episodes.items())), "sha256": split_hashes(episodes), **made}
+    write_json(path, table | {"plans": [old for old in plans if old != row] + [row]})
+    return made
+
+
+def _about(folder: Path, segment: Segment) -> dict | None:
+    """The description of a segment that is there and made as wanted, else nothing."""
+    path, about = files(folder / SEGMENTS, segment.id)
+    if not about.is_file():
+        return None
+    try:
+        meta = read_json(about)
+        made = Segment.of(meta["segment"])
+    except (StoreError, TypeError, KeyError):
+        return None  # damaged: run again
+    if made.sha256 != segment.sha256:
+        return None
+    whole = "file" not in meta or path.is_file() and sha256(path) == meta["file"]["sha256"]
+    return meta if whole else None
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `collect`; `--json` is the caller's."""
+    add = parser.add_argument
+    add("--fish", type=console.text, default="fish", metavar="NAME|FILE", help="description of the robot")
+    place = "data set to write, or to continue when it is there; data/hydro/<fish>[-...] by default"
+    add("--out", "--data", type=console.out_folder, metavar="FOLDER", help=place)
+    scale = console.number(0, 100, above=True)
+    add("--scale", type=scale, default=1.0, metavar="X", help="as many times the episodes; 1 is the whole campaign")
+    parser.add_argument("--preview", action="store_true", help="two minutes of water on the small coarse box, for a CPU")
+    fresh = "new test episodes and nothing else; by default those of the campaign"
+    add("--fresh-test", type=console.whole(1, 2**32 - 1), metavar="SEED", help=fresh)
+    same = f"all segments in the reference water: {REFERENCE.window}, slip {REFERENCE.slip:g}, its boundary; default: no"
+    add("--reference", action="store_true", help=same)
+    boundary_option(add, default=None)
+    slip = "only segments of this slip ratio; may be repeated; by default all"
+    add("--slip", type=console.number(0, 1), action="append", default=[], metavar="S", help=slip)
+    add("--seed", type=console.SEED, default=0, help="of the draws")
+    steers = "what steers on-policy episodes; may be repeated; by default the shipped policies that are made for the fish"
+    add("--policy", type=console.text, action="append", default=[], metavar="NAME|FILE", help=steers)
+    add(
+        "--domain",
+        choices=EVERY,
+        help=f"box of water, _refined: finer round the fish; default: the data set's, else {BOX}, with --preview {PREVIEW_BOX}",
+    )
+    add(
+        "--dt",
+        type=console.number(1e-5, 0.02),
+        metavar="S",
+        help="another time step; by default the data set's, else the domain's",
+    )
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
+    tanks = f"segments side by side on each device; by default {ON_GPU} on a GPU, else 1"
+    add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
+    ray = "run on a Ray cluster: an address, auto, or local:N for N workers here; by default without one"
+    add("--ray", type=console.text, metavar="ADDRESS", help=ray)
+    budget = "wall time after which no segment is begun; by default none; what is finished then is kept"
+    add("--budget", type=console.number(0, 1e7), metavar="SECONDS", help=budget)
+    parser.add_argument("--retry", action="store_true", help="run segments that stopped early again")
+    parser.add_argument("--dry-run", action="store_true", help="print the plan and stop")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Collect; exit code 0 when the data set is complete, 1 when segments are missing or nothing of one was sound."""
+    robot = load_robot(args.fish)
+    if args.reference:
+        slip = args.slip[0] if args.slip else None
+        asked_for("collect", True, args.domain, slip, boundary=args.boundary)  # refuses another box, ratio or boundary
+        args.domain = REFERENCE.window
+    edge = REFERENCE.sharpness if args.reference else BOUNDARIES[args.boundary or "plain"]
+    plan = plan_of(args, robot)
+    out = Path(args.out) if args.out else default_folder(plan)
+    domain = domain_of(args, out)
+    if not (args.dry_run or args.ray):
+        water = sum(segment.water for segment in missing(plan, out, args.retry))
+        less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
+        asked: dict[str, Any] = {"instead": less, "flag": GO, "asked": args.budget is not None}
+        work = [(level, water) for level in domain.levels]
+        solver_cost.agree("hydro_fit collect", args.device, work, tanks=args.tanks or 1, **asked)
+    devices = (ray_device(args.device),) if args.ray else devices_of(args.device)
+    setup = Setup(robot=robot, domain=domain, device=devices[0], sharpness=edge)
+    what = f"{len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}"
+    console.say(f"{plan.label}: {what}", console.table(plan.rows()))
+    if domain.name in PREVIEWS:
+        console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
+    if not any(segment.block == "policy" for segment in plan.segments):
+        console.say(f"no shipped controller is made for {robot.name}: no on-policy episodes; name one with --policy")
+    if args.dry_run:
+        if args.json:
+            told = {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows()}
+            console.emit_json(told | {"split_sha256": plan.split_sha256})
+        return console.OK
+    more = f"{out} holds every segment that was finished; {interrupt.again()}"
+    with interrupt.keeping(lambda: more):
+        found = collect(plan, out, setup, pool=pool_of(args, devices), budget=args.budget, retry=args.retry, quiet=args.json)
+    report(found)
+    if args.json:
+        console.emit_json({**asdict(found), "complete": found.complete})
+    return console.OK if found.complete and not found.lost else console.FAILED_CHECK
+
+
+def main(argv: list[str]) -> int:
+    """The verb by itself."""
+    parser = console.parser("hydro_fit collect", "Segments of the flow solver that a water is fitted to.")
+    add_arguments(parser)
+    return run(parser.parse_args(argv))
+
+
+def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
+    """The plan that the options ask for.
+
+    Raises:
+        ConfigError: two kinds of plan at once; a slip ratio that no segment has.
+    """
+    if args.preview and args.fresh_test is not None:
+        raise ConfigError("collect: --preview and --fresh-test are two plans; choose one")
+    if args.preview:
+        plan = plans.preview(robot, seed=args.seed, policies=args.policy)
+    elif args.fresh_test is not None:
+        plan = plans.fresh_test(robot, seed=args.fresh_test, policies=args.policy, scale=args.scale)
+    else:
+        plan = plans.full(robot, seed=args.seed, scale=args.scale, policies=args.policy)
+    plan = plan.moved_to(REFERENCE.slip) if args.reference else plan
+    return plan.at(args.slip) if args.slip else plan
+
+
+def domain_of(args: argparse.Namespace, out: Path) -> Domain:
+    """The box that was asked for, else that of the data set which is continued, else `BOX` or, for a preview, `PREVIEW_BOX`."""
+    if args.domain is None and (out / SPLIT).is_file():
+        domain = domain_there(out)
+    else:
+        domain = preset(args.domain or (PREVIEW_BOX if args.preview else BOX))
+    return domain if args.dt is None else domain.changed(dt=args.dt)
+
+
+def domain_there(folder: Path) -> Domain:
+    """The box and time step of a data set that is there.
+
+    Raises:
+        DatasetError: it does not say.
+    """
+    path = folder / SPLIT
+    try:
+        grid = read_json(path)["grid"]
+        return preset(grid["domain"]).changed(dt=float(grid["dt"]))
+    except (TypeError, KeyError, ValueError) as error:
+        raise DatasetError(f"{path}: {error!r}; expected a grid with domain and dt. Take another folder") from error
+
+
+def domain_of_model(asked: str | None, model: HydroModel) -> Domain:
+    """The box that was asked for, else the one that the model's segments were solved in: another grid is another water."""
+    return preset(asked or str(model.dataset.get("grid", BOX)))
+
+
+def default_folder(plan: Plan) -> Path:
+    """data/hydro/<fish> for the whole campaign; everything else apart from it."""
+    suffix = "" if plan.label == "full" else "-" + plan.label.replace(",", "").replace(" ", "-")
+    return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"
+
+
+def pool_of(args: argparse.Namespace, devices: tuple[str, ...]) -> Pool:
+    """Tanks here, or workers of a Ray cluster."""
+    tanks = args.tanks or (ON_GPU if devices[0].startswith("cuda") else 1)
+    if args.ray:
+        from fishmj.hydro_fit.campaign.data.ray_pool import RayPool
+
+        return RayPool(args.ray, tanks=tanks)
+    return Local(tanks, devices)
+
+
+def ray_device(asked: str) -> str:
+    """The device of every worker of a Ray cluster.
+
+    Raises:
+        ConfigError: several; a worker has one, and there is one for every GPU.
+    """
+    if several(asked):
+        raise ConfigError(f"--device {asked} with --ray: a worker has one device, and each GPU gets a worker; use --device cuda")
+    return asked
+
+
+def report(found: Collected) -> None:
+    """What was done, in words."""
+    rate = f" ({found.bytes / found.recorded_s / 1e3:.1f} kB/s)" if found.recorded_s else ""
+    console.say(
+        f"{found.folder}: {found.segments - found.missing} of {found.segments} segments, {found.recorded_s:.0f} s recorded,"
+        f" {found.bytes / 1e6:.2f} MB{rate};"
+        f" {found.run} run now: {found.water_s:.0f} s of water in {console.duration(found.wall_s)}"
+    )
+    for name, why in found.stopped.items():
+        kept = "nothing was sound" if name in found.lost else "kept as far as it was sound"
+        console.warn(f"{name} stopped, {kept}: {why}")
+    if found.missing:
+        console.warn(f"{found.missing} segments are missing; the same command goes on with them")

@@ -1,0 +1,70 @@
+"""Which solver made a segment: the sha256 of the code of its physics, comments and docstrings left out.
+
+Segments of two solvers do not belong into one data set: a repair of the collision moves every force.
+"""
+
+import ast
+import hashlib
+from functools import cache
+from pathlib import Path
+
+from fishmj import lbm_oracle
+
+PHYSICS = (
+    *("fluid/collide", "fluid/domain_faces", "fluid/fluid", "fluid/inflow", "fluid/lattice", "fluid/pairs", "fluid/rows"),
+    *("fluid/step", "fluid/storage", "immersed/articulated_body", "immersed/body", "immersed/boundary", "immersed/coupling"),
+    *("immersed/device_body", "immersed/device_steps", "immersed/early_water", "immersed/fsi_solve", "immersed/kernels"),
+    *("immersed/marker_warps", "immersed/markers", "refined/crossings", "refined/exchange", "refined/refined_fluid"),
+    *("refined/refined_structure", "run/refined_run", "run/time_refinement"),
+)
+# hashes of later code -> that of the code which made the shipped segments: every figure is equal to the bit on a CPU, but for
+# `SECTORS` in refined water, where nodes have other numbers and markers the round-off of these: 1e-9; and from `SHORT` on, where
+# the eddy viscosity sees rounded velocities: 5e-6 of a wrench, 1e-7 of a velocity after 200 steps, as much as another device does
+SHIPPED = "0dab6aa94d79eb497cd8e8f0b49aca3effdda76c17720fbef289d83c3ccb22d5"
+REBUILT = "5b74e20cd51e912ce1b0b1c66d25d332fdae82f16d3b82799695029cd466b422"
+ANY_LINKS = "5990401b1fdb88dc638e8c5d6e7d9e0ff001677f372f9dc87b5aa1155fa9f9a2"  # one solve for any number of links
+TWO_LEVELS = "e9b7b5df01ae327b9c422e7ca271641f62f2db389de9f6afc2d157063a79f5ea"  # ticks done again, on two levels too
+QUICKER = "0e63acdfdad8f2d9bac570118892d127a48684438947c61699655a92137077b1"  # two cells a thread, a tick in one graph
+AHEAD = "6cb595be3e1f8b9a4770058ae4507856de4f514bf90aee8b3ac81a473a83b584"  # a tick ahead of the host, on a GPU
+LISTED = "27ff9448df17743150b4eafb663e9f9264b8bf567b43721429792f6ba33006f8"  # lists of what levels exchange, short sums on a GPU
+SECTORS = "6a3e1a55735965626466d32617474f2f2124ef1cb8d3bb52d46916a3841214b0"  # rows of a box in whole sectors of the memory
+SHORT = "c63b5116c9559a46382897a7ee2f9759b3ea29edb743ac06f51b4422d0969719"  # velocities in 16 bits; a held fish on the device
+STREAMS = "0b62f72826c3f69cffcc5e1ec632c483d844b5ee2ad952876fb6f311a6f29445"  # a tick done again waits for its own tank only
+EDGED = "8d1566379f522052afc1869614e2bd3c600135bae1a091e6c0ef7b90241a1b46"  # an option, edges of hulls; the rest to the bit
+TREES = "a49ee31bb533b9700cbc0e882b344be74349a904f5cbd0fa116445696fbb3cc3"  # bodies of any shape, checks; a fish to the bit
+CHECKED = "3f5d5c786db440eda181170c089b18802b7fee14a50425a13bee6734b368ec5e"  # every object and number is checked; to the bit
+ROOMS = "1e988ff7032b6f6969bc28ad3d0f7f763537eee62cd14229108fcd237f7190f0"  # imports of moved modules, no other line
+LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS)
+SAME = dict.fromkeys(LATER, SHIPPED)
+
+
+@cache
+def solver_sha256() -> str:
+    """Of the modules in `PHYSICS`; where no figure changed, still that of the code before it was rebuilt."""
+    folder = Path(str(lbm_oracle.__file__)).parent
+    total = hashlib.sha256()
+    for name in PHYSICS:
+        total.update(f"\0{name}\0{code_of((folder / f'{name}.py').read_text(encoding='utf-8'))}".encode())
+    return SAME.get(total.hexdigest(), total.hexdigest())
+
+
+def code_of(source: str) -> str:
+    """A module's source without comments, docstrings and layout; the same under every version of Python.
+
+    `ast.unparse` and `ast.dump` are not: one writes f-strings another way, the other names new, empty fields.
+    """
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            node.body = node.body[1:] or [ast.Pass()]
+    return repr(_plain(tree))
+
+
+def _plain(node):
+    """A syntax tree as nested tuples, without what is empty."""
+    if isinstance(node, ast.AST):
+        fields = ((name, _plain(value)) for name, value in ast.iter_fields(node) if name not in ("ctx", "kind"))
+        return (type(node).__name__, *((name, value) for name, value in fields if value not in (None, ())))
+    if isinstance(node, list):
+        return tuple(_plain(item) for item in node)
+    return node

@@ -1,0 +1,216 @@
+"""Points of a force map: what one is, how long it takes, the table that keeps them, and several tanks at work on them."""
+
+import csv
+import json
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from io import StringIO
+from math import ceil
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.base import console
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.store import write_json, write_text
+from fishmj.lbm_oracle.cases.maps import average
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
+
+OK = "ok"
+SETTLE = 5.0  # body lengths of water that pass before the average begins
+WINDOW = 6.0  # m of water averaged over: ten periods of a wake of 0.1 m at a Strouhal number of 0.17
+SHORTEST = 10  # ticks; fewer say nothing about their own scatter
+KEYS = ("what", "joint_deg", "aoa_deg", "speed")
+FIGURES = ("drag_N", "drag_sem_N", "lateral_N", "lateral_sem_N", "yaw_Nm", "yaw_sem_Nm", "drag_rms_N", "lateral_rms_N")
+COLUMNS = (*KEYS, *FIGURES, "samples", "settle_s", "seconds", "refined_ticks", "status")
+
+
+class Point(NamedTuple):
+    """One held fish: map `joint` or `aoa`, angles deg, speed m/s."""
+
+    what: str
+    joint: float
+    aoa: float
+    speed: float
+
+    def joints(self, number: int) -> np.ndarray:
+        """(number,) rad."""
+        return np.full(number, np.radians(self.joint))
+
+    @property
+    def title(self) -> str:
+        return f"joints {self.joint:g} deg, AoA {self.aoa:g} deg"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Seconds before and of the average; None: `SETTLE` body lengths and `WINDOW` metres of water."""
+
+    settle: float | None
+    seconds: float | None
+    length: float  # m, of the fish
+
+    def ticks(self, speed: float, tick: float) -> tuple[int, int]:
+        """Bus ticks before and of the average at a speed in m/s.
+
+        Raises:
+            ConfigError: too short an average.
+        """
+        settle = SETTLE * self.length / speed if self.settle is None else self.settle
+        seconds = WINDOW / speed if self.seconds is None else self.seconds
+        if not (settle >= 0 and seconds >= SHORTEST * tick - 1e-9):
+            short = f"expected 0 s or more and {SHORTEST * tick:g} s or more"
+            raise ConfigError(f"forcemap: settle = {settle} s, seconds = {seconds} s; {short}")
+        return round(settle / tick), round(seconds / tick)
+
+
+class Table:
+    """Finished points in `folder/forcemap.csv`, replaced as a whole with every point, beside the set-up they share.
+
+    Raises:
+        ConfigError: the folder holds points of another set-up. StoreError: a file there is damaged.
+    """
+
+    def __init__(self, folder: Path, setup: dict, notes: dict | None = None):
+        self.path, self.rows = folder / "forcemap.csv", {}
+        self.about, self.notes = folder / "setup.json", (notes or {}) | {"setup": setup}
+        if self.path.exists():
+            self._check(self.about, setup)
+            self.rows = {_point(row): row for row in _read(self.path)}
+
+    @staticmethod
+    def _check(about: Path, setup: dict) -> None:
+        try:
+            before = json.loads(about.read_text(encoding="utf-8"))["setup"]
+        except (OSError, ValueError, KeyError) as error:
+            raise StoreError(f"{about}: {error!r}; it says how the points beside it were made. Take another --out") from error
+        other = [f"{key} = {before.get(key)} (now {value})" for key, value in setup.items() if before.get(key) != value]
+        if other:
+            raise ConfigError(f"{about.parent} holds points of another set-up: {', '.join(other)}. Take another --out")
+
+    def __contains__(self, point: Point) -> bool:
+        return point in self.rows
+
+    def __getitem__(self, point: Point) -> dict:
+        return self.rows[point]
+
+    def add(self, point: Point, row: dict) -> None:
+        """Keep a point, on disk before this returns."""
+        if not self.rows:
+            write_json(self.about, self.notes)
+        self.rows[point] = row
+        text = StringIO()
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows[p] for p in sorted(self.rows))
+        write_text(self.path, text.getvalue())
+
+
+def _read(path: Path) -> list[dict]:
+    rows = []
+    with path.open(encoding="utf-8", newline="") as file:
+        for number, found in enumerate(csv.DictReader(file), 2):
+            try:
+                rows.append({name: found[name] if name in ("what", "status") else float(found[name]) for name in COLUMNS})
+            except (KeyError, TypeError, ValueError) as error:
+                raise StoreError(f"{path}:{number}: {error!r}; delete the line, its point is then run again") from error
+    return rows
+
+
+def _point(row: dict) -> Point:
+    what, joint, aoa, speed = (row[key] for key in KEYS)
+    return Point(what, joint, aoa, speed)
+
+
+def loads(run: Run, first: int = 0) -> np.ndarray:
+    """(T, 3) drag N, lateral force N and yaw moment N m about the reference point, of the ticks from `first` on.
+
+    The fish is held: its links are where they are now.
+    """
+    if len(run.rows) <= first:
+        return np.zeros((0, 3))
+    x, y, yaw = run.pose[:3]
+    arm = run.coupled.body.data.xpos[1:, :2] - (x, y)  # (L, 2)
+    wrench = np.array([row[-1] for row in run.rows[first:]])  # (T, L, 6)
+    fx, fy = wrench[:, :, 0], wrench[:, :, 1]
+    turn = (wrench[:, :, 5] + arm[:, 0] * fy - arm[:, 1] * fx).sum(1)
+    fx, fy = fx.sum(1), fy.sum(1)
+    ahead, left = np.cos(yaw) * fx + np.sin(yaw) * fy, np.cos(yaw) * fy - np.sin(yaw) * fx
+    return np.stack([-ahead, -left, turn], -1)
+
+
+def row_of(point: Point, run: Run, settle: int) -> dict:
+    """The table's row: means over the ticks after `settle`, or over what there is of them where the run stopped early.
+
+    Water that failed was last seen sound at the look before: ticks since then are left out.
+    """
+    record, tick = loads(run, settle), run.robot.timing.bus_dt
+    if run.stopped and not run.stopped.startswith("left_domain"):
+        record = record[: max(0, len(record) - ceil(run.watch.every / run.steps))]
+    record = record[np.isfinite(record).all(1)]
+    drag, lateral, yaw = (average(record[:, i]) for i in range(3))
+    values = (drag.mean, drag.sem, lateral.mean, lateral.sem, yaw.mean, yaw.sem, drag.rms, lateral.rms)
+    row = dict(zip(KEYS, point, strict=True)) | dict(zip(FIGURES, map(float, values), strict=True))
+    samples = float(min(drag.samples, lateral.samples, yaw.samples))
+    row |= {"samples": samples, "settle_s": settle * tick, "seconds": len(record) * tick}
+    return row | {"refined_ticks": run.refined, "status": " ".join(run.stopped.split()) or OK}
+
+
+def measure(
+    points: Sequence[Point],
+    make: Callable[[Point], Run],
+    plan: Plan,
+    *,
+    tick: float,
+    tanks: int = 1,
+    finished: Callable[[Point, dict, Run], None],
+    quiet: bool = False,
+) -> None:
+    """Run every point in this process, with a line of progress; `finished` gets each with its row and run."""
+    begun = partial(measured, deque(points), make, plan, tick=tick, tanks=tanks)
+    for point, row, run in watched(lambda go_on: begun(go_on=go_on), points, plan, tick=tick, quiet=quiet):
+        finished(point, row, run)
+
+
+def measured(
+    waiting: Waiting, make: Callable[[Point], Run], plan: Plan, *, tick: float, tanks: int = 1, go_on: GoOn = always
+) -> Iterator[tuple[Point, dict, Run]]:
+    """Points with their rows and runs as they are done, `tanks` side by side; a tank that is done takes the next.
+
+    A point that stops early is done, too. go_on: called after every tick with the seconds of water that the others have done.
+    """
+    if tanks < 1:
+        raise ConfigError(f"forcemap: {tanks} tanks; expected at least 1")
+    side: list[tuple[Point, Run, int, int]] = []  # point, run, ticks before the average, ticks in all
+    while side or waiting:
+        while len(side) < tanks and waiting:
+            point = waiting.popleft()
+            settle, window = plan.ticks(point.speed, tick)
+            side.append((point, make(point), settle, settle + window))
+        ConcurrentRuns([run for _, run, _, _ in side]).tick()
+        for entry in list(side):
+            point, run, settle, end = entry
+            if run.ticks >= end or run.stopped:
+                side.remove(entry)
+                yield point, row_of(point, run, settle), run
+        if not go_on(sum(run.ticks for _, run, _, _ in side) * tick):
+            return
+
+
+def watched(begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: Plan, *, tick: float, quiet: bool):
+    """What `begin(go_on)` yields of these points, with a line of progress in seconds of water."""
+    seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
+    done = 0.0
+    with console.Progress(sum(map(seconds, points)), "forcemap", unit="s", every=1e9 if quiet else None) as bar:
+
+        def told(under_way: float) -> bool:
+            bar.update(done + under_way)
+            return True
+
+        for found in begin(told):
+            done += seconds(found[0])
+            yield found

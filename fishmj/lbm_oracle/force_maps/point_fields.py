@@ -1,0 +1,63 @@
+"""The water around the held fish of a force map, as it is when its point is done.
+
+fields/joint_joint20_aoa0.npz              the slice
+fields/joint_joint20_aoa0.png              its speed; ..._vorticity.png its vorticity
+fields/joint_joint20_aoa0.vti, .vtp        with --volume: box and fish for ParaView
+velocity_joint.png, velocity_aoa.png       all points of a map side by side, on one scale
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.lbm_oracle.force_maps.force_points import Point
+from fishmj.lbm_oracle.output import slice_plots, vtk
+from fishmj.lbm_oracle.output.record_fields import slice_of
+from fishmj.lbm_oracle.output.slices import read_slice, write_slice
+from fishmj.lbm_oracle.run.run import Run
+from fishmj.mjcf.skin import skin
+
+TOP = 1.6  # of the current's speed, end of the colour scale
+
+
+def slice_path(out: Path, point: Point) -> Path:
+    return out / "fields" / f"{point.what}_joint{point.joint:g}_aoa{point.aoa:g}.npz"
+
+
+def keep(run: Run, out: Path, point: Point, *, z: float | None = None, whole: bool = False) -> None:
+    """Write slice and pictures of a point that is done, the slice last: where it is, the others are, too."""
+    one, path = slice_of(run, z), slice_path(out, point)
+    title = f"{point.title}, {point.speed:g} m/s, the water moves to the left{', stopped early' if run.stopped else ''}"
+    slice_plots.panels([("", one)], path.with_suffix(".png"), title, TOP * point.speed)
+    picture = slice_plots.SlicePicture()
+    picture.write(path.with_name(f"{path.stem}_vorticity.png"), one, f"{title}, ")
+    picture.close()
+    if whole:
+        write_volume(run, path)
+    write_slice(path, one)
+
+
+def write_volume(run: Run, path: Path) -> tuple[Path, Path]:
+    """Box and fish beside `path`, with its name."""
+    coupled = run.coupled
+    lattice = coupled.fluid.lattice
+    with coupled.scope():
+        velocity = coupled.fluid.velocity()
+    box = vtk.write_box(path.with_suffix(".vti"), velocity, lattice.dx, lattice.to_si(coupled.fluid.origin_lu), run.time)
+    q, height = np.concatenate([run.pose[:3], run.angles()]), float(coupled.body.data.xpos[1, 2])
+    return box, vtk.write_fish(path.with_suffix(".vtp"), skin(run.robot, smooth=True), q, height, run.time)
+
+
+def panels(out: Path, points: Sequence[Point]) -> list[Path]:
+    """The speed of the water of all points of a map whose slices are there."""
+    drawn = []
+    for what in ("joint", "aoa"):
+        here = [point for point in points if point.what == what and slice_path(out, point).is_file()]
+        if not here:
+            continue
+        named = [(f"{p.joint if what == 'joint' else p.aoa:g} deg", read_slice(slice_path(out, p))) for p in sorted(here)]
+        fixed = "joint angle, AoA 0 deg" if what == "joint" else f"angle of attack, joints {here[0].joint:g} deg"
+        title = f"speed of the water by {fixed}; {here[0].speed:g} m/s to the left"
+        drawn.append(slice_plots.panels(named, out / f"velocity_{what}.png", title, TOP * here[0].speed))
+    return drawn

@@ -1,0 +1,276 @@
+"""`fishmj lbm_oracle real_fish`: the slip ratio at which the solver's fish swims as a real one did, and how well it predicts it.
+
+python -m fishmj.lbm_oracle real_fish --domain window_coarse_refined --device cuda --tanks 12 --out runs/real
+python -m fishmj.lbm_oracle real_fish --device cuda:all --tanks 12 --out runs/real           on all GPUs of this machine
+python -m fishmj.lbm_oracle real_fish --domain laptop --slips 0.98 --beats 5 --swims 2 --out runs/preview
+
+A tendon-driven fish was filmed from above at eight constant motor frequencies (data/calib/calibrate.toml, [real_fish]). The
+solver's fish, its joints led as the markers show, swims from rest in still water; the last two beats count. Four of the swims
+set s, the other four are judged with it and have no part in it:
+
+    J(s) = sum over the four of ln(u(s) / measured)^2,     ln u(s) monotone between the ratios that were swum
+
+With `--robot` another fish of two joints swims as that one was filmed. Its speeds are not compared, and no slip ratio is set: how
+fast that robot swims was not measured.
+
+`low` and `high`: the least and the greatest s when one of the four is left out. Each finished swim is a row of
+`real_fish.csv`; the same command does the missing ones, another set-up in the same folder is refused.
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from io import StringIO
+from math import radians
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base import console
+from fishmj.base.calib import read_toml, resolve
+from fishmj.base.errors import ConfigError, LogError, StoreError
+from fishmj.base.store import read_json, write_json, write_text
+from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.lbm_oracle.run import solver_cost
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
+from fishmj.mjcf import load_robot
+
+SLIPS = (0.6, 0.8, 0.9, 0.96, 0.98, 0.99)
+BEATS = 12.0
+LAST = 2  # beats that count
+OK = "ok"
+STEPS = 4001  # of s, between the least and the greatest that were swum
+COLUMNS = ("beat_hz", "slip", "speed_m_s", "gain_a_beat", "status")
+
+
+class RealSwim(NamedTuple):
+    """A filmed swim: beat [Hz], amplitude of tail and fin [rad], how far the fin trails [rad], speed [m/s]; whether it sets s."""
+
+    beat: float
+    amplitude: tuple[float, float]
+    lag: float
+    speed: float
+    sets: bool
+
+    @property
+    def gait(self) -> Gait:
+        return Gait(joints=2, frequency=self.beat, amplitude=self.amplitude, lag=self.lag)
+
+
+class SlipFit(NamedTuple):
+    """s, its range when one swim is left out, root mean square of ln(u / measured) over the swims that set it and the others."""
+
+    slip: float
+    low: float
+    high: float
+    misfit: float
+    judged: float | None
+    speeds: dict[float, float]  # beat Hz -> m/s at s
+
+
+def swims() -> list[RealSwim]:
+    """The filmed swims, slow ones first."""
+    table = read_toml(resolve("calibrate"))["real_fish"]
+    columns = (table[name] for name in ("beat_hz", "tail_deg", "fin_deg", "lag_deg", "speed", "sets"))
+    return [
+        RealSwim(beat, (radians(tail), radians(fin)), radians(lag), speed, sets)
+        for beat, tail, fin, lag, speed, sets in zip(*columns, strict=True)
+    ]
+
+
+def fitted(real: Sequence[RealSwim], swum: dict[tuple[float, float], float]) -> SlipFit:
+    """The slip ratio from the swims that set it. swum: (beat Hz, slip) -> m/s.
+
+    Raises:
+        LogError: fewer than three ratios of one of the swims.
+    """
+    found = {swim.beat: sorted((s, u) for (beat, s), u in swum.items() if beat == swim.beat and u > 0) for swim in real}
+    for swim in real:
+        if len(found[swim.beat]) < 3:
+            raise LogError(f"real_fish: {len(found[swim.beat])} slip ratios at {swim.beat:g} Hz; expected three or more")
+    low, high = max(rows[0][0] for rows in found.values()), min(rows[-1][0] for rows in found.values())
+    s = np.linspace(low, high, STEPS)
+    off = {swim.beat: _logarithm(found[swim.beat], s) - np.log(swim.speed) for swim in real}
+    setting, others = ([swim.beat for swim in real if swim.sets == sets] for sets in (True, False))
+    best = lambda beats: int(np.argmin(sum(off[beat] ** 2 for beat in beats)))
+    at = best(setting)
+    without = [s[best([beat for beat in setting if beat != left])] for left in setting] if len(setting) > 1 else [s[at]]
+    rms = lambda beats: float(np.sqrt(np.mean([off[beat][at] ** 2 for beat in beats])))
+    speeds = {swim.beat: float(swim.speed * np.exp(off[swim.beat][at])) for swim in real}
+    return SlipFit(float(s[at]), float(min(without)), float(max(without)), rms(setting), rms(others) if others else None, speeds)
+
+
+def _logarithm(rows: list[tuple[float, float]], s: np.ndarray) -> np.ndarray:
+    """ln u at s, monotone between what was swum."""
+    from scipy.interpolate import PchipInterpolator
+
+    slip, speed = np.array(rows).T
+    return PchipInterpolator(slip, np.log(speed))(s)
+
+
+def speed_of(run: Run, beat: float) -> tuple[float, float]:
+    """Speed over the last two beats, m/s, and by what part of it a beat has gained on the one before."""
+    tick = run.robot.timing.bus_dt
+    place = np.array([run.first[:2], *(row[3][:2] for row in run.rows)])
+    way = lambda last, beats: place[-1 - round(last / beat / tick)] - place[-1 - round((last + beats) / beat / tick)]
+    now, before = (float(np.hypot(*way(last, LAST))) / (LAST / beat) for last in (0, LAST))
+    return now, (now / before - 1) / LAST if before > 0 else float("nan")
+
+
+class ResultTable:
+    """Finished swims in `folder/real_fish.csv`, beside the set-up that they share.
+
+    Raises:
+        ConfigError: the folder holds another set-up. StoreError: a line there is damaged.
+    """
+
+    def __init__(self, folder: Path, setup: dict):
+        self.path, self.about, self.setup = folder / "real_fish.csv", folder / "setup.json", setup
+        self.rows: dict[tuple[float, float], dict] = {}
+        if not self.path.exists():
+            return
+        if (before := read_json(self.about).get("setup")) != setup:
+            raise ConfigError(f"{folder} holds swims of another set-up: {before} (now {setup}). Take another --out")
+        with self.path.open(encoding="utf-8", newline="") as file:
+            for number, read in enumerate(csv.DictReader(file), 2):
+                try:
+                    row: dict[str, Any] = {name: read[name] if name == "status" else float(read[name]) for name in COLUMNS}
+                except (KeyError, TypeError, ValueError) as error:
+                    raise StoreError(f"{self.path}:{number}: {error!r}; delete the line, its swim is then done again") from error
+                self.rows[row["beat_hz"], row["slip"]] = row
+
+    def add(self, key: tuple[float, float], found: dict) -> None:
+        """Keep a swim, on disk before this returns."""
+        if not self.rows:
+            write_json(self.about, {"source": "fishmj.lbm_oracle real_fish", "origin": "synthetic", "setup": self.setup})
+        self.rows[key] = dict(zip(COLUMNS, key, strict=False)) | found
+        text = StringIO()
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows[k] for k in sorted(self.rows))
+        write_text(self.path, text.getvalue())
+
+
+def swum(
+    waiting: Waiting, device: str, go_on: GoOn, *, stage: SwimSetup, beats: float, tanks: int
+) -> Iterator[tuple[tuple[float, float], dict]]:
+    """Swims side by side, `tanks` at a time on a device; one that is done, or stops, comes back at once: its key and row.
+
+    Args:
+        waiting: swims and slip ratios (`spread`). go_on: called after every tick with the seconds of water that the unfinished
+            swims have done. stage: their water.
+    """
+    busy: list[tuple[RealSwim, float, Run, int]] = []
+    while busy or waiting:
+        while len(busy) < tanks and waiting:
+            swim, slip = waiting.popleft()
+            run = replace(stage, slip=slip, device=device).run(prescribed=swim.gait)
+            busy.append((swim, slip, run, round(beats / swim.beat / run.robot.timing.bus_dt)))
+        ConcurrentRuns([run for _, _, run, _ in busy]).tick()
+        for entry in list(busy):
+            swim, slip, run, end = entry
+            if run.ticks >= end or run.stopped:
+                busy.remove(entry)
+                enough = run.ticks * run.robot.timing.bus_dt * swim.beat > 2 * LAST
+                speed, gain = speed_of(run, swim.beat) if enough else (float("nan"), float("nan"))
+                status = " ".join(run.stopped.split()) or OK
+                yield (swim.beat, slip), {"speed_m_s": speed, "gain_a_beat": gain, "status": status}
+        if not go_on(sum(run.time for _, _, run, _ in busy)):
+            return
+
+
+def _robot() -> str:
+    return read_toml(resolve("calibrate"))["real_fish"]["robot"]
+
+
+def main(argv: list[str]) -> int:
+    args = _parser().parse_args(argv)
+    domain = preset(args.domain)
+    real = [swim for swim in swims() if args.which == "all" or swim.sets == (args.which == "setting")][-args.swims :]
+    domain = domain if args.dx is None else domain.changed(dx=args.dx)
+    if args.beats <= 2 * LAST:
+        raise ConfigError(f"real_fish: --beats {args.beats:g}; expected more than {2 * LAST}: the last {LAST} count")
+    robot, filmed = load_robot(args.robot or _robot()), load_robot(_robot())
+    if robot.n_joints != filmed.n_joints:
+        raise ConfigError(
+            f"real_fish: {robot.name} has {robot.n_joints} joints; the swims were filmed of {filmed.name} with {filmed.n_joints}."
+            " For another fish take lbm_oracle swim or speeds"
+        )
+    same = robot == filmed
+    setup = {"domain": domain.name, "dx": domain.dx, "beats": args.beats, "robot": robot.name}
+    setup |= {} if same or robot.name != filmed.name else {"robot": f"{robot.name}, changed"}
+    setup |= boundary_entry(BOUNDARIES[args.boundary])
+    book = ResultTable(Path(args.out), setup)
+    left = [(swim, slip) for swim in real for slip in args.slips if (swim.beat, slip) not in book.rows]
+    water = sum(args.beats / swim.beat for swim, _ in left)
+    less = "take fewer --slips, --swims or --beats; --domain laptop is a preview"
+    work = [(level, water) for level in domain.levels] if left else []
+    solver_cost.agree("lbm_oracle real_fish", args.device, work, instead=less, tanks=min(args.tanks, max(len(left), 1)))
+    if domain.name in PREVIEWS:
+        console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
+    console.say(f"{len(left)} swims to do, {water:.0f} s of water, in {args.out}")
+    with console.Progress(max(water, 1e-9), "real_fish", unit="s", every=1e9 if args.json else None) as bar:
+        stage = SwimSetup(domain=domain, robot=args.robot or _robot(), sharpness=BOUNDARIES[args.boundary])
+        done = 0.0
+
+        def told(under_way: float) -> bool:
+            bar.update(done + under_way)
+            return True
+
+        swimming = partial(swum, stage=stage, beats=args.beats, tanks=args.tanks)
+        for key, found in spread(swimming, left, devices_of(args.device), told):
+            book.add(key, found)
+            done += args.beats / key[0]
+    rows = [book.rows[swim.beat, slip] for swim in real for slip in args.slips]
+    lost = [row for row in rows if row["status"] != OK]
+    console.say(console.table(rows, COLUMNS))
+    for row in lost:
+        console.warn(f"{row['beat_hz']:g} Hz, slip {row['slip']:g}: {row['status']}")
+    answer: dict[str, Any] = {"rows": rows, "csv": book.path, "domain": domain.name, "dx": domain.body_level.dx}
+    answer["boundary"] = args.boundary
+    if not same:
+        console.say("", f"{robot.name} is not the fish that was filmed ({filmed.name}): its speeds are not compared")
+    if same and len(args.slips) >= 3 and any(swim.sets for swim in real):
+        fit = fitted(real, {(row["beat_hz"], row["slip"]): row["speed_m_s"] for row in rows if row["status"] == OK})
+        table = [
+            {"beat_hz": w.beat, "sets s": "yes" if w.sets else "no", "measured_m_s": w.speed, "solver_m_s": fit.speeds[w.beat],
+             "off": fit.speeds[w.beat] / w.speed - 1}
+            for w in real
+        ]  # fmt: skip
+        console.say("", console.table(table), "", f"slip {fit.slip:.4f} ({fit.low:.4f} to {fit.high:.4f}), cells of"
+                    f" {1e3 * domain.body_level.dx:g} mm at the fish; off by {100 * fit.misfit:.0f} % rms on the swims that set"
+                    f" it{'' if fit.judged is None else f', {100 * fit.judged:.0f} % on the others'}")  # fmt: skip
+        answer |= {"slip": fit._asdict(), "swims": table}
+    if args.json:
+        console.emit_json(answer)
+    return console.FAILED_CHECK if lost else console.OK
+
+
+def _parser() -> console.Parser:
+    about = "Slip ratio of a real fish's hull on one grid, by four of its swims; four more judge."
+    p = console.parser("lbm_oracle real_fish", about)
+    add = p.add_argument
+    several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
+    add("--domain", choices=EVERY, default="window_coarse_refined", help="box of water; laptop is a preview")
+    add("--robot", type=console.text, help="shipped name or TOML file with two joints; by default the fish that was filmed")
+    cell = "another cell, same size, dt in proportion; by default the domain's"
+    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
+    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    boundary_option(add)
+    add("--beats", type=console.number(0, 1000, above=True), default=BEATS, help="of each swim; the last two count")
+    add("--which", choices=("all", "setting", "judging"), default="all", help="those that set the slip ratio, or the others")
+    add("--swims", type=console.whole(1, 8), default=8, metavar="N", help="only the N fastest of them")
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
+    tanks = "swims side by side on each device; 12 keep a GPU busy; default 1"
+    add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
+    out = "real_fish.csv; continues what is there"
+    add("--out", type=console.out_folder, default="runs/real_fish", metavar="FOLDER", help=out)
+    return p

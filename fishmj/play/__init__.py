@@ -1,5 +1,0 @@
-"""One fish live: you make the current and move the target. See `python -m fishmj.play --help`."""
-
-from fishmj.play.live_session import Chunk, LiveSession
-
-__all__ = ["Chunk", "LiveSession"]

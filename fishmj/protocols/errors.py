@@ -1,7 +1,0 @@
-"""The one error of all protocols."""
-
-from fishmj.errors import FishmjError
-
-
-class ProtocolError(FishmjError, ValueError):
-    """Bytes that are no message, or a value that a message cannot carry. One line: what, got, expected."""

@@ -1,1 +1,0 @@
-"""Data sets of the solver with hidden effects and hidden numbers, and how well they were found."""

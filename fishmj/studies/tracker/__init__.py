@@ -1,4 +1,0 @@
-"""How well the camera trackers find a drawn fish: errors, share of fixes, frames a second, false locks.
-
-python -m fishmj.studies.tracker --help
-"""

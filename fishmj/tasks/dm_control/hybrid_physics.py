@@ -1,0 +1,43 @@
+"""The fish as MuJoCo moves it, in a fitted water that the flow solver corrects while it swims, as a dm_control `Physics`."""
+
+from typing import Any
+
+from fishmj.engines import FishParams, FishState
+from fishmj.tasks.dm_control.physics import Physics
+from fishmj.tasks.episode import TaskSpec
+from fishmj.water.flow import BOXES, Current, Flow
+
+
+class HybridPhysics(Physics):
+    """A fish whose water is corrected; make one with `HybridPhysics.corrected`. Every episode begins with the water as fitted.
+
+    Attributes:
+        hybrid: what was corrected (`fishmj.engines.hybrid.Hybrid.report`).
+    """
+
+    hybrid: Any
+    alone = "the water hybrid"
+
+    @classmethod
+    def corrected(cls, rules: TaskSpec, options: Any = None, oracle: Any = None) -> "HybridPhysics":
+        """A straight fish; options: `fishmj.engines.hybrid.HybridOptions`; oracle: another better water than the flow solver."""
+        from fishmj.engines.hybrid import Hybrid
+
+        setting = rules.setting
+        physics = cls.of(rules.robot)
+        kind = Flow(turbulence=setting.turbulence, box=BOXES[setting.box])
+        physics.hybrid = Hybrid(rules.robot, options, kind=kind, oracle=oracle)
+        physics._given = physics.swim.params, physics.swim.current
+        return physics
+
+    def begin(self, pose, params: FishParams, current: Current) -> None:
+        """As of `Physics`; nothing is corrected yet."""
+        super().begin(pose, params, current)
+        self._given = params, current
+        self.hybrid.reset()
+
+    def _next_tick(self) -> None:
+        s, data = self.swim, self.data
+        fish = FishState(data.qpos[None].copy(), data.qvel[None].copy(), s.attached, s.buffer, s.memory)
+        s.params, s.current = self.hybrid.tick(fish, *self._given, s.step // s.steps)
+        super()._next_tick()

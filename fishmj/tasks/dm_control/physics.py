@@ -1,0 +1,345 @@
+"""The fish in its water as a dm_control `Physics`: bus commands in, poses out.
+
+    planar root   Q_water - M_a a goes into qfrc_applied before each mj_step
+    free root     the water's wrench on every link goes into xfrc_applied (`water.link_wrench`)
+
+Both are the callback's step to round-off and share nothing in the process: any number of environments and threads may run side
+by side.
+
+A `Physics` carries more than MuJoCo's state: commands under way, tail attachment, the flow. `copy`, a deep copy and a pickle take
+all of it along; `get_state` and `set_state` mean MuJoCo's part only.
+"""
+
+import copy
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control import mujoco as dm_mujoco
+from dm_control.mujoco import wrapper
+from dm_control.rl import control
+
+from fishmj import engines
+from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError, MissingExtra, SimDiverged
+from fishmj.engines import FishParams
+from fishmj.engines.planar import arrived, link_centres, quantise
+from fishmj.engines.single import WrenchWater
+from fishmj.mjcf import passive_slot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.model import build_spec, personalise, reference_pose, reference_qpos
+from fishmj.water.dynamics import planar_chain as chain
+from fishmj.water.flow import Current, Flow, sample
+from fishmj.water.spatial_water import FreeWater
+
+TARGET = "target"
+COLOURS = {  # default and highlight: dm_control blends from one to the other with the reward
+    "self": ((0.55, 0.58, 0.62, 1), (0.30, 0.75, 0.45, 1)),
+    "effector": ((0.80, 0.65, 0.30, 1), (0.95, 0.85, 0.20, 1)),
+    "target": ((0.75, 0.25, 0.20, 1), (0.20, 0.85, 0.35, 1)),
+}
+SHAPE = dict(contype=0, conaffinity=0)
+
+
+def build_scene(robot: Robot, root: str = "planar") -> mujoco.MjSpec:
+    """The robot's `MjSpec` with its surroundings; compile it outside any `inject` block.
+
+    Bodies added to the fish: `tank` (fixed) and `target` (mocap: move it with `data.mocap_pos[0]`).
+    """
+    spec = build_spec(robot, root)
+    for name, (default, highlight) in COLOURS.items():
+        for suffix, rgba in (("", default), ("_default", default), ("_highlight", highlight)):
+            spec.add_material(name=name + suffix, rgba=rgba)
+    spec.add_material(name="tank", rgba=[0.55, 0.70, 0.78, 1], specular=0.0, shininess=0.0)
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.95, 0.97, 0.99], rgb2=[0.70, 0.80, 0.88], width=64, height=384,
+    )  # fmt: skip
+    bound, arrived = constant("task", "bound"), constant("protocol", "arrival_radius")
+    _tank(spec.worldbody, bound, depth=constant("tank", "size")[2])
+    target = spec.worldbody.add_body(name=TARGET, mocap=True)
+    disc = dict(type=mujoco.mjtGeom.mjGEOM_CYLINDER, material="target", **SHAPE)
+    target.add_geom(name="target", size=[0.02, 0.08, 0], **disc)
+    target.add_geom(name="arrival", size=[arrived, 0.001, 0], pos=[0, 0, -0.09], **disc)
+    head = spec.body(robot.links[0].name)
+    for site in head.sites:
+        site.material = "effector" if site.name == "nose" else "self"
+    head.add_camera(name="follow", pos=[-1.3, 0, 0.7], xyaxes=[0, -1, 0, 0.45, 0, 1])
+    spec.visual.headlight.diffuse, spec.visual.headlight.specular = [0.35] * 3, [0.0] * 3
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    spec.visual.map.znear = 0.02
+    return spec
+
+
+def _tank(world, bound: float, depth: float) -> None:
+    box = dict(type=mujoco.mjtGeom.mjGEOM_BOX, **SHAPE)
+    tank = world.add_body(name="tank")
+    tank.add_geom(name="floor", size=[bound, bound, 0.01], pos=[0, 0, -depth], material="tank", **box)
+    for i, (name, x, y) in enumerate((("east", 1, 0), ("north", 0, 1), ("west", -1, 0), ("south", 0, -1))):
+        size = [0.01, bound, 0.02] if i % 2 == 0 else [bound, 0.01, 0.02]
+        tank.add_geom(name=f"{name}_edge", size=size, pos=[x * bound, y * bound, 0.02 - depth], rgba=[0.25, 0.32, 0.38, 1], **box)
+    height = 2 * bound / 0.8284  # 45 degrees of view over the whole domain
+    world.add_camera(name="top", pos=[0, 0, height], xyaxes=[1, 0, 0, 0, 1, 0])
+    world.add_camera(name="corner", pos=[0, -1.5 * bound, 1.3 * bound], xyaxes=[1, 0, 0, 0, 0.65, 0.76])
+    sun = dict(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=[0.45] * 3, specular=[0.1] * 3)
+    world.add_light(name="lamp", pos=[0, 0, height], dir=[0, 0, -1], **sun)
+
+
+PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm", "dof_damping")  # differ from fish to fish
+
+
+@dataclass
+class Swim:
+    """What a fish is and remembers beyond MuJoCo's data, batch axis of 1. Arrays are replaced, never written to."""
+
+    robot: Robot
+    chain: chain.Chain
+    evaluate: Any  # None with a free root
+    params: FishParams
+    current: Current
+    attached: np.ndarray  # (1,)
+    buffer: np.ndarray  # (1, BUFFER, J) bus commands
+    memory: np.ndarray  # (1, M) of effects and a learnt water
+    pending: np.ndarray  # (T, J) bus commands not yet sent
+    steps: int  # physics steps in a bus tick
+    keep: int  # bus ticks in a control step
+    step: int = 0  # physics steps since the start
+    targets: list | tuple = ()  # servo targets of this tick, one (1, J) a physics step
+    water: Any = None  # (flow (1, N, 2), ambient (1, 2)) of this tick
+    yaw: float = 0.0  # unwrapped
+    power: float = 0.0  # sum over this tick's steps so far, W
+    rows: tuple = ()  # (pose, joint, rate, velocity, power) of the last bus ticks
+
+
+class Physics(dm_mujoco.Physics):
+    """A fish in water; make one with `Physics.of`."""
+
+    swim: Swim
+    free_water: FreeWater | None
+    alone: str = ""  # why it cannot be copied
+
+    @classmethod
+    def of(cls, robot: Robot, root: str = "planar") -> "Physics":
+        """A straight fish at rest in still water. Raises UnknownName: a root that does not exist."""
+        physics = cls.from_model(wrapper.MjModel(passive_slot.compiled(build_scene(robot, root))))
+        ch = chain.chain_of(robot)
+        free = root == "free"
+        if free and robot.effects:
+            raise ConfigError(
+                "suite: effects act on a fish with a planar root; choose root = 'planar', or a robot without [[effect]]"
+            )
+        physics.free_water = FreeWater(robot, learnt=engines.Extensions.of(robot).learnt) if free else None
+        model = physics.model
+        physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
+        rest, (steps, keep) = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.ticks_per(robot)
+        physics.swim = Swim(
+            robot=robot, chain=ch, evaluate=None if free else cls._evaluator(robot, ch), params=engines.nominal_params(robot, 1),
+            current=Flow().current(), attached=rest.attached, buffer=rest.buffer, memory=rest.memory,
+            pending=np.zeros((0, robot.n_joints)),
+            steps=steps, keep=keep,
+        )  # fmt: skip
+        return physics
+
+    @classmethod
+    def _evaluator(cls, robot: Robot, ch: chain.Chain):
+        """The water's forces of a physics step."""
+        return evaluator(robot, ch)
+
+    # ---- what a task does with it ----
+
+    def begin(self, pose, params: FishParams, current: Current) -> None:
+        """Put this fish (a batch of one) at rest at pose (3,) [m, rad] in this flow. Call inside `reset_context`."""
+        self._personalise(params)
+        self.data.qpos[:] = reference_qpos(self.model.ptr, pose, params.zero[0])
+        self.data.qvel[:] = 0.0
+        rest = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
+        self.swim = replace(  # a new one: copies made before keep theirs
+            self.swim, params=params, current=current, attached=rest.attached, buffer=rest.buffer, memory=rest.memory,
+            pending=self.swim.pending[:0], step=0, targets=(), water=None, yaw=float(pose[2]), power=0.0, rows=(),
+        )  # fmt: skip
+
+    def send(self, commands) -> None:
+        """Queue bus commands (T, J) [rad], one a bus tick; the last one holds when they run out."""
+        commands = np.asarray(commands, float)
+        if commands.ndim != 2 or commands.shape[1] != self.model.nu or not np.isfinite(commands).all():
+            raise ConfigError(f"suite: commands of shape {commands.shape}; expected finite (ticks, {self.model.nu}) in rad")
+        self.swim.pending, self.swim.rows = commands, ()
+
+    def set_control(self, control) -> None:
+        """Hold one command (J,) rad; the servo obeys after its latency."""
+        self.send(np.asarray(control, float)[None])
+
+    def step(self, n_sub_steps: int = 1) -> None:
+        """Advance by physics steps. Raises dm_control's PhysicsError when the fish leaves the finite numbers."""
+        with self.check_invalid_state():
+            for _ in range(n_sub_steps):
+                self._step_planar() if self.free_water is None else self._step_free(self.free_water)
+            if self.legacy_step:
+                mujoco.mj_step1(self.model.ptr, self.data.ptr)
+
+    # ---- named accessors, world frame, without noise or latency ----
+
+    def reference_pose(self) -> np.ndarray:
+        """(x, y, yaw) of the reference point, m, rad; yaw counts full turns."""
+        pose = reference_pose(self.model.ptr, self.data.ptr)
+        return np.array([pose[0], pose[1], self._unwrapped(pose[2])])
+
+    def reference_velocity(self) -> np.ndarray:
+        """(x', y', yaw') of the reference point, m/s, rad/s."""
+        return reference_pose(self.model.ptr, self.data.ptr)[3:]
+
+    def joint_angles(self) -> np.ndarray:
+        """What the encoders read, (J,) rad."""
+        return self.data.qpos[-self.model.nu :] - self.swim.params.zero[0]
+
+    def joint_rates(self) -> np.ndarray:
+        """(J,) rad/s."""
+        return self.data.qvel[-self.model.nu :].copy()
+
+    def target_position(self) -> np.ndarray:
+        """(2,) m."""
+        return self.data.mocap_pos[0, :2].copy()
+
+    def place_target(self, position) -> None:
+        """Move the target to (2,) m."""
+        self.data.mocap_pos[0, :2] = position
+
+    def water_velocity(self) -> np.ndarray:
+        """Mean flow (2,) m/s; for logs, never for a policy."""
+        return np.array(self.swim.current.mean[0])
+
+    def trace(self) -> engines.Trace:
+        """The bus ticks since the last `send`, one control step at most, as the engines' Trace with a batch of one."""
+        if not self.swim.rows:
+            empty, joints = np.zeros((1, 0, 3)), np.zeros((1, 0, self.model.nu))
+            return engines.Trace(empty, joints, joints, empty, empty[..., 0])
+        return engines.Trace(*(np.array(column)[None] for column in zip(*self.swim.rows, strict=True)))
+
+    # ---- the loop ----
+
+    def _next_tick(self) -> None:
+        """Take the next command from the queue and look the flow up, both constant over the tick."""
+        s = self.swim
+        sent = quantise(np, s.robot, s.pending[:1]) if len(s.pending) else s.buffer[0, -1:]
+        s.buffer = np.concatenate([s.buffer[:, 1:], sent[None]], 1)
+        s.pending = s.pending[1:]
+        s.power = 0.0
+        if self.free_water is None:
+            centres = link_centres(np, s.chain, self.data.qpos[None])
+        else:
+            mujoco.mj_kinematics(self.model.ptr, self.data.ptr)
+            centres = np.array([[self.data.ptr.site(f"{link.name}_centre").xpos[:2] for link in s.robot.links]])
+        s.water = sample(np, s.current, centres, np.array([s.step // s.steps]))
+        s.targets = arrived(np, s.buffer, s.params.delay, s.steps, s.robot.timing.command_path == "move_time")
+
+    def _command(self) -> np.ndarray:
+        """Servo targets (1, J) of the next physics step."""
+        part = self.swim.step % self.swim.steps
+        if part == 0:
+            self._next_tick()
+        return self.swim.targets[part]
+
+    def _step_planar(self) -> None:
+        target = self._command()
+        s = self.swim
+        data = self.data.ptr
+        state = (data.qpos[None], data.qvel[None], s.attached, s.params)
+        force, attached, power, s.memory = s.evaluate(*state, target, *s.water, s.memory)
+        data.ctrl[:], data.qfrc_applied[:] = target[0], force[0]
+        mujoco.mj_step(self.model.ptr, data)
+        self._remember(attached, float(power[0]))
+
+    def _step_free(self, strips: FreeWater) -> None:
+        water = WrenchWater(self.model.ptr, strips)
+        s, data = self.swim, self.data.ptr
+        data.ctrl[:] = self._command()[0]
+        flow, ambient = s.water
+        water.set_flow(flow[0], ambient[0])
+        water.attached, water.memory = float(s.attached[0]), s.memory[0].tolist()
+        try:
+            water.step(data)
+        except SimDiverged as error:
+            raise control.PhysicsError(str(error)) from error
+        s.memory = np.array([water.memory], float)
+        self._remember(np.array([water.attached]), water.power)
+
+    def _remember(self, attached, power: float) -> None:
+        s = self.swim
+        s.attached = attached
+        s.power = s.power + power
+        s.step = s.step + 1
+        if s.step % s.steps == 0:
+            pose = reference_pose(self.model.ptr, self.data.ptr)
+            s.yaw = self._unwrapped(pose[2])
+            row = (np.array([*pose[:2], s.yaw]), self.joint_angles(), self.joint_rates(), pose[3:], s.power / s.steps)
+            s.rows = (*s.rows, row)[-s.keep :]
+
+    def _unwrapped(self, yaw: float) -> float:
+        """yaw, by whole turns next to the last one recorded."""
+        return float(yaw + 2 * np.pi * np.round((self.swim.yaw - yaw) / (2 * np.pi)))
+
+    def _personalise(self, params: FishParams) -> None:
+        """Write one fish's masses and gains into the model, starting from the nominal ones."""
+        model = self.model.ptr
+        for name, value in self._nominal.items():
+            getattr(model, name)[:] = value
+        others = model.nbody - 1 - len(self.swim.robot.links)  # tank and target
+        own = {name: getattr(params, name)[0] for name in ("kp", "kv", "kb", "zero")}
+        personalise(model, mass=[*params.mass[0], *[1.0] * others], **own)
+        if self.free_water is not None:
+            self.free_water.swimmer = engines.swimmer(FishParams(*(a[0] for a in params)))
+            nominal = FreeWater(self.swim.robot).geometry
+            # a robot is trimmed after it is built: buoyancy follows each link's own weight
+            self.free_water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])
+
+    def copy(self, share_model: bool = False) -> "Physics":
+        """A copy that swims on by itself. Raises ConfigError: of a fish whose water has one swim."""
+        own = self._own()
+        new = super().copy(share_model)
+        vars(new).update(own, swim=copy.copy(self.swim), free_water=copy.deepcopy(self.free_water))
+        return new
+
+    def _own(self) -> dict[str, Any]:
+        """What this class adds to dm_control's."""
+        if self.alone:
+            raise ConfigError(f"suite: a fish in {self.alone} cannot be copied; load another environment with the same seed")
+        return {name: getattr(self, name) for name in ("swim", "free_water", "_nominal", "legacy_step")}
+
+    def __getstate__(self) -> tuple:
+        return super().__getstate__(), self._own()
+
+    def __setstate__(self, state: tuple) -> None:
+        data, own = state
+        super().__setstate__(data)
+        self.__dict__.update(own)
+
+
+def evaluator(robot: Robot, ch: chain.Chain):
+    """The water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
+    rest, params = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.nominal_params(robot, 1)
+    still = np.zeros((1, robot.n_joints)), np.zeros((1, ch.n, 2)), np.zeros((1, 2))
+    added = engines.Extensions.of(robot)
+    try:
+        from fishmj.engines.compiled import Engine as Compiled
+
+        compiled = Compiled(robot, threads=1)
+        compiled.forces(rest.q, rest.v, rest.attached, params, *still, rest.memory)  # compiles now, not in the first step
+        return compiled.forces
+    except MissingExtra:
+        return partial(in_numpy, ch, added=added)
+
+
+def in_numpy(
+    ch: chain.Chain, q, v, attached, params, target, flow, ambient, memory, *, added: "engines.Extensions | None" = None
+):
+    """(applied (1, nv), attached (1,), power (1,), memory (1, M)) of one fish, batch axis of 1 on every argument."""
+    one = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
+    line = lambda a: [float(x) for x in a[0]]
+    hooks = None if added is None else added.hooks(np, line(params.effects), line(memory))
+    s = chain.step(np, ch, one, line(q), line(v), float(attached[0]), line(target), flow[0].tolist(), line(ambient), hooks)
+    return np.array([s.applied]), np.array([s.attached]), np.array([s.power]), np.array([s.memory], float).reshape(1, -1)
+
+
+__all__ = ["TARGET", "Physics", "Swim", "evaluator", "in_numpy"]

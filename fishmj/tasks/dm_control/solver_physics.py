@@ -1,0 +1,84 @@
+"""The fish as the flow solver moves it, as a dm_control `Physics`.
+
+The solver swims its own copy of the fish, one bus tick at a time. MuJoCo's data here take over its pose and velocity, so that
+observations, rendering and named accessors read as in every other water. Each episode fills a tank of its own and holds the
+fish for a second first, until the stream has found its way round it.
+"""
+
+from typing import Any
+
+import numpy as np
+from dm_control.rl import control
+
+from fishmj import engines
+from fishmj.base.errors import ConfigError
+from fishmj.engines import FishParams
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.model import reference_qpos
+from fishmj.tasks.dm_control.physics import Physics
+from fishmj.tasks.episode import TaskSpec
+from fishmj.water.dynamics.planar_chain import Chain
+from fishmj.water.flow import BOXES, Current, DrawnFlow, Flow
+
+
+class SolverPhysics(Physics):
+    """A fish in a tank of the flow solver; make one with `SolverPhysics.in_tank`."""
+
+    engine: Any  # fishmj.engines.lbm.Engine of the running episode
+    fish: engines.FishState
+    alone = "the flow solver"
+
+    @classmethod
+    def in_tank(cls, rules: TaskSpec, options: dict) -> "SolverPhysics":
+        """A straight fish; `options` are those of `fishmj.engines.lbm.Engine`: domain, slip, device, finer.
+
+        Raises:
+            ConfigError: a robot with effects that have no place in the solver.
+        """
+        physics = cls.of(rules.robot)
+        physics._solver, physics._setting = options, rules.setting
+        physics.begin(np.zeros(3), physics.swim.params, physics.swim.current)
+        return physics
+
+    @classmethod
+    def _evaluator(cls, robot: Robot, ch: Chain) -> None:
+        """Nothing to compile: the solver has the forces."""
+
+    def begin(self, pose, params: FishParams, current: Current) -> None:
+        """Fill a tank with this flow, with this fish at rest at pose (3,) [m, rad]. Call inside `reset_context`."""
+        from fishmj.engines.lbm import Engine
+
+        super().begin(pose, params, current)
+        flow = DrawnFlow.of(current, Flow(turbulence=self._setting.turbulence, box=BOXES[self._setting.box]))
+        self.engine = Engine(self.swim.robot, [flow], **self._solver)
+        self.fish = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
+        self.fish.q[:, 3:] = params.zero  # the encoders read zero
+
+    def step(self, n_sub_steps: int = 1) -> None:
+        """Advance by physics steps, whole bus ticks only.
+
+        Raises:
+            ConfigError: part of a bus tick. PhysicsError: the fish left the tank, or its water the finite numbers.
+        """
+        s = self.swim
+        ticks, part = divmod(n_sub_steps, s.steps)
+        if part:
+            raise ConfigError(f"suite: {n_sub_steps} physics steps in the flow solver; expected whole bus ticks of {s.steps}")
+        last = s.pending[-1:] if len(s.pending) else s.buffer[0, -1:]
+        commands = np.concatenate([s.pending, np.repeat(last, ticks, 0)])[:ticks]
+        self.fish, trace = self.engine.advance(self.fish, commands[None], s.params, s.current, np.array([s.step // s.steps]))
+        s.memory = self.fish.memory
+        if stopped := self.engine.stopped[0]:
+            raise control.PhysicsError(f"the flow solver stopped: {stopped}")
+        s.pending, s.step = s.pending[ticks:], s.step + n_sub_steps
+        s.buffer = np.concatenate([s.buffer, commands[None]], 1)[:, -s.buffer.shape[1] :]
+        s.rows = (*s.rows, *zip(*(column[0] for column in trace), strict=True))[-s.keep :]
+        pose, joint = trace.pose[0, -1], trace.joint[0, -1] + s.params.zero[0]
+        s.yaw = float(pose[2])
+        self.data.qpos[:] = reference_qpos(self.model.ptr, pose, joint)
+        self.data.qvel[:] = [*trace.velocity[0, -1], *trace.rate[0, -1]]
+        self.data.time += ticks * s.robot.timing.bus_dt
+        self.forward()
+
+
+__all__ = ["SolverPhysics"]

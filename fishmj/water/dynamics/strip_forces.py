@@ -1,0 +1,201 @@
+"""Hydrodynamic forces on one link, as a sum of small pure terms.
+
+Link frame: t along the link towards the nose, n to its left. At a point x along the link, relative to the local water,
+    u = t.(v - U)            the same all along the link                                  [m/s]
+    w(x) = w0 + Omega x      w0 = n.(v - U) at the link's origin, Omega = yaw rate         [m/s, rad/s]
+
+reactive     f_n = -mu (n.a - Omega u),  f_t = s mu w Omega,  c_z = -s mu w u    Lighthill 1971; Candelier et al. 2011,
+             doi 10.1017/S002211201000649X; mu = k rho pi/4 h^2 per length. The part with n.a is the added mass.
+             s = 1 on the head, whose nose is closed. The other links have no front end of their own: pressure acts across
+             a straight piece and its axial force is the suction that a free leading edge would have (Polhamus 1966, NASA
+             TN D-3767), of which they recover the share s. The two terms with s do no work together.
+cross-flow   f_n = -1/2 rho Cn h |w| w                                        Taylor 1952, doi 10.1098/rspa.1952.0159
+             on the last link (1 - h x) Cn: flow that stays attached does not separate (h = 0 unless a description says so)
+friction     f_t = -1/2 rho Cf P sqrt(u^2 + w^2) u                            P = perimeter
+head form    F_t = -1/2 rho Ca A |u| u,  Ca differs forwards and backwards
+linear       F_t = -c_i u, by wetted area                                     laminar, or the Reynolds number's part of Cf
+trailing     F_t = 1/2 x m_e w_e^2,  F_n = -(a + b x) m_e max(u, 0) w_e,       m_e = k_e rho pi/4 h_e^2
+edge         passive for 0 <= x <= 1 when a + b x >= x / 2; w_e is met at x_e: the trailing edge of a slender body (Lighthill),
+             the quarter chord of a wing
+attachment   x' = (x0(alpha) - x) V / (tau h_e),  x0 = logistic((alpha_s - |alpha|) / Delta)   Goman & Khrabrov 1994
+
+Every function takes components (scalars, NumPy or JAX arrays of one shape, or traced values) and the array namespace
+`xp`; none writes in place. SI units. Forces act on the link; moments are about the link's origin.
+"""
+
+from math import pi
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError
+from fishmj.mjcf.geometry import Geometry
+
+SHAPE = {"edge_place": 1.0, "tail_held": 0.0, "linear_drag": 0.0}  # numbers of the strips' shape, and what an unset one is
+NO_COEFFICIENT = ("model", "stations", "own", *SHAPE)  # of a `[water]` table
+SMOOTH = 1e-8  # m2/s2 inside square roots, keeps gradients finite at rest
+
+
+class Coefficients(NamedTuple):
+    """Parameters of the strip model. Lists have one entry a link; entries may be arrays (a batch of fish)."""
+
+    k: Any  # [N] added mass over rho pi/4 h^2
+    cn: Any  # [N] cross-flow drag
+    cf: Any  # tangential friction
+    ca_forward: Any  # head form drag, swimming forwards
+    ca_backward: Any  # and backwards
+    ke: Any  # trailing-edge momentum flux
+    lift_a: Any
+    lift_b: Any
+    stall_angle: Any  # rad
+    stall_width: Any  # rad
+    stall_lag: Any  # trailing-edge heights
+    suction: Any = 1.0  # share of their leading edge's suction that the links behind the head recover
+
+
+class Strips(NamedTuple):
+    """Constant geometry of the water model, plain floats, for N links with K strips each."""
+
+    rho: float
+    mu: tuple  # N x 3 moments of rho pi/4 h^2 ds
+    displaced: tuple  # N, kg
+    buoyancy: tuple  # N, m
+    x: tuple  # N x K, m
+    h: tuple  # N x K, m2
+    p: tuple  # N x K, m2
+    frontal: float  # m2
+    tail_x: float
+    tail_h: float
+    edge_x: Any  # m, where the last link meets the flow whose momentum it sheds
+    held: Any = None  # share of the last link's cross-flow drag that attached flow does not have; None for 0
+    linear: Any = None  # N entries, drag of each link along it over its speed, N s/m; None where there is none
+
+
+def coefficients(water: dict, n_links: int) -> Coefficients:
+    """Read a `[water]` table. Raises ConfigError where it is incomplete or not passive."""
+    table = {key: value for key, value in water.items() if key not in NO_COEFFICIENT}
+    for key in ("stall_angle", "stall_width"):
+        if f"{key}_deg" in table:
+            table[key] = float(np.radians(table.pop(f"{key}_deg")))
+    missing = set(Coefficients._fields) - set(table) - set(Coefficients._field_defaults)
+    unknown = set(table) - set(Coefficients._fields)
+    if missing or unknown:
+        needs = ", ".join(Coefficients._fields)
+        raise ConfigError(f"[water]: missing {sorted(missing)}, unknown {sorted(unknown)}; needs {needs}")
+    for key in ("k", "cn"):
+        if len(table[key]) != n_links:
+            raise ConfigError(f"[water] {key}: one value a link, got {len(table[key])} for {n_links} links")
+        table[key] = [float(v) for v in table[key]]
+    c = Coefficients(**table)
+    if not 0.0 <= c.suction <= 1.0:
+        raise ConfigError(f"[water]: suction = {c.suction}; a share from 0, none recovered, to 1, all of it")
+    if c.lift_a < 0 or c.lift_b < 0 or c.lift_a + c.lift_b < 0.5:
+        raise ConfigError(f"[water]: lift_a = {c.lift_a}, lift_b = {c.lift_b} can feed energy; need both >= 0 and a + b >= 0.5")
+    return c
+
+
+def strips(geometry: Geometry, rho: float = 1000.0, water: dict | None = None) -> Strips:
+    """The constant part of the water model as plain floats. water: the `[water]` table, for its `edge_place` and the like."""
+    table = SHAPE | {key: number for key, number in (water or {}).items() if number is not None}
+    rows = lambda a: tuple(tuple(float(v) for v in row) for row in a)
+    line = lambda a: tuple(float(v) for v in a)
+    return Strips(
+        rho=rho,
+        mu=rows(geometry.mu),
+        displaced=line(geometry.displaced),
+        buoyancy=line(geometry.buoyancy),
+        x=rows(geometry.strip_x),
+        h=rows(geometry.strip_h),
+        p=rows(geometry.strip_p),
+        frontal=geometry.frontal,
+        tail_x=geometry.tail_x,
+        tail_h=geometry.tail_h,
+        edge_x=geometry.tail_x * float(table["edge_place"]),
+        held=float(table["tail_held"]) or None,
+        linear=linear_parts(geometry.strip_p, float(table["linear_drag"])) if table["linear_drag"] else None,
+    )
+
+
+def linear_parts(wetted, whole) -> tuple:
+    """N entries: a linear drag shared out by wetted area (N, K) among the links. whole: N s/m, may be traced."""
+    areas = [float(np.sum(row)) for row in wetted]
+    return tuple(whole * (area / sum(areas)) for area in areas)
+
+
+def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega, rate=None):
+    """Velocity part of the added-mass force on link i: (F_t, F_n, moment).
+
+    rate: of the link itself, where the water turns and omega is relative to it; default omega.
+    """
+    rate = omega if rate is None else rate
+    m0, m1 = c.k[i] * s.mu[i][0], c.k[i] * s.mu[i][1]
+    suction = c.suction if i else 1.0
+    momentum = suction * (m0 * w0 + m1 * omega)
+    return rate * momentum, m0 * rate * u, m1 * rate * u - u * momentum
+
+
+def resistive(xp, s: Strips, c: Coefficients, i: int, u, w0, omega):
+    """Cross-flow drag and tangential friction, summed over the strips of link i."""
+    force_t = force_n = moment = 0.0
+    for x, h, p in zip(s.x[i], s.h[i], s.p[i], strict=True):
+        w = w0 + omega * x
+        normal = -(0.5 * s.rho * h) * c.cn[i] * xp.abs(w) * w
+        force_t = force_t - (0.5 * s.rho * p) * xp.sqrt(u * u + w * w + SMOOTH)
+        force_n = force_n + normal
+        moment = moment + x * normal
+    along = force_t * c.cf * u
+    if s.linear is not None:
+        along = along - s.linear[i] * u
+    return along, force_n, moment
+
+
+def with_held_tail(s: Strips, c: Coefficients, attached) -> Coefficients:
+    """The coefficients while the tail's flow is attached: what does not separate has no cross-flow drag, (1 - h x) C_n."""
+    if s.held is None:
+        return c
+    return c._replace(cn=[*c.cn[:-1], (1.0 - s.held * attached) * c.cn[-1]])
+
+
+def head_form(xp, s: Strips, c: Coefficients, u):
+    """Form drag of the bluff head, along t."""
+    return -(0.5 * s.rho * s.frontal) * xp.where(u > 0, c.ca_forward, c.ca_backward) * xp.abs(u) * u
+
+
+def trailing_edge(xp, s: Strips, c: Coefficients, u, w0, omega, attached):
+    """Momentum shed at the trailing edge of the last link: (F_t, F_n, moment)."""
+    w = w0 + omega * s.edge_x
+    me = c.ke * (s.rho * pi / 4 * s.tail_h**2)
+    force_n = -(c.lift_a + c.lift_b * attached) * me * xp.maximum(u, 0.0) * w
+    return 0.5 * attached * me * w * w, force_n, s.edge_x * force_n
+
+
+def attachment(xp, s: Strips, c: Coefficients, u, w0, omega, attached, dt):
+    """Advance the attachment state x of the tail by dt, exactly for frozen flow. Stays in [0, 1]."""
+    w = w0 + omega * s.edge_x
+    speed = xp.sqrt(u * u + w * w + SMOOTH)
+    alpha = xp.arctan2(xp.sqrt(w * w + SMOOTH), u)
+    target = 1.0 / (1.0 + xp.exp((alpha - c.stall_angle) / c.stall_width))
+    return target + (attached - target) * xp.exp(-dt * speed / (c.stall_lag * s.tail_h))
+
+
+def ambient(s: Strips, c: Coefficients, i: int, du_t, du_n):
+    """Force of an accelerating ambient flow DU/Dt on link i: buoyancy-like part plus added mass (Auton et al. 1988)."""
+    m0, m1 = c.k[i] * s.mu[i][0], c.k[i] * s.mu[i][1]
+    d = s.displaced[i]
+    return d * du_t, (d + m0) * du_n, (d * s.buoyancy[i] + m1) * du_n
+
+
+def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n, attached, rate=None):
+    """All forces on link i except those proportional to the body's own acceleration: (F_t, F_n, moment)."""
+    # the body's own acceleration is left out: its factor is the added mass, which the caller puts into the matrix. The stream's
+    # acceleration is known beforehand, so it is a force
+    if i == len(s.mu) - 1:
+        c = with_held_tail(s, c, attached)
+    parts = [reactive(s, c, i, u, w0, omega, rate), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
+    if i == 0:
+        # a blunt nose has a wake of its own; the links behind have no front
+        parts.append((head_form(xp, s, c, u), 0.0, 0.0))
+    if i == len(s.mu) - 1:
+        # the wake takes momentum along at the last edge alone: between links the body goes on (Lighthill 1971)
+        parts.append(trailing_edge(xp, s, c, u, w0, omega, attached))
+    return tuple(sum(column) for column in zip(*parts, strict=True))

@@ -1,0 +1,219 @@
+"""What the water of a tank is like at each setting of its pump: a TOML file, read where a flow is asked for.
+
+    schema = "fishmj.flow_map/1"        [[setting]]  pump, speed [m/s], intensity (TI), length [m], direction [rad], intervals
+
+Between two settings every number is on the straight line; beyond the first and the last nothing is known, and nothing is guessed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp, inf, log
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base.calib import read_toml
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import write_text
+from fishmj.log.toml import dumps
+from fishmj.water.flow import LENGTH, Flow
+from fishmj.water.flow_map.turbulence import Measured
+
+SCHEMA = "fishmj.flow_map/1"
+SPATIAL = ("default", "fine")  # presets of turbulence that a measured length scale is given to
+NEAR = 1e-9  # relative: a setting at the end of the map is on it
+
+
+class Setting(NamedTuple):
+    """One measured setting of the pump.
+
+    Attributes:
+        pump: in the map's unit. speed: m/s. intensity: TI. length: m, None where it was not measured; `why` then says why.
+        direction: rad, where the water moves to, tank frame. method: "probe" or "drifters". seconds: of record.
+        independent: independent samples. noise: m/s, of the probe. sources: names of files.
+    """
+
+    pump: float
+    speed: Measured
+    intensity: Measured
+    length: Measured | None
+    direction: float
+    method: str
+    seconds: float
+    independent: float
+    noise: float
+    sources: tuple[str, ...]
+    why: str = ""
+
+
+class Water(NamedTuple):
+    """The water at a setting between the measured ones: m/s, TI, m (None: not measured), rad."""
+
+    pump: float
+    speed: float
+    intensity: float
+    length: float | None
+    direction: float
+
+    def flow(self, seed: int = 0, box: int = 0) -> Flow:
+        """As a background flow of the simulators, whose length scales are those of their presets."""
+        return Flow(
+            speed=self.speed,
+            direction=self.direction,
+            turbulence=preset_for([self.length])[0],
+            intensity=self.intensity,
+            seed=seed,
+            box=box,
+        )
+
+
+def preset_for(lengths: Sequence[float | None]) -> tuple[str, str]:
+    """The preset of turbulence whose length scale is nearest to measured ones [m], by ratio, and a line that says so."""
+    known = [length for length in lengths if length is not None]
+    if not known:
+        return SPATIAL[0], f"no length scale was measured; turbulence {SPATIAL[0]}, L {LENGTH[SPATIAL[0]]:g} m, is taken"
+    middle = exp(sum(map(log, known)) / len(known))
+    name = min(SPATIAL, key=lambda preset: abs(log(LENGTH[preset] / middle)))
+    return name, f"measured L {middle:.2f} m; the nearest turbulence is {name}, L {LENGTH[name]:g} m"
+
+
+@dataclass(frozen=True)
+class FlowMap:
+    """The measured settings, by rising pump setting. unit: of the setting. origin: "measured" or "synthetic"."""
+
+    settings: tuple[Setting, ...]
+    unit: str = ""
+    origin: str = "measured"
+
+    def __post_init__(self):
+        pumps = [s.pump for s in self.settings]
+        if not pumps or pumps != sorted(set(pumps)):
+            raise ConfigError(f"flow map: settings {pumps}; expected one or more, each once, rising")
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """m/s, from the slowest to the fastest setting."""
+        found = [s.speed.value for s in self.settings]
+        return min(found), max(found)
+
+    def at(self, pump: float) -> Water:
+        """The water at a setting.
+
+        Raises:
+            ConfigError: outside of the measured settings.
+        """
+        pumps = [s.pump for s in self.settings]
+        if not _between(pump, pumps[0], pumps[-1]):
+            span = f"{pumps[0]:g}" if len(pumps) == 1 else f"{pumps[0]:g} to {pumps[-1]:g}"
+            raise ConfigError(f"flow map: pump setting {pump:g} {self.unit}; measured is {span}, and nothing is guessed beyond")
+        on = lambda values: float(np.interp(pump, pumps, values))
+        lengths = [np.nan if s.length is None else s.length.value for s in self.settings]
+        length = on(lengths)  # NaN where a neighbour has none
+        direction = on(np.unwrap([s.direction for s in self.settings]))
+        speed, intensity = (on([getattr(s, name).value for s in self.settings]) for name in ("speed", "intensity"))
+        return Water(
+            pump, speed, intensity, None if np.isnan(length) else length, float(np.arctan2(np.sin(direction), np.cos(direction)))
+        )
+
+    def for_speed(self, speed: float) -> Water:
+        """The water at the setting that makes a mean speed, m/s.
+
+        Raises:
+            ConfigError: slower or faster than what was measured, or a faster pump makes slower water somewhere.
+        """
+        speeds = [s.speed.value for s in self.settings]
+        if any(b <= a for a, b in zip(speeds, speeds[1:], strict=False)):
+            told = ", ".join(f"{s.pump:g}: {s.speed.value:.3f} m/s" for s in self.settings)
+            raise ConfigError(
+                f"flow map: the speed does not rise with every setting ({told}); which one makes {speed:g} m/s is not told"
+            )
+        if not _between(speed, speeds[0], speeds[-1]):
+            raise ConfigError(
+                f"flow map: {speed:g} m/s; measured is {speeds[0]:.3f} to {speeds[-1]:.3f} m/s, and nothing is guessed beyond: "
+                "measure a setting that makes it"
+            )
+        return self.at(float(np.interp(speed, speeds, [s.pump for s in self.settings])))
+
+    def write(self, path: str | Path) -> Path:
+        """The file, in one step."""
+        rows = [_as_table(s) for s in self.settings]
+        head = {"schema": SCHEMA, "origin": self.origin, "unit": self.unit}
+        blocks = [dumps(head), *("[[setting]]\n" + dumps(row) for row in rows)]
+        return write_text(path, "\n".join(blocks))
+
+    @classmethod
+    def read(cls, path: str | Path) -> "FlowMap":
+        """The map of a file.
+
+        Raises:
+            ConfigError: no such file, not TOML, another schema, or a setting that lacks a number or has one that cannot be.
+        """
+        table = read_toml(path)
+        if table.get("schema") != SCHEMA:
+            raise ConfigError(
+                f"{path}: schema = {table.get('schema')!r}; expected {SCHEMA!r}, as fishmj deploy flow-map writes it"
+            )
+        rows = table.get("setting")
+        if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+            raise ConfigError(f"{path}: no [[setting]]; expected one for each setting of the pump that was measured")
+        settings = sorted((_setting(row, f"{path}: setting {k + 1}") for k, row in enumerate(rows)), key=lambda s: s.pump)
+        try:
+            return cls(tuple(settings), str(table.get("unit", "")), str(table.get("origin", "measured")))
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
+
+
+def _between(x: float, low: float, high: float) -> bool:
+    slack = NEAR * max(abs(low), abs(high), 1.0)
+    return low - slack <= x <= high + slack
+
+
+def _as_table(s: Setting) -> dict[str, Any]:
+    row: dict[str, Any] = {"pump": s.pump}
+    for name in ("speed", "intensity", "length"):
+        found: Measured | None = getattr(s, name)
+        if found is None:
+            continue
+        row[name] = _rounded(found.value)
+        if np.isfinite([found.low, found.high]).all():
+            row[f"{name}_interval"] = [_rounded(found.low), _rounded(found.high)]
+    row |= {"direction": _rounded(s.direction), "method": s.method, "seconds": round(s.seconds, 2)}
+    row["independent"] = round(s.independent, 1)
+    row |= {"noise": _rounded(s.noise)} if np.isfinite(s.noise) else {}
+    return row | {"sources": list(s.sources)} | ({"no_length": s.why} if s.why else {})
+
+
+def _rounded(x: float) -> float:
+    return float(f"{x:.5g}")
+
+
+def _setting(row: dict, where: str) -> Setting:
+    number = lambda key, low, high, default=None: _number(row, where, key, low, high, default)
+
+    def measured(key: str, low: float, high: float) -> Measured:
+        bounds = row.get(f"{key}_interval", [np.nan, np.nan])
+        if not isinstance(bounds, list) or len(bounds) != 2 or not all(isinstance(b, int | float) for b in bounds):
+            raise ConfigError(f"{where}: {key}_interval = {bounds!r}; expected two numbers")
+        return Measured(number(key, low, high), float(bounds[0]), float(bounds[1]))
+
+    return Setting(
+        pump=number("pump", -inf, inf),
+        speed=measured("speed", 0.0, 5.0),
+        intensity=measured("intensity", 0.0, 1.0),
+        length=measured("length", 1e-4, 100.0) if "length" in row else None,
+        direction=number("direction", -10.0, 10.0, 0.0),
+        method=str(row.get("method", "")),
+        seconds=number("seconds", 0.0, inf, 0.0),
+        independent=number("independent", 0.0, inf, 0.0),
+        noise=number("noise", 0.0, 5.0) if "noise" in row else float("nan"),
+        sources=tuple(map(str, row.get("sources", []))),
+        why=str(row.get("no_length", "")),
+    )
+
+
+def _number(row: dict, where: str, key: str, low: float, high: float, default: float | None) -> float:
+    value = row.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high or not np.isfinite(value):
+        raise ConfigError(f"{where}: {key} = {value!r}; expected a number from {low:g} to {high:g}")
+    return float(value)

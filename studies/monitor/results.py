@@ -1,0 +1,63 @@
+"""What the monitor said of one swim, and what it had learnt of its robot, as small files: a study goes on without the swims."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.base.store import read_npz, write_npz
+from fishmj.deploy.monitor.monitor import BLOCK
+from fishmj.deploy.monitor.statistics import Channel, Cusums, Reference
+from studies.monitor.side_by_side import Blocks
+
+FIELDS = tuple(field.name for field in fields(Channel))
+
+
+class Watched(NamedTuple):
+    """One swim under the monitor.
+
+    Attributes:
+        rate: false alarms an hour that were asked for. blocks: how many were watched, of `monitor.BLOCK` s.
+        alarms: (s, channel, probe) of each, the tests beginning afresh after it. highest: of the CUSUMs, over their limit.
+    """
+
+    rate: float
+    blocks: int
+    alarms: list[tuple[float, str, str]]
+    highest: float
+
+
+def watched(reference: Reference, blocks: Blocks, rate: float) -> Watched:
+    """What the monitor says of the blocks of a swim."""
+    cusums, found, highest = Cusums(reference, rate, BLOCK), [], 0.0
+    for t, block in blocks:
+        cusums.take(block)
+        highest = max(highest, *cusums.share().values())
+        if channel := cusums.parted():
+            found.append((t, channel, cusums.highest(channel)[0]))
+            cusums = Cusums(reference, rate, BLOCK)
+    return Watched(rate, len(blocks), found, highest)
+
+
+def reference_name(robot: int) -> str:
+    """The file of what was learnt of a robot."""
+    return f"reference_{robot}.npz"
+
+
+def write_reference(file: Path, reference: Reference) -> None:
+    """Keep a reference: channel by channel, its names as text."""
+    made: dict[str, np.ndarray] = {"blocks": np.array(reference.blocks), "channels": np.array(list(reference.channels))}
+    for name, channel in reference.channels.items():
+        made |= {f"{name}.{field}": np.array(getattr(channel, field)) for field in FIELDS}
+    write_npz(file, made)
+
+
+def read_reference(file: Path) -> Reference:
+    """The reference that was kept. Raises StoreError: missing or damaged."""
+    kept = read_npz(file)
+    made = {}
+    for name in map(str, kept["channels"]):
+        probes, *numbers = (kept[f"{name}.{field}"] for field in FIELDS)
+        made[name] = Channel(tuple(map(str, probes)), *numbers)
+    return Reference(made, int(kept["blocks"]))

@@ -1,0 +1,71 @@
+"""The loopback robot in lockstep behind the host's own commands: the same options, no second process, no waiting.
+
+    tank = Tank()
+    swim_command.main([..., "--link", "loopback", "--loopback", "--seed 3 --flow 0.2,0"], wire=tank.wire)
+    tank.path, tank.begun                    # where the fish really was, and since when the host steers
+
+No camera is drawn: the host gets poses with the noise that training puts on them, as late as frames would be.
+"""
+
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.link.links import Fishmj1Link, Sent
+from fishmj.deploy.loop.wiring import PROTOCOLS, Wired
+from fishmj.deploy.loopback.in_step import wired
+from fishmj.deploy.loopback.lockstep import FixNoise, LockstepClock, LockstepTransport
+from fishmj.deploy.loopback.robot import LoopbackRobot
+from fishmj.mjcf.description import Robot
+
+
+class Watched(LockstepClock):
+    """A lockstep clock that notes the true pose at each of its steps."""
+
+    def __init__(self, robot: LoopbackRobot):
+        super().__init__(robot)
+        self.rows: list[tuple[float, ...]] = []
+
+    def sleep_until(self, t: float) -> None:
+        super().sleep_until(t)
+        self.rows.append((self.now(), *map(float, self.robot.pose())))
+
+
+class FirstNoted(Fishmj1Link):
+    """A link that remembers when its first command left, s: row 0 of the table `cmd` of the host's log."""
+
+    first: float | None = None
+
+    def send(self, joint: np.ndarray, now: float) -> Sent:
+        self.first = now if self.first is None else self.first
+        return super().send(joint, now)
+
+
+class Tank:
+    """Opens loopback robots in lockstep, one for each command, and remembers what the last one did."""
+
+    def __init__(self) -> None:
+        self._clock: Watched | None = None
+        self._link: FirstNoted | None = None
+
+    @property
+    def path(self) -> np.ndarray:
+        """(T, 4): the host's clock [s], true x, y [m], yaw [rad] of the reference point; (0, 4) before the first command."""
+        return np.array(self._clock.rows if self._clock is not None else []).reshape(-1, 4)
+
+    @property
+    def begun(self) -> float:
+        """When the first command left, s on the host's clock; NaN where none did."""
+        return float("nan") if self._link is None or self._link.first is None else self._link.first
+
+    def wire(self, args: Any, robot: Robot, stack: ExitStack) -> Wired:
+        """In the place of `wiring.wire`. Raises ConfigError: options of a robot that lockstep has not."""
+        if args.link != "loopback" or args.protocol != PROTOCOLS[0]:
+            raise ConfigError(f"lockstep: --link {args.link} --protocol {args.protocol}; expected loopback and {PROTOCOLS[0]}")
+        found = wired(args, robot, stack, Watched, FixNoise.of_the_task())
+        self._clock = clock = cast(Watched, found.clock)
+        self._link = link = FirstNoted(LockstepTransport(clock))
+        return replace(found, link=link)
