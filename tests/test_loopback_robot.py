@@ -6,7 +6,8 @@ import pytest
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.loopback import bodies
 from fishmj.deploy.loopback.faults import parse
-from fishmj.deploy.loopback.firmware import FishmjFirmware, Readings, in_counts
+from fishmj.deploy.loopback.firmware import FishmjFirmware, in_counts
+from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.protocols import fishmj1, mish
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry

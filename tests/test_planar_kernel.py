@@ -11,7 +11,7 @@ import pytest
 from fishmj import engines
 from fishmj.engines import planar, planar_kernel
 from fishmj.mjcf import load_robot
-from fishmj.water import residual_hooks, residual_kernel, residual_network
+from fishmj.water import residual_hooks, residual_kernel, residual_network, residual_step
 from fishmj.water.flow import Flow, stack
 
 FISH = 5  # neither a block nor half of one
@@ -71,7 +71,7 @@ def graphics_card(monkeypatch):
     """A machine with a GPU that takes kernels, and a handful of fish is many."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(residual_kernel, "usable", lambda: True)
-    monkeypatch.setattr(residual_network, "FEWEST", FISH)
+    monkeypatch.setattr(residual_step, "FEWEST", FISH)
 
 
 def taken(engine: planar.Engine, *given) -> bool:
@@ -93,8 +93,8 @@ def test_the_kernel_is_for_many_fish_in_a_learnt_water_in_single_precision_on_a_
     engine.added = whole
     for room, name, value in (
         (planar, "kernel", False),
-        (residual_network, "kernel", False),
-        (residual_network, "FEWEST", FISH + 1),
+        (residual_step, "kernel", False),
+        (residual_step, "FEWEST", FISH + 1),
         (residual_kernel, "usable", lambda: False),
         (jax, "default_backend", lambda: "cpu"),
     ):

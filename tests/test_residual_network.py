@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_hydro_model import CHAIN, N, states, step, wild
 
-from fishmj.water import residual_hooks, residual_kernel, residual_network
+from fishmj.water import residual_hooks, residual_kernel, residual_network, residual_step
 from fishmj.water.dynamics.planar_chain import Links
 from fishmj.water.hydro_model import HydroModel
 
@@ -128,15 +128,15 @@ def test_the_kernel_gives_what_the_products_give(monkeypatch):
 
 def test_the_kernel_is_for_single_precision_on_a_graphics_card_and_its_gradient_that_of_the_products(monkeypatch):
     net, m, z = small(10)
-    assert "custom_vjp" not in str(jax.make_jaxpr(lambda *a: residual_network.mean_step(jnp, net, *a, 0.02))(m, z))
+    assert "custom_vjp" not in str(jax.make_jaxpr(lambda *a: residual_step.mean_step(jnp, net, *a, 0.02))(m, z))
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(residual_kernel, "usable", lambda: True)
-    monkeypatch.setattr(residual_network, "FEWEST", len(m.speed))
-    taken = lambda given: str(jax.make_jaxpr(lambda *a: residual_network.mean_step(jnp, net, *a, 0.02))(*given))
+    monkeypatch.setattr(residual_step, "FEWEST", len(m.speed))
+    taken = lambda given: str(jax.make_jaxpr(lambda *a: residual_step.mean_step(jnp, net, *a, 0.02))(*given))
     assert "pallas_call" in taken((m, z)) and "pallas_call" not in taken(jax.tree.map(lambda a: a[0], (m, z)))
     with jax.enable_x64(True):
         assert "pallas_call" not in taken(jax.tree.map(lambda a: jnp.asarray(np.asarray(a, float)), (m, z)))
-    monkeypatch.setattr(residual_network, "FEWEST", len(m.speed) + 1)
+    monkeypatch.setattr(residual_step, "FEWEST", len(m.speed) + 1)
     assert "pallas_call" not in taken((m, z))
 
     def total(way):

@@ -17,7 +17,7 @@ from fishmj.control.policy import structure_sha256
 from fishmj.deploy.commands import swim_command
 from fishmj.deploy.link.servo_bus import ServoBusLink
 from fishmj.deploy.loopback import in_step
-from fishmj.deploy.loopback.firmware import Readings
+from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.loopback.server import ServeOptions, Server
 from fishmj.deploy.loopback.servos import Servos
 from fishmj.deploy.loopback.settings import Settings

@@ -145,7 +145,8 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
         return make(text, robot, **policy)
     from fishmj.control.own_controller import Own
 
-    return Own(robot, plugins.load("controller", text, (*NAMES, *shipped_policies())), text)
+    names = (*NAMES, *shipped_policies())
+    return Own(robot, plugins.load("controller", text, names), text, names)
 
 
 def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Controller]:

@@ -1,5 +1,6 @@
 """A controller of the user's own behind the common interface: asked with a copy, and its answer looked at in every step."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,6 @@ import numpy as np
 from fishmj.base import plugins
 from fishmj.base.errors import OwnCodeError
 from fishmj.base.names import nearest
-from fishmj.control import NAMES, shipped_policies
 from fishmj.engines import ticks_per
 from fishmj.mjcf.description import Robot
 
@@ -15,7 +15,7 @@ LARGEST = np.pi  # rad, of a command: no hinge goes there, so it is degrees
 
 
 class Own:
-    """Wraps `factory(robot)`.
+    """Wraps `factory(robot)`. taken: names that it may not have.
 
     Attributes:
         name: the object's own `name` as far as it can stand in a path, else made from the reference. sha256: of its source file.
@@ -24,14 +24,14 @@ class Own:
         OwnCodeError: the factory fails, or what it gives has no `reset(n)` and `__call__(obs)`.
     """
 
-    def __init__(self, robot: Robot, factory: Any, text: str):
+    def __init__(self, robot: Robot, factory: Any, text: str, taken: Sequence[str] = ()):
         self.robot, self.what = robot, f"controller {text}"
         plugins.takes(self.what, factory, "Name(robot)", 1)
         self.controller = plugins.call(self.what, factory, robot)
         plugins.takes(self.what, getattr(self.controller, "reset", None), "reset(n)", 1)
         plugins.takes(self.what, self.controller, "__call__(obs)", 1)
         declared = nearest(str(getattr(self.controller, "name", "")))
-        self.name = declared if declared and declared not in (*NAMES, *shipped_policies()) else plugins.name_of(text)
+        self.name = declared if declared and declared not in taken else plugins.name_of(text)
         self.sha256 = plugins.source_sha256(factory)
 
     def reset(self, n: int) -> None:

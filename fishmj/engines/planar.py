@@ -13,11 +13,12 @@ from jax import lax
 
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
+from fishmj.engines.planar_columns import begun, columns, pairs
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import centres
 from fishmj.water.flow import Current, sample
-from fishmj.water.residual_network import takes_kernel
+from fishmj.water.residual_step import takes_kernel
 
 kernel = True  # False: in a learnt water on an NVIDIA GPU the learnt force alone is a kernel, and not the physics of a tick
 
@@ -55,22 +56,6 @@ def arrived(xp, buffer, delay, steps: int, ramp: bool):
             target = came_from + share[:, None] * (target - came_from)
         out.append(target)
     return out
-
-
-def columns(a) -> tuple:
-    """(B, C) as C columns, of an array or of a kernel's reference to one."""
-    return tuple(a[:, i] for i in range(a.shape[1]))
-
-
-def pairs(flow) -> list:
-    """(B, N, 2) as N pairs of columns."""
-    return [(flow[:, i, 0], flow[:, i, 1]) for i in range(flow.shape[1])]
-
-
-def begun(state: FishState) -> tuple:
-    """What a physics step hands to the next one, in columns: q, v, attachment, memory, power so far."""
-    attached = state.attached[...]
-    return columns(state.q), columns(state.v), attached, columns(state.memory), jnp.zeros_like(attached)
 
 
 class Engine(Copied):

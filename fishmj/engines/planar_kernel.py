@@ -16,7 +16,8 @@ import numpy as np
 from jax import lax
 from jax.experimental import pallas as pl
 
-from fishmj.engines import FishState, planar, swimmer
+from fishmj.engines import FishState, swimmer
+from fishmj.engines.planar_columns import begun, columns, pairs
 from fishmj.water import residual_kernel, residual_network
 from fishmj.water.residual_hooks import Residual
 
@@ -25,7 +26,7 @@ UNITS = 8  # hidden units that a round of the loop holds
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def tick(engine: planar.Engine, *given):
+def tick(engine, *given):
     """`engine.physics` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
     return lax.platform_dependent(*given, cuda=partial(physics, engine), default=engine.physics)
 
@@ -33,7 +34,7 @@ def tick(engine: planar.Engine, *given):
 tick.defvjp(lambda engine, *given: jax.vjp(engine.physics, *given), lambda engine, pull, off: pull(off))
 
 
-def physics(engine: planar.Engine, state, params, targets, flow, ambient, *, interpret: bool = False):
+def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = False):
     """`engine.physics` by the kernel; interpret: in plain JAX, anywhere."""
     count, learnt = len(state.attached), engine.added.learnt
     # two tables: parameters stay from tick to tick, so theirs can be made once
@@ -47,7 +48,7 @@ def physics(engine: planar.Engine, state, params, targets, flow, ambient, *, int
         held = [_held(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
         (state, targets, flow, ambient), params = held
         nones, *weights, out = refs[len(held) :]
-        fixed = swimmer(params), (), planar.pairs(flow), planar.columns(ambient)
+        fixed = swimmer(params), (), pairs(flow), columns(ambient)
         tanh = residual_kernel.tanh_of(interpret)
 
         def step(k, carry):
@@ -58,7 +59,7 @@ def physics(engine: planar.Engine, state, params, targets, flow, ambient, *, int
 
         _, steps, joints = targets.shape
         commands = [[targets[:, k, j] for j in range(joints)] for k in range(steps)]
-        carry, _ = lax.fori_loop(0, steps, step, (planar.begun(state), commands))
+        carry, _ = lax.fori_loop(0, steps, step, (begun(state), commands))
         out[...] = _joined(jax.tree.leaves(carry))
 
     # the last fish fills up the last block: numbers that every division bears

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.water import residual_network
+from fishmj.water import residual_network, residual_step
 from fishmj.water.dynamics import planar_chain, strip_forces
 
 ETA, STORED = 0.3, 1.0  # share of the dissipated power that may be kept, and for how long, s
@@ -135,7 +135,7 @@ class LearnedResidual:
 
     def network(self, m: residual_network.Motion, z: list, dt: float) -> tuple:
         """Members' mean coefficients (3, N, ..), the variance between them, and the wake dt later from z."""
-        return residual_network.mean_step(self.xp, self.learnt.net, m, z, dt)
+        return residual_step.mean_step(self.xp, self.learnt.net, m, z, dt)
 
     def _inside(self, reach: Range, k: planar_chain.Links, m: residual_network.Motion):
         """How far inside the range the whole fish is, and 1 where a link that moves is outside."""

@@ -1,6 +1,6 @@
 """The learnt force of a whole batch in one kernel of an NVIDIA GPU, by Pallas and Triton: what XLA makes many of.
 
-    mean, spread, z = mean_step(dt, halves, motion, z)       as `residual_network.mean_step`, float32
+    mean, spread, z = mean_step(dt, halves, motion, z)       as `residual_step.mean_step`, float32
 
 In XLA the hidden units of every fish go to memory and back, some three thousand bytes a fish and step; here they stay in
 registers and 250 bytes go over the bus. A program takes a block of fish, a thread one or a few; the weights, the same for all,
@@ -57,7 +57,7 @@ def probe(rows, weights):
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def mean_step(dt: float, weights: Halves, m: Motion, z: list):
-    """`residual_network.mean_step` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
+    """`residual_step.mean_step` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
     return lax.platform_dependent(weights, m, z, cuda=partial(step, dt=dt), default=partial(_plain, dt))
 
 
@@ -69,7 +69,7 @@ mean_step.defvjp(lambda dt, *given: jax.vjp(partial(_plain, dt), *given), lambda
 
 
 def step(weights: Halves, m: Motion, z: list, dt: float, *, interpret: bool = False):
-    """`residual_network.mean_step` by the kernel; interpret: in plain JAX, anywhere."""
+    """`residual_step.mean_step` by the kernel; interpret: in plain JAX, anywhere."""
     links, shape = weights.forward.shape[1], m.speed.shape
     line = lambda a: jnp.reshape(jnp.asarray(a, jnp.float32), -1)
     given = [line(a) for a in (*m.x, *z, m.speed)]  # apart: stacked, they would go to memory once more
@@ -141,7 +141,7 @@ def _kernel(*refs, dt: float, inputs: int, tanh):
 
 
 def network(tables, m: Motion, z: list, dt: float, tanh, none=0, together: int = 1) -> tuple:
-    """`residual_network.mean_step` inside a kernel.
+    """`residual_step.mean_step` inside a kernel.
 
     Args:
         tables: references to what `tables_of` gives.

@@ -18,7 +18,6 @@ With s = [x, z] = [e; o], even and odd, one branch's products give both: A s = A
 h+ + h- meets the rows of F_t alone, h+ - h- those of F_n and the couple, whose bias d cancels. See `Halves`.
 """
 
-from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -234,37 +233,7 @@ def mean_by_products(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> 
     return [list(row) for row in mean], apart, z
 
 
-def mean_step(xp, net: "Net | Halves | Callable[..., tuple]", m: Motion, z: list, dt: float) -> tuple:
-    """As `mean_by_products`; a batch in single precision on an NVIDIA GPU goes through one kernel.
-
-    net: weights, or a function of (m, z, dt) that has them and returns the same.
-    """
-    if callable(net):
-        return net(m, z, dt)
-    if getattr(xp, "__name__", "") == "jax.numpy" and takes_kernel(m.speed):
-        from fishmj.water import residual_kernel
-
-        return residual_kernel.mean_step(dt, halves(xp, net), Motion(m.x, m.speed, [], [], []), z)
-    return mean_by_products(xp, net, m, z, dt)
-
-
-def takes_kernel(a) -> bool:
-    """Whether a batch, one number a fish, goes through a kernel: a large one, in single precision, on a GPU that takes it."""
-    if not kernel or np.size(a) < FEWEST or a.dtype != np.float32:
-        return False
-    import jax
-
-    if jax.default_backend() != "gpu":
-        return False
-    from fishmj.water import residual_kernel  # here: a CPU needs no Pallas
-
-    return residual_kernel.usable()
-
-
-kernel, PRECISION = True, "highest"  # False: by matrix products there, too; of these products in JAX
-# fish that a kernel is for. On an H200, M control steps/s by products and by the kernel of a tick: 0.27 and 0.21 with 1,003 fish,
-# 4.1 and 13.0 with 65,536; by a straight line between them as many at 6,000
-FEWEST = 4096
+PRECISION = "highest"  # of matrix products in JAX
 
 
 class Rows(NamedTuple):

@@ -13,6 +13,7 @@ from fishmj.effects import STAGES
 from fishmj.gap.bench import calibrated, families, solver
 from fishmj.gap.bench.drawn_robots import BenchRobot, described
 from fishmj.gap.calibrate.water_fit import calibrate_trials
+from fishmj.gap.models.strip_water import strips_of
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull, trials_of
@@ -162,7 +163,7 @@ def arrays(model: SwimmingFish, trials: list) -> dict[str, np.ndarray]:
     records = [record_of(trial, model.dt) for trial in trials]
     layout = ResidualLayout(records)
     null = SimulatedNull().residuals(model, records, layout)
-    strips = model.strips(tuple(EFFECTS))
+    strips = strips_of(model, tuple(EFFECTS))
     moved = structural_error.tangents(strips, records, layout, EFFECTS)
     return {
         "null": (null / np.sqrt(len(null))).astype(np.float32),

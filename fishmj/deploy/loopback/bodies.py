@@ -12,12 +12,10 @@ The nominal command latency of a description runs from the host to the servo. Th
 body is told what is left (`bus_delay`): no delay is put in twice.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
-
-import numpy as np
+from collections.abc import Mapping
 
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback.body import Body, Effects
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.water.flow import Flow
 
@@ -29,68 +27,6 @@ NAMES: Mapping[str, str] = {
     SOLVER: "the flow solver itself; in lockstep only, it is slower than real time on a CPU",
 }
 MUJOCO, COMPILED = ENGINES = ("mujoco", "compiled")
-MILLISECOND = 0.001  # s, the loopback's finest step
-Effects = Mapping[str, Mapping[str, float]]
-
-
-class Sensors(NamedTuple):
-    """What the electronics inside the body read now."""
-
-    joint: np.ndarray  # (J,) rad, servo readings before they are rounded to counts
-    voltage: float  # V, battery lead
-    current: float  # A, battery lead
-
-
-class Body(Protocol):
-    """Joints in water. Time begins at 0 and moves with `advance` alone."""
-
-    robot: Robot
-
-    @property
-    def time(self) -> float:
-        """s since the body began."""
-
-    def send(self, command: Sequence[float] | np.ndarray) -> None:
-        """The microcontroller puts joint angles (J,) [rad] on the servo bus now."""
-
-    def advance(self, seconds: float) -> None:
-        """Move on by whole milliseconds."""
-
-    def sensors(self) -> Sensors:
-        """Readings of now."""
-
-    def truth(self) -> np.ndarray:
-        """(3 + J,): x, y [m], yaw [rad] of the reference point, hinge angles [rad]."""
-
-    def seen(self) -> tuple[float, np.ndarray]:
-        """What a camera that exposes now makes of the body, without noise: its stamp [s], and as `truth` with what is planted in
-        the camera."""
-
-    def torque(self, on: bool) -> None:
-        """Switch the servos' torque."""
-
-    def supply(self, volts: float | None) -> None:
-        """Feed the servos from this open-circuit voltage [V]; None: from the battery as it is."""
-
-    def jam(self, joint: int, stuck: bool) -> None:
-        """Make the gears of a joint (0 at the head) bind where they are, or let them go."""
-
-
-def bus_delay(robot: Robot, radio: float) -> float:
-    """s from the microcontroller to the servo: what the radio leaves of the nominal command latency, 0 at least."""
-    return max(robot.timing.command_latency - radio, 0.0)
-
-
-def whole_milliseconds(seconds: float) -> int:
-    """How many.
-
-    Raises:
-        ConfigError: none, or a part of one.
-    """
-    whole = round(seconds / MILLISECOND)
-    if whole < 1 or abs(whole * MILLISECOND - seconds) > 1e-6:
-        raise ConfigError(f"loopback: advance({seconds}); expected whole milliseconds, 0.001 s at least")
-    return whole
 
 
 def make(

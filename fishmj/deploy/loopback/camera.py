@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.deploy.loopback.bodies import MILLISECOND, Body
+from fishmj.deploy.loopback.body import MILLISECOND, Body
 from fishmj.deploy.loopback.faults import Fault, active
 from fishmj.gap.laboratory.virtual_robot import random_streams
 

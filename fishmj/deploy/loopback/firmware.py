@@ -10,14 +10,15 @@ from hashlib import sha256
 from math import inf, isnan, nan
 from operator import sub
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.loopback.servos import Servos
 from fishmj.deploy.protocols import fishmj1, mish, servo_counts
 from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.guard import Bounds, Guard
-from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.messages import RobotInfo, RobotState, Telemetry
 from fishmj.deploy.protocols.sequence import SequenceGate
 from fishmj.deploy.protocols.servo_bus import BUSES
 from fishmj.deploy.protocols.watchdog import Limits, Watchdog
@@ -29,22 +30,6 @@ PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)
 NAME = "fishmj-loopback-1"
 PERIOD = 0.02  # s between two readings of the servos, and two packets of telemetry
 HOLD, NEUTRAL = 0.1, 0.3  # s, what INFO says before a host asks for others
-
-
-class Readings(NamedTuple):
-    """What the microcontroller reads off its buses. J joints."""
-
-    joint: tuple[float, ...]  # rad, whole counts
-    voltage: float  # V, battery lead
-    current: float  # A, battery lead
-    servo_voltage: tuple[float, ...]  # V
-    temperature: tuple[float, ...]  # deg C
-    fault: tuple[ServoFault, ...]  # of the servos themselves, and NO_REPLY
-
-    @property
-    def measured(self) -> tuple[float, ...]:
-        """Joint angles (J,) rad; nan of a servo that did not answer, whose `joint` is an old one."""
-        return tuple(nan if flag & ServoFault.NO_REPLY else angle for angle, flag in zip(self.joint, self.fault, strict=True))
 
 
 class Firmware(Protocol):

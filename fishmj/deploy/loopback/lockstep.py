@@ -15,7 +15,7 @@ import numpy as np
 
 from fishmj.base.calib import calib_folder, constant, read_toml
 from fishmj.base.errors import UnknownName
-from fishmj.deploy.loopback.bodies import MILLISECOND
+from fishmj.deploy.loopback.body import MILLISECOND
 from fishmj.deploy.loopback.camera_frames import FrameArtist
 from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.tracker.fix import Fix

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from math import ceil
 from typing import NamedTuple
 
-from fishmj.deploy.loopback.bodies import MILLISECOND
+from fishmj.deploy.loopback.body import MILLISECOND
 from fishmj.deploy.loopback.faults import FAULTS, RADIO, Fault
 from fishmj.gap.laboratory.virtual_robot import random_streams
 

@@ -17,11 +17,12 @@ from math import ceil
 import numpy as np
 
 from fishmj.deploy.loopback import network_faults
-from fishmj.deploy.loopback.bodies import MILLISECOND, Body
+from fishmj.deploy.loopback.body import MILLISECOND, Body
 from fishmj.deploy.loopback.camera import CameraTiming, Frame, LoopbackCamera
 from fishmj.deploy.loopback.faults import Fault
-from fishmj.deploy.loopback.firmware import PERIOD, PROTOCOLS, Firmware, Readings, firmware_of
+from fishmj.deploy.loopback.firmware import PERIOD, PROTOCOLS, Firmware, firmware_of
 from fishmj.deploy.loopback.network_faults import Arrival, Radio
+from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.loopback.robot_faults import RobotFaults
 from fishmj.deploy.loopback.servos import Servos
 

@@ -7,9 +7,10 @@ measured: a servo that is stalled at 1.2 A heads for 50 deg C in water of 20 deg
 from collections.abc import Iterable
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.loopback.bodies import Body, Sensors
+from fishmj.deploy.loopback.body import Body, Sensors
 from fishmj.deploy.loopback.faults import FAULTS, Fault, active
-from fishmj.deploy.loopback.firmware import Readings, in_counts
+from fishmj.deploy.loopback.firmware import in_counts
+from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.protocols.messages import ServoFault
 from fishmj.deploy.protocols.servo_bus import BUSES
 

@@ -25,7 +25,8 @@ from typing import Any
 from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.deploy.loop.clock import first_in_line
-from fishmj.deploy.loopback.bodies import MILLISECOND, SOLVER
+from fishmj.deploy.loopback.bodies import SOLVER
+from fishmj.deploy.loopback.body import MILLISECOND
 from fishmj.deploy.loopback.camera import Frame
 from fishmj.deploy.loopback.firmware import PROTOCOLS, SERVO_BUS
 from fishmj.deploy.loopback.robot import LoopbackRobot

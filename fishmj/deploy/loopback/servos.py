@@ -6,8 +6,9 @@ They answer the frames of the description's `[rig] bus` from the body's joints, 
 from collections.abc import Sequence
 from struct import error as StructError
 from struct import pack, pack_into, unpack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.protocols import lx_bus, servo_counts
 from fishmj.deploy.protocols.dynamixel import BROADCAST, Instruction, Packet
 from fishmj.deploy.protocols.errors import ProtocolError
@@ -15,9 +16,6 @@ from fishmj.deploy.protocols.lx_bus import Code
 from fishmj.deploy.protocols.messages import ServoFault
 from fishmj.deploy.protocols.servo_bus import BUSES, POSITION_MODE, DynamixelBus
 from fishmj.mjcf.description import Robot
-
-if TYPE_CHECKING:
-    from fishmj.deploy.loopback.firmware import Readings
 
 HOTTEST = 70.0  # deg C, the temperature limit of Dynamixel servos as delivered: they let go and keep the error
 MODELS = {"dynamixel-x": 1200, "dynamixel-ax": 12}  # model numbers of XL330-M288 and AX-12A

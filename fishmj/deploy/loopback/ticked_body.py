@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.deploy.loopback.bodies import MILLISECOND, Sensors, bus_delay, whole_milliseconds
+from fishmj.deploy.loopback.body import MILLISECOND, Sensors, bus_delay, whole_milliseconds
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.servos import on_the_bus
 

@@ -11,7 +11,7 @@ from itertools import count
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.loopback.bodies import MILLISECOND, Effects, Sensors, bus_delay, whole_milliseconds
+from fishmj.deploy.loopback.body import MILLISECOND, Effects, Sensors, bus_delay, whole_milliseconds
 from fishmj.gap.laboratory.virtual_robot import network, random_streams
 from fishmj.gap.laboratory.virtual_robot import sensors as cameras
 from fishmj.gap.laboratory.virtual_robot.network import Radio

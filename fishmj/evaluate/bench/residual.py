@@ -44,9 +44,9 @@ def ways(gpu: bool) -> dict[str, dict]:
 def chosen(settings: dict[str, Any]) -> Iterator[None]:
     """Engines that are made inside compute so."""
     from fishmj.engines import planar, planar_kernel
-    from fishmj.water import residual_kernel, residual_network
+    from fishmj.water import residual_kernel, residual_network, residual_step
 
-    rooms = {"kernel": residual_network, "PRECISION": residual_network, "FEWEST": residual_network, "tick kernel": planar}
+    rooms = {"kernel": residual_step, "PRECISION": residual_network, "FEWEST": residual_step, "tick kernel": planar}
     rooms |= {"BLOCK": residual_kernel, "WARPS": residual_kernel}
     rooms |= {f"tick {name}": planar_kernel for name in ("BLOCK", "WARPS", "UNITS")}
     with ExitStack() as patches:

@@ -144,3 +144,11 @@ class GatedWater(StripWater):
     def gated(self, record: Record, gate: np.ndarray) -> Record:
         """The record with g (T,) as one more command."""
         return record._replace(commands=np.concatenate([record.commands, gate[:, None]], 1))
+
+
+def strips_of(model: SwimmingFish, more: tuple[str, ...]) -> GatedWater:
+    """The robot of a model, with the coefficients of its water and the effects `more` as numbers of a row; made once."""
+    made = vars(model).setdefault("strips", {})
+    if more not in made:
+        made[more] = GatedWater(model.robot, more)
+    return made[more]

@@ -14,7 +14,7 @@ damping: back-EMF, controller, grease) are SI here, not factors.
 
 import hashlib
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot, load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
-
-if TYPE_CHECKING:
-    from fishmj.gap.models.strip_water import GatedWater
 
 AT_ONCE = 256  # rollouts of a batch, for memory's sake
 STRIDE = 5  # physics steps between samples; between them poses follow the cubic through angles and rates
@@ -71,7 +68,6 @@ class SwimmingFish:
         self.latency = self.robot.timing.command_latency
         self.camera = self.robot.timing.camera_latency
         self.states = 2 * (self.joints + 3) + 2 + len(self.active.memory)  # q, v, attachment, energy, memory
-        self._strips: dict[tuple[str, ...], GatedWater] = {}
 
     @property
     def nothing(self) -> np.ndarray:
@@ -99,14 +95,6 @@ class SwimmingFish:
     def fingerprint(self) -> str:
         """Changes with anything that changes the predictions of the row `nothing`."""
         return hashlib.sha256(repr((self.robot, self.camera, self.latency)).encode()).hexdigest()[:16]
-
-    def strips(self, more: tuple[str, ...]) -> "GatedWater":
-        """The same robot, the coefficients of its water and the effects `more` as numbers of a row; made once."""
-        from fishmj.gap.models.strip_water import GatedWater
-
-        if more not in self._strips:
-            self._strips[more] = GatedWater(self.robot, more)
-        return self._strips[more]
 
     @cached_property
     def kernel(self) -> Kernel:

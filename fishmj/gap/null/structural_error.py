@@ -25,6 +25,7 @@ import numpy as np
 
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import UnknownName
+from fishmj.gap.models.strip_water import strips_of
 from fishmj.gap.null.variances import Sample, asked
 from fishmj.gap.null.whitening import smooth
 from fishmj.gap.records.records import ResidualLayout
@@ -106,7 +107,7 @@ def of(
         return StructuralError(np.zeros((0, layout.size)), (), np.zeros(layout.size))
     share = np.array([given.channels.get(str(c), 0.0) for c in layout.channel])
     variance = (share * smooth(np.sqrt(np.mean(null**2, 0)), layout)) ** 2
-    moved = moved or tangents(model.strips(tuple(given.effects)), records, layout, given.effects)
+    moved = moved or tangents(strips_of(model, tuple(given.effects)), records, layout, given.effects)
     by_record, d = [], np.sqrt(leftover**2 + variance)
     for i, part in enumerate(moved.parts):
         mine = layout.record == i

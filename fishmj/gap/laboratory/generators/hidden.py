@@ -1,0 +1,54 @@
+"""Entry of what a generator can hide: an effect of the catalogue or a fault."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.effects import Parameter
+from fishmj.gap.laboratory.generators.fish import Fish
+
+
+class Hidden(NamedTuple):
+    """What can be hidden. act(fish, **values) changes the robot's numbers."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    act: Callable
+    catalogued: bool
+    about: str
+
+    @property
+    def nulls(self) -> dict[str, float]:
+        """Values at which it is not there."""
+        return {p.name: p.null for p in self.parameters}
+
+    def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
+        """Values of typical size, log-uniform in the distance from the null, times strength; either side where signed."""
+        out = {}
+        for p in self.parameters:
+            low, high = (t - p.null for t in p.typical)
+            if p.shape or low * high <= 0.0:
+                out[p.name] = float(rng.uniform(*p.typical))
+                continue
+            near, far = sorted((abs(low), abs(high)))
+            size = float(np.exp(rng.uniform(np.log(near), np.log(far)))) * strength * np.sign(high)
+            side = -1.0 if p.signed and rng.random() < 0.5 else 1.0
+            out[p.name] = float(np.clip(p.null + side * size, p.low, p.high))
+        return out
+
+    def put(self, fish: Fish, values: Mapping[str, float]) -> None:
+        """Hide it in a robot; parameters that are not given stay at their null.
+
+        Raises:
+            UnknownName: no such parameter. ConfigError: a value that is no number or outside its bounds.
+        """
+        known = {p.name: p for p in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                raise UnknownName(f"parameter of {self.name}", name, known)
+            p = known[name]
+            if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not p.low <= value <= p.high:
+                raise ConfigError(f"{self.name}: {name} = {value!r}; expected {p.low:g} to {p.high:g} {p.unit}")
+        self.act(fish, **(self.nulls | {k: float(v) for k, v in values.items()}))
