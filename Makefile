@@ -30,11 +30,11 @@ install: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml
 	@$(STEP) "environment" .ci/environment $(VENV)
-	@$(STEP) "install" $(PY) -m pip install --quiet --no-compile --editable ".[fast,dev]"
+	@$(STEP) "install" $(PY) -m pip install --quiet --no-compile --editable ".[dev]"
 	@touch $@
 
 $(EXTRAS): $(INSTALLED)
-	@$(STEP) "install extras" $(PY) -m pip install --quiet --no-compile --editable ".[fast,dev,sb3,ray,bench]"
+	@$(STEP) "install extras" $(PY) -m pip install --quiet --no-compile --editable ".[dev,sb3,ray,bench]"
 	@touch $@
 
 $(SITE): $(INSTALLED)

@@ -42,6 +42,17 @@ for _ in range(5):
     step = env.step(env.action_spec().generate_value())
 print("station_hold:", {name: value.shape for name, value in step.observation.items()})
 """
+CORE = """
+import sys
+import numpy as np
+from fishmj.log import trial
+from fishmj.sim import Sim
+sim = Sim("fish")
+for k in range(50):
+    sim.step(0.3 * np.sin(0.1 * k * np.ones(3)))
+assert np.isfinite(sim.pose).all() and not {"jax", "warp", "dm_control", "numba", "cv2"} & set(sys.modules)
+print("one fish in MuJoCo:", sim.pose[:2])
+"""
 DRIFT = ["evaluate", "drift", "--speeds", "0.2", "--los", "0,180", "--repeats", "1", "--json"]
 BAD_INPUT = 2
 LEFT_OUT = (  # what asks for data that a wheel has not, and must say so
@@ -91,19 +102,24 @@ def look_inside(wheel: Path) -> None:
 
 
 def use(wheel: Path, there: Path) -> None:
-    """Install it below `there`, without and with the extra `fast`, and use it."""
+    """Install it below `there`, without and with extras, and use it."""
     run("environment", sys.executable, "-m", "venv", str(there / "env"), cwd=there)
     python, fishmj = (str(there / "env" / "bin" / name) for name in ("python", "fishmj"))
     install = (python, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-compile")
     run("install", *install, str(wheel), cwd=there)
     elsewhere = there / "elsewhere"
     elsewhere.mkdir()
-    print("   " + run("suite.load", python, "-c", LOAD, cwd=elsewhere).strip())
-    answer = json.loads(run("evaluate drift", fishmj, *DRIFT, cwd=elsewhere).strip().splitlines()[-1])
-    print("   " + json.dumps(answer)[:200])
+    print("   " + run("core", python, "-c", CORE, cwd=elsewhere).strip())
     report = json.loads(run("doctor", fishmj, "doctor", "--json", cwd=elsewhere).strip().splitlines()[-1])
     if not report["healthy"]:
         raise SystemExit(f"the doctor finds faults: {report['findings']}")
+    told = run("evaluate without its extra", fishmj, *DRIFT, cwd=elsewhere, expected=BAD_INPUT)
+    if 'pip install "fishmj[train]"' not in told:
+        raise SystemExit(f"the extra is not named: {told}")
+    run("install extras", *install, f"{wheel}[train,suite,view]", cwd=there)
+    print("   " + run("suite.load", python, "-c", LOAD, cwd=elsewhere).strip())
+    answer = json.loads(run("evaluate drift", fishmj, *DRIFT, cwd=elsewhere).strip().splitlines()[-1])
+    print("   " + json.dumps(answer)[:200])
     for command in LEFT_OUT:
         told = run(" ".join(command), fishmj, *command, cwd=elsewhere, expected=BAD_INPUT).strip()
         if "sdist" not in told.splitlines()[-1]:
@@ -111,7 +127,6 @@ def use(wheel: Path, there: Path) -> None:
     small = run("hydro_fit", fishmj, "hydro_fit", "--device", "cpu", "--budget", "10", cwd=elsewhere, expected=BAD_INPUT)
     if "--data DIR" not in small:
         raise SystemExit(f"the bare hydro_fit does not say where segments are expected: {small}")
-    run("install fast", *install, f"{wheel}[fast]", cwd=there)
     run("demo --smoke", fishmj, "demo", "--smoke", "--out", "demo", cwd=elsewhere)
     lines = run("calibrate", fishmj, "calibrate", "servo", cwd=elsewhere).strip().splitlines()
     print("   " + lines[-1][:200])

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 import fishmj
-from fishmj.base import console
+from fishmj.base import console, extras
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid import device
 from fishmj.train.settings import change, preset
@@ -61,6 +61,64 @@ def test_fault_12_the_other_verbs_work_without_the_extra():
     done = fishmj_without({"numba"}, "bench", "engine_planar", "--quick", "--json")
     (found,) = json.loads(done.stdout.strip().splitlines()[-1])["benchmarks"]
     assert done.returncode == 0 and found["value"] > 0
+
+
+EVERY_MODULE = """
+import sys, importlib, pkgutil
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {absent!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Absent())
+import fishmj
+for found in pkgutil.walk_packages(fishmj.__path__, "fishmj."):
+    if found.name not in {left!r}:
+        importlib.import_module(found.name)
+print("imported")
+"""
+
+
+@pytest.mark.slow
+def test_every_module_imports_without_labmaze():
+    """From Python 3.13 on it cannot be installed; dm_control's suite does not use it."""
+    left = {"fishmj.train.sb3", "fishmj.evaluate.bench.peer_xlb"}  # of extras that this run has not
+    code = EVERY_MODULE.format(absent={"labmaze"}, left=left)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout.endswith("imported\n"), done.stderr[-2000:]
+
+
+def test_missing_package_names_its_extra():
+    """Only an import statement of fishmj is explained; a question whether a package is there is answered."""
+    code = """
+import importlib.machinery as machinery, importlib.util, sys
+import fishmj
+find = machinery.PathFinder.find_spec
+machinery.PathFinder.find_spec = lambda name, path=None, target=None: None if name == "warp" else find(name, path, target)
+assert importlib.util.find_spec("warp") is None
+try:
+    import warp
+except ModuleNotFoundError as error:
+    assert type(error) is ModuleNotFoundError
+import fishmj.lbm_oracle.fluid.device
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and 'needs warp: pip install "fishmj[solver]"' in done.stderr
+
+
+def test_extras_of_packages_are_those_of_the_project():
+    """`base.extras` names for each import name an extra that installs it."""
+    import importlib.metadata as metadata
+
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    distributions = metadata.packages_distributions() | {
+        "mujoco.mjx": ["mujoco-mjx"],
+        "roslibpy": ["roslibpy"],
+        "tornado": ["meshcat"],
+    }
+    distributions["dm_env"] = ["dm-control"]
+    for name, extra in extras.EXTRA_OF.items():
+        installed = {re.split(r"[^\w-]", line, maxsplit=1)[0] for line in table[extra]}
+        assert installed & set(distributions[name]), name
 
 
 def test_fault_12_the_doctor_works_where_nothing_is_installed():

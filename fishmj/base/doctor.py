@@ -85,14 +85,23 @@ def verdicts(findings: list[Finding]) -> list[Finding]:
     state = {(f.section, f.name): f.state for f in findings}
     core = all(f.state == "ok" for f in findings if f.section == "core")
     card = any(f.section == "devices" and f.name == "jax" and ("cuda" in f.text or "gpu" in f.text) for f in findings)
-    fast, sb3, seen = (state.get(key) == "ok" for key in (("extras", "fast"), ("extras", "sb3"), ("files", "browser")))
-    mend = "mend the core packages first"
+    extra = lambda name: state.get(("extras", name)) == "ok"
+    mend = lambda name: f'pip install "fishmj[{name}]"' if core else "mend the core packages first"
     rows = (
-        ("train", core, "on the GPU" if card else "on the CPU", mend),
-        ("fast CPU engine", core and fast, "compiled", 'slower path: pip install "fishmj[fast]"'),
-        ("evaluate, replay", core, "yes", mend),
-        ("--algo sb3-sac", core and sb3, "yes", 'pip install "fishmj[sb3]"'),
-        ("replay looked at", seen, "headless browser", "no browser here; open the file elsewhere"),
+        ("train, evaluate", core and extra("train"), "on the GPU" if card else "on the CPU", mend("train")),
+        ("fast CPU engine", core and extra("fast"), "compiled", f"slower path: {mend('fast')}"),
+        ("suite.load", core and extra("suite"), "yes", mend("suite")),
+        ("flow solver", core and extra("solver"), "yes", mend("solver")),
+        ("find what is missing", core and extra("search"), "yes", mend("search")),
+        ("replay, play", core and extra("view"), "yes", mend("view")),
+        ("deploy", core and extra("tank"), "yes", mend("tank")),
+        ("--algo sb3-sac", core and extra("sb3"), "yes", mend("sb3")),
+        (
+            "replay looked at",
+            state.get(("files", "browser")) == "ok",
+            "headless browser",
+            "no browser here; open the file elsewhere",
+        ),
     )
     return [Finding("works", name, "ok" if good else "no", text if good else otherwise) for name, good, text, otherwise in rows]
 
@@ -106,7 +115,9 @@ def requirements() -> list[str]:
     if checkout.is_file():
         project = tomllib.loads(checkout.read_text(encoding="utf-8"))["project"]
         extras = project["optional-dependencies"].items()
-        return project["dependencies"] + [f'{line}; extra == "{extra}"' for extra, lines in extras for line in lines]
+        return project["dependencies"] + [
+            f'{line} {"and" if ";" in line else ";"} extra == "{extra}"' for extra, lines in extras for line in lines
+        ]
     return metadata.requires("fishmj") or []
 
 
@@ -126,7 +137,8 @@ def packages(lines: list[str] | None = None) -> list[Finding]:
             found = version(wanted.name)
             out.append(_core(wanted.name, str(wanted.specifier), found, found is not None and found in wanted.specifier))
         elif extra != "all":
-            extras.setdefault(extra, []).extend(_lacking(wanted))
+            here = wanted.marker is None or wanted.marker.evaluate({"extra": extra})
+            extras.setdefault(extra, []).extend(_lacking(wanted) if here else ())
     for extra, missing in extras.items():
         text = f'{", ".join(missing)}: pip install "fishmj[{extra}]"' if missing else "installed"
         out.append(Finding("extras", extra, "no" if missing else "ok", text))
@@ -266,9 +278,12 @@ def devices() -> list[Finding]:
         hint = '; the GPU is not used: pip install "fishmj[cuda]"' if lost else ""
         of_jax = "note" if lost else "ok", ", ".join(jax["devices"]) + hint
     else:
-        of_jax = "bad", jax
+        of_jax = "bad" if version("jax") else "no", jax
     place = "; set WARP_CACHE_PATH to a folder that can be written" if "[Errno" in str(warp) else ""
-    of_warp = ("bad", warp + place) if isinstance(warp, str) else ("ok", ", ".join(warp["devices"]))
+    if isinstance(warp, str):
+        of_warp = "bad" if version("warp-lang") else "no", warp + place
+    else:
+        of_warp = "ok", ", ".join(warp["devices"])
     if isinstance(torch, str):
         of_torch = "no", torch
     elif card and not torch["usable"]:

@@ -87,11 +87,11 @@ class SimDiverged(FishmjError, ArithmeticError):
         self.time, self.term, self.link, self.states = time, term, link, states
 
 
-class MissingExtra(FishmjError, ImportError):
+class MissingExtra(FishmjError, ModuleNotFoundError):
     """An optional package is not installed; the message has the install line."""
 
     def __init__(self, package: str, extra: str, needed_for: str):
-        super().__init__(f'{needed_for} needs {package}: pip install "fishmj[{extra}]"')
+        super().__init__(f'{needed_for} needs {package}: pip install "fishmj[{extra}]"', name=package)
 
 
 class InjectionError(FishmjError, RuntimeError):

@@ -97,5 +97,5 @@ def opencv(needed_for: str = "a picture from above") -> Any:
     try:
         import cv2
     except ImportError as error:
-        raise MissingExtra("opencv-python-headless", "all", needed_for) from error
+        raise MissingExtra("opencv-python-headless", "view", needed_for) from error
     return cv2

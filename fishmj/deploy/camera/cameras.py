@@ -45,7 +45,7 @@ def cv2() -> Any:
     try:
         import cv2 as opencv
     except ImportError:
-        raise MissingExtra("opencv-python-headless", "robot", "a camera") from None
+        raise MissingExtra("opencv-python-headless", "tank", "a camera") from None
     opencv.utils.logging.setLogLevel(opencv.utils.logging.LOG_LEVEL_SILENT)  # what does not open is said in our words
     return opencv
 

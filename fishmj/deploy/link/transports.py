@@ -109,7 +109,7 @@ def open_serial(device: str, timeout: float, baud: int) -> Any:
     try:
         import serial
     except ImportError:
-        raise MissingExtra("pyserial", "robot", "a servo bus") from None
+        raise MissingExtra("pyserial", "tank", "a servo bus") from None
     try:
         return serial.Serial(device, baud, timeout=timeout, write_timeout=timeout, exclusive=True)
     except (serial.SerialException, ValueError) as error:
@@ -126,7 +126,7 @@ def serial_devices() -> list[str]:
     try:
         from serial.tools import list_ports
     except ImportError:
-        raise MissingExtra("pyserial", "robot", "a servo bus") from None
+        raise MissingExtra("pyserial", "tank", "a servo bus") from None
     try:
         return [port.device for port in list_ports.comports()]
     except OSError as error:

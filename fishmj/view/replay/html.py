@@ -72,7 +72,7 @@ def viewer_bundle() -> str:
     """MeshCat's viewer (three.js included) as it lies in the installed package."""
     found = find_spec("meshcat")
     if found is None or not found.origin:
-        raise MissingExtra("meshcat", "all", "replay")
+        raise MissingExtra("meshcat", "view", "replay")
     bundle = Path(found.origin).parent / "viewer" / "dist" / "main.min.js"
     if not bundle.is_file():
         raise ConfigError(f"{bundle}: MeshCat's viewer is missing; reinstall it: pip install --force-reinstall meshcat")

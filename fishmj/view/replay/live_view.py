@@ -82,7 +82,7 @@ class LiveView:
             import meshcat
             import meshcat.geometry as shapes
         except ImportError as error:
-            raise MissingExtra("meshcat", "all", "play") from error
+            raise MissingExtra("meshcat", "view", "play") from error
         self._shapes = shapes
         self.server = Server(host)
         self.url = self.server.url

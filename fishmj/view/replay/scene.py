@@ -319,7 +319,7 @@ def _png(image: np.ndarray) -> bytes:
     try:
         import cv2
     except ModuleNotFoundError as error:
-        raise MissingExtra("opencv-python-headless", "all", "replays with the water") from error
+        raise MissingExtra("opencv-python-headless", "view", "replays with the water") from error
     done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not done:
         raise StoreError("replay: OpenCV could not encode a slice as PNG")
