@@ -73,7 +73,7 @@ def test_what_was_agreed_to_and_what_is_short_is_not_asked():
 
 
 def test_the_estimate_of_the_solver_is_that_of_the_measured_swim():
-    """The laptop preset swims at 0.60 times real time on two idle cores (docs/solver/method.md)."""
+    """The laptop preset swims at 0.60 times real time on two idle cores (docs/solver/results.md)."""
     assert solver.cpu_seconds([(preset("laptop"), 60.0)]) == pytest.approx(60.0 / 0.60, rel=0.1)
     fine = preset("laptop").changed(dx=0.01)
     assert solver.cpu_seconds([(fine, 1.0)]) == pytest.approx(16 * solver.cpu_seconds([(preset("laptop"), 1.0)]))

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-TUTORIALS = ("search", "train", "simulate")
+TUTORIALS = ("search", "train", "simulate", "solver")
 JUDGED = "--los 0,180 --duration 20"
 SHORTER = {
     "fishmj train": "--steps 8e3 --envs 64",
@@ -74,6 +74,7 @@ EXPECTED = {  # what the page quotes and what does not hang on how long it ran
     ),
     "train": ("all that fishmj needs is here", "| controller | arrival", "first.html"),
     "simulate": ("| swims ahead                   | 0.238 m/s", "1.0 Hz: 0.249 m/s", "2.0 Hz: 0.513 m/s", "solved.html"),
+    "solver": ("1 of 1 checks hold", "force history: ", "C_D = 1.59", "swim.html"),
 }
 
 

@@ -8,7 +8,7 @@ A case is one small file in this folder:
         ...
         yield about("profile error, H = 32", error, 0.0, 1e-3, absolute=True)
 
-`rung` is its number on the validation ladder of docs/solver/method.md; `quick` puts it into `cases --quick`, three minutes in
+`rung` is its number on the validation ladder of docs/solver/results.md; `quick` puts it into `cases --quick`, three minutes in
 all on two cores. `cost` is the time expected on two cores; a case marked `gpu` is left out of `--all` on the CPU and runs there
 by name. A check without a reference that was read is `reported`, not gated. Such a function in a file of your own is a case, too:
 `fishmj lbm_oracle cases my_case.py:poiseuille_3d`.

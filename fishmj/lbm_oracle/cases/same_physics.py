@@ -2,7 +2,7 @@
 
 The state was made on a CPU. What a free swim needs is all in it: open faces, sponge, turbulent inflow, eddy viscosity, markers
 that slip in part, the coupled solve, the servos. A backend that computes the same comes within what round-off grows to in
-200 steps; one that leaves out a term, or takes a slightly other number, does not (docs/solver/method.md has both figures).
+200 steps; one that leaves out a term, or takes a slightly other number, does not (studies/solver/NOTES.md has both figures).
 
 python -m fishmj.lbm_oracle cases same_physics --device cuda
 python -m fishmj.lbm_oracle.cases.same_physics --why "markers are drawn in by another length"      makes it anew, on the CPU

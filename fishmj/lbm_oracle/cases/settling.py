@@ -9,7 +9,7 @@ benchmark SettlingSphereInBox of the solver waLBerla (read 2026-11-20), which st
 
 Judged by what was measured, but for the thickest oil: there the measured speed is 3.5 % above that at which the drag of the same
 sphere in an endless duct carries its weight (`duct.py`), and resolved simulations of this box are slower, too
-(docs/solver/method.md).
+(studies/solver/NOTES.md).
 
 The markers of this sphere are drawn in as its drag was found to need in the duct (`retraction`), less than the 0.7 cells
 of the other cases: those were found in narrow boxes against the drag of open water, which is 4 % smaller.

@@ -6,7 +6,7 @@ the body's box) comes in two loads. Every other step goes through memory backwar
 the cache when the next one begins with it.
 
 One H200, paper's box, beside a cell a thread in one run: +7 % bare, +15 % with eddy viscosity and open faces, +26 % in 16 bits
-(docs/solver/method.md, "Speed"). Needs an even number of cells along z.
+(docs/solver/results.md, "Speed"). Needs an even number of cells along z.
 """
 
 from functools import cache

@@ -43,7 +43,7 @@ from fishmj.mjcf import load_robot
 WHAT = ("cruise", "drag", "broadside", "yaw")
 GRIDS, PARTS, SLIPS = (0.02, 0.01, 1 / 150), (1, 2), (0.0, 0.95, 0.98, 0.99, 1.0)
 SPEED = 0.3  # m/s
-BENT = 20.0  # deg, joints at which the moment is greatest (docs/solver/results.md)
+BENT = 20.0  # deg, joints at which the moment is greatest (studies/solver/NOTES.md)
 HELD = {"drag": (Point("aoa", 0.0, 0.0, SPEED), "drag_N"), "broadside": (Point("aoa", 0.0, 90.0, SPEED), "lateral_N")}
 HELD |= {"yaw": (Point("joint", BENT, 0.0, SPEED), "yaw_Nm")}  # posture, and the column of a force map
 TICK: float = constant("timing", "bus_dt")  # s

@@ -78,7 +78,7 @@ class Sharpness:
 
 
 PLAIN = Sharpness()
-# chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (docs/solver/coupling.md)
+# chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (studies/solver/NOTES.md)
 SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
 EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
 

@@ -9,7 +9,7 @@ from fishmj.lbm_oracle.fluid.device import accelerator
 from fishmj.lbm_oracle.fluid.fluid import BYTES_PER_CELL, MOST
 from fishmj.lbm_oracle.run.domain import Domain
 
-RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/solver/method.md, Speed)
+RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/solver/results.md, Speed)
 UNASKED = 3600.0  # s of a CPU that `--device auto` begins without being asked
 
 Work = Iterable[tuple[Domain, float]]  # boxes, and s of water in each
