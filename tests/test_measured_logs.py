@@ -1,4 +1,4 @@
-"""The importers and audits on real recordings, found through FISHMJ_MEASURED; figures checked stand in docs/search/logs.md."""
+"""The importers and audits on real recordings, found through FISHMJ_MEASURED; figures stand in docs/search/measured_robots.md."""
 
 import os
 from pathlib import Path

@@ -25,7 +25,7 @@ from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
 
-RATE = 3500.0  # tank-steps a second of one process: 1.7 M on window_coarse took an H200 483 s (docs/search/calibrate.md)
+RATE = 3500.0  # tank-steps a second of one process: 1.7 M on window_coarse took an H200 483 s (studies/calibration)
 ON_GPU = 12
 
 
