@@ -1,4 +1,4 @@
-"""Faults 8 to 10 of docs/tank/reliability.md as a user meets them: the flow solver refuses, stops, and loses nothing."""
+"""Faults 8 to 10 of tests/FAULTS.md as a user meets them: the flow solver refuses, stops, and loses nothing."""
 
 import json
 

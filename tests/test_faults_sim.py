@@ -1,4 +1,4 @@
-"""Faults 1 to 7 and 12 of docs/tank/reliability.md: what goes wrong in a simulation says so, and loses nothing."""
+"""Faults 1 to 7 and 12 of tests/FAULTS.md: what goes wrong in a simulation says so, and loses nothing."""
 
 import threading
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Faults 1, 2 and 13 to 15 of docs/tank/reliability.md in training: nothing paid for is lost; the run says what it did."""
+"""Faults 1, 2 and 13 to 15 of tests/FAULTS.md in training: nothing paid for is lost; the run says what it did."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of docs/tank/reliability.md)."""
+"""The oracle's guard, device, settings, known answers and command line (faults 8, 9 and 11 of tests/FAULTS.md)."""
 
 import os
 import re

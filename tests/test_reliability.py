@@ -12,7 +12,5 @@ def test_the_page_of_faults_is_complete():
         for path in HERE.glob("test_*.py")
         for name in re.findall(r"^def (test_fault_\w+)", path.read_text(encoding="utf-8"), re.M)
     }
-    named = re.findall(
-        r"`(test_\w+\.py::test_fault_\w+)`", (HERE.parent / "docs" / "tank" / "reliability.md").read_text(encoding="utf-8")
-    )
+    named = re.findall(r"`(test_\w+\.py::test_fault_\w+)`", (HERE / "FAULTS.md").read_text(encoding="utf-8"))
     assert sorted(there) == sorted(named)

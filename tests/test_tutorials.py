@@ -14,14 +14,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-TUTORIALS = ("search", "train", "simulate", "solver")
+TUTORIALS = ("search", "train", "simulate", "solver", "tank")
 JUDGED = "--los 0,180 --duration 20"
 SHORTER = {
     "fishmj train": "--steps 8e3 --envs 64",
     "fishmj evaluate": JUDGED,
     "fishmj gap find": "--null-runs 24 --most 1",
     "fishmj lbm_oracle swim": "--seconds 0.2",
+    "fishmj deploy swim": "--seconds 8",
 }
+FAULT = "--fault"  # of a robot: it ends a swim with exit code 1
 
 
 def blocks(name: str) -> list[tuple[str, str]]:
@@ -42,11 +44,11 @@ def shorter(command: str) -> list[str]:
     return words[1:]
 
 
-def run(arguments: list[str], folder: Path) -> str:
-    """What a process of this Python said; it must end with exit code 0."""
+def run(arguments: list[str], folder: Path, code: int = 0) -> str:
+    """Output of a process of this Python; it must end with the exit code `code`."""
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{shlex.join(arguments)}\n{done.stdout}\n{done.stderr}"
+    assert done.returncode == code, f"{shlex.join(arguments)}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
 
@@ -60,7 +62,7 @@ def test_a_tutorial_runs_from_end_to_end(name, tmp_path):
         else:
             for command in text.splitlines():
                 assert command.startswith("fishmj ")
-                told += run(["-m", "fishmj", *shorter(command)], tmp_path)
+                told += run(["-m", "fishmj", *shorter(command)], tmp_path, code=int(FAULT in command))
     for words in EXPECTED[name]:
         assert words in told, words
 
@@ -75,6 +77,12 @@ EXPECTED = {  # what the page quotes and what does not hang on how long it ran
     "train": ("all that fishmj needs is here", "| controller | arrival", "first.html"),
     "simulate": ("| swims ahead                   | 0.238 m/s", "1.0 Hz: 0.249 m/s", "2.0 Hz: 0.513 m/s", "solved.html"),
     "solver": ("1 of 1 checks hold", "force history: ", "C_D = 1.59", "swim.html"),
+    "tank": (
+        "ended by FINISHED; log in runs/first",
+        "ended by POSE_LOST; log in runs/blind",
+        "SWIMMING -> NEUTRAL: POSE_LOST",
+        "first.html",
+    ),
 }
 
 
