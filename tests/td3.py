@@ -1,4 +1,4 @@
-"""Twin delayed DDPG, by the recipe of docs/train/training.md. Fujimoto et al. 2018, arXiv 1802.09477.
+"""Twin delayed DDPG, by the recipe of CONTRIBUTING.md. Fujimoto et al. 2018, arXiv 1802.09477.
 
 y = r + gamma (1 - d) min_i Q'_i(s', clip(mu'(s') + clip(eps, -c, c), -1, 1)),   eps ~ N(0, target_noise)
 """

@@ -85,7 +85,7 @@ def test_the_estimate_of_the_solver_is_that_of_the_measured_swim():
 
 
 @pytest.mark.parametrize(
-    ("settings", "kind", "measured"),  # s, of docs/train/training.md and README: learning alone
+    ("settings", "kind", "measured"),  # s, of docs/train/results.md and README: learning alone
     [
         (PRESETS["quick"], training.CPU, 170.0),
         (change(PRESETS["quick"], water="structured", steps=13_000_000), training.CPU, 87.0),

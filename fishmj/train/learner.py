@@ -1,7 +1,7 @@
 """What a learning algorithm is to a run. To add one: a file beside ppo.py and sac.py, and its line in `settings.ALGORITHMS`.
 
 The file holds two classes: a frozen dataclass of settings, all with defaults, and a `Learner` that is made by
-`Class(env, config, steps)`. docs/train/training.md has the recipe, `off_policy.py` what algorithms with a replay buffer share.
+`Class(env, config, steps)`. CONTRIBUTING.md has the recipe, `off_policy.py` what algorithms with a replay buffer share.
 """
 
 from typing import Any, NamedTuple, Protocol

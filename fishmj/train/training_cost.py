@@ -21,7 +21,7 @@ LEARNT = {  # the same in a water with a learnt force; on a GPU with the batch o
     CPU: {"compiled": 60e3, "planar": 1e3, "batch": 2.4e3, "mjx": 300.0},
     GPU: {"compiled": 60e3, "planar": 2.4e6, "batch": 2.4e3, "mjx": 0.8e6},
 }
-ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of docs/train/training.md
+ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of studies/training/NOTES.md
 
 
 def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
