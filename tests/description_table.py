@@ -16,7 +16,7 @@ def table() -> str:
         header = f"[[{block}]]" if block in description_schema.LISTS else f"[{block}]"
         many = f"{description_schema.said('', block)[2]}. " if block in description_schema.LISTS else ""
         rows.append(f"| **`{header}`** | | {many}{' '.join((model.__doc__ or '').split())} |")
-        rows += [row(block, key) for key in listed(block)]
+        rows += [row(block, key) for key in listed(block) if block != "version"]  # nobody writes that block by hand
     return "\n".join(rows) + "\n"
 
 
