@@ -11,13 +11,19 @@ BEGIN, END = "<!-- keys: begin -->\n", "<!-- keys: end -->\n"
 def table() -> str:
     """Markdown: one row a key, in the order of the models."""
     rows = ["| key | expected | what it is |", "|---|---|---|"]
-    rows += [row("", key) for key in description_schema.keys() if key not in description_schema.BLOCKS]
+    rows += [row("", key) for key in listed("") if key not in description_schema.BLOCKS]
     for block, model in description_schema.BLOCKS.items():
         header = f"[[{block}]]" if block in description_schema.LISTS else f"[{block}]"
         many = f"{description_schema.said('', block)[2]}. " if block in description_schema.LISTS else ""
         rows.append(f"| **`{header}`** | | {many}{' '.join((model.__doc__ or '').split())} |")
-        rows += [row(block, key) for key in description_schema.keys(block)]
+        rows += [row(block, key) for key in listed(block) if block != "version"]  # nobody writes that block by hand
     return "\n".join(rows) + "\n"
+
+
+def listed(block: str) -> list[str]:
+    """Keys of a block without those in rad that have a twin in `_deg`: the page says once that both are accepted."""
+    keys = description_schema.keys(block)
+    return [key for key in keys if f"{key}_deg" not in keys]
 
 
 def row(block: str, key: str) -> str:

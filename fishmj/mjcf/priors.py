@@ -47,7 +47,7 @@ def water_prior(links: Sequence[Link]) -> dict:
       plate of finite span; cn: ellipses 1.1 to 1.3 (circular cylinder 1.20), steady plates 1.17 (square) to 1.98 (long), more
       when they flap, which is why a plate has 2.0. Sources and what of them was read: docs/simulate/water.md.
     - ke: 0.7 of the range 0.4 to 0.9; with it unfitted shapes swim about as fast as in the flow solver at the slip ratio of a
-      real fish (`studies/new_shapes.py`; docs/simulate/new_shapes.md). The shipped descriptions have 0.5, on which their
+      real fish (`studies/new_shapes.py`; docs/simulate/results.md). The shipped descriptions have 0.5, on which their
       results rest.
     - 3 and 13 are chosen; nothing in the literature read here gives the drag of sections between. They give the
       default fish and the tendon fish the values that stand in their descriptions: k rounded to 0.05, cn to 0.1, which is

@@ -28,8 +28,8 @@ from fishmj.log.folder import write_trial
 from fishmj.mjcf.description import load_robot
 
 SCHEMA = "fishmj.hidden/1"
-TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (docs/solver/results.md, Speed)
-AGAIN = 0.1  # of the ticks are done again with finer steps, at three times the cost (docs/simulate/campaign.md)
+TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (studies/solver/NOTES.md)
+AGAIN = 0.1  # of the ticks are done again with finer steps, at three times the cost
 ON_GPU = 12
 
 

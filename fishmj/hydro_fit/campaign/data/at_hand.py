@@ -35,7 +35,7 @@ from fishmj.mjcf.description import Robot
 
 PREVIEW_BOXES = ("laptop", "window_coarse")  # the first that holds the fish
 # s of solving on so many idle cores, so that every machine has the same plan; whole campaigns on a CPU took 1.5 to 1.9 times
-# the estimate (your_own_fish.md and campaign.md of docs/simulate), because setting up and repeated ticks are no part of it
+# the estimate (studies/fitted_water/NOTES.md), because setting up and repeated ticks are no part of it
 PREVIEW_CORES, PREVIEW_TIME = 2, 1000.0
 CPU_TIME = 1800.0  # s of wall clock that a CPU is given unasked
 
