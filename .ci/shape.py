@@ -94,7 +94,7 @@ def shape(root: Path) -> dict:
     }
     classes = [c.name for tree in trees.values() for c in ast.walk(tree) if isinstance(c, ast.ClassDef)]
     public = [name for tree in trees.values() for node in tree.body for name in defined(node) if not name.startswith("_")]
-    files = [path for path in (root / "fishmj").rglob("*.py") if "studies" not in path.parts]
+    files = list((root / "fishmj").rglob("*.py"))
     stems = Counter(path.stem for path in files if not path.stem.startswith("__"))
     rooms = sorted(path.name for path in (root / "fishmj").iterdir() if (path / "__init__.py").exists())
     room_count = Counter((path.relative_to(root).parts[1], path.stem) for path in files if not path.stem.startswith("__"))

@@ -21,7 +21,15 @@ TOP = {"__init__", "__main__", "cli"}  # may import anything
 INDEPENDENT = {  # folder -> what it must not import although it is lower
     "lbm_oracle": ("water", "but:water.flow"),
     "gap/laboratory/generators": ("water", "lbm_oracle", "engines", "sim", "hydro_fit", "gap.laboratory.virtual_robot"),
-    "gap/laboratory/virtual_robot": ("water", "lbm_oracle", "engines", "sim", "hydro_fit", "gap.laboratory.generators"),
+    "gap/laboratory/virtual_robot": (
+        "effects",
+        "water",
+        "lbm_oracle",
+        "engines",
+        "sim",
+        "hydro_fit",
+        "gap.laboratory.generators",
+    ),
     **dict.fromkeys((f"deploy/{part}" for part in ("loop", "link", "camera", "monitor", "commands")), ("deploy.loopback",)),
 }
 

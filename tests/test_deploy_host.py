@@ -12,7 +12,6 @@ import pytest
 from fishmj.deploy.commands import doctor_command
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("protocols", "tracker", "deploy")
 HEAVY = {
     *("mujoco", "jax", "jaxlib", "warp", "numba", "scipy", "matplotlib", "pydantic", "torch", "dm_control", "optax", "gymnasium"),
     *("meshcat", "pyarrow", "ray", "rosbags"),
@@ -28,7 +27,7 @@ print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
 
 
 def modules():
-    files = [path for room in ROOMS for path in sorted((ROOT / "fishmj" / room).rglob("*.py"))]
+    files = [path for path in sorted((ROOT / "fishmj" / "deploy").rglob("*.py")) if "loopback" not in path.parts]
     named = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files]
     return [name.removesuffix(".__init__") for name in named if not name.endswith("__main__")]
 

@@ -192,7 +192,7 @@ def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_pa
 
     make = command.control.make
     monkeypatch.setattr(
-        command.controllers, "make", lambda name, robot, **how: Broken() if name == "pd" else make(name, robot, **how)
+        command.control, "make", lambda name, robot, **how: Broken() if name == "pd" else make(name, robot, **how)
     )
     code, _, err = run_command(capsys, "drift", "pd", *SHORT, "--out", str(tmp_path / "o"))
     assert code == 2 and "controller broken" in err

@@ -14,11 +14,14 @@ from fishmj.gap.null.null_runs import FEWEST, RecordedNull, SimulatedNull, as_ex
 from fishmj.gap.records.records import record_of
 
 MODEL = {
-    *("dynamics.planar_chain", "water.hydro_model", "mjcf.geometry", "effects.stack"),
+    *("water.dynamics.planar_chain", "water.hydro_model", "mjcf.geometry", "effects.stack"),
     *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.records"),
 }
-SIMULATOR = {"virtual_robot.water", "virtual_robot.servo", "virtual_robot.numba_entry", "excitation", "mjcf.description"}
-NEITHER = {"lbm_oracle.run.domain", "tasks.own", "gap.decide.decide", "gap.report.sections", "train.networks"}
+SIMULATOR = {
+    *(f"gap.laboratory.virtual_robot.{name}" for name in ("water", "servo", "numba_entry")),
+    *("log.excitation", "mjcf.description"),
+}
+NEITHER = {"lbm_oracle.run.domain", "tasks.episode", "gap.decide.decide", "gap.report.sections", "train.networks"}
 
 
 @pytest.fixture

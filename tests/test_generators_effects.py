@@ -190,7 +190,7 @@ def test_gap_plant_writes_a_set_and_its_truth(tmp_path, capsys):
     assert truth["effects"] == {"command_latency": {"delay": 0.04}} and truth["detectable"]["bound"] == 5.0
     from fishmj.log import read_trial
 
-    assert "fishmj.gap.laboratory.generators, ellipsoid" in (out / "measurements.toml").read_text()
+    assert "fishmj.generators, ellipsoid" in (out / "measurements.toml").read_text()
     trial = read_trial(out / "01_tow_ahead")
     whole = generators.generate("ellipsoid", truth["effects"], ["tow_ahead"], 3)[0]
     for sensor in ("joint", "pose", "power"):

@@ -22,7 +22,7 @@ AT = {"train": 3.0, "gap bench": 5.0, "gap find": 2.0, "evaluate": 1.0, "hydro_f
 
 COMMAND = """
 import sys, time
-from fishmj import console, interrupt, store
+from fishmj.base import console, interrupt, store
 interrupt.is_command = lambda: True
 interrupt.arm()
 def main(argv):

@@ -108,7 +108,7 @@ def installed(folder: Path, group: str, entry: str) -> None:
 
 def test_an_installed_entry_point_is_found_by_its_name_and_not_imported_before(tmp_path, monkeypatch):
     write(tmp_path, "class Steer:\n    def __init__(self, robot): pass\n", "own_package_3.py")
-    installed(tmp_path, "fishmj.control", "steer = own_package_3:Steer\nbad name! = own_package_3:Steer")
+    installed(tmp_path, "fishmj.controllers", "steer = own_package_3:Steer\nbad name! = own_package_3:Steer")
     monkeypatch.syspath_prepend(tmp_path)
     assert plugins.listed("controller") == ["steer"] and plugins.listed("task") == []
     assert "own_package_3" not in sys.modules

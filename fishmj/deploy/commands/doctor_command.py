@@ -12,7 +12,7 @@ from fishmj.deploy.link.transports import serial_devices
 from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
 from fishmj.deploy.loop.ticker import LATE, Ticker
 
-LIST = Path(__file__).with_name("host_requirements.txt")
+LIST = Path(__file__).resolve().parents[1] / "host_requirements.txt"
 OPTIONAL = {"mcap": "logs", "roslibpy": "ros"}
 CAMERAS = 4  # numbers that are tried
 STARTS = 3.0  # s that a camera may take to its first picture
