@@ -161,8 +161,10 @@ def test_a_module_that_is_missing_is_still_missing_beside_a_chosen_renderer(monk
     assert "MUJOCO_GL" not in done.stdout + done.stderr
 
 
-def test_warp_without_a_folder_for_its_machine_code_says_which_to_name(tmp_path, capsys):
+def test_warp_without_a_folder_for_its_machine_code_says_which_to_name(tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("no folder")
+    config = importlib.import_module("warp").config
+    monkeypatch.setattr(config, "kernel_cache_dir", config.kernel_cache_dir)  # put back: later tests compile
     build = importlib.import_module("warp._src.build")
     assert console.run(lambda argv: build.init_kernel_cache(str(tmp_path / "file" / "warp")), []) == console.BAD_INPUT
     said = capsys.readouterr().err.strip().splitlines()[-1]

@@ -18,17 +18,8 @@ from fishmj.log import read_dataset
 
 ROOT = Path(__file__).resolve().parent.parent
 STRANGERS = (
-    "hydro_fit",
-    "effects",
-    "engines",
-    "gap.search",
-    "gap.models",
-    "lbm_oracle",
-    "sim",
-    "water",
-    "tasks",
-    "control",
-    "gap.calibrate",
+    *("hydro_fit", "effects", "engines", "gap.search", "gap.models", "gap.calibrate", "lbm_oracle", "sim", "water"),
+    *("tasks.env", "control"),
 )
 
 
