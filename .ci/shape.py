@@ -1,8 +1,11 @@
 """Size and shape of the package in figures: `python .ci/shape.py [FOLDER]`; FOLDER is a checkout, this one when none is given.
 
-lines       of fishmj/ without studies/, blank lines and docstrings included
+lines       of fishmj/, blank lines and docstrings included
+entries     of `ls fishmj`
 floors      longest chain of imports inside the package; a circle is one floor
 doubled     names of files, and of public classes, that occur more than once
+docstrings  that begin with a relative word (`RELATIVE`); public functions and classes without one
+words       of README, CONTRIBUTING and docs/
 """
 
 import ast
@@ -12,14 +15,35 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+RELATIVE = ("What", "Of", "Whether", "Where", "How", "As")  # first words of a docstring that make a riddle of it
+
 
 def modules(root: Path) -> dict[str, ast.Module]:
-    """Dotted name -> syntax tree, of every module of the package but studies."""
+    """Dotted name -> syntax tree, of every module of the package."""
     found = {}
     for path in sorted((root / "fishmj").rglob("*.py")):
         parts = path.relative_to(root).with_suffix("").parts
-        if parts[1:2] != ("studies",):
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = ast.parse(path.read_text(encoding="utf-8"))
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+def riddles(tree: ast.AST) -> list[str]:
+    """First lines of docstrings that begin with a word of `RELATIVE`."""
+    told = [
+        text.strip().partition("\n")[0]
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node))
+    ]
+    return [line for line in told if line.split()[0].rstrip(",:") in RELATIVE]
+
+
+def undocumented(body: list[ast.stmt]) -> list[str]:
+    """Public functions and classes without a docstring, methods included."""
+    found = []
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            found += [] if ast.get_docstring(node) else [node.name]
+            found += undocumented(node.body) if isinstance(node, ast.ClassDef) else []
     return found
 
 
@@ -98,10 +122,15 @@ def shape(root: Path) -> dict:
     stems = Counter(path.stem for path in files if not path.stem.startswith("__"))
     rooms = sorted(path.name for path in (root / "fishmj").iterdir() if (path / "__init__.py").exists())
     room_count = Counter((path.relative_to(root).parts[1], path.stem) for path in files if not path.stem.startswith("__"))
+    pages = [*(root / "docs").rglob("*.md"), root / "README.md", root / "CONTRIBUTING.md"]
     floor = floors(graph)
     longest = max(functions, key=lambda key: functions[key])
     return {
         "lines": sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files),
+        "entries": len([path for path in (root / "fishmj").iterdir() if path.name != "__pycache__"]),
+        "words": sum(len(path.read_text(encoding="utf-8").split()) for path in pages),
+        "docstrings_relative": sum(len(riddles(tree)) for tree in trees.values()),
+        "public_without_docstring": sum(len(undocumented(tree.body)) for tree in trees.values()),
         "files": len(files),
         "classes": len(classes),
         "public_names": len(public),
