@@ -1,15 +1,15 @@
-"""Bodies that the loopback robot can move: one small interface for the second robot, MuJoCo and the flow solver.
+"""Bodies of the loopback robot: one small interface for the second robot, MuJoCo and the flow solver.
 
-A body is what hangs on the servo bus: joints, hull, water, battery. It knows nothing of datagrams, cameras or watchdogs.
+A body is everything on the servo bus: joints, hull, water, battery. It knows nothing of datagrams, cameras or watchdogs.
 
     body = make("virtual", effects={"command_latency": {"delay": 0.02}}, seed=3)
     body.send((0.3, 0.2, 0.1))          # leaves the microcontroller now; the servos have it after the bus's delay
     body.advance(0.02)
-    body.sensors().joint                # what the servos say
+    body.sensors().joint                # the servos' readings
     body.truth()                        # x, y, yaw, j1 ..: for the camera's picture and for scoring
 
-The nominal command latency of a description runs from the host to the servo. The loopback's radio has a part of it, so every
-body is told what is left (`bus_delay`): no delay is put in twice.
+The nominal command latency of a description runs from the host to the servo. The loopback's radio causes a part of it, so every
+body gets the rest (`bus_delay`): no delay is applied twice.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 class Sensors(NamedTuple):
-    """What the electronics inside the body read now."""
+    """Present readings of the electronics inside the body."""
 
     joint: np.ndarray  # (J,) rad, servo readings before they are rounded to counts
     voltage: float  # V, battery lead
@@ -42,50 +42,53 @@ class Sensors(NamedTuple):
 
 
 class Body(Protocol):
-    """Joints in water. Time begins at 0 and moves with `advance` alone."""
+    """Interface of a body: joints in water. Time begins at 0 and moves only with `advance`."""
 
     robot: Robot
 
     @property
     def time(self) -> float:
-        """s since the body began."""
+        """Time since the body began, s."""
 
     def send(self, command: Sequence[float] | np.ndarray) -> None:
-        """The microcontroller puts joint angles (J,) [rad] on the servo bus now."""
+        """Puts joint angles (J,) [rad] on the servo bus now, like the microcontroller."""
 
     def advance(self, seconds: float) -> None:
-        """Move on by whole milliseconds."""
+        """Advances by whole milliseconds; seconds: s."""
 
     def sensors(self) -> Sensors:
-        """Readings of now."""
+        """Present readings."""
 
     def truth(self) -> np.ndarray:
         """(3 + J,): x, y [m], yaw [rad] of the reference point, hinge angles [rad]."""
 
     def seen(self) -> tuple[float, np.ndarray]:
-        """What a camera that exposes now makes of the body, without noise: its stamp [s], and as `truth` with what is planted in
-        the camera."""
+        """The body as a camera that exposes now records it, without noise.
+
+        Returns:
+            The stamp [s], and the pose as of `truth`, with the errors that are planted in the camera.
+        """
 
     def torque(self, on: bool) -> None:
-        """Switch the servos' torque."""
+        """Switches the servos' torque."""
 
     def supply(self, volts: float | None) -> None:
-        """Feed the servos from this open-circuit voltage [V]; None: from the battery as it is."""
+        """Feeds the servos from this open-circuit voltage [V]; None: from the battery."""
 
     def jam(self, joint: int, stuck: bool) -> None:
-        """Make the gears of a joint (0 at the head) bind where they are, or let them go."""
+        """Jams the gears of a joint (0 at the head) in place, or frees them."""
 
 
 def bus_delay(robot: Robot, radio: float) -> float:
-    """s from the microcontroller to the servo: what the radio leaves of the nominal command latency, 0 at least."""
+    """Delay from the microcontroller to the servo, s: the nominal command latency without the radio's part, at least 0."""
     return max(robot.timing.command_latency - radio, 0.0)
 
 
 def whole_milliseconds(seconds: float) -> int:
-    """How many.
+    """Number of milliseconds in `seconds`.
 
     Raises:
-        ConfigError: none, or a part of one.
+        ConfigError: less than one, or a fraction.
     """
     whole = round(seconds / MILLISECOND)
     if whole < 1 or abs(whole * MILLISECOND - seconds) > 1e-6:
@@ -98,19 +101,19 @@ def make(
     nuisance: float = 0.1, start: tuple[float, float, float] = (0.0, 0.0, 0.0), flow: Flow | None = None, radio: float = 0.0,
     engine: str = MUJOCO, domain: str = "paper",
 ) -> Body:  # fmt: skip
-    """The body of this name.
+    """Makes the body of this name.
 
     Args:
         robot: description, TOML path or shipped name.
         effects: {name: {parameter: value}} hidden in the second robot, SI.
-        seed, noise, nuisance: as `virtual_robot.trials.generate`; the second robot's alone.
+        seed, noise, nuisance: as `virtual_robot.trials.generate`; for the second robot only.
         start: x, y [m], yaw [rad], at rest over ground, straight. flow: background flow, still by default.
-        radio: s of the nominal command latency that the caller puts in itself.
+        radio: part of the nominal command latency that the caller applies itself, s.
         engine: of the waters fitted and structured, "mujoco" or, for hours in lockstep, "compiled", which is equal to it.
         domain: of the flow solver, `lbm_oracle.run.domain.preset`.
 
     Raises:
-        UnknownName: a body or an effect that does not exist. ConfigError: effects or turbulence that this body cannot have.
+        UnknownName: no such body or effect. ConfigError: effects or turbulence that this body does not support.
     """
     if name not in NAMES:
         raise UnknownName("body", name, NAMES)
