@@ -1,4 +1,4 @@
-"""Calibration files: `data/calib/*.toml`, the one place where a number of the paper or of a ruler lives."""
+"""Calibration files `data/calib/*.toml`: the only place for constants of the paper and for measured lengths."""
 
 import codecs
 import os
@@ -30,7 +30,7 @@ def calib_folder() -> Path:
 
 
 def read_toml(path: str | Path) -> dict:
-    """Read one TOML file that anybody may have written.
+    """Reads one TOML file of unknown origin.
 
     Raises:
         ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block and
@@ -40,7 +40,7 @@ def read_toml(path: str | Path) -> dict:
 
 
 def parse_toml(text: str, where: str) -> dict:
-    """The table of a TOML text; `where` begins the error messages.
+    """Parses a TOML text into a dictionary; `where` begins the error messages.
 
     Raises:
         ConfigError: as `read_toml`.
@@ -68,7 +68,7 @@ _LONG_KEY = re.compile(rf"(?:\.[ \t]{{0,9}}{_PART}[ \t]{{0,9}}){{{_PARTS}}}")  #
 
 
 def _text(path: Path) -> str:
-    """The text of a file, within bounds."""
+    """Text of a file, at most 1 MB of UTF-8."""
     shown = shown_path(path)
     if wrong := trouble(path, "a TOML file"):
         raise ConfigError(f"{shown}: {wrong}")
@@ -92,7 +92,7 @@ def _text(path: Path) -> str:
 
 
 def _check_values(table: dict, where: str) -> None:
-    """Depth, and integers of 64 bits as TOML asks for; no recursion, so that no file can exhaust the stack."""
+    """Checks the nesting depth and that integers fit 64 bits. Uses no recursion, so that no file can exhaust the stack."""
     waiting = [("", table, 1)]
     while waiting:
         key, item, level = waiting.pop()
@@ -140,7 +140,7 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
 
 
 def shown_path(path: str | Path) -> str:
-    """A path for a message: printable whatever it holds, 300 characters at most."""
+    """Printable form of a path for a message, at most 300 characters."""
     text = "".join(c if c.isprintable() else "?" for c in str(path)[:300])
     return text if len(str(path)) <= 300 else f"{text}..."
 
@@ -157,7 +157,7 @@ def waters() -> list[str]:
 
 @cache
 def robots() -> dict[str, str]:
-    """Names of the shipped robots, and the name that each description gives its robot."""
+    """Names of the shipped robots, each with the robot's name in its description."""
     texts = {name: (calib_folder() / f"{name}.toml").read_text(encoding="utf-8") for name in shipped()}
     own = {name: _ROBOT.search(text) for name, text in texts.items()}
     return {name: found[1] for name, found in own.items() if found}

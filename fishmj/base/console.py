@@ -1,7 +1,7 @@
-"""What every command line shares: errors as exit codes, one JSON object last, tables, a progress line with the time left.
+"""Shared by every command line: errors as exit codes, one JSON object last, tables, a progress line with the time left.
 
-Parsers whose errors are one line, types of options with a range, groups of commands. `EXITS` says what the exit codes mean.
-What it prints goes through `terminal`.
+Also: parsers with one-line errors, types of options with a range, groups of commands. `EXITS` holds the meaning of the exit
+codes. All output goes through `terminal`.
 """
 
 import argparse
@@ -114,7 +114,7 @@ def _called(main: Main, argv: list[str]) -> int:
 
 
 def _speak_any_text() -> None:
-    """A name that the terminal cannot show is printed escaped."""
+    """Makes the streams escape characters that the terminal cannot show."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -127,7 +127,7 @@ def _refuse_nul(argv: Sequence[str]) -> None:
 
 
 def _of_the_machine(error: Exception) -> str:
-    """What to say of an error that the file system or the memory made; empty for every other."""
+    """Message for an error of the file system or of memory; empty for every other error."""
     if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
         where = f"{shown(str(error.filename), 200)}: " if error.filename is not None else ""
         files = (frame.f_code.co_filename for frame, _ in traceback.walk_tb(error.__traceback__))
@@ -153,7 +153,7 @@ def _interrupted(argv: Sequence[str], message: str) -> None:
 def _fail(
     argv: Sequence[str], message: str, kind: str, code: int, *, told: bool = False, many: DescriptionError | None = None
 ) -> int:
-    """Say it on stderr, one line (of a bad description one an error), and as JSON where that was asked for."""
+    """Prints the error on stderr (one line; for a bad description one line for each error), and as JSON if that was asked for."""
     if os.environ.get(TRACEBACK) == "1" and not told and sys.exc_info()[0] is not None:
         traceback.print_exc()
     message = _one_line(message)
@@ -199,14 +199,17 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(rf"^-{number}(,-?{number})*$|^-(inf|infinity|nan)$", re.IGNORECASE)
 
     def error(self, message: str) -> NoReturn:
+        """Raises UsageError with the command's name and a pointer to its help."""
         raise UsageError(f"{self.prog.removeprefix('fishmj ')}: {message}; see {self.prog} --help")
 
     def format_help(self) -> str:
+        """Help text, with the example of the parser or of its `CommandGroup` below it."""
         if self.epilog is None and self.prog in _EXAMPLES:
             self.epilog = f"example:\n  {_EXAMPLES[self.prog]}"
         return super().format_help()
 
     def parse_args(self, args=None, namespace=None):
+        """Parses the arguments; an unknown one raises UsageError with the nearest known option."""
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
             near = self._nearest(unknown[0].partition("=")[0])
@@ -215,25 +218,29 @@ class Parser(argparse.ArgumentParser):
         return found
 
     def parse_known_args(self, args=None, namespace=None):
+        """Parses the known arguments, after refusing options that begin with a typographic dash."""
         args = list(sys.argv[1:] if args is None else args)
         self._refuse_typographic_dashes(args)
         self._given: set[argparse.Action] = set()
         return super().parse_known_args(args, namespace)
 
     def _refuse_typographic_dashes(self, words: Sequence[str]) -> None:
-        """An option copied out of a text may begin with a dash or a minus sign in place of two hyphens."""
+        """Raises UsageError for an option with a typographic dash in place of two hyphens, as copied from a formatted text."""
         for word in words:
             found = _DASHED.match(word)
             if found and (near := self._nearest("--" + found[1])):
                 self.error(f"{shown(word)} begins with a typographic dash; did you mean {near}?")
 
     def _nearest(self, option: str) -> str:
-        """The known option that one is nearest to, or nothing."""
+        """Nearest known option, or ""."""
         options = [o for o in self._option_string_actions if o.startswith("--")]
         return next(iter(get_close_matches(option, options, 1, 0.6)), "")
 
     def _get_values(self, action, arg_strings):
-        """Called once for each time that an option is given: one that takes a value and does not collect them has one."""
+        """Raises an error if an option is given twice, unless it takes no value or collects its values.
+
+        Called for each occurrence.
+        """
         if action.option_strings and action.nargs != 0 and not isinstance(action, argparse._AppendAction):
             if action in self._given:
                 raise argparse.ArgumentError(action, "is given twice; give it once")
@@ -271,10 +278,11 @@ _EXAMPLES: dict[str, str] = {}  # program -> its example, for the help of a comm
 
 
 class CommandGroup:
-    """The commands of a verb, as its `main`: `--help` lists them, an unknown one gets the nearest name, none is bad input.
+    """The commands of a verb, as its `main`.
 
-    A name may be two words (`converge fish`). Nothing is imported but the command that is called. `bare` names the command that
-    runs where none is given, with the options that are there.
+    `--help` lists them. An unknown command raises an error with the nearest name; a missing one is a usage error. A name may be
+    two words (`converge fish`). Only the command that is called is imported. `bare` names the command that runs when none is
+    given, with the options that are there.
     """
 
     def __init__(self, verb: str, summary: str, commands: Mapping[str, Command], bare: str = ""):
@@ -298,10 +306,10 @@ class CommandGroup:
         return self.load(name)(argv[words:])
 
     def load(self, name: str) -> Main:
-        """The function of a command.
+        """Imports a command and returns its function.
 
         Raises:
-            UnknownName: there is none of this name.
+            UnknownName: no command of this name.
         """
         if name not in self.commands:
             raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
@@ -330,7 +338,7 @@ def warn(message: str) -> None:
 
 
 def confirmed(question: str) -> bool:
-    """Ask a yes-or-no question on the terminal; no where there is none, or where the answer is not yes."""
+    """Asks a yes-or-no question on the terminal. Returns False without a terminal and for any answer but yes."""
     if not all(bool(getattr(stream, "isatty", lambda: False)()) for stream in (sys.stdin, sys.stderr)):
         return False
     terminal.put(f"{question} [y/N] ", sys.stderr, end="")
@@ -343,7 +351,7 @@ def emit_json(value: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The value in JSON's own types; needs no NumPy, so that `doctor` can speak where it is missing."""
+    """Converts a value to JSON's own types. Needs no NumPy, so that `doctor` runs where it is missing."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
@@ -363,7 +371,7 @@ class Progress:
         with Progress(1_000_000, "train", unit="steps") as bar:
             bar.update(done, reward=0.4)
 
-    The time left comes from the last `MEMORY` seconds of progress. Up to the first progress a command may have compiled: that
+    The time left comes from the last `MEMORY` seconds of progress. Until the first progress a command may have compiled: that
     rate is an upper bound of the time left, said as `at most`, and counts no more with the second.
     """
 
@@ -417,9 +425,9 @@ class Progress:
         return max(self.total - self._seen[-1][1], 0.0) / self.rate + self.ahead if self.rate > 0 else math.inf
 
     def update(self, done: float, **fields: Any) -> None:
-        """Report `done` of `total` and any named figures; prints only when it is time to.
+        """Reports `done` of `total` and any named figures; prints only when a line is due.
 
-        Less than before counts as before: of several processes one may have ended a part that it has not told of yet.
+        A smaller `done` than before counts as the earlier one: with several processes, a finished one may not have reported yet.
         """
         now, done = self._clock(), max(done, self._most)
         self._most = done
@@ -436,13 +444,16 @@ class Progress:
         self._show(self.line(**fields))
 
     def stage(self, text: str) -> None:
-        """Name at once what the rate does not count, such as `compiling ...`; with the next update the time left begins anew."""
+        """Names work that the rate does not count, such as `compiling ...`, at once.
+
+        The time left restarts with the next update.
+        """
         self._named = True
         self._show(f"{self.label}: {text}")
 
     @contextmanager
     def aside(self, text: str = "") -> Iterator[None]:
-        """Work beside the counted one, such as an assessment: named at once, its time is no part of the rate."""
+        """Context for side work, such as an assessment: names it at once and leaves its time out of the rate."""
         began = self._clock()
         if text:
             self._show(f"{self.label}: {text}")
@@ -458,7 +469,7 @@ class Progress:
             terminal.put(line, self._stream)
 
     def line(self, **fields: Any) -> str:
-        """The text of the line as it stands."""
+        """Text of the current progress line."""
         done = self._seen[-1][1]
         part = min(done / self.total, 1.0) if self.total else 1.0
         rate = self.rate or ((done - self.begun) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short to tell

@@ -1,8 +1,8 @@
-"""Days of work, and memory that the machine has not: said before anything begins, asked for on a terminal, refused elsewhere.
+"""Asks before work of more than a week or more memory than there is; without a terminal it raises TooMuch.
 
     cost.time("train", seconds, "1e+11 control steps", instead="take fewer --steps", flag="--yes", agreed=args.yes)
 
-The estimate is the caller's, from sizes and measured rates; half or twice of it is as good as it gets.
+The caller estimates the cost from sizes and measured rates. The estimate may be wrong by a factor of two.
 """
 
 from fishmj.base import console
@@ -16,14 +16,14 @@ ROOM = 0.8  # of the memory of the machine
 def time(
     verb: str, seconds: float, what: str, *, instead: str, flag: str, agreed: bool = False, limit: float = LONG, why: str = ""
 ) -> None:
-    """Have `seconds` of work agreed to where they are more than `limit`.
+    """Asks for agreement to `seconds` of work if they are more than `limit`.
 
     Args:
-        what: is to be done, in numbers. instead: what to ask for in its place. flag: begins all the same; agreed: it was given.
-        why: it takes so long here.
+        what: the work, in numbers. instead: a cheaper request. flag: option that agrees; agreed: True if it was given.
+        why: reason that it takes so long here.
 
     Raises:
-        TooMuch: nobody agreed.
+        TooMuch: not agreed.
     """
     if not agreed and seconds > limit:
         _ask(f"{verb}: {what} would take about {console.duration(seconds)}{why and f' {why}'}", instead, flag)
@@ -32,13 +32,13 @@ def time(
 def memory(
     verb: str, need: float, what: str, *, instead: str, flag: str = "", agreed: bool = False, there: float | None = None
 ) -> None:
-    """Have `need` bytes agreed to where they are more than `ROOM` of those there are, by default in this machine.
+    """Asks for agreement to `need` bytes if they are more than the share `ROOM` of those there are, by default in this machine.
 
     Args:
-        as `time`; without a flag they are refused.
+        as `time`; without a flag the work is refused.
 
     Raises:
-        TooMuch: nobody agreed.
+        TooMuch: not agreed.
     """
     there = memory_bytes() if there is None else there
     if not agreed and need > ROOM * there:

@@ -1,7 +1,8 @@
-"""What works on this machine, what will not, and the line that mends it.
+"""Checks what works on this machine, what will not, and prints the line that mends it.
 
-Exit 1 if a core package is missing or at a version that fishmj does not run with. It runs where nothing is installed: what it
-imports here is Python's own. A probe can crash or hang in a driver, so each runs in a process of its own with a time limit.
+Exits with 1 if a core package is missing or at a version that fishmj does not run with. It imports only Python's own modules
+here, so it runs where nothing is installed. A probe can crash or hang in a driver, so each runs in its own process with a
+time limit.
 """
 
 import importlib.util
@@ -57,7 +58,7 @@ class Finding(NamedTuple):
 
 
 def main(argv: list[str]) -> int:
-    """The verb `doctor`."""
+    """The verb `doctor`. Returns the exit code."""
     summary = "What works on this machine, what will not, and the line that mends it; exit 1 where a core package is not right."
     args = console.parser("doctor", summary, examples="example:\n  fishmj doctor --json").parse_args(argv)
     findings = examine()
@@ -81,7 +82,7 @@ def examine() -> list[Finding]:
 
 
 def verdicts(findings: list[Finding]) -> list[Finding]:
-    """What will and will not work, from the findings."""
+    """Derives from the findings which parts of fishmj work here and which do not."""
     state = {(f.section, f.name): f.state for f in findings}
     core = all(f.state == "ok" for f in findings if f.section == "core")
     card = any(f.section == "devices" and f.name == "jax" and ("cuda" in f.text or "gpu" in f.text) for f in findings)
@@ -146,7 +147,7 @@ def packages(lines: list[str] | None = None) -> list[Finding]:
 
 
 def _presence(lines: list[str]) -> list[Finding]:
-    """Which core packages are there at all: without `packaging` no version can be compared."""
+    """Checks only that the core packages are present: without `packaging` no version can be compared."""
     out = []
     for line in lines:
         if _extra(line) is None:
@@ -158,7 +159,7 @@ def _presence(lines: list[str]) -> list[Finding]:
 
 
 def _lacking(wanted) -> list[str]:
-    """What a requirement lacks here, with one level of the extras that it asks of its package (`jax[cuda13]`)."""
+    """Packages that a requirement lacks here, including one level of its extras (`jax[cuda13]`)."""
     from packaging.requirements import Requirement
 
     found = version(wanted.name)
@@ -192,7 +193,7 @@ def version(name: str) -> str | None:
 
 
 def machine() -> list[Finding]:
-    """Python, system, cores."""
+    """Findings on Python, the system and the cores."""
     fits, python = (3, 11) <= sys.version_info[:2] < (3, 13), f"{platform.python_version()} at {sys.executable}"
     system = ("bad", "not supported: run it inside WSL") if platform.system() == "Windows" else ("ok", platform.platform())
     return [
@@ -219,7 +220,7 @@ def browser() -> str | None:
 
 
 def surroundings() -> list[Finding]:
-    """Browser, writable folders, shipped files."""
+    """Findings on the browser, writable folders and the shipped files."""
     found = browser()
     missing = "none of " + ", ".join(BROWSERS) + ": replays are written and open in any browser, their test is skipped"
     out = [Finding("files", "browser", "ok" if found else "no", found or missing)]
@@ -250,7 +251,10 @@ def _calibration() -> tuple[str, str]:
 
 
 def probe(code: str, needs: str) -> dict | str:
-    """Run Python code that prints one JSON object last, elsewhere; its result, or one line that says why there is none."""
+    """Runs Python code in another process.
+
+    Returns the JSON object that it prints last, or one line with the reason for its failure.
+    """
     if importlib.util.find_spec(needs) is None:
         return f"{needs} is not installed"
     env = {**os.environ, "XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
@@ -269,7 +273,7 @@ def probe(code: str, needs: str) -> dict | str:
 
 
 def devices() -> list[Finding]:
-    """GPUs as the driver, jax, warp and torch see them."""
+    """Findings on the GPUs as the driver, jax, warp and torch report them."""
     driver, told = _nvidia()
     card = driver == "ok"
     jax, warp, torch = probe(JAX_PROBE, "jax"), probe(WARP_PROBE, "warp"), probe(TORCH_PROBE, "torch")
@@ -295,7 +299,7 @@ def devices() -> list[Finding]:
 
 
 def _nvidia() -> tuple[str, str]:
-    """State of the driver, and what its own tool says."""
+    """State of the driver, and the report of its own tool."""
     tool = shutil.which("nvidia-smi")
     if tool is None:
         return "no", "no nvidia-smi: everything runs on the CPU"
@@ -313,7 +317,7 @@ def _nvidia() -> tuple[str, str]:
 
 
 def known_issues() -> list[Finding]:
-    """Every trap that this machine can fall into; each is reported only where it bites."""
+    """Known faults of the packages below; each is reported only on a machine that it affects."""
     return [Finding("traps", *found) for found in _traps()]
 
 

@@ -1,6 +1,6 @@
-"""Every error that fishmj raises on purpose. One line each: what, where, got, expected, what to do.
+"""Errors that fishmj raises on purpose. One line each: what, where, got, expected, what to do.
 
-Only a bad robot description has several lines, one for each thing that is wrong with it.
+Only a bad robot description has several lines, one for each fault in it.
 """
 
 from collections.abc import Sequence
@@ -8,14 +8,14 @@ from difflib import get_close_matches
 
 
 class FishmjError(Exception):
-    """Base of all errors that a user can mend. They can be pickled: one of an environment in another process arrives as it is."""
+    """Base of all errors that a user can mend. They can be pickled, so that an error in another process arrives unchanged."""
 
     def __reduce__(self):
         return _remade, (type(self), self.args, vars(self))
 
 
 def _remade(kind: type[FishmjError], args: tuple, own: dict) -> FishmjError:
-    """An error from its pickle, whatever its class asks for when it is made."""
+    """Rebuilds an error from its pickle, for any signature of its constructor."""
     error = kind.__new__(kind, *args)
     vars(error).update(own)
     return error
@@ -26,11 +26,11 @@ class ConfigError(FishmjError, ValueError):
 
 
 class TooMuch(ConfigError):
-    """Work of days, or more memory than there is, that nobody agreed to."""
+    """Work of days, or more memory than there is, without agreement."""
 
 
 class DescriptionError(ConfigError):
-    """A robot description is not sound. `errors` lists everything that was found, a line each; the message has the first 20."""
+    """A faulty robot description. `errors` lists every fault, a line each; the message has the first 20."""
 
     SHOWN = 20
 
@@ -46,7 +46,7 @@ class UsageError(FishmjError, ValueError):
 
 
 class ResetNeeded(FishmjError, AssertionError):
-    """An environment is stepped before its first reset, or after the end of an episode that nobody restarted."""
+    """An environment is stepped before its first reset, or after the end of an episode without a new reset."""
 
 
 class UnknownName(FishmjError, KeyError):
@@ -64,7 +64,7 @@ class UnknownName(FishmjError, KeyError):
 
 
 class OwnCodeError(FishmjError, RuntimeError):
-    """Code of the user's own is not there, fails, or does not keep to its interface; the message has their file and line."""
+    """The user's own code is missing, fails, or breaks its interface; the message has its file and line."""
 
 
 class LogError(FishmjError, ValueError):
@@ -80,7 +80,7 @@ class DatasetError(StoreError):
 
 
 class SimDiverged(FishmjError, ArithmeticError):
-    """The simulation left the finite numbers. Carries time, term, link and the last states."""
+    """The simulation produced non-finite numbers. Carries time, term, link and the last states."""
 
     def __init__(self, message: str, *, time: float = float("nan"), term: str = "", link: str = "", states=None):
         super().__init__(message)
@@ -99,7 +99,10 @@ class InjectionError(FishmjError, RuntimeError):
 
 
 class OracleUnstable(FishmjError, ArithmeticError):
-    """The flow solver cannot run like this, or no longer does. Carries what was broken, the step, and the figures."""
+    """The flow solver cannot run with these settings, or became unstable.
+
+    Carries the violated limit, the step, and the figures.
+    """
 
     def __init__(self, message: str, *, limit: str = "", step: int = 0, figures=None):
         super().__init__(message)

@@ -1,19 +1,19 @@
-"""Ctrl-C, SIGTERM and SIGHUP of a fishmj command: it ends within five seconds with exit code 130 (143, 129), whatever it does.
+"""Ctrl-C, SIGTERM and SIGHUP of a fishmj command: it ends within five seconds with exit code 130 (143, 129), at any moment.
 
-Compilers (XLA, numba, Warp) run for minutes inside one call, where Python neither runs a signal's handler nor raises; what an
-exception meets in such a call may swallow it; and an interpreter that is torn down beside running XLA threads crashes. So nothing
-is raised: a thread waits for the signal, lets the verb keep what it has, says how to go on and ends the process. That loses
-nothing, because every write is atomic (`store`) and what is finished is on disk already. It works while compilers run because
-they all let go of the interpreter lock.
+Raising an exception is not safe. Compilers (XLA, numba, Warp) run for minutes inside one call, where Python neither runs a
+signal's handler nor raises. Code in such a call may swallow an exception. An interpreter that is torn down beside running XLA
+threads crashes. So a thread waits for the signal instead, lets the verb save its state, prints how to go on, and ends the
+process. Nothing is lost, because every write is atomic (`store`) and finished work is on disk already. This works while
+compilers run, because they all release the interpreter lock.
 
-    with keeping(words):          words() is called on the way out, in another thread: it keeps what is not kept yet and says what
-                                  was kept and how to go on
-    with finishing(words):        the same for a loop that stops by itself: it has GRACE seconds before words() is called; what
-                                  must bring a robot to rest asks for more, and names what the very last action is
-    with raising():               Ctrl-C is a KeyboardInterrupt here, as anywhere in Python: where it is the usual way to end
+    with keeping(words):          on an interrupt, words() is called in another thread: it saves what is not saved yet and
+                                  returns what was saved and how to go on
+    with finishing(words):        the same for a loop that stops by itself: it has GRACE seconds before words() is called; a
+                                  loop that must bring a robot to rest asks for more, and names the very last action
+    with raising():               Ctrl-C raises KeyboardInterrupt here, as usual in Python: for parts that users end that way
 
-The process is watched from the import of `fishmj` on where it is a command (`python -m fishmj...` or the script `fishmj`), and
-nowhere else: a program that imports fishmj keeps its own handlers.
+A command (`python -m fishmj...` or the script `fishmj`) is watched from the import of `fishmj` on. A program that imports fishmj
+is not watched and keeps its own handlers.
 """
 
 import atexit
@@ -41,7 +41,7 @@ Words = Callable[[], str]
 
 
 class Way(NamedTuple):
-    """How a part of a verb leaves: s that it has to end by itself, what is called when it is asked to, and what comes last."""
+    """Exit plan of a part of a verb: its save function, the seconds that it has to end by itself, and its last action."""
 
     words: Words
     grace: float
@@ -59,7 +59,7 @@ _tell: list[Callable[[str], object]] = []
 
 
 def is_command() -> bool:
-    """Whether this process was started as `python -m fishmj...` or as the script `fishmj`."""
+    """Returns True if this process was started as `python -m fishmj...` or as the script `fishmj`."""
     words = sys.orig_argv
     if "-m" in words:
         module = "".join(words[words.index("-m") + 1 :][:1])
@@ -68,7 +68,7 @@ def is_command() -> bool:
 
 
 def arm() -> None:
-    """Watch for these signals, where this process is a command. One that is ignored (as by nohup) stays so."""
+    """Starts to watch for these signals if this process is a command. An ignored signal (as by nohup) stays ignored."""
     global _armed
     if _armed or os.name != "posix" or threading.current_thread() is not threading.main_thread() or not is_command():
         return
@@ -84,7 +84,7 @@ def arm() -> None:
 
 
 def disarm() -> None:
-    """Leave them to the system again, in a fork."""
+    """Restores the system's handling of these signals, in a fork."""
     global _armed
     if not _armed:
         return
@@ -96,7 +96,7 @@ def disarm() -> None:
 
 
 def asked() -> bool:
-    """Whether this command is being interrupted."""
+    """Returns True while this command is being interrupted."""
     return bool(_asked)
 
 
@@ -114,13 +114,13 @@ def again(verb: str = "go on") -> str:
 
 
 def telling(tell: Callable[[str], object]) -> None:
-    """Have the last line said by `tell(message)`."""
+    """Makes `tell(message)` print the last line."""
     _tell[:] = [tell]
 
 
 @contextmanager
 def keeping(words: Words) -> Iterator[None]:
-    """On an interrupt within, `words()` keeps what is not kept yet; the last line ends with its answer."""
+    """Context in which an interrupt calls `words()`, which saves what is not saved yet; the last line ends with its answer."""
     with _leaving_by(Way(words, 0.0, None, None)):
         yield
 
@@ -128,11 +128,11 @@ def keeping(words: Words) -> Iterator[None]:
 def finishing(
     words: Words, *, grace: float = GRACE, heard: Callable[[], object] | None = None, last: Callable[[], object] | None = None
 ) -> AbstractContextManager[None]:
-    """As `keeping`, for a loop that hears the signals itself: it has `grace` s to come to its end.
+    """Like `keeping`, for a loop that reacts to the signals itself: it has `grace` s to come to its end.
 
     Args:
         heard: called at the first signal, in another thread. last: called before the process ends without the loop's own end:
-            after `grace`, and at once where a second signal comes. It must not wait.
+            after `grace`, and at once at a second signal. It must not wait.
     """
     return _leaving_by(Way(words, grace, heard, last))
 
@@ -150,7 +150,7 @@ def _leaving_by(way: Way) -> Iterator[None]:
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """Within, Ctrl-C raises KeyboardInterrupt in the main thread, which goes on from there."""
+    """Context in which Ctrl-C raises KeyboardInterrupt in the main thread."""
     if not _armed:
         yield
         return
@@ -164,7 +164,7 @@ def raising() -> Iterator[None]:
 
 
 def leave(words: "str | None" = "") -> NoReturn:
-    """Say the last line (None: it has been said), end the children and the process, without the interpreter's own teardown."""
+    """Prints the last line (None: already printed), ends the children and the process, without the interpreter's own teardown."""
     _leaving.acquire()  # never given back: whoever comes second waits for the end
     with suppress(Exception):
         if words is None:
@@ -176,9 +176,9 @@ def leave(words: "str | None" = "") -> NoReturn:
 
 
 def finish(code: int) -> None:
-    """End a command that was not interrupted; does nothing in a program that keeps its own handlers.
+    """Ends a command that was not interrupted; does nothing in a program that keeps its own handlers.
 
-    What is registered with `atexit` runs. The interpreter's teardown does not: Ctrl-C within it would be a death by signal.
+    Functions registered with `atexit` run. The interpreter's teardown does not: Ctrl-C during it would be a death by signal.
     """
     if not _armed:
         return
@@ -196,11 +196,11 @@ def code() -> int:
 
 
 def _nothing(number, frame) -> None:
-    """The handler while a command is watched: the thread has heard the signal already."""
+    """Does nothing: handler while a command is watched, since the thread has received the signal already."""
 
 
 def _watch(heard: int) -> None:
-    """The thread: waits for the first signal, then for the end, a second signal or the limit."""
+    """Thread that waits for the first signal, then for the end, a second signal or the time limit."""
     first, limit = 0.0, LIMIT
     while True:
         if _asked and not select.select([heard], [], [], max(first + limit - time.monotonic(), 0.0))[0]:
@@ -219,7 +219,7 @@ def _watch(heard: int) -> None:
 
 
 def _end() -> None:
-    """The way out of the first signal."""
+    """Saves, prints and ends the process after the first signal."""
     way = _kept[-1] if _kept else None
     words = ""
     if way is not None:
@@ -234,7 +234,7 @@ def _end() -> None:
 
 
 def _last() -> None:
-    """What has to be done before the process ends, by the ways that are still open; innermost first."""
+    """Runs the last action of every open exit plan, innermost first."""
     for way in reversed(_kept):
         with suppress(Exception):
             if way.last is not None:
@@ -256,7 +256,7 @@ def _at_once() -> NoReturn:
 
 
 def _tidied() -> int | None:
-    """Give the semaphores of multiprocessing back; the process that would do it otherwise, with a warning: it ends by itself."""
+    """Releases the semaphores of multiprocessing and ends its tracker, which would otherwise release them with a warning."""
     if "multiprocessing.resource_tracker" not in sys.modules:
         return None
     import multiprocessing.resource_tracker
@@ -267,7 +267,7 @@ def _tidied() -> int | None:
 
 
 def _children() -> set[int]:
-    """Processes that this one began: where the system tells, also one that is only just being begun."""
+    """Processes that this one started, including, where the system reports it, one that is just being started."""
     found = set()
     with suppress(OSError):
         for listed in Path("/proc/self/task").glob("*/children"):

@@ -1,10 +1,10 @@
-"""Where machine code is kept between runs, so that a second run does not compile it again.
+"""Cache folders of machine code, so that a second run does not compile it again.
 
-    FISHMJ_CACHE                  folder of what fishmj keeps; default $XDG_CACHE_HOME/fishmj or ~/.cache/fishmj
-    JAX_COMPILATION_CACHE_DIR     folder of what JAX keeps; default the folder `jax` in it; set to nothing: JAX keeps nothing
+    FISHMJ_CACHE                  folder of fishmj's caches; default $XDG_CACHE_HOME/fishmj or ~/.cache/fishmj
+    JAX_COMPILATION_CACHE_DIR     folder of JAX's cache; default the folder `jax` in it; set to nothing: JAX keeps nothing
 
-JAX keeps programs that took it a second or more to compile, by everything that their machine code depends on, its own version and
-the processor included. It keeps none with a Python callback in it; programs over the engine `compiled` call that by name
+JAX keeps programs that took a second or more to compile, keyed by everything that their machine code depends on, its own version
+and the processor included. It keeps no program with a Python callback. Programs over the engine `compiled` call it by name
 (engines/compiled.py) and are kept. All of it may be deleted at any time.
 """
 
@@ -16,15 +16,15 @@ JAX = "JAX_COMPILATION_CACHE_DIR"
 
 
 def cache_folder() -> Path:
-    """Where fishmj keeps machine code, and what else is long to make and may be lost."""
+    """Folder for machine code and other results that are slow to make and may be lost."""
     chosen = os.environ.get("FISHMJ_CACHE")
     return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fishmj"
 
 
 def keep() -> None:
-    """Have JAX keep its machine code, unless the user said where or nothing can be written.
+    """Makes JAX keep its machine code, unless the user chose a folder or nothing can be written.
 
-    JAX reads the environment as it is imported. One that is imported already is told by its configuration; programs that it
+    JAX reads the environment on import. If it is imported already, its configuration is changed instead; programs that it
     compiled before are not kept.
     """
     jax = sys.modules.get("jax")

@@ -1,7 +1,7 @@
-"""Names from files: what a robot, link, controller, effect or trial may be called.
+"""Valid names of robots, links, controllers, effects and trials that come from files.
 
-A name ends up in folder names, generated source, pages and shell lines, so it is letters, digits, `_`, `.` and `-` only, at
-most 64 of them, and never `.` or `..`.
+A name ends up in folder names, generated source, pages and shell lines. So it has at most 64 characters, only letters, digits,
+`_`, `.` and `-`, and is never `.` or `..`.
 """
 
 import re
@@ -13,17 +13,18 @@ _NAME = re.compile(PATTERN + r"\Z")
 
 
 def is_name(text: object) -> bool:
-    """Whether `text` can stand in a path, a page and a shell line as it is."""
+    """Returns True if `text` can stand unchanged in a path, a page and a shell line."""
     return isinstance(text, str) and _NAME.match(text) is not None and set(text) != {"."} and not text.startswith("-")
 
 
 def checked(text: object, what: str, where: str = "") -> str:
-    """`text` when it is a name.
+    """Returns `text` if it is a valid name.
 
     Args:
-        what: it names, for the message: "robot", "link". where: file and block.
+        what: kind of the named thing, for the message: "robot", "link". where: file and block.
+
     Raises:
-        ConfigError: it is not; shows what it would be with the other characters replaced.
+        ConfigError: invalid; shows the name with the other characters replaced.
     """
     if isinstance(text, str) and is_name(text):
         return text
@@ -36,7 +37,7 @@ def checked(text: object, what: str, where: str = "") -> str:
 
 
 def nearest(text: str) -> str:
-    """A name made of `text`: other characters become `_`; empty when nothing is left."""
+    """Makes a name of `text`: other characters become `_`; empty if nothing is left."""
     made = re.sub(r"[^A-Za-z0-9_.-]+", "_", text).strip("_.-")[:64]
     return made if is_name(made) else ""
 

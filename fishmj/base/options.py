@@ -1,8 +1,7 @@
-"""Types of command-line options: numbers of a range, lists, names, and outputs that are checked before the work starts; and
-numbers of Python calls (`checked`).
+"""Types of command-line options (numbers of a range, lists, names, outputs checked before the work) and checks of call arguments.
 
-Each is the `type=` of an argparse option; what it refuses is an `ArgumentTypeError` that says what was expected. A command takes
-them from `fishmj.base.console`, which offers them all.
+Each type is the `type=` of an argparse option. A refused value raises an `ArgumentTypeError` that says what was expected. A
+command takes them from `fishmj.base.console`, which offers them all. `checked` and its relatives check arguments of Python calls.
 """
 
 import argparse
@@ -23,7 +22,7 @@ SHOWN = 60  # characters of an argument that an error repeats
 
 
 def shown(text: str, most: int = SHOWN) -> str:
-    """An argument as an error repeats it."""
+    """Shortened argument for an error message."""
     return repr(text if len(text) <= most else f"{text[: most - 3]}...")
 
 
@@ -46,7 +45,7 @@ class Number:
         return value
 
     def holds(self, value: Any) -> bool:
-        """True for a number of the range; a truth value is none."""
+        """Returns True for a number of the range; False for a truth value."""
         kind: Any = Integral if self.whole else Real
         if isinstance(value, bool) or not isinstance(value, kind):
             return False
@@ -90,7 +89,7 @@ def checked_bounds(where: str, value: Any, low: float, high: float) -> tuple[flo
 
 
 def checked_array(where: str, value: Any, shape: tuple[int, ...]) -> Any:
-    """Returns an argument of a Python call as a NumPy array, float64. Raises ConfigError: another shape, or not all finite."""
+    """Returns an argument of a Python call as a float64 NumPy array. Raises ConfigError: another shape, or not all finite."""
     import numpy as np
 
     try:
@@ -103,7 +102,7 @@ def checked_array(where: str, value: Any, shape: tuple[int, ...]) -> Any:
 
 
 def checked_kind(where: str, value: Any, kind: type, *, needed: bool = False) -> Any:
-    """Returns `value`, an object of this class, or None where it is not `needed`. Raises ConfigError."""
+    """Returns `value`, an object of this class, or None unless it is `needed`. Raises ConfigError."""
     if (needed or value is not None) and not isinstance(value, kind):
         raise ConfigError(f"{where} = {shown_value(value)}; expected {kind.__module__}.{kind.__name__}(...)")
     return value
@@ -117,14 +116,14 @@ def checked_name(kind: str, value: Any, known: Iterable[str]) -> str:
 
 
 def checked_names(where: str, value: Any) -> tuple[str, ...]:
-    """Returns several names. Raises ConfigError: no tuple or list of texts, but for example one text."""
+    """Returns several names. Raises ConfigError: not a tuple or list of texts, for example one text."""
     if not isinstance(value, tuple | list) or not all(isinstance(name, str) for name in value):
         raise ConfigError(f"{where} = {shown_value(value)}; expected a tuple of names, (NAME,) of a single one")
     return tuple(value)
 
 
 def shown_value(value: Any) -> str:
-    """A value of a Python call as an error repeats it, in one line."""
+    """One-line text of a value of a Python call, for an error message."""
     line = " ".join(repr(value).split())
     return line if len(line) <= SHOWN else f"{line[: SHOWN - 3]}..."
 
@@ -146,7 +145,7 @@ SEED = whole(0, 2**53 - 1)  # of every draw; a whole number that JSON holds exac
 class Listed:
     """The `type=` of an option that takes 1 to `most` values with commas between them, none of them twice.
 
-    `same` gives what two values have in common that stand for one thing.
+    `same` maps a value to a key; two values with one key count as the same.
     """
 
     item: Any  # the `type=` of each
@@ -257,7 +256,7 @@ def _device(text: str, known: str) -> str:
 
 
 def out_file(text: str) -> Path:
-    """The `type=` of an option that names a file to write: refused before the work starts where that cannot be."""
+    """The `type=` of an option that names a file to write; a place that cannot be written is refused before the work starts."""
     where = path(text)
     if _is(where, Path.is_dir):
         raise argparse.ArgumentTypeError(f"{where}: is a folder; name a file to write")
@@ -266,7 +265,9 @@ def out_file(text: str) -> Path:
 
 
 def out_folder(text: str) -> Path:
-    """The `type=` of an option that names a folder to write into: refused before the work starts where that cannot be."""
+    """The `type=` of an option that names a folder to write into; one that cannot be written is refused before the work
+    starts.
+    """
     where = path(text)
     if _is(where, Path.exists) and not _is(where, Path.is_dir):
         raise argparse.ArgumentTypeError(f"{where}: is a file; name a folder to write into")
@@ -282,7 +283,7 @@ def _is(where: Path, what: Callable[[Path], bool]) -> bool:
 
 
 def _writable(where: Path, folder: Path) -> None:
-    """Whether a file can be made in `folder`, which may not exist yet; writes nothing."""
+    """Raises ArgumentTypeError if no file can be made in `folder`, which may not exist yet; leaves no file behind."""
     _is(where, Path.exists)
     there = next(p for p in (folder.absolute(), *folder.absolute().parents) if _is(p, Path.exists))
     if not there.is_dir():

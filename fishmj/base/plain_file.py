@@ -1,4 +1,4 @@
-"""Is a path a plain file that can be read to its end? A pipe waits for a writer, a device never ends."""
+"""Checks that a path is a plain file that can be read to its end. A pipe waits for a writer, a device never ends."""
 
 import errno
 import stat
@@ -12,7 +12,7 @@ SMALL = 1024  # bytes; a pointer is shorter
 
 
 def trouble(path: str | Path, wanted: str = "a file") -> str:
-    """Why `path` cannot be read as a file, in a few words that follow "PATH: "; "" where it can. Links are followed."""
+    """Reason that `path` cannot be read as a file, in a few words that follow "PATH: "; "" if it can. Links are followed."""
     path = Path(path)
     try:
         told = path.stat()
@@ -30,7 +30,7 @@ def trouble(path: str | Path, wanted: str = "a file") -> str:
 
 
 def _starts_as_pointer(path: Path) -> bool:
-    """True for the few lines that Git LFS leaves in place of a large file."""
+    """Returns True for the pointer text that Git LFS leaves in place of a large file."""
     try:
         with open(path, "rb") as file:
             return file.read(len(POINTS)) == POINTS

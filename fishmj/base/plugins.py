@@ -1,10 +1,10 @@
-"""Code of the user's own, found by what the user typed: `package.module:Name`, `./my_file.py:Name`, or an installed entry point.
+"""Loads the user's own code, named as `package.module:Name`, `./my_file.py:Name`, or an installed entry point.
 
     controller = load("controller", "./my_fish.py:MyController", known=NAMES)
 
-Only a word from the command line or an argument of a Python call may come here, because to load it is to run it. Text from
-a file never does: descriptions, logs, data sets, policy headers, verdicts and settings of a run are compared with what was
-loaded (`loaded`), and otherwise refused.
+Loading code runs it. So only a word from the command line or an argument of a Python call may come here. Text from a file
+(descriptions, logs, data sets, policy headers, verdicts, settings of a run) is only compared with what was loaded already
+(`loaded`), and otherwise refused.
 """
 
 import importlib
@@ -36,28 +36,29 @@ def group(kind: str) -> str:
 
 
 def is_reference(text: str) -> bool:
-    """Whether `text` has the form `package.module:Name` or `path/to/file.py:Name`."""
+    """Returns True if `text` has the form `package.module:Name` or `path/to/file.py:Name`."""
     return _REFERENCE.match(text) is not None
 
 
 def listed(kind: str) -> list[str]:
-    """Names of the installed entry points of a kind; nothing of theirs is imported."""
+    """Names of the installed entry points of a kind; imports none of them."""
     return sorted({point.name for point in entry_points(group=group(kind)) if is_name(point.name)})
 
 
 def loaded(kind: str) -> dict[str, Any]:
-    """What was loaded in this process: the text that the user gave -> the object. Looking here runs nothing."""
+    """Objects loaded so far in this process, by the text that the user gave. This runs no code."""
     return dict(_LOADED[kind])
 
 
 def load(kind: str, text: str, known: Iterable[str] = ()) -> Any:
-    """The object that the user named on the command line or in a call.
+    """Loads the object that the user named on the command line or in a call.
 
     Args:
         kind: one of KINDS. known: names of fishmj's own, for the message.
+
     Raises:
-        UnknownName: neither a reference nor an installed entry point. OwnCodeError: no such module or name, or it fails while
-            it is imported; names file and line.
+        UnknownName: neither a reference nor an installed entry point. OwnCodeError: no such module or name, or its import fails;
+            names file and line.
     """
     text = str(text)
     if text not in _LOADED[kind]:
@@ -77,13 +78,13 @@ def load(kind: str, text: str, known: Iterable[str] = ()) -> Any:
 
 
 def name_of(text: str) -> str:
-    """What own code is called in reports, logs and file names: the reference with other characters replaced."""
+    """Name of the user's own code in reports, logs and file names: the reference with other characters replaced."""
     module, _, name = text.partition(":")
     return nearest(f"{Path(module).stem if module.endswith('.py') else module}.{name}" if name else text) or "own"
 
 
 def source_sha256(thing: Any) -> str:
-    """sha256 of the file that defines an object (its class), empty where there is none: to tell stored results apart."""
+    """sha256 of the file that defines an object (or its class), "" if there is none: it tells stored results apart."""
     try:
         file = inspect.getsourcefile(thing if inspect.isclass(thing) or inspect.isroutine(thing) else type(thing))
     except TypeError:
@@ -92,10 +93,10 @@ def source_sha256(thing: Any) -> str:
 
 
 def call(what: str, function: Callable, *arguments: Any, **named: Any) -> Any:
-    """`function(..)` of the user's own; what it raises becomes one line with file and line.
+    """Calls `function(..)` of the user's own code; an exception in it becomes one line with file and line.
 
     Raises:
-        OwnCodeError: it raised. Errors of fishmj itself pass.
+        OwnCodeError: the function raised. Errors of fishmj itself pass.
     """
     try:
         return function(*arguments, **named)
@@ -104,19 +105,20 @@ def call(what: str, function: Callable, *arguments: Any, **named: Any) -> Any:
 
 
 def fault(what: str, error: BaseException) -> OwnCodeError:
-    """An error of the user's code as one line: where in it, what, and how to see all of it."""
+    """Error of the user's code as one line: place, message, and how to see the whole traceback."""
     if isinstance(error, OwnCodeError):
         return error
     return OwnCodeError(f"{what}: {_place(error)}{_said(error)}; FISHMJ_TRACEBACK=1 shows the whole traceback")
 
 
 def takes(what: str, function: Any, shape: str, count: int) -> None:
-    """Check that `function` can be called with `count` positional arguments, before it is.
+    """Checks that `function` can be called with `count` positional arguments, without calling it.
 
     Args:
         what: for the message. shape: the call as it should read, "reward(xp, step)".
+
     Raises:
-        OwnCodeError: it cannot, or is no function.
+        OwnCodeError: it cannot be called like this, or is not callable.
     """
     if not callable(function):
         raise OwnCodeError(f"{what}: has no {shape}; add it (docs/simulate/your_own_code.md)")

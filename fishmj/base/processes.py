@@ -1,9 +1,9 @@
-"""Processes that a command begins beside itself: deaf to Ctrl-C, ending with it, each with its share of the cores.
+"""Worker processes of a command: they ignore Ctrl-C, end with the command, and share the cores.
 
 with deaf():
-    pipe, process = beside(work, ...)   Ctrl-C is left to the one that began it (`interrupt`)
-ends_with_its_parent()                  first in the process: however the other ends, nobody would take the answer
-bind(number, of)                        it takes the cores number, number + of, ... of those that it may run on
+    pipe, process = beside(work, ...)   Ctrl-C is left to the parent (`interrupt`)
+ends_with_its_parent()                  first call in the worker: it ends whenever its parent ends
+bind(number, of)                        the worker takes cores number, number + of, ... of those that it may run on
 """
 
 import os
@@ -19,9 +19,10 @@ from typing import Any
 
 
 def beside(work: Callable[..., None], *args: Any, name: str = "") -> tuple[Connection, BaseProcess]:
-    """A process that does `work(pipe, *args)`: our end of the pipe, and the process, which is killed if this one ends.
+    """Starts a process that runs `work(pipe, *args)`. Returns our end of the pipe and the process.
 
-    It is spawned: a fork of a process that has used a GPU cannot use it. All can be pickled.
+    The process is killed if this one ends. It is spawned, because a fork of a process that has used a GPU cannot use it.
+    All arguments must be picklable.
     """
     context = get_context("spawn")
     ours, theirs = context.Pipe()
@@ -33,7 +34,7 @@ def beside(work: Callable[..., None], *args: Any, name: str = "") -> tuple[Conne
 
 @contextmanager
 def deaf() -> Iterator[None]:
-    """Processes begun meanwhile do not hear Ctrl-C, not even while they import: it is left to the one that began them."""
+    """Context in which started processes ignore Ctrl-C, also while they import; the parent handles it."""
     ensure_running()  # what frees semaphores takes the block off where it is begun meanwhile
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -43,15 +44,15 @@ def deaf() -> Iterator[None]:
 
 
 def ends_with_its_parent() -> None:
-    """From now on this process ends when the one that began it does, however that ends."""
+    """Makes this process end when its parent ends, for whatever reason."""
     threading.Thread(target=_orphaned, name="orphaned", daemon=True).start()
 
 
 def bind(number: int, of: int) -> None:
-    """Keep this process to its share of the cores, one at least; where the system cannot, it stays as it is.
+    """Binds this process to its share of the cores, at least one; does nothing on a system without core affinity.
 
     Args:
-        number: from 0, of `of` processes that share what this one may run on.
+        number: index from 0 of this process among the `of` processes that share the cores.
     """
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
@@ -59,7 +60,7 @@ def bind(number: int, of: int) -> None:
 
 
 def _orphaned() -> None:
-    """Waits for the end of the process that began this one."""
+    """Waits for the end of the parent process."""
     parent = parent_process()
     if parent is not None:
         wait([parent.sentinel])

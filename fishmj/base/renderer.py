@@ -1,6 +1,6 @@
-"""MUJOCO_GL: MuJoCo and dm_control settle how they draw while they are imported, and fail there where that cannot be.
+"""MUJOCO_GL: MuJoCo and dm_control choose their renderer on import, and fail there if it does not load.
 
-fishmj draws nothing with it but dm_control's own pictures. `watch` turns such a failure into one line with the remedy.
+fishmj uses it only for dm_control's own pictures. `watch` turns such a failure into one line with the remedy.
 """
 
 import os
@@ -16,9 +16,9 @@ CHOICES = "egl (GPU), osmesa, glfw (screen) or disabled"
 
 
 def watch() -> None:
-    """Look at the imports of `WATCHED` from now on; a second call changes nothing.
+    """Watches the imports of `WATCHED` from now on; a second call changes nothing.
 
-    GLFW's warning that there is no screen is left out: dm_control then takes another renderer.
+    It hides GLFW's warning that there is no screen, since dm_control then takes another renderer.
     """
     if not any(isinstance(finder, _Watch) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Watch())
@@ -26,7 +26,7 @@ def watch() -> None:
 
 
 def said_of(error: Exception) -> str:
-    """One line for a renderer that does not load."""
+    """One-line message for a renderer that does not load."""
     why = " ".join(str(error).split()) or type(error).__name__
     return (
         f"{VARIABLE} = {os.environ[VARIABLE]!r}: this renderer does not load here ({why[:200]}); unset the variable, or set it"
@@ -35,7 +35,7 @@ def said_of(error: Exception) -> str:
 
 
 class _Watch(MetaPathFinder):
-    """Finds nothing itself: the others find, and what the module raises is explained where `VARIABLE` is set."""
+    """Import finder that finds nothing itself: it adds an explanation to the error of a watched module if `VARIABLE` is set."""
 
     def find_spec(self, fullname, path=None, target=None):
         if fullname not in WATCHED or VARIABLE not in os.environ:

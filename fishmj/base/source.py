@@ -1,4 +1,4 @@
-"""Which fishmj this is: what the files that it makes say of it, and what results that are kept depend on."""
+"""Identity of this fishmj: commit, versions and a source hash, for the files that it writes and for kept results."""
 
 import hashlib
 import subprocess
@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parents[1]
 
 @cache
 def package_sha256() -> str:
-    """Hex digest over the source of this package and its constants."""
+    """Hex digest of the source of this package and its constants."""
     digest = hashlib.sha256()
     for path in [*sorted(HERE.rglob("*.py")), *sorted(calib_folder().glob("*.toml"))]:
         digest.update(path.read_bytes())
@@ -23,10 +23,10 @@ def package_sha256() -> str:
 
 @cache
 def commit() -> str:
-    """The commit that this package is checked out at, `-dirty` where files differ from it; `fishmj 1.2` where it is installed."""
+    """Commit of the checkout, with `-dirty` if files differ from it; `fishmj 1.2` for an installed package."""
     asked = (("ls-files", "--error-unmatch", HERE.name), ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"))
     try:
-        # the first asks whether the repository around is ours: an environment may lie in anybody's
+        # the first call checks that the surrounding repository is ours: an environment may lie inside any other
         said = [subprocess.run(["git", *words], cwd=HERE.parent, capture_output=True, text=True, timeout=5) for words in asked]
     except (OSError, subprocess.TimeoutExpired):
         said = []

@@ -1,4 +1,4 @@
-"""What goes to the terminal: text whose reader may leave, tables, durations."""
+"""Output to the terminal: safe text, a reader that may close the pipe, tables, durations."""
 
 import math
 import os
@@ -12,12 +12,12 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2
 
 
 def printable(text: str) -> str:
-    """`text` without what commands a terminal or turns the direction of writing: text of a file is shown, never obeyed."""
+    """`text` without control characters and marks of writing direction: text of a file is shown, never obeyed."""
     return _CONTROL.sub("", text)
 
 
 def put(text: str, stream: IO[str], end: str = "\n") -> None:
-    """Prints at once. A reader that leaves (`| head`) takes its text away, never the work: the command goes on in silence."""
+    """Prints at once. If the reader leaves (`| head`), the output is dropped and the command goes on in silence."""
     try:
         print(text, end=end, file=stream, flush=True)
     except BrokenPipeError:
@@ -25,7 +25,7 @@ def put(text: str, stream: IO[str], end: str = "\n") -> None:
 
 
 def silence(stream: IO[str]) -> None:
-    """Sends what a stream still has to say nowhere, child processes included."""
+    """Sends all further output of a stream nowhere, child processes included."""
     number = stream.fileno()
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, number)
@@ -59,7 +59,7 @@ def cell(value: Any) -> str:
 
 
 def duration(seconds: float) -> str:
-    """`7.2 s`, `3 min 05 s`, `2 h 10 min`, `12 days`, `37 years`."""
+    """A duration in words: `7.2 s`, `3 min 05 s`, `2 h 10 min`, `12 days`, `37 years`."""
     if not math.isfinite(seconds):
         return "?"
     if seconds < 60:

@@ -1,4 +1,4 @@
-"""Why a text is no TOML, for someone who never read its grammar: the line, its text, the block it stands in, what to do.
+"""Explains a TOML syntax error to someone who does not know the grammar: line, text, block, what to do.
 
 line 44, 'mass = 0,744', in [[link]] 4: a decimal comma; write a point, 0.744
 """
@@ -17,7 +17,7 @@ _NUMBER = r"[+-]?\d[\d_]*(?:\.\d+)?(?:[eE][+-]?\d+)?"
 
 
 def explained(text: str, error: ValueError) -> str:
-    """One line, in place of what tomllib said of `text`; without the name of the file."""
+    """One-line explanation in place of tomllib's message on `text`, without the name of the file."""
     told = " ".join(str(error).split())
     lines = text.replace("\r\n", "\n").split("\n")
     if kind := _another_format(text):
@@ -48,7 +48,7 @@ def _another_format(text: str) -> str:
 
 
 def _at(lines: list[str], at: int) -> str:
-    """`line 44, 'mass = 0,744', in [[link]] 4`."""
+    """Place of a line in words: `line 44, 'mass = 0,744', in [[link]] 4`."""
     block = "" if _HEADER.fullmatch(lines[at]) else _block(lines, at)[0]
     return f"line {at + 1}, {_shown(lines[at])}" + (f", in {block}" if block else "")
 
@@ -60,7 +60,7 @@ def _shown(line: str) -> str:
 
 
 def _block(lines: list[str], at: int) -> tuple[str, int]:
-    """(header of the block that line `at` stands in, its own line), ("", -1) at the top of the file."""
+    """(header of the block around line `at`, its line), ("", -1) at the top of the file."""
     for i in range(at - 1, -1, -1):
         if found := _HEADER.fullmatch(lines[i]):
             name = found[2][:SHOWN]
@@ -72,7 +72,7 @@ def _block(lines: list[str], at: int) -> tuple[str, int]:
 
 
 def _open_bracket(lines: list[str], at: int, column: int) -> int | None:
-    """The line of the outermost [ or { of a value that is open at the error; None where none is, or it opened on that line."""
+    """Line of the outermost [ or { that is open at the error; None if none is open, or if it opened on that line."""
     _, header = _block(lines, at)
     open_at: list[int] = []
     text = False  # within a text of several lines
@@ -115,7 +115,7 @@ def _unclosed(lines: list[str], began: int, at: int) -> str:
 
 
 def _twice(lines: list[str], at: int, told: str) -> str:
-    """A key or a block that stands twice."""
+    """Explanation of a key or a block that occurs twice."""
     line = lines[at]
     if header := _HEADER.fullmatch(line):
         name = header[2]
@@ -140,7 +140,7 @@ def _quotes(line: str) -> str:
 
 
 def _guess(line: str, told: str) -> str:
-    """What went wrong within one line."""
+    """Explanation of an error within one line."""
     if _MERGE.match(line):
         return "the mark of a merge of two versions; keep one side and take out the three marks"
     if guess := _quotes(line):
@@ -162,7 +162,7 @@ def _guess(line: str, told: str) -> str:
 
 
 def _value(code: str, told: str) -> str:
-    """What is wrong with what stands behind the =."""
+    """Explanation of an error behind the =."""
     key, sign, value = code.partition("=")
     value = value.strip()
     if not sign:
@@ -189,6 +189,6 @@ def _value(code: str, told: str) -> str:
 
 
 def _plain(told: str) -> str:
-    """What tomllib says, without Python's types."""
+    """tomllib's message without Python's types."""
     names = re.sub(r"\(('[^']*'(?:, '[^']*')*),?\)", lambda m: m[1].replace("'", "").replace(", ", "."), told)
     return "".join(c if c.isprintable() else "?" for c in names[:120])

@@ -12,12 +12,12 @@ from fishmj.mjcf.description import Robot
 
 
 def in_step(args: Any, robot: Robot, stack: ExitStack) -> Any:
-    """`loopback.in_step.wired`, imported where a robot in lockstep is asked for."""
+    """Calls `loopback.in_step.wired`, which is imported only for a robot in lockstep."""
     return import_module("fishmj.deploy.loopback.in_step").wired(args, robot, stack)
 
 
 def trials(argv: list[str]) -> int | None:
-    """The command `deploy trials`, with the loopback robot that the host itself never imports."""
+    """The command `deploy trials`, with the loopback robot that the host itself never imports. Returns the exit code."""
     return import_module("fishmj.deploy.commands.trials_command").main(argv, in_step)
 
 

@@ -1,9 +1,9 @@
-"""The catalogue: every imperfection that fishmj knows by name, one small file each, by the stage at which it acts.
+"""Catalogue of the imperfections that fishmj knows by name, one small file each, by the stage at which each acts.
 
     effects.get("command_latency").formula
     active = effects.EffectStack([effects.get("coulomb_friction")], joints=3)
 
-The same entries are what domain randomisation draws, what a calibration lists, and what the discrepancy workflow may name.
+Domain randomisation draws from these entries, a calibration lists them, and the discrepancy workflow may name them.
 """
 
 from functools import cache
@@ -28,7 +28,7 @@ def catalogue() -> dict[str, Effect]:
 
 
 def join(effect: Effect) -> None:
-    """Put an effect of one's own into the catalogue of this process; `engines.own_effects` checks it first.
+    """Adds the user's own effect to the catalogue of this process; `engines.own_effects` checks it first.
 
     Raises:
         ConfigError: another effect has that name.

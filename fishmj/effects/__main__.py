@@ -37,7 +37,7 @@ def record(e: Effect) -> dict:
 
 
 def enters(e: Effect) -> str:
-    """How it enters the model."""
+    """Ways in which an effect enters the model: sites, clock delays, random streams, MuJoCo's own options."""
     ways = [f"site {site}" for site in e.sites]
     ways += [f"delay of the clock {clock}" for clock in dict.fromkeys((*e.delays, *e.drifts))]
     ways += [f"drawn once a run on the stream {e.stream}"] if e.stochastic else []
@@ -45,7 +45,7 @@ def enters(e: Effect) -> str:
 
 
 def text(e: Effect) -> str:
-    """One effect in full."""
+    """Description of one effect in full."""
     lines = [f"{e.name} ({e.stage})", f"  {e.about}", f"  formula   {e.formula}", f"  source    {e.source}"]
     lines += [f"  shows in  {', '.join(e.shows) or 'velocity'}", f"  enters    {enters(e)}", "  parameters"]
     lines += [f"    {_parameter(p)}" for p in e.parameters]
@@ -72,7 +72,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """Print the table, or one effect."""
+    """Prints the table, or one effect. Returns the exit code."""
     args = options().parse_args(argv)
     chosen = [effects.get(args.name)] if args.name else list(effects.catalogue().values())
     if args.json:

@@ -1,13 +1,13 @@
-"""Effects that no amount of data of a certain kind can tell apart, why, and the experiment that splits them.
+"""Effects that no amount of data of a certain kind can tell apart, the reason, and the experiment that separates them.
 
-A verdict must name the class, not a member, while the splitting experiment is missing.
+Until that experiment is done, a verdict must name the class and not a member.
 """
 
 from typing import NamedTuple
 
 
 class AmbiguityClass(NamedTuple):
-    """One class. effects: entries of the catalogue; besides: what else looks the same and is no effect of the catalogue."""
+    """One class. effects: entries of the catalogue; besides: causes outside the catalogue that look the same."""
 
     name: str
     effects: tuple[str, ...]

@@ -6,7 +6,7 @@
     hash = "sha256 of the evidence"
     parameters.torque = { value = 0.081, low = 0.074, high = 0.089 }
 
-The order is that in which the effects act. A file without blocks is the nominal robot.
+The effects act in the order of the file. A file without blocks is the nominal robot.
 """
 
 import math
@@ -24,7 +24,7 @@ KEYS = ("name", "parameters", "provenance", "hash")
 
 
 class Interval(NamedTuple):
-    """A value and the interval that it is believed to lie in; low = high = value where none is known."""
+    """A value and its interval; low = high = value if the interval is unknown."""
 
     value: float
     low: float
@@ -32,7 +32,7 @@ class Interval(NamedTuple):
 
 
 class FittedEffect(NamedTuple):
-    """One effect of a calibration. parameters: {name: Interval}; those left out are at their null."""
+    """One effect of a calibration. parameters: {name: Interval}; parameters that are left out have their null values."""
 
     name: str
     parameters: dict[str, Interval]
@@ -51,7 +51,11 @@ def read(source: "str | Path") -> tuple[FittedEffect, ...]:
 
 
 def parse(table: dict, where: str) -> tuple[FittedEffect, ...]:
-    """The same from a parsed TOML table; `where` begins the error messages."""
+    """Effects of a parsed TOML table, checked; `where` begins the error messages.
+
+    Raises:
+        ConfigError: as `read`.
+    """
     blocks = table.get("effect", [])
     if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
         raise ConfigError(f"{where}: effects are blocks [[effect]], got {str(blocks)[:80]}")
@@ -64,7 +68,7 @@ def parse(table: dict, where: str) -> tuple[FittedEffect, ...]:
 
 
 def write(path: "str | Path", effects: "tuple[FittedEffect, ...] | list[FittedEffect]") -> Path:
-    """Put `effects` in place of the blocks of the TOML at `path`; all else stays as it is, comments too. Atomic.
+    """Replaces the effect blocks of the TOML at `path` by `effects`, atomically; everything else stays.
 
     Raises:
         ConfigError: as `read`; nothing is written then.
@@ -84,7 +88,7 @@ def activate(effects, joints: int) -> tuple[EffectStack, np.ndarray]:
 
 
 def fitted(active: EffectStack, row, low=None, high=None, provenance: str = "", hash: str = "") -> tuple[FittedEffect, ...]:  # noqa: A002
-    """A calibration from a stack and rows (P,) of values and, where known, of the ends of their intervals."""
+    """A calibration from a stack and rows (P,) of values and, if known, of the ends of their intervals."""
     low, high = row if low is None else low, row if high is None else high
     intervals = {key: Interval(*map(float, x)) for key, *x in zip(active.names, row, low, high, strict=True)}
     named = lambda e: {p.name: intervals[e.name, p.name] for p in e.parameters}

@@ -1,13 +1,13 @@
-"""Dry friction that sticks: what the effects of gear trains share.
+"""Dry friction that sticks, shared by the effects of gear trains.
 
-    z <- clip(z + h w, +-b)              how far the teeth have given way before they slide
-    s = (z + h w - z) / h                how fast they slide; none while they give way
-    tau = -F(s)/b (z~ + h w'),           z~ = clip(z + h w, +-b) - h w, w' the rate after the step: at most F, and none of it is
-                                         left over that could turn the motion round
-    tau = -F(s) w'/|w~|                  where a step moves further than b; w~ the larger of w and w + (w - w_before), which is
-                                         what w' will be while a joint breaks away
+    z <- clip(z + h w, +-b)              deflection of the teeth before they slide
+    s = (z + h w - z) / h                sliding speed; zero while the teeth only deflect
+    tau = -F(s)/b (z~ + h w'),           z~ = clip(z + h w, +-b) - h w, w' the rate after the step: at most F, and too little
+                                         to reverse the motion
+    tau = -F(s) w'/|w~|                  if a step moves further than b; w~ the larger of w and w + (w - w_before), the
+                                         expected w' while a joint breaks away
 
-A joint at rest stays where it is until the motor overcomes F. A friction that grows with speed near rest instead lets a loaded
+A joint at rest stays there until the motor overcomes F. A friction that grows with speed near rest would instead let a loaded
 joint creep back within seconds. (Jenkins' slider; presliding of Dahl 1968, DOI 10.21236/ADA041920.)
 """
 

@@ -1,4 +1,4 @@
-"""What an effect is: one imperfection of a robot, its water, its tank or its sensors that a simulation may be missing.
+"""Definition of an effect: one imperfection of a robot, its water, its tank or its sensors that a simulation may lack.
 
 An effect is data plus small pure functions at named sites (sites.py). At the null values of its parameters it is the identity,
 bit for bit. The functions use arithmetic and the array namespace `xp` only, so one definition serves the planar chain, its
@@ -20,10 +20,10 @@ STREAMS = ("command", "flow", "seen")  # what a stochastic effect may draw
 class Parameter:
     """One number of an effect, SI.
 
-    null: value at which the effect is not there. low, high: physical bounds. typical: (small, large) values to expect, what a
-    search probes with and domain randomisation draws from; a signed parameter may lie on either side of its null, mirrored there.
-    shape: it shapes the effect but does not make it; while the others are at their null, any value of it is the identity.
-    fine: only a value that is right to a fraction of a per cent explains anything, so a search must try many.
+    null: value without effect. low, high: physical bounds. typical: (small, large) expected values, probed by a search and drawn
+    by domain randomisation; a signed parameter may lie on either side of its null, mirrored there.
+    shape: the parameter shapes the effect but does not cause it: while the others are at their null, any value is the identity.
+    fine: only a value within a fraction of a per cent explains anything, so a search must try many.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Parameter:
 
     @property
     def signed(self) -> bool:
-        """Whether both sides of the null make sense."""
+        """Returns True if both sides of the null are possible."""
         return self.low < self.null < self.high and not self.shape
 
     @property
@@ -58,7 +58,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Confusion:
-    """Another effect that looks alike, and the experiment that tells them apart."""
+    """Another effect with a similar signature, and the experiment that tells them apart."""
 
     other: str  # its name
     separates: str  # what tells them apart
@@ -69,8 +69,8 @@ class Confusion:
 class Effect:
     """One entry of the catalogue.
 
-    about, formula: one line each. source: where formula and magnitudes come from. shows: channels. native: how MuJoCo itself can
-    hold it, "" when only a hook can. Sites (None = not there), called with p, a namespace of this effect's parameters:
+    about, formula: one line each. source: of formula and magnitudes. shows: channels. native: MuJoCo's own means to model it, ""
+    if only a hook can. Sites (None = not used), called with p, a namespace of this effect's parameters:
 
         servo(xp, p, ServoDrive, memory, h) -> (ServoDrive, memory)     one joint, before the drive
         gear(xp, p, Gear, memory, h) -> (Gear, memory)                  one joint, after the drive
@@ -83,11 +83,11 @@ class Effect:
         delays {clock: parameter}                               transport delay of a clock, s
         drifts {clock: parameter}                               rate of a clock, 1 = true: the delay grows by (rate - 1) t
 
-    memory: initial values of what a site remembers, one set a joint at the sites servo, gear and command.
-    rank: at a site effects act in order of rank, then as listed: first what comes first on the robot.
-    What tests of every effect need to know of this one:
+    memory: initial values of a site's memory, one set a joint at the sites servo, gear and command.
+    rank: at a site effects act in order of rank, then as listed: upstream parts of the robot first.
+    Facts for the tests of every effect:
         handed      parameters whose sign a mirror turns
-        one_sided   it pulls or pushes to one side for good: a mirrored fish does not swim the mirrored way
+        one_sided   it pulls or pushes to one side only: a mirrored fish does not swim the mirrored way
         stores      it gives back energy that it took, as a spring: it may push
         unplanted   why the second robot (gap/laboratory/virtual_robot/catalogue.py) does not hide it; "": it does
         planted     why it hides it in sizes that are not typical here; "": the ranges overlap
@@ -164,5 +164,5 @@ class Effect:
 
     @property
     def null(self) -> tuple[float, ...]:
-        """Parameters at which it is not there."""
+        """Parameter values without effect."""
         return tuple(p.null for p in self.parameters)

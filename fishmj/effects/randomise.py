@@ -9,8 +9,8 @@ from fishmj.effects.stack import EffectStack
 def draw(active: EffectStack, n: int, rng: np.random.Generator, scale: float = 1.0) -> np.ndarray:
     """(n, P) parameter rows in the order of `active.names`.
 
-    Each value is uniform in its `typical` range, on either side of the null where both make sense, `scale` times as far from
-    the null, and inside the bounds. scale = 0 gives null rows. Shape parameters are drawn as they are.
+    Each value is uniform in its `typical` range, on either side of the null if the parameter is signed, `scale` times as far from
+    the null, and inside the bounds. scale = 0 gives null rows. Shape parameters are drawn unscaled.
     """
     columns = [_column(p, n, rng, scale) for effect in active.effects for p in effect.parameters]
     return np.stack(columns, 1) if columns else np.zeros((n, 0))
@@ -25,14 +25,14 @@ def _column(p: Parameter, n: int, rng: np.random.Generator, scale: float) -> np.
 
 
 def width(active: EffectStack, names) -> int:
-    """Uniform numbers that `drawn` needs for the effects `names`."""
+    """Number of uniform draws that `drawn` needs for the effects `names`."""
     return 2 * sum(len(effect.parameters) for effect in active.effects if effect.name in names)
 
 
 def drawn(xp, active: EffectStack, rows, names, uniforms, scale: float = 1.0):
-    """Parameter rows (B, P) with those of the effects `names` drawn as `draw` does, from uniforms (B, width) in [0, 1).
+    """Parameter rows (B, P) with those of the effects `names` drawn as by `draw`, from uniforms (B, width) in [0, 1).
 
-    One definition for NumPy and for JAX: the draws are passed in.
+    One definition serves NumPy and JAX: the uniform draws are passed in.
     """
     columns, k = [], 0
     for i, (name, parameter) in enumerate(active.names):

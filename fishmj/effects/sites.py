@@ -1,4 +1,4 @@
-"""What an effect sees at each site, and changes with `_replace`. Scalars or equal-shaped arrays, SI."""
+"""Data that an effect reads at each site, and changes with `_replace`. Scalars or equal-shaped arrays, SI."""
 
 from typing import Any, NamedTuple
 
@@ -80,7 +80,7 @@ class BodyMotion(NamedTuple):
 class LocalWater(NamedTuple):
     """Forces of the water on the links, except those proportional to their acceleration; lists, one entry a link.
 
-    forces - instant is what vortices, drag and the trailing edge do: what a wake may hold back and a wall may raise.
+    forces - instant is the part from vortices, drag and the trailing edge: a wake may delay it and a wall may raise it.
     """
 
     forces: Any  # [(F_t N, F_n N, moment N m about the link's origin)]
@@ -94,7 +94,7 @@ class LocalWater(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What the sensors report at the times of one record, arrays (..., T); joints (..., T, J)."""
+    """Sensor readings at the times of one record, arrays (..., T); joints (..., T, J)."""
 
     t: Any  # s
     x: Any  # m

@@ -1,17 +1,16 @@
-"""Effects put together: what the physics of a fish calls at its sites.
+"""Stack of effects: the physics of a fish calls it at its sites.
 
     active = EffectStack((friction, latency), joints=3)
     session = active.begin(xp, parameters, memory)      # parameters: flat list, memory: flat list
     drive = session.servo(j, servo) ...                 # the physics calls the sites in order
-    session.memory                                      # what is remembered for the next step
+    session.memory                                      # memory for the next step
 
 Parameters and memory are flat lists of scalars or arrays in the order of `active.names` and `active.memory`: easy to carry
 through a compiled loop, a scan or a log.
 
-Two things happen outside a step. Commands pass the sites `command` along time, before any physics (`delivered`). And packets
-that come late or not at all, gusts and sensor noise are drawn once a run, each with its own random numbers (`arrivals`, `gusts`,
-`noise`): they leave the mean of replicates where it is (jitter shifts it by its own mean) and widen their scatter, so no site of
-the physics holds them.
+Two things happen outside a step. Commands pass the sites `command` along time, before any physics (`delivered`). Late or lost
+packets, gusts and sensor noise are drawn once a run, each with its own random numbers (`arrivals`, `gusts`, `noise`). They keep
+the mean of replicates (jitter shifts it by its own mean) and widen their scatter, so no site of the physics holds them.
 """
 
 from types import SimpleNamespace
@@ -26,7 +25,7 @@ BASE = 2  # memory that is always there: current from the supply [A], time [s]
 
 
 class Slot(NamedTuple):
-    """Where one effect lies in the flat lists."""
+    """Position of one effect in the flat lists."""
 
     effect: Effect
     first: int  # parameter
@@ -60,7 +59,7 @@ class EffectStack:
         return self.names.index((effect, parameter))
 
     def flat(self, values: dict[str, dict[str, float]]) -> list[float]:
-        """{effect: {parameter: value}} as the flat list; what is not given keeps its null."""
+        """{effect: {parameter: value}} as the flat list; missing parameters keep their null."""
         row = list(self.null)
         for effect, given in values.items():
             for parameter, value in given.items():
@@ -72,7 +71,10 @@ class EffectStack:
         return EffectStep(self, xp, list(parameters), list(memory))
 
     def delay(self, xp, parameters, clock: str, t=0.0):
-        """Sum of the transport delays of a clock at the times t [s] since the session began, s. Negative: its stamps are late."""
+        """Sum of the transport delays of a clock [s] at the times t [s] since the session began.
+
+        Negative: its stamps are late.
+        """
         total = 0.0
         for slot in self.slots:
             p = vars(_values(slot, parameters))
@@ -87,7 +89,7 @@ class EffectStack:
         return [(s.effect, _values(s, parameters)) for s in self.slots if s.effect.stream == stream]
 
     def measure(self, xp, parameters, seen):
-        """What the sensors make of the record `seen`; parameters may be arrays that broadcast over its time axis."""
+        """Applies the measurement effects to the record `seen`; parameters may be arrays that broadcast over its time axis."""
         for slot in self.order:
             if slot.effect.measure is not None:
                 seen = slot.effect.measure(xp, _values(slot, parameters), seen)
@@ -95,7 +97,7 @@ class EffectStack:
 
 
 class EffectStep:
-    """One physics step: the sites, and the memory as it changes."""
+    """One physics step: the sites, and the changing memory."""
 
     def __init__(self, active: EffectStack, xp, parameters: list, memory: list):
         self.xp, self.memory = xp, memory
@@ -103,12 +105,12 @@ class EffectStep:
 
     @property
     def current(self):
-        """What all servos drew from the supply one step ago, A."""
+        """Current of all servos from the supply one step ago, A."""
         return self.memory[0]
 
     @property
     def time(self):
-        """s since the session began."""
+        """Time since the session began, s."""
         return self.memory[1]
 
     def command(self, joint: int, value, h: float):
@@ -145,7 +147,7 @@ class EffectStep:
         return self.memory
 
     def acts(self, site: str) -> bool:
-        """Whether any effect acts there."""
+        """Returns True if any effect acts at this site."""
         return any(getattr(slot.effect, site) is not None for slot, _ in self._placed)
 
     def _plain(self, site: str, value: Any):
@@ -174,13 +176,14 @@ def _values(slot: Slot, parameters) -> SimpleNamespace:
 
 
 def delivered(xp, active: EffectStack, parameters, commands, h: float):
-    """What the servos are told when `commands` are sent; without the delay of the clock "command", by which a servo looks back.
+    """Commands as the servos receive them, except for the delay of the clock "command", which the servo applies itself.
 
     Args:
         xp: numpy, or jax.numpy outside a compiled function.
         active: the effects, in their order.
         parameters: (P,) one parameter row, or (B, P) a batch of them.
         commands: (T, J) rad, one row every `h` s: each physics step, or each event of the bus.
+
     Returns:
         (T, J) rad for one row of parameters, (B, T, J) for a batch.
     """
@@ -195,7 +198,7 @@ def delivered(xp, active: EffectStack, parameters, commands, h: float):
 
 
 def arrivals(active: EffectStack, parameters, t, commands, rng) -> tuple[np.ndarray, np.ndarray]:
-    """(t (T,) s, commands (T, J) rad) as they arrive, sent at the times t with one parameter row (P,)."""
+    """Times of arrival (T,) s and commands (T, J) rad, sent at the times t (T,) s with one parameter row (P,)."""
     record = np.asarray(t, float), np.asarray(commands, float)
     for effect, p in active.drawn(parameters, "command"):
         record = effect.scatter(rng, p, record)
@@ -203,7 +206,7 @@ def arrivals(active: EffectStack, parameters, t, commands, rng) -> tuple[np.ndar
 
 
 def gusts(active: EffectStack, parameters, t, rng) -> np.ndarray:
-    """(T, 2) m/s, world frame: what turbulence adds to the water's velocity at the rising times t (T,) s."""
+    """(T, 2) m/s, world frame: velocity that turbulence adds to the water at the rising times t (T,) s."""
     t = np.asarray(t, float)
     total = np.zeros((len(t), 2))
     for effect, p in active.drawn(parameters, "flow"):
@@ -212,7 +215,7 @@ def gusts(active: EffectStack, parameters, t, rng) -> np.ndarray:
 
 
 def noise(active: EffectStack, parameters, seen: Measured, sigma: Measured, rng) -> Measured:
-    """`seen` with the noise beyond that of the data sheets; sigma has their standard deviations, one number a channel."""
+    """`seen` with noise beyond that of the data sheets; sigma has their standard deviations, one number a channel."""
     for effect, p in active.drawn(parameters, "seen"):
         seen = effect.scatter(rng, p, (seen, sigma))
     return seen

@@ -17,7 +17,7 @@ from fishmj.log.timebase import audit
 
 
 def check(argv: list[str]) -> int:
-    """The command `log check`. Exit 0: everything reads; 1: some trials or files are not as they should be (one line each)."""
+    """The command `log check`. Exit 0: everything reads; 1: some trials or files are faulty (one line each)."""
     parser = console.parser(
         "log check", "Read a data set or a trial, audit its clocks, run the physical checks; one line a problem, and exit 1."
     )
@@ -56,7 +56,7 @@ def check(argv: list[str]) -> int:
 
 
 def manifest(argv: list[str]) -> int:
-    """The command `log manifest`. Every trial is read first: a data set states only what is sound."""
+    """The command `log manifest`. It reads every trial first, so that a manifest lists only sound trials."""
     parser = console.parser("log manifest", "Write manifest.json into a folder of trial folders, in place; each is read first.")
     parser.add_argument("folder", type=console.path, help="folder of trial folders; a manifest that is there is replaced")
     args = parser.parse_args(argv)
@@ -82,13 +82,13 @@ def manifest(argv: list[str]) -> int:
 
 
 def _plain(path: Path, root: Path) -> bool:
-    """Neither hidden nor led to by a link from elsewhere."""
+    """Returns True for a path that is neither hidden nor reached by a link from elsewhere."""
     parts = path.relative_to(root).parts
     return not any(part.startswith(".") for part in parts) and path.resolve().is_relative_to(root.resolve())
 
 
 def _trials(path: Path) -> tuple[dict[str, Path], list[str]]:
-    """Trials by name; and the files that are not as the manifest says."""
+    """Trials by name, and the files that differ from the manifest."""
     if path.is_dir() and (path / MANIFEST).is_file() and not (path / META_FILE).is_file():
         changed = [f"{path}: {change}" for change in Manifest.read(path).check(path)]
         return {name: path / name for name in read_dataset(path, verify=False).names}, changed

@@ -1,4 +1,4 @@
-"""`fishmj log import`: recordings come in, whatever a laboratory calls its columns."""
+"""`fishmj log import`: import recordings with any column names."""
 
 import shutil
 from argparse import ArgumentTypeError, Namespace
@@ -48,7 +48,7 @@ LONGEST = 1000  # characters of a message
 
 @dataclass
 class ImportResult:
-    """What came in: trials to write, one at a time, and what did not come in."""
+    """Result of an import: the trials to write, one at a time, and the sources that failed."""
 
     format: str
     trials: list[tuple[str, Callable[[], Trial]]] = field(default_factory=list)  # (name, function that gives the trial)
@@ -115,7 +115,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command `log import`: import, write, and say what came in and what did not. Returns the exit code."""
+    """The command `log import`: imports, writes, and reports what was imported and what was not. Returns the exit code."""
     args = options().parse_args(argv)
     with relaxed_bounds(args.plausible or {}):
         try:
@@ -170,9 +170,9 @@ def _run(args: Namespace) -> int:
     return console.OK
 
 
-# --------------------------------------------------------------------------------------------------------- what is said
+# ------------------------------------------------------------------------------------------------------------- statements
 def _meta(args: Namespace) -> dict:
-    """What is said of the recordings: robot, experiment, where the fish was put, bounds on magnitude."""
+    """Meta data from the command line: robot, experiment, start pose of the fish, bounds on magnitude."""
     meta: dict = {key: value for key in ("medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None}
     if args.robot is not None:
         meta["robot"], joints = robot_of(args.robot)
@@ -220,7 +220,7 @@ def _bounds(text: str) -> dict[str, float]:
         raise ArgumentTypeError(str(error)) from error
 
 
-# ------------------------------------------------------------------------------------------------------------ what there is
+# --------------------------------------------------------------------------------------------------------------- discovery
 def _found(args: Namespace) -> ImportResult:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
     if known and known != TABLE:
@@ -262,7 +262,7 @@ def _found(args: Namespace) -> ImportResult:
 
 
 def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: ImportResult) -> None:
-    """One guess for every layout of files."""
+    """Guesses a column map for every layout of files."""
     said = overrides(args.set)
     for group in gather.layouts(items, shelf).values():
         kinds = guess.kinds(sheet for item in group for sheet in shelf.sheets_of(item))
@@ -328,7 +328,7 @@ def _line(message: str) -> str:
 
 
 def _mapped(item: gather.Item, topics: Path | None) -> Trial:
-    """A recording by its mapping of topics."""
+    """Reads a recording by its mapping of topics."""
     return replace(next(iter(importers.read(item.files[0], topics=topics).values())), name=item.name)
 
 
@@ -342,12 +342,12 @@ def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial
 
 
 def _page(sources: Sequence[Path]) -> dict:
-    """What was weighed, where it lies beside the trials."""
+    """The page of weighings, if one lies beside the trials."""
     return next((page for source in sources if source.is_dir() and (page := measurements.read(source))), {})
 
 
 def _changed(sources: Sequence[Path]) -> list[str]:
-    """What is no longer as the manifest of a data set says."""
+    """Differences from a data set's manifest, one line each."""
     out = []
     for source in sources:
         if source.is_dir() and (source / MANIFEST).is_file():
@@ -363,14 +363,14 @@ def _changed(sources: Sequence[Path]) -> list[str]:
 
 
 def _told(notes: dict[str, list[str]]) -> list[str]:
-    """The remarks on the trials, one a line, and how many more there are."""
+    """Remarks on the trials, one a line, and the number of further ones."""
     lines = [f"{name}: note: {note}" for name, told in notes.items() for note in told if "meta.toml: missing" not in note]
     more = [f"and {len(lines) - NOTES} more notes, in meta.toml of each trial"] if len(lines) > NOTES else []
     return [*map(_line, lines[:NOTES]), *more]
 
 
 def _refuse_bad(args: Namespace, found: ImportResult) -> NoReturn:
-    """What could not be read, in one line."""
+    """Raises LogError with the first recordings that could not be read, in one line."""
     told = list(found.skipped.values())
     more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
     others = not args.skip_bad and any(name not in found.skipped for name, _ in found.trials)
@@ -413,7 +413,7 @@ def _write_map(args: Namespace, found: ImportResult) -> None:
 def _write(
     args: Namespace, found: ImportResult, meta: dict, each: dict[str, str]
 ) -> tuple[list[dict], dict[str, list[str]], dict]:
-    """Write the trials that convert; what does not is remembered in `found.skipped`. Rows, notes, the manifest's meta."""
+    """Writes the trials that convert, and adds the others to `found.skipped`. Returns rows, notes, the manifest's meta."""
     rows: list[dict] = []
     notes: dict[str, list[str]] = {}
     told: dict[str, str] = {}  # filled before the manifest, which comes last
@@ -452,7 +452,7 @@ def _write(
 
 
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
-    """What was said on the command line goes before what the file says."""
+    """Trial with the command line's meta data, which take precedence over those of the file."""
     said = dict(meta)
     if (bounds := said.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
         said[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
@@ -466,10 +466,10 @@ def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
 
 
 def _physical(trial: Trial) -> Trial:
-    """The trial without failed reads, and with notes on what a swimming robot hardly does.
+    """The trial without failed reads, and with notes on implausible motion.
 
     Raises:
-        LogError: it contradicts itself: a heading, a sign or a unit is not what the map says.
+        LogError: the trial contradicts itself: a heading, a sign or a unit differs from the map.
     """
     trial, left_out = physical_checks.without_failed_reads(trial)
     found = physical_checks.examine(trial)
@@ -479,7 +479,7 @@ def _physical(trial: Trial) -> Trial:
 
 
 def with_notes(trial: Trial) -> Trial:
-    """The reader's remarks moved into the meta data, so that they travel with the trial."""
+    """The trial with the reader's remarks moved into the meta data, so that they travel with it."""
     said = trial.meta.get("notes")
     before = said if isinstance(said, list) else [said] if said else []
     fresh = [note for note in trial.notes if note not in before and "meta.toml: missing" not in note]

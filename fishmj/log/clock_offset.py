@@ -1,4 +1,4 @@
-"""Offset between two clocks, by the motion of two channels: the shift of the whole records at which their rates fit best."""
+"""Offset between two clocks from the motion of two channels: the shift of the whole records at which their rates fit best."""
 
 import numpy as np
 
@@ -13,10 +13,10 @@ SURE, OTHER, CLOSE = 0.6, 0.8, 0.25  # least correlation of an offset; part of i
 def offset_between(
     earlier: tuple[str, np.ndarray, np.ndarray], later: tuple[str, np.ndarray, np.ndarray], *, either_sign: bool = False
 ) -> tuple[float, float] | None:
-    """(s by which the stamps of `later` are too large, correlation) where the motion tells of more than a lag, else None.
+    """Clock offset as (excess of the stamps of `later` [s], correlation), or None if the motion shows no more than a lag.
 
-    The whole records are laid over each other at every shift that leaves half of the shorter in common. The best must be beyond
-    `REACH`, and no other may be nearly as good: a steady beat fits itself one beat later.
+    The whole records are laid over each other at every shift that leaves half of the shorter in common. The best shift must be
+    beyond `REACH`, and no other may be nearly as good, because a steady beat also fits itself one beat later.
     """
     (_, ta, a), (_, tb, b) = earlier, later
     n = min(a.shape[1], b.shape[1])
@@ -47,7 +47,7 @@ def offset_between(
 
 
 def rates(t: np.ndarray, values: np.ndarray, grid: np.ndarray, blur: float) -> np.ndarray:
-    """(G, N) smoothed rates on the grid; zero inside gaps and without their mean."""
+    """Smoothed rates (G, N) on the grid, less their mean; zero inside gaps."""
     reach = int(np.ceil(4 * blur))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(blur, 1e-9)) ** 2)
     kernel /= kernel.sum()

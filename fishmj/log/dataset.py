@@ -1,12 +1,12 @@
 """Data sets: a folder of trial folders with a `manifest.json` that holds the sha256 of every file.
 
-read_dataset    all of it, as it was written: a file that changed refuses the whole
-take            what is there: no manifest, or a trial that cannot be read, leaves the others
+read_dataset    all of it, unchanged: any changed file makes the whole set an error
+take            every readable part: a missing manifest or an unreadable trial does not affect the others
 
-A bundle is many short trials in one small file, every column as whole numbers of a step far below its noise: a 20th of the
-sensor's (`sigma` of the meta data), 10 us of time stamps. x = step q, q stored as the whole number first and its differences
-after it, which deflate packs tightly: half a kilobyte a second of a swim, a tenth of its folder. What is not in `KEPT`
-(velocities that a camera's own filter makes) is left out.
+A bundle is many short trials in one small file. It stores every column as whole numbers of a step far below its noise: a 20th of
+the sensor's (`sigma` of the meta data), 10 us of time stamps. x = step q; q is stored as the first whole number and then its
+differences, which deflate packs tightly: half a kilobyte a second of a swim, a tenth of its folder. Columns outside `KEPT`
+(such as velocities from a camera's own filter) are left out.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ COARSE = 1e-6  # step of a column whose noise nobody states, of its own range
 
 @dataclass(frozen=True)
 class Dataset:
-    """Trials by name, read one at a time when asked for; in order of name."""
+    """Trials by name, each read on request; in order of name."""
 
     folder: Path
     names: tuple[str, ...]
@@ -80,10 +80,10 @@ def read_dataset(folder: str | Path, *, verify: bool = True) -> Dataset:
 
 
 class Taken(NamedTuple):
-    """What could be read of a data set.
+    """Readable part of a data set.
 
-    trials: by folder name, in order. broken: folder name -> why it was left out. notes: what else a reader should know.
-    sha256: of the manifest's file; of what it would list, where there is none.
+    trials: by folder name, in order. broken: folder name -> reason that it was left out. notes: further remarks for a reader.
+    sha256: of the manifest's file; without one, of the manifest that the files would have.
     """
 
     trials: dict[str, Trial]
@@ -93,11 +93,11 @@ class Taken(NamedTuple):
 
 
 def take(folder: str | Path) -> Taken:
-    """Every trial of a folder that reads; with a manifest, those whose files are as it says.
+    """Reads every readable trial of a folder; with a manifest, only those whose files match it.
 
     Raises:
         LogError: no trial reads, or it is not a folder of trial folders. StoreError: the manifest is damaged, or the page of
-            weighings is not as it says.
+            weighings does not match it.
     """
     folder = Path(folder)
     if folder.is_file():
@@ -141,7 +141,7 @@ def _signed(folder: Path) -> tuple[list[str], dict[str, str], tuple[str, ...], s
 
 
 def _unsigned(folder: Path) -> tuple[list[str], dict[str, str], tuple[str, ...], str]:
-    """The same of a folder without a manifest: its files as they are now."""
+    """(trials to read, broken ones, notes, sha256) of a folder without a manifest, from its present files."""
     names = _folders(folder)
     if not names:
         if _is_trial(os.listdir(folder)):
@@ -175,7 +175,7 @@ def _folders(folder: Path) -> list[str]:
 
 
 def _is_trial(files: Iterable[str]) -> bool:
-    """Whether a folder of these files is meant as a trial: meta data, a flat file, or a table of commands."""
+    """Returns True for the files of a trial folder: meta data, a flat file, or a table of commands."""
     return bool(set(files) & {META_FILE, FLAT_FILE, "cmd.csv", "cmd.npz"})
 
 
@@ -189,8 +189,10 @@ def write_dataset(
     precision: str = "auto",
     page: Mapping | None = None,
 ) -> Path:
-    """Write trials as sub-folders (an iterable is consumed one at a time) and a page of weighings (measurements.py), then the
-    manifest, last and atomically."""
+    """Writes trials as sub-folders, a page of weighings (measurements.py), and then the manifest, atomically.
+
+    An iterable of trials is consumed one at a time.
+    """
     folder = Path(folder)
     count = 0
     for name, trial in trials.items() if isinstance(trials, Mapping) else trials:
@@ -237,7 +239,7 @@ def read_bundle(path: "str | Path") -> list[Trial]:
     """The trials of a bundle, in the order in which they were written.
 
     Raises:
-        StoreError: missing, damaged, or no bundle. LogError: a table that breaks the schema. ConfigError: a name that is none.
+        StoreError: missing, damaged, or no bundle. LogError: a table that breaks the schema. ConfigError: an invalid name.
     """
     arrays = read_npz(path)
     try:
@@ -272,7 +274,7 @@ def _step(trial: Trial, column: str, values) -> float:
 
 
 def _narrow(whole: np.ndarray) -> np.ndarray:
-    """The smallest integer type that holds them."""
+    """Converts whole numbers to the smallest integer type that holds them."""
     size = int(np.abs(whole).max(initial=0))
     kind = next(k for k in (np.int8, np.int16, np.int32, np.int64) if size <= np.iinfo(k).max)
     return whole.astype(kind)

@@ -1,4 +1,4 @@
-"""Experiments: named open-loop command sequences for a fish, 50 Hz, with start pose and what each is good for.
+"""Experiments: named open-loop command sequences for a fish, 50 Hz, with a start pose and a purpose each.
 
     from fishmj import excitation
     run = excitation.get("chirp")                 of three joints; excitation.get("chirp", 4) of four
@@ -7,8 +7,8 @@
 Every run begins with 0.6 s at rest, so that the start pose can be averaged. A fast fish may reach the wall of a 3.6 m tank in
 `gait`, `sine`, `burst_and_coast` and `out_and_back` (docs/tank/rig.md).
 A gait beats joint k with A sin(2 pi f t - k lag) + bias, fading in over a second. A run with a push starts with the fish already
-moving (let go from a carriage). They are written for three joints; `bent` lays them on another chain. All are deterministic;
-`random_ramps(seed)` makes as many more as you like.
+moving (let go from a carriage). The runs are written for three joints; `bent` lays them on another chain. All are deterministic;
+`random_ramps(seed)` makes any number of further ones.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ LIMIT = np.pi / 3  # rad, the servos' clamp
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation:
-    """One experiment. `start` is where the fish is put (tank frame: m, m, rad); `push` its first velocity in its own axes."""
+    """One experiment. `start` is the fish's start pose (tank frame: m, m, rad); `push` its first velocity in its own axes."""
 
     id: str
     commands: np.ndarray  # (T, J) rad, one row every PERIOD
@@ -65,8 +65,8 @@ def get(name: str, joints: int = JOINTS) -> Excitation:
 def bent(commands: np.ndarray, joints: int) -> np.ndarray:
     """Commands (T, 3) laid on a chain of `joints` joints, (T, joints).
 
-    Fewer joints do what the first of the three do. More take the angle between those at the same place of the row, less by
-    3 / joints, so that the whole chain bends as far.
+    A chain of fewer joints takes the first of the three columns. In a longer one, each joint takes the angle interpolated at its
+    place in the row, times 3 / joints, so that the whole chain bends as far.
     """
     if joints <= JOINTS:
         return commands[:, :joints]
@@ -81,7 +81,7 @@ def names() -> tuple[str, ...]:
 
 
 def mirrored(run: Excitation) -> Excitation:
-    """The same with left and right exchanged."""
+    """The run with left and right exchanged."""
     (x, y, yaw), (u, v, r) = run.start, run.push
     return Excitation(
         id=f"{run.id}_mirrored",
@@ -131,7 +131,7 @@ def _steps(angles_deg, hold: float) -> np.ndarray:
 
 
 def _alone(values) -> list[tuple[float, float, float]]:
-    """Each joint in turn goes through `values` [deg] while the others stay straight."""
+    """Points of a path in which each joint in turn goes through `values` [deg] while the others stay straight."""
     return [tuple(v if k == j else 0.0 for k in range(JOINTS)) for j in range(JOINTS) for v in values]  # type: ignore[misc]
 
 
@@ -144,7 +144,7 @@ def _chirp(low: float, high: float, amplitude: float, lag: float, seconds: float
 
 
 def _bursts(beats: float, rest: float, times: int, **beat) -> np.ndarray:
-    """Gait for `beats` seconds, straight for `rest` seconds, again and again."""
+    """Gait for `beats` seconds, straight for `rest` seconds, repeated `times` times."""
     burst = gait(seconds=beats, **beat)[round(LEAD / PERIOD) :]
     end = burst * np.minimum(1.0, (len(burst) - 1 - np.arange(len(burst)))[:, None] * PERIOD / 0.2)
     return _led(np.concatenate([np.concatenate([end, np.zeros((round(rest / PERIOD), JOINTS))]) for _ in range(times)]))

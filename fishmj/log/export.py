@@ -3,7 +3,7 @@
     export("runs/trial_07", "mcap", "trial_07.mcap")     one file
     export("data/calm", "parquet", "calm_parquet")       one folder a trial; of MCAP, one file a trial
 
-Numbers and stamps go out as they are: nothing is resampled. What is written appears in one step, all of it or nothing.
+Numbers and stamps are exported unchanged: nothing is resampled. The output appears in one step, all of it or nothing.
 """
 
 import heapq
@@ -107,7 +107,7 @@ def export(
 
 
 def check_place(source: Path, out: Path, *, folder: bool, force: bool) -> None:
-    """Raises StoreError where `out` must not be written: it exists, is no export of ours, or holds the source."""
+    """Raises StoreError if `out` must not be written: it exists, is no export of ours, or holds the source."""
     here, there = source.resolve(), out.resolve()
     if here == there or there in here.parents or here in there.parents:
         raise StoreError(f"{out}: lies in, or holds, what is exported ({source}); choose another place")
@@ -140,7 +140,7 @@ def _is_many(source: Path) -> bool:
 
 
 def _many(source: Path) -> tuple[Iterator[Trial], int, dict]:
-    """Trials one at a time under names that can stand in a path, their number, and what the manifest says."""
+    """Trials one at a time under names that can stand in a path, their number, and the manifest's meta data."""
     if source.suffix == ".npz":
         found = read_bundle(source)
         return (_named(trial, trial.name, source) for trial in found), len(found), {"source": source.name}
@@ -155,7 +155,7 @@ def _named(trial: Trial, name: str, source: Path) -> Trial:
 
 
 def _one(trial: Trial, to: str, path: Path, wanted: tuple[str, ...], shape: Shape, tell: Callable[[float], None]) -> dict:
-    """Write one trial to `path` and tell what it is; `tell` hears which part of it is done."""
+    """Writes one trial to `path` and returns its row of the summary; `tell` receives the finished fraction."""
     kept = {name: trial.tables[name] for name in trial.tables if name in wanted}
     absent = [] if wanted == tuple(TABLES) else [name for name in wanted if name not in trial.tables]
     if not kept:
@@ -176,7 +176,7 @@ def _one(trial: Trial, to: str, path: Path, wanted: tuple[str, ...], shape: Shap
 
 
 def _plain_names(table: dict) -> dict:
-    """Column names that no spreadsheet takes for a formula and no reader for two columns; ours already are."""
+    """Table with column names that no spreadsheet reads as a formula and no reader as two columns; ours need no change."""
     out: dict[str, Any] = {}
     for name, values in table.items():
         safe = re.sub(r"[^A-Za-z0-9_. /^\[\]()-]", "_", name)
@@ -193,7 +193,10 @@ def _meta_text(trial: Trial) -> str:
 
 # ------------------------------------------------------------------------------------------------------------------- parquet
 def _parquet(trial: Trial, folder: Path) -> None:
-    """One file a table; each field's metadata says its unit, the file's metadata what table it is. meta.toml beside them."""
+    """Writes one file a table.
+
+    Each field's metadata states its unit, the file's metadata its table. meta.toml lies beside them.
+    """
     import pyarrow
     from pyarrow import parquet
 
@@ -208,7 +211,7 @@ def _parquet(trial: Trial, folder: Path) -> None:
 
 # ---------------------------------------------------------------------------------------------------------------------- mcap
 def _mcap(trial: Trial, path: Path, solids: tuple[Solid, ...], tell: Callable[[float], None]) -> None:
-    """Every table as its own topic, and what the 3D panel needs; the meta data as attachment and as metadata record."""
+    """Writes every table as its own topic, the topics of the 3D panel, and the meta data as attachment and as metadata record."""
     from mcap.writer import Writer
 
     text, zero = _meta_text(trial), _zero(trial)
@@ -245,7 +248,7 @@ _KIND |= dict.fromkeys(("/scene_fish", "/scene_target"), "foxglove.SceneUpdate")
 
 
 def _schemas(trial: Trial) -> dict[str, Json]:
-    """Foxglove's own, and one a table with the unit of every column in its description."""
+    """Foxglove's own schemas, and one a table with the unit of every column in its description."""
     out = dict(foxglove.SCHEMAS)
     for name, table in trial.tables.items():
         columns = {c: {"type": "number", "description": f"[{u}]" if (u := unit(name, c)) else ""} for c in table}
@@ -255,7 +258,7 @@ def _schemas(trial: Trial) -> dict[str, Json]:
 
 
 def _streams(trial: Trial, solids: tuple[Solid, ...], zero: float) -> list[Iterator[Entry]]:
-    """What goes into the file, each stream in the order of its stamps."""
+    """Streams of messages for the file, each in the order of its stamps."""
     tables, out = trial.tables, [_rows(name, table, zero) for name, table in trial.tables.items()]
     seen = next((tables[name] for name in ("pose", "truth") if name in tables), None)
     for name in ("pose", "truth"):
@@ -290,7 +293,7 @@ def _rows(name: str, table: dict, zero: float) -> Iterator[Entry]:
 
 
 def _drawn(topic: str, table: dict, columns: str, zero: float, made: Callable[..., Json]) -> Iterator[Entry]:
-    """What `made` makes of the values of some columns, names with blanks between, row by row."""
+    """Messages that `made` builds from the values of some columns (names with blanks between), row by row."""
     values = (np.asarray(table[c], float).tolist() for c in columns.split())
     for row, (t, *rest) in enumerate(zip(np.asarray(table["t"], float).tolist(), *values, strict=True)):
         at = _ns(t, zero)
@@ -304,7 +307,7 @@ def _bent(stamps, angles: np.ndarray, solids: tuple[Solid, ...], zero: float) ->
 
 
 def _zero(trial: Trial) -> float:
-    """What is subtracted from stamps to make log times, s: MCAP knows none before 0. The messages' own `t` stays."""
+    """Time [s] to subtract from stamps for log times, because MCAP has none before 0. The messages' own `t` stays."""
     return min(0.0, trial.span[0])
 
 
@@ -313,7 +316,7 @@ def _ns(t: float, zero: float) -> int:
 
 
 def _flat(meta: dict, before: str = "") -> dict[str, str]:
-    """Dotted keys and text values: all that a metadata record holds."""
+    """Meta data with dotted keys and text values, as a metadata record needs."""
     out: dict[str, str] = {}
     for key, value in meta.items():
         if isinstance(value, dict):

@@ -29,9 +29,9 @@ FLAT |= dict.fromkeys(("amplitude", "bias", "frequency"), "gait") | dict.fromkey
 
 
 def read_trial(path: str | Path) -> Trial:
-    """Read and check a trial folder, or a flat `samples.csv` (with `meta.toml` beside it, if there is one).
+    """Reads and checks a trial folder, or a flat `samples.csv` (with `meta.toml` beside it, if there is one).
 
-    Columns come back as float64, meta as nested dictionaries. What is missing or unusual is in `trial.notes`.
+    Columns come back as float64, meta as nested dictionaries. Missing or unusual things are listed in `trial.notes`.
 
     Raises:
         LogError: the data break the schema; file:line:column and the fix.
@@ -82,13 +82,13 @@ def _read_table(file: Path, bounds: Plausible) -> tuple[Table, list[str]]:
 
 
 def _inside(folder: Path, file: Path) -> None:
-    """A link that leads out of the trial's folder may lead to anything of this computer; a copy of a trial would lose it."""
+    """Refuses a link out of the trial's folder: it may lead to any file, and a copy of the trial would lose it."""
     if file.is_symlink() and not Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder)):
         raise LogError(f"{file}: a link that leads outside {folder}; put the file itself there")
 
 
 def faults(path: Path) -> list[str]:
-    """Every table of a trial folder that does not read, one line each; empty where all do, or where it is no folder."""
+    """Tables of a trial folder that cannot be read, one line each; empty if all can, or if it is no folder."""
     out: list[str] = []
     try:
         meta, _ = read_meta(path / META_FILE, required=True)
@@ -192,7 +192,7 @@ def _read_flat(path: Path) -> Trial:
 
 
 def flat_trial(samples: Table, place: trial_check.Place, path: Path, meta: dict, notes: list[str]) -> Trial:
-    """Split the columns of a flat file over the tables; every table gets the common `t`."""
+    """Splits the columns of a flat file over the tables; every table gets the common `t`."""
     if "t" not in samples:
         raise LogError(f"{place(-1, '')}: column 't' is missing; it has {listed(samples)}. Add time stamps in s")
     tables: dict[str, Table] = {}

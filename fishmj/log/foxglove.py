@@ -1,6 +1,6 @@
 """Messages that Foxglove's panels show without set-up, and their published JSON schemas (encoding `jsonschema`).
 
-    FrameTransform, FrameTransforms    tank -> fish, and from link to link: what the 3D panel moves
+    FrameTransform, FrameTransforms    tank -> fish, and from link to link: the frames that the 3D panel moves
     PoseInFrame                        the pose of the reference point in the tank
     SceneUpdate                        the links as triangles that ride on their frames, the target as a sphere with its ring
 
@@ -22,7 +22,7 @@ RED, WATER = (0.85, 0.22, 0.18, 1.0), (0.31, 0.64, 0.83, 0.9)
 
 
 class Solid(NamedTuple):
-    """One link as it is drawn. Lengths in m."""
+    """One link for drawing. Lengths in m."""
 
     name: str
     front: float  # x of the link's front end along the straight body from the reference point, x to the nose
@@ -159,12 +159,12 @@ SCHEMAS: dict[str, Json] = {
 
 # ------------------------------------------------------------------------------------------------------------------ messages
 def stamp(nanoseconds: int) -> Json:
-    """A time as {sec, nsec}."""
+    """A time in ns as {sec, nsec}."""
     return {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
 
 
 def turned(yaw: float) -> Json:
-    """The quaternion of a turn by `yaw` [rad] about z."""
+    """Quaternion of a rotation by `yaw` [rad] about z."""
     return {"x": 0.0, "y": 0.0, "z": sin(yaw / 2), "w": cos(yaw / 2)}
 
 
@@ -174,7 +174,7 @@ def placed(x: float, y: float, yaw: float = 0.0) -> Json:
 
 
 def frame(at: int, parent: str, child: str, x: float, y: float, yaw: float) -> Json:
-    """One `FrameTransform`: where `child` is in `parent`, m and rad, at `at` ns."""
+    """One `FrameTransform`: pose of `child` in `parent`, m and rad, at `at` ns."""
     named = {"timestamp": stamp(at), "parent_frame_id": parent, "child_frame_id": child}
     return {**named, "translation": _xyz(x, y), "rotation": turned(yaw)}
 
@@ -193,7 +193,7 @@ def links(at: int, solids: tuple[Solid, ...], angles) -> Json:
 
 
 def body(at: int, solids: tuple[Solid, ...]) -> Json:
-    """`SceneUpdate` with the whole fish, once: every link rides on its own frame. Without solids, an arrow."""
+    """`SceneUpdate` with the whole fish, sent once: every link is fixed to its own frame. Without solids, an arrow."""
     if not solids:
         arrow = {"shaft_length": 0.2, "shaft_diameter": 0.03, "head_length": 0.08, "head_diameter": 0.07}
         drawn = {"pose": placed(-0.14, 0.0), **arrow, "color": _rgba(RED)}

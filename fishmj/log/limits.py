@@ -1,4 +1,4 @@
-"""What a foreign file may cost: its kind, its size unpacked, and how much of it a message may repeat."""
+"""Limits on foreign files: their kind, their unpacked size, and the length of their text in messages."""
 
 import os
 import struct
@@ -19,7 +19,11 @@ DAMAGE = (  # what a damaged file raises in a library that reads it, besides the
 
 
 def most_bytes() -> int:
-    """How many bytes one recording may take up, on disk or unpacked."""
+    """Largest number of bytes of one recording, on disk or unpacked; set by an environment variable in gigabytes.
+
+    Raises:
+        ConfigError: the variable is no positive number.
+    """
     said = os.environ.get(VARIABLE, "")
     try:
         gb = float(said) if said else DEFAULT_GB
@@ -31,7 +35,7 @@ def most_bytes() -> int:
 
 
 def check_size(path: Path, size: float, what: str = "is") -> None:
-    """Refuse `size` bytes beyond the limit."""
+    """Raises LogError for `size` bytes beyond the limit."""
     if size > most_bytes():
         raise LogError(
             f"{path}: {what} {size / 1e9:.3g} GB, the limit is {most_bytes() / 1e9:g} GB; if you trust the file "
@@ -43,9 +47,10 @@ def regular(path: Path, *, empty: bool = False) -> int:
     """Size of a plain file [bytes].
 
     Args:
-        empty: an empty file will do.
+        empty: accept an empty file.
+
     Raises:
-        LogError: there is none, it is a pipe, a device or a folder, it is empty, or it is beyond the limit.
+        LogError: no such file, a pipe, a device or a folder, empty, or beyond the limit.
     """
     if why := trouble(path):
         raise LogError(f"{path}: {why}")
@@ -69,5 +74,5 @@ def quoted(text: object, most: int = 40) -> str:
 
 
 def bare(text: object, most: int = 40) -> str:
-    """The same without the quotes."""
+    """`text` for a message without quotes: control characters out, shortened."""
     return quoted(text, most)[1:-1]

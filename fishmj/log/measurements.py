@@ -1,4 +1,4 @@
-"""What scales, a knife edge and a bifilar pendulum say of a robot: `measurements.toml` beside its trials.
+"""Measurements of a robot by scales, a knife edge and a bifilar pendulum: `measurements.toml` beside its trials.
 
 [scales]    head = [0.765, ..]      kg, every link alone; or whole = [..]
 [balance]   at = [0.184, ..]        m from the nose, straight; error, of one reading
@@ -30,7 +30,7 @@ def read(folder: "str | Path") -> dict:
 
 
 def write(folder: "str | Path", page: Mapping) -> Path:
-    """The page of a folder, atomically."""
+    """Writes the page of a folder, atomically."""
     path = Path(folder) / FILE
     write_text(path, dumps(dict(page)))
     return path
@@ -50,7 +50,7 @@ def numbers(page: dict, table: str, key: str, path: "str | Path" = FILE) -> np.n
 
 
 def deviation(values: np.ndarray, least: float = 0.0) -> float:
-    """Standard deviation of the mean; least: of one reading."""
+    """Standard deviation of the mean; least: smallest standard deviation of one reading."""
     scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
     return max(scatter, least) / sqrt(len(values))
 
@@ -62,7 +62,7 @@ def masses(page: dict, links: Iterable[str], path: "str | Path" = FILE) -> tuple
 
 
 def balance(page: dict, error: float, path: "str | Path" = FILE) -> tuple[float, float]:
-    """(m from the nose, standard deviation); error: of one reading, where the page states none."""
+    """(m from the nose, standard deviation); error: of one reading, unless the page states one."""
     at = numbers(page, "balance", "at", path)
     return float(at.mean()), deviation(at, float(page["balance"].get("error", error)))
 

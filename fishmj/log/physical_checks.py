@@ -1,9 +1,9 @@
 """Physical checks of a whole trial: signs, headings and readings that no swimming robot produces.
 
 `trial_check` judges one table by the schema and by magnitudes. These checks compare tables with each other. `CHECKS` is the list;
-every threshold is a bound of `data/calib/plausible.toml` (unit and source stand there) that a trial relaxes in `[plausible]`.
-`log import`, `log check`, `gap find` and `calibrate` run the same list. A trial that cannot tell (no turn, no swim, no command)
-passes.
+every threshold is a bound of `data/calib/plausible.toml` (with unit and source) that a trial relaxes in `[plausible]`.
+`log import`, `log check`, `gap find` and `calibrate` run the same list. A trial without the needed motion (no turn, no swim, no
+command) passes.
 
     failed read     reading that leaves the joint's path and returns within a few rows: the servo did not answer
     lost pose       pose that jumps away and comes back: the camera lost the fish, or took its tail for its head
@@ -67,10 +67,11 @@ class PhysicalCheck(NamedTuple):
 
 
 def examine(trial: Trial, only: Iterable[str] = ()) -> list[Finding]:
-    """Findings of all checks on one trial; [] where it is sound or cannot tell.
+    """Findings of all checks on one trial; [] if it is sound or lacks the needed motion.
 
     Args:
         only: names of checks; all by default.
+
     Raises:
         LogError: `[plausible]` of the trial is no table of bounds.
     """
@@ -184,7 +185,7 @@ def _standing_still(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]
 
 
 def _still_stretches(t: np.ndarray, c: np.ndarray, j: np.ndarray, bounds: Plausible) -> list[float]:
-    """Begins [s] of the stretches of `STRETCH` in which a command moves within the joint's reach and the joint does not."""
+    """Start times [s] of the stretches of `STRETCH` in which a command moves within the joint's reach and the joint does not."""
     rows, late = round(STRETCH / GRID), round(FOLLOWS[-1] / GRID)
     out = []
     for i in range(0, len(t) - rows, round(STRIDE / GRID)):
@@ -363,7 +364,7 @@ def _grid(*stamps: np.ndarray) -> np.ndarray:
 
 
 def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """(name, grid, command, joint) of each joint that has a command, less its mean, while its torque is on."""
+    """(name, grid, command, joint), less their means, of each joint that has a command, while its torque is on."""
     cmd, joint = trial.tables.get("cmd", {}), trial.tables.get("joint", {})
     for name in joints(joint):
         number = name[1:]
@@ -381,7 +382,7 @@ def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarr
 
 
 def _late(early: np.ndarray, late: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
-    """Both channels, the second `lag` s later."""
+    """Both channels at equal times, the second `lag` s later."""
     rows = round(lag / GRID)
     return early[: len(early) - rows], late[rows:]
 
@@ -401,7 +402,7 @@ def _smooth(x: np.ndarray) -> np.ndarray:
 
 
 def _fast(x: np.ndarray) -> np.ndarray:
-    """The part of x within a beat: turns and drifts are taken off."""
+    """Part of x within a beat: turns and drifts are removed."""
     return x - _mean_over(x, round(1.5 / GRID))
 
 
@@ -412,7 +413,7 @@ def _relation(angle: np.ndarray) -> tuple[float, float]:
 
 
 def _swims_ahead(trial: Trial) -> bool | None:
-    """A wave runs down the tail and bends it to both sides alike; None where no joint is logged."""
+    """Returns True if a wave runs down the tail and bends it equally to both sides; None if no joint is logged."""
     table, letter = next(((trial.tables[n], c) for n, c in (("joint", "j#"), ("cmd", "c#")) if n in trial.tables), (None, ""))
     if table is None:
         return None
@@ -431,7 +432,7 @@ def _swims_ahead(trial: Trial) -> bool | None:
 
 
 def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
-    """Course through the water and mean yaw, rad, over 1 s each, of the stretches that were swum; None of too few."""
+    """Course through the water and mean yaw, rad, over 1 s each, while the fish swims; None if there are too few."""
     pose = trial.tables.get("pose", {})
     if len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
         return None

@@ -1,7 +1,7 @@
-"""What a robot was doing, half second by half second: labels from the tables alone, no model.
+"""Labels the state of a robot in every half second, from the tables alone, without a model.
 
-For leave-one-regime-out validation, for saying where a gap lies, and for saying which excitation a data set lacks. A window
-carries every label that fits; a table that is missing takes its labels with it (`Regimes.known` lists those that can be told).
+The labels serve leave-one-regime-out validation, the localisation of a gap, and the search for missing excitation. A window
+carries every label that fits. A missing table removes its labels (`Regimes.known` lists the available ones).
 
     rest            joints, command and body stand still
     joint_step      the command jumps within the window
@@ -41,8 +41,10 @@ MEASURED = ("joint", "pose", "velocity", "truth")
 
 @dataclass(frozen=True)
 class Regimes:
-    """Labels of W windows. `is_[label]` (W,) bool; octant (W,) 0..7 of the heading (0 = along +x), -1 unknown; session (W,) 0..2
-    thirds of the trial; battery (W,) 0..2 thirds of its own voltage range, -1 unknown."""
+    """Labels of W windows. `is_[label]` (W,) bool; octant (W,) 0..7 of the heading (0 = along +x), -1 unknown.
+
+    session (W,) 0..2 thirds of the trial; battery (W,) 0..2 thirds of its own voltage range, -1 unknown.
+    """
 
     start: np.ndarray  # (W,) s
     stop: np.ndarray
@@ -60,15 +62,15 @@ class Regimes:
         return tuple(label for label in LABELS if self.is_[label][i])
 
     def share(self) -> dict[str, float]:
-        """Fraction of the windows that carry each label that can be told."""
+        """Fraction of the windows that carry each available label."""
         return {label: float(self.is_[label].mean()) for label in self.known}
 
     def absent(self) -> tuple[str, ...]:
-        """Labels that could be told and never came up: what the excitation lacks."""
+        """Available labels of no window: the missing excitation."""
         return tuple(label for label in self.known if not self.is_[label].any())
 
     def rows(self, t: np.ndarray, label: str) -> np.ndarray:
-        """(T,) True where a stamp lies in a window of `label`."""
+        """(T,) True for stamps in a window of `label`."""
         index = np.searchsorted(self.start, np.asarray(t, float), side="right") - 1
         inside = (index >= 0) & (np.asarray(t) < self.stop[np.clip(index, 0, None)])
         return inside & self.is_[label][np.clip(index, 0, None)]
@@ -85,13 +87,13 @@ def label(
     turning: float = TURNING,
     behind: float = BEHIND,
 ) -> Regimes:
-    """Label the windows of one trial.
+    """Labels the windows of one trial.
 
     Args:
-        length: of a window, s. beat: period of the tail beat, s; None: what the gait table says, else 1 s.
+        length: of a window, s. beat: period of the tail beat, s; None: from the gait table, else 1 s.
         body: length of the robot, m.
-        tank: half width in x and in y, m, centred on the origin; without it near_wall cannot be told.
-        step: rad that a command jumps; turning: rad/s; behind: rad of joint error that speaks of a torque limit.
+        tank: half width in x and in y, m, centred on the origin; without it near_wall is not available.
+        step: least jump of a command, rad; turning: rad/s; behind: joint error that indicates a torque limit, rad.
 
     Raises:
         LogError: the trial is shorter than one window.
@@ -119,13 +121,13 @@ def label(
 
 
 def _span(trial: Trial) -> tuple[float, float]:
-    """The stretch that the measured tables cover; a command may run on after the camera stopped."""
+    """Time range of the measured tables; a command may run on after the camera stopped."""
     seen = {name: table for name, table in trial.tables.items() if name in MEASURED}
     return replace(trial, tables=seen).span if seen else trial.span
 
 
 class _Windows:
-    """The signals of one trial, reduced to one figure a window; None where a table lacks."""
+    """Signals of one trial, reduced to one figure a window; None for a missing table."""
 
     def __init__(self, trial: Trial, start: np.ndarray, length: float, beat: float):
         self.trial, self.start, self.length, self.beat = trial, start, length, beat
@@ -149,7 +151,7 @@ class _Windows:
         return (self.trial.tables[table]["t"], values) if values.shape[1] else None
 
     def _over(self, t: np.ndarray, values: np.ndarray, reduce, reach: float = 0.0) -> np.ndarray:
-        """(W,) `reduce` of the rows of each window, widened to `reach` s around its middle; NaN where there is no row."""
+        """(W,) `reduce` of the rows of each window, widened to `reach` s around its middle; NaN without rows."""
         half = 0.5 * max(self.length, reach)
         middle = self.start + 0.5 * self.length
         low, high = np.searchsorted(t, middle - half), np.searchsorted(t, middle + half)
@@ -172,7 +174,7 @@ class _Windows:
         return np.hypot(moved[0], moved[1]) / apart, moved[2] / apart
 
     def of_command(self, step: float) -> dict[str, np.ndarray | None]:
-        """joint_step: neighbouring commands that differ by more than `step`, faster than a beat would."""
+        """Label joint_step: neighbouring commands that differ by more than `step`, faster than in a beat."""
         if self.command is None:
             return {"joint_step": None}
         t, c = self.command
@@ -229,7 +231,7 @@ class _Windows:
         return np.nan_to_num(self._over(t, room, np.min), nan=np.inf) < 0.5 * body
 
     def reversing_flow(self) -> np.ndarray | None:
-        """Water that moves along the heading (from behind): the cosine between flow and heading is above zero."""
+        """Returns True for windows with water from behind: the cosine between flow and heading is above zero."""
         if self.pose is None:
             return None
         speed, towards = self.trial.value("flow.speed"), self.trial.value("flow.direction")
@@ -247,7 +249,7 @@ class _Windows:
         return np.where(np.isnan(mean), -1, turn)
 
     def battery(self) -> np.ndarray:
-        """Thirds of the voltage that this trial saw, 0 lowest; -1 without a power table or where the voltage never changes."""
+        """Thirds of the voltage range of this trial, 0 lowest; -1 without a power table or with a constant voltage."""
         table = self.trial.tables.get("power")
         if table is None or np.ptp(table["V"]) < 0.05:
             return np.full(len(self.start), -1)
@@ -258,7 +260,7 @@ class _Windows:
 
 
 def _held(table: tuple[np.ndarray, np.ndarray], t: np.ndarray) -> np.ndarray:
-    """(T, N) the value that holds at `t`: a command holds until the next one."""
+    """Values (T, N) in force at `t`: a command holds until the next one."""
     return table[1][np.clip(np.searchsorted(table[0], t, side="right") - 1, 0, None)]
 
 

@@ -1,4 +1,4 @@
-"""Do runs of the same command agree with each other? What they differ by is the floor below which no model error can be seen.
+"""Scatter between runs of the same command. It is the floor below which no model error can be seen.
 
 R replicates of one excitation, compared over aligned time t_i (i = 1..T, interpolated for this comparison only):
 
@@ -9,11 +9,11 @@ R replicates of one excitation, compared over aligned time t_i (i = 1..T, interp
 
 (rho squared, since mean squares are compared: the squares of a Gaussian process are correlated like rho^2. The plain sum would
 let a beat that slips in phase count every row as independent.) A model without any fault has gap = between, the scatter of the
-trial itself. So a gap is NOT_REPEATABLE, hence nothing to name, when
+trial itself. So a gap is NOT_REPEATABLE, and nothing can be named, if
 
     gap / between <= max(1.5, F_0.95(n_eff, (R - 1) n_eff))
 
-The second bound is what scatter alone exceeds one time in twenty: with few effective samples 1.5 would promise too much.
+The second bound is exceeded by scatter alone one time in twenty: with few effective samples 1.5 would promise too much.
 """
 
 import math
@@ -54,7 +54,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Group:
-    """Trials that repeat each other, and how far they do."""
+    """Replicate trials, and their scatter by channel."""
 
     key: str
     trials: tuple[str, ...]
@@ -63,6 +63,7 @@ class Group:
     channels: tuple[Channel, ...]
 
     def channel(self, name: str) -> Channel:
+        """Scatter of the channel `name`; raises LogError if the group lacks it."""
         for channel in self.channels:
             if channel.name == name:
                 return channel
@@ -71,7 +72,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """The verdict on a gap: `ratio` = gap / between over all channels, `limit` what it must exceed to mean anything."""
+    """The verdict on a gap: `ratio` = gap / between over all channels, `limit` the least significant ratio."""
 
     repeatable: bool  # True: the gap is larger than the scatter, go on; False: NOT_REPEATABLE
     ratio: float
@@ -86,7 +87,7 @@ class Repeatability:
 
 
 def groups(trials: Iterable[Trial]) -> dict[str, list[Trial]]:
-    """Trials that repeat each other: linked by `replicate_of`, else equal in all of `CONDITIONS` with a known excitation.
+    """Groups of replicates: linked by `replicate_of`, else equal in all of `CONDITIONS` with a known excitation.
 
     Groups of one are left out; the key is the first trial's name, or the excitation.
     """
@@ -142,7 +143,7 @@ def scatter(key: str, trials: list[Trial]) -> Group:
 
 
 def judge(gap: Mapping[str, float], group: Group) -> Repeatability:
-    """Is a gap (mean square error by channel, over about one trial) larger than what replicates differ by?
+    """Compares a gap (mean square error by channel, over about one trial) with the scatter of replicates.
 
     Raises:
         LogError: a channel of the gap has no replicates, or its replicates are identical (not measured, or the same file).
@@ -180,9 +181,10 @@ def autocorrelation_time(residuals: np.ndarray) -> float:
 
 
 def channels(trial: Trial, after: float = 0.0) -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
-    """Comparable channels: name -> (unit, t since the command began [s], values); since its own first row without a common clock.
+    """Comparable channels: name -> (unit, t since the command began [s], values).
 
-    A free swim starts where it starts: pose becomes forward, left and turned, relative to the mean of the 0.2 s after `after`.
+    Without a clock in common with the command, t counts from the channel's first row. A free swim has no common start: its pose
+    becomes forward, left and turned, relative to the mean of the 0.2 s after `after`.
     """
     zero = (
         min((float(trial.tables[n]["t"][0]) for n in COMMANDS if n in trial.tables), default=None) if _one_clock(trial) else None
@@ -215,16 +217,19 @@ def channels(trial: Trial, after: float = 0.0) -> dict[str, tuple[str, np.ndarra
 
 
 def _one_clock(trial: Trial) -> bool:
-    """Is there a command, and is every table stamped by the clock that stamped it, as far as the meta data tell?"""
+    """Returns True if there is a command, and the meta data name no other clock than its for any table."""
     clocks = trial.value("clock")
     said = {str(clocks[name]) for name in trial.tables if name in clocks} if isinstance(clocks, dict) else set()
     return any(name in trial.tables for name in COMMANDS) and len(said) < 2
 
 
 def _aligned(trials: list[Trial]) -> tuple[list[dict], str]:
-    """Channels of every trial on one time axis. Without a clock that they share with their command, the first channel that turns
-    (joint1, else turned) says by how much each must be moved onto the first trial; where that is not told, nothing is moved.
-    The pose is then counted from the stretch that all share, so that every beat starts in the same phase."""
+    """Channels of every trial on one time axis.
+
+    Without a clock in common with the command, the first channel that turns (joint1, else turned) gives each trial's shift onto
+    the first; if it does not show one, nothing is shifted. The pose is then counted from the stretch that all share, so that
+    every beat starts in the same phase.
+    """
     each = [channels(trial) for trial in trials]
     if all(_one_clock(trial) for trial in trials):
         return each, "command"

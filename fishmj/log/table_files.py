@@ -22,7 +22,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infin
 
 
 def read_text(path: Path) -> str:
-    """The file as text, or a `LogError` for a pipe, a byte order mark, another encoding, or an empty file."""
+    """Text of the file. Raises LogError for a pipe, a byte order mark, another encoding, or an empty file."""
     regular(path, empty=True)
     try:
         raw = path.read_bytes()
@@ -44,7 +44,7 @@ def read_text(path: Path) -> str:
 
 
 def read_csv(path: Path) -> tuple[Table, Callable[[int, str], str]]:
-    """Columns as float64 arrays, and the function that turns (row, column) into file:line:column for later checks.
+    """Columns as float64 arrays, and a function from (row, column) to file:line:column for later checks.
 
     Raises:
         LogError: at file:line:column, with the fix.
@@ -77,7 +77,7 @@ def read_csv(path: Path) -> tuple[Table, Callable[[int, str], str]]:
 
 
 def write_csv(path: Path, table: Table) -> None:
-    """One header row, shortest decimals that read back to the same float64."""
+    """Writes one header row and the shortest decimals that read back to the same float64."""
     columns = [[_decimal(v) for v in np.asarray(values).tolist()] for values in table.values()]
     lines = [",".join(table), *(",".join(row) for row in zip(*columns, strict=True))]
     write_text(path, "\n".join(lines) + "\n")
@@ -88,7 +88,7 @@ def _decimal(value) -> str:
 
 
 def _character(line: str, field: int) -> int:
-    """1-based character column where comma-separated field number `field` starts."""
+    """1-based character at which comma-separated field number `field` starts."""
     return sum(len(part) + 1 for part in line.split(",")[:field]) + 1
 
 
@@ -126,7 +126,7 @@ def row_place(label) -> Callable[[int, str], str]:
 
 
 def read_archive(path: Path) -> tuple[Table, Callable[[int, str], str]]:
-    """Columns as float64 arrays (whatever they were stored as)."""
+    """Columns as float64 arrays, whatever their stored type."""
     place, table = row_place(path), {}
     for name, values in read_npz(path, widened=True).items():
         if values.dtype.kind not in "fiub":
@@ -136,7 +136,7 @@ def read_archive(path: Path) -> tuple[Table, Callable[[int, str], str]]:
 
 
 def write_archive(path: Path, table: Table, precision: str = "auto") -> None:
-    """Time stamps stay float64; other columns are stored by `narrow`, or all as `precision` ("float32", "float64")."""
+    """Writes time stamps as float64 and other columns by `narrow`, or all as `precision` ("float32", "float64")."""
     kinds = {"auto": narrow, "float32": lambda v: v.astype(np.float32), "float64": lambda v: v.astype(float)}
     if precision not in kinds:
         raise LogError(f"precision = {precision!r}; expected one of {', '.join(kinds)}")
@@ -145,9 +145,9 @@ def write_archive(path: Path, table: Table, precision: str = "auto") -> None:
 
 
 def narrow(values: np.ndarray) -> np.ndarray:
-    """float16 where its largest rounding error is below 0.1 % of the standard deviation, else float32, else float64.
+    """float16 if its largest rounding error is below 0.1 % of the standard deviation, else float32, else float64.
 
-    The deviation and not the value is the yardstick: an offset (a fish 50 m down the tank) must not hide the signal.
+    The measure is the deviation and not the value: an offset (a fish 50 m down the tank) must not hide the signal.
     """
     values = np.asarray(values, dtype=float)
     with np.errstate(over="ignore"):

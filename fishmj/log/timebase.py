@@ -1,8 +1,8 @@
 """Audit of a trial's clocks: rate, jitter, lost and repeated rows of every table; lags and drifts between tables.
 
-A shift of 2 ms in the stamps looks like 24 % of damping, so this comes before any identification. Nothing is mended here.
+A shift of 2 ms in the stamps looks like 24 % of damping, so this comes before any identification. Nothing is corrected here.
 
-How late one channel is behind another: cross-correlation of rates, peak between samples, bootstrap interval, drift. For signals
+Lag of one channel behind another: cross-correlation of rates, peak between samples, bootstrap interval, drift. For signals
 a, b on their own irregular stamps and rates a', b' on a common fine grid (for this comparison only),
 
     R(l) = sum_w sum_t a'_w(t) b'_w(t + l) / sqrt(sum_w sum_t a'_w(t)^2  sum_w sum_t b'_w(t + l)^2),   lag = argmax R
@@ -11,10 +11,10 @@ with the sum over windows w, and the peak from the parabola through the three hi
 shifted stretch: with a fixed one, a motion that grows would pull the lag.) A positive lag says that b comes later. The interval
 resamples windows with replacement. The drift is the slope of the windows' own lags over the session.
 
-The drift is one of the clocks only where frequency, amplitude and gain do not explain it: a mechanism's lag depends on them.
+A drift is attributed to the clocks only if frequency, amplitude and gain do not explain it: a mechanism's lag depends on them.
 
-Both rates get the same Gaussian, which shifts nothing. What the estimate cannot tell: whether the delay is of the clocks, of the
-transport or of the mechanism between the two channels; a first-order servo with time constant T shows up as about T.
+Both rates get the same Gaussian, which shifts nothing. The estimate cannot tell a delay of the clocks from one of the transport
+or of the mechanism between the two channels; a first-order servo with time constant T appears as about T.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -47,7 +47,7 @@ SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans d
 
 @dataclass(frozen=True)
 class Lag:
-    """`later` behind `earlier` by `lag` s, 90 % interval [low, high]; `drift` in s per s of session, with its interval."""
+    """Lag of `later` behind `earlier` [s], 90 % interval [low, high]; `drift` in s per s of session, with its interval."""
 
     earlier: str
     later: str
@@ -63,10 +63,11 @@ class Lag:
 
     @property
     def found(self) -> bool:
-        """Whether the correlation is strong enough, and the interval narrow enough, to speak of a lag at all."""
+        """Returns True if the correlation is strong enough, and the interval narrow enough, for a lag."""
         return abs(self.correlation) >= WEAK and self.high - self.low <= WIDE
 
     def as_dict(self) -> dict:
+        """All fields and `found`, for JSON."""
         return {**asdict(self), "found": self.found}
 
     def text(self) -> str:
@@ -146,7 +147,7 @@ def lag_between(
 
 
 def offsets(trial: Trial) -> list[str]:
-    """One sentence for every pair of channels whose motion tells that their clocks are apart."""
+    """One sentence for every pair of channels whose motion shows a clock offset."""
     out = []
     for earlier, later, either in _pairs(trial):
         if found := offset_between(earlier, later, either_sign=either):
@@ -159,9 +160,9 @@ def offsets(trial: Trial) -> list[str]:
 
 
 def _without_pauses(ta: np.ndarray, tb: np.ndarray, keep: float) -> tuple[np.ndarray, np.ndarray]:
-    """Both stamps with every pause that the two share cut to `keep` s, by the same amount for both, so that no lag changes.
+    """Both stamps with every common pause cut to `keep` s, by the same amount for both, so that no lag changes.
 
-    The grid is then as long as the motion, however long the logger slept. A drift is one per second of what is left.
+    The grid is then as long as the motion, however long the logger slept. A drift is per second of the remaining time.
     """
     cut_a, cut_b = ta.copy(), tb.copy()
     ends = [(ta[i], ta[i + 1]) for i in np.flatnonzero(np.diff(ta) > keep)]
@@ -207,13 +208,13 @@ def _peak(curve: np.ndarray) -> tuple[float, float]:
 
 
 def _near(curve: np.ndarray, at: float, reach: int) -> float:
-    """The peak within `reach` samples of index `at`."""
+    """Position of the peak within `reach` samples of index `at`."""
     start = max(round(at) - reach, 0)
     return start + _peak(curve[start : round(at) + reach + 1])[0]
 
 
 def _movements(rates: np.ndarray, size: int, gain: np.ndarray) -> tuple[np.ndarray, bool]:
-    """((K, W) mean frequency squared, amplitude, gain and its square of every window; whether the gain varies)."""
+    """((K, W) mean frequency squared, amplitude, gain and its square of every window; True if the gain varies)."""
     count = len(rates) // size
     blocks = rates[: count * size].reshape(count, size, -1)
     energy = np.sum(blocks**2, axis=(1, 2)) + 1e-300
@@ -228,8 +229,9 @@ def _drift(
 ) -> tuple[float, tuple[float, float]]:
     """Slope of the windows' own lags [samples/s], weighted, and its 99 % interval.
 
-    Where the gain varies, or the lags follow frequency and amplitude (an F test at 1 %), the mechanism between the channels does:
-    the slope is then what frequency, amplitude and gain leave unexplained, its interval that of all fits without one of them.
+    If the gain varies, or the lags follow frequency and amplitude (an F test at 1 %), the mechanism between the channels varies
+    too. The slope is then the part that frequency, amplitude and gain leave unexplained; its interval is that of all fits without
+    one of them.
     """
     lags = np.array([_near(row, at, near) for row in curves])
     times = spacing * (np.arange(len(lags)) - 0.5 * (len(lags) - 1)) / (spacing * len(lags))
@@ -256,7 +258,7 @@ def _drift(
 
 
 def _rival(curve: np.ndarray, at: float) -> bool:
-    """Is there another local maximum almost as high, or is the highest point at the edge of what was looked at?"""
+    """Returns True if another local maximum is almost as high, or if the highest point is at the edge of the range."""
     inner = np.flatnonzero((curve[1:-1] >= curve[:-2]) & (curve[1:-1] > curve[2:])) + 1
     others = inner[np.abs(inner - at) > 3]
     edge = round(at) in (0, len(curve) - 1)
@@ -285,7 +287,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Audit:
-    """All clocks of a trial, the lags between its channels, and what is worth knowing, one sentence each."""
+    """All clocks of a trial, the lags between its channels, and remarks, one sentence each."""
 
     trial: str
     clocks: tuple[Clock, ...]
@@ -293,7 +295,7 @@ class Audit:
     findings: tuple[str, ...]
 
     def as_dict(self) -> dict:
-        """For JSON."""
+        """The audit as plain data for JSON."""
         return {
             "trial": self.trial,
             "clocks": [asdict(clock) for clock in self.clocks],
@@ -316,7 +318,7 @@ class Audit:
 
 
 def audit(trial: Trial) -> Audit:
-    """Audit every table and every pair of channels that can be compared."""
+    """Audits every table and every pair of comparable channels."""
     clocks = tuple(clock_of(name, table) for name, table in sorted(trial.tables.items()) if name != "target")
     lags, findings = [], []
     for earlier, later, either in _pairs(trial):
@@ -362,8 +364,11 @@ def clock_of(name: str, table: Table) -> Clock:
 
 
 def _missing(step: np.ndarray) -> int:
-    """Rows that long steps lack. The yardstick is the median around each step (a bus may change its rate), the threshold leaves
-    room for the jitter: more than 1.5 local steps, and more than four robust standard deviations above one."""
+    """Number of rows that long steps lack.
+
+    The yardstick is the median around each step, since a bus may change its rate. The threshold leaves room for jitter: more than
+    1.5 local steps, and more than four robust standard deviations above one.
+    """
     if len(step) < 3:
         return 0
     reach = min(LOCAL, (len(step) - 1) // 2)
@@ -383,7 +388,7 @@ def _repeats(table: Table) -> np.ndarray:
 
 
 def _pairs(trial: Trial):
-    """(earlier, later, whether they may move against each other) of all channels worth comparing."""
+    """(earlier, later, True if they may move against each other) of all comparable channels."""
     tables = trial.tables
     signals = {}
     for name, template in (("cmd", "c#"), ("joint", "j#")):
@@ -403,7 +408,7 @@ def _pairs(trial: Trial):
 
 
 def _by_stamps(trial: Trial, clocks: tuple[Clock, ...]) -> list[Clock]:
-    """One clock for all tables with the very same stamps, under their joined names: what is said of one is said once."""
+    """One clock for all tables with identical stamps, under their joined names, so that each remark appears once."""
     out: list[Clock] = []
     for clock in clocks:
         t = trial.tables[clock.table]["t"]

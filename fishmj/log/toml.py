@@ -1,4 +1,4 @@
-"""Write TOML: the small part that the standard library's reader has no counterpart for.
+"""Writes TOML, because the standard library only reads it.
 
 Scalars, lists, nested tables (as `[a.b]` blocks) and lists of tables (inline). `None` has no TOML form: its key is left out.
 """

@@ -20,7 +20,7 @@ YEAR = 366 * 86_400.0  # s; a longer step is no pause: the clock was set
 
 @dataclass(frozen=True, kw_only=True)
 class TableSpec:
-    """Columns of one table. `kinds` maps a template to the check its values get."""
+    """Columns of one table. `kinds` maps a template to the check of its values."""
 
     about: str
     fixed: tuple[str, ...]
@@ -135,7 +135,7 @@ META = (  # dotted keys that a complete meta.toml has; sigma and clock are table
 
 
 def table_spec(name: str) -> TableSpec:
-    """The specification of table `name`, or an error that lists the known ones."""
+    """Specification of table `name`; raises UnknownName with the known ones."""
     if name not in TABLES:
         raise UnknownName("table", name, TABLES)
     return TABLES[name]
@@ -164,7 +164,7 @@ Table = dict[str, np.ndarray]  # column name -> (T,) values; "t" is always there
 
 @dataclass(frozen=True)
 class Trial:
-    """What a simulator, the evaluator or the robot recorded. `notes` are the reader's remarks, one sentence each."""
+    """Recording of a simulator, the evaluator or the robot. `notes` are the reader's remarks, one sentence each."""
 
     meta: dict
     tables: dict[str, Table]
@@ -210,16 +210,16 @@ def stacked(table: Table, template: str) -> np.ndarray:
 
 
 def gaps(t: np.ndarray, limit: float = GAP) -> np.ndarray:
-    """Rows after which the table pauses: longer than `limit` [s] and than 1.5 median steps (slow cameras are no gaps)."""
+    """Rows after which the table pauses: for longer than `limit` [s] and than 1.5 median steps (for slow cameras)."""
     step = np.diff(np.asarray(t, float))
     return np.flatnonzero(step > max(limit, 1.5 * float(np.median(step)) if len(step) else 0.0))
 
 
 def segments(trial: Trial, limit: float = GAP, tables: tuple[str, ...] | None = None) -> list[Trial]:
-    """Cut a trial where a continuous table (cmd, joint, pose, truth; or `tables`) pauses for more than `limit` s.
+    """Cuts a trial at every pause of more than `limit` s of a continuous table (cmd, joint, pose, truth; or `tables`).
 
     Each part holds the rows of all tables inside one stretch without a pause; target rows are carried over, since a
-    target holds until the next one. A trial without a pause comes back as it is.
+    target holds until the next one. A trial without a pause is returned unchanged.
     """
     watched = [n for n in trial.tables if (tables is None and table_spec(n).continuous) or n in (tables or ())]
     cuts = []

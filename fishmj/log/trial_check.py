@@ -1,7 +1,7 @@
-"""Is a table or a meta dictionary what the schema says? The same checks run on reading and on writing.
+"""Checks a table or a meta dictionary against the schema, the same way on reading and on writing.
 
 A breach is a `LogError` that begins with file:line:column (row number and column number for binary tables) and ends
-with the fix. What is merely absent or unusual is returned as notes. How large a value may be before its unit is doubted says
+with the fix. Absent or unusual things are returned as notes. The largest values before a unit is doubted stand in
 `data/calib/plausible.toml`, relaxed by a trial's `[plausible]`.
 """
 
@@ -74,7 +74,7 @@ class Plausible:
         return getattr(self, f"{name}_least", 0.0), getattr(self, name)
 
     def relaxed(self, said: Mapping, where: str) -> "Plausible":
-        """These bounds with those of `said` in their place.
+        """Copy of the bounds with those of `said` in their place.
 
         Raises:
             LogError: a value is no positive number. UnknownName: no such bound.
@@ -90,10 +90,10 @@ class Plausible:
 
 @cache
 def shipped_bounds() -> Plausible:
-    """The table that ships with fishmj.
+    """The bounds that ship with fishmj.
 
     Raises:
-        LogError: a bound is missing or no positive number. UnknownName: one that there is not.
+        LogError: a bound is missing or no positive number. UnknownName: an unknown bound.
     """
     path = calib_folder() / "plausible.toml"
     found, names = read_toml(path), [f.name for f in fields(Plausible)]
@@ -107,7 +107,7 @@ _SAID: ContextVar[Mapping | None] = ContextVar("said", default=None)  # on the c
 
 @contextmanager
 def relaxed_bounds(said: Mapping) -> Iterator[None]:
-    """Within: every table is read with these bounds in place of the shipped ones; a trial's own go before them."""
+    """Context in which every table is read with these bounds in place of the shipped ones; a trial's own take precedence."""
     shipped_bounds().relaxed(said, "--plausible")
     token = _SAID.set(said)
     try:
@@ -125,7 +125,7 @@ def bounds_of(meta: Mapping, where: str) -> Plausible:
 
 
 def read_bounds(text: str) -> dict[str, float]:
-    """`reach=1000,speed=30` -> {"reach": 1000.0, "speed": 30.0}; values are checked by `relaxed`."""
+    """Parses `reach=1000,speed=30` to {"reach": 1000.0, "speed": 30.0}; `relaxed` checks the values."""
     out = {}
     for part in filter(None, (piece.strip() for piece in text.split(","))):
         name, _, value = part.partition("=")
@@ -138,9 +138,9 @@ def read_bounds(text: str) -> dict[str, float]:
 
 
 class Implausible(LogError):
-    """A value beyond what a log may hold: its unit is doubted.
+    """A value beyond the bounds of a log, so that its unit is doubted.
 
-    column: of the schema. value: what `verb` says of it, in `si`; span: what a log may hold; bound: its name in plausible.toml.
+    column: of the schema. value: in `si`, described by `verb`; span: of a plausible log; bound: its name in plausible.toml.
     """
 
     def __init__(self, place: str, fault: str, fix: str, column: str, value: float, bound: str, bounds: Plausible):
@@ -152,7 +152,7 @@ class Implausible(LogError):
 
     @property
     def told(self) -> str:
-        """What is found and what would be plausible, without advice."""
+        """Found value and plausible range in words, without advice."""
         low, high = self.span
         allowed = f"{low:g} to {high:.4g}" if low else f"at most {high:.4g}"
         return f"{self.verb} {self.value:.4g} {self.si}; plausible is {allowed}"
@@ -231,7 +231,7 @@ def check_counts(tables: dict[str, Table]) -> list[str]:
 
 
 def _number(meta: dict, key: str, where: str) -> float:
-    """The finite number behind `key`, 0 when the key is absent."""
+    """Finite number behind `key`, 0 if the key is absent."""
     value = look_up(meta, key, 0.0)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
         raise LogError(f"{where}: {key} = {value!r}; expected a finite number, or leave the key out when it is unknown")
@@ -315,7 +315,7 @@ def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, plac
 
 
 def _check_supply(column: str, values: np.ndarray, place: Place, bounds: Plausible) -> None:
-    """A supply by its usual value: one that is off, or an inrush, tells nothing of the unit."""
+    """Checks a supply by its usual value; a supply that is off, or an inrush, says nothing about the unit."""
     value, (low, high) = usual(values), bounds.span(_SUPPLY[column])
     if value and not low <= value <= high:
         si = _BOUNDS[_SUPPLY[column]][1]
@@ -329,13 +329,13 @@ def _check_supply(column: str, values: np.ndarray, place: Place, bounds: Plausib
 
 
 def usual(values: np.ndarray) -> float:
-    """The median size of what is not zero; 0 where all is."""
+    """Median magnitude of the values that are not zero; 0 if all are."""
     some = np.abs(values[np.isfinite(values) & (values != 0)])
     return float(np.median(some)) if len(some) else 0.0
 
 
 def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
-    """A place far from the origin proves nothing (a boat, a grid of a map): how far it moves and how fast does."""
+    """Checks a position by its travel and speed; distance from the origin proves nothing (a boat, a grid of a map)."""
     away = np.flatnonzero(np.abs(x - x[0]) > bounds.reach)
     if abs(x[0]) > bounds.start:
         bad, told, value, name = 0, f"starts at {x[0]:g}", float(x[0]), "start"
@@ -361,14 +361,14 @@ def _check_position(column: str, x: np.ndarray, t: np.ndarray, place: Place, bou
 
 
 def _steps(x: np.ndarray, t: np.ndarray, bounds: Plausible) -> np.ndarray:
-    """Rows after which a place moves faster than anything swims."""
+    """Rows after which a position moves faster than any swimmer."""
     return np.flatnonzero(np.abs(np.diff(x)) > bounds.speed * np.maximum(np.diff(t), STEP))
 
 
 def _level(x: np.ndarray, t: np.ndarray, bounds: Plausible) -> int:
-    """The row after which a place is 10, 100 or 1000 times what it was, metres away, and stays; -1 where there is none.
+    """Row after which a position is permanently 10, 100 or 1000 times larger, metres away; -1 if there is none.
 
-    A jump alone is no change of units: the fixes of a satellite come back metres from where they were.
+    A jump alone is no change of units: satellite fixes also return metres from the last one.
     """
     for row in _steps(x, t, bounds)[:100]:
         before, after = np.median(x[max(row - AROUND, 0) : row + 1]), np.median(x[row + 1 : row + 2 + AROUND])
@@ -389,13 +389,13 @@ def _strays(name: str, column: str, table: Table, place: Place, bounds: Plausibl
 
 
 def _pace(x: np.ndarray, t: np.ndarray) -> float:
-    """Median speed over a second, so that the noise of a fix is no speed."""
+    """Median speed over a second, so that the noise of a fix does not count."""
     rows = int(np.clip(round(1.0 / max(float(np.median(np.diff(t))), 1e-9)), 1, len(x) - 1))
     return float(np.median(np.abs(x[rows:] - x[:-rows]) / (t[rows:] - t[:-rows])))
 
 
 def _check_heading(column: str, yaw: np.ndarray, t: np.ndarray, place: Place, bounds: Plausible) -> None:
-    """Unwrapped headings may pile up turns, so size alone proves nothing: look at the start and at the turning rate."""
+    """Checks a heading by its start and its turning rate: unwrapped headings may add up turns, so size alone proves nothing."""
     bad, most = -1, bounds.turns * 2 * math.pi
     if abs(yaw[0]) > most:
         bad = 0

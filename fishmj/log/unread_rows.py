@@ -1,6 +1,6 @@
-"""Rows that hold no measurement: a servo that did not answer, a camera that lost the fish.
+"""Rows without a measurement: a servo did not answer, or a camera lost the fish.
 
-They are left out with a note wherever a log is read for use; `physical_checks` tells of them. Bounds are in `plausible.toml`.
+They are left out with a note wherever a log is used; `physical_checks` reports them. Bounds are in `plausible.toml`.
 """
 
 from itertools import pairwise
@@ -16,14 +16,14 @@ LEAP = {"x": 0.05, "y": 0.05, "yaw": 0.5}  # m, m, rad: least jump of a lost pos
 
 
 def is_sound(table: Table, names: list[str]) -> bool:
-    """True for columns of finite numbers, all of one length."""
+    """Returns True for columns of finite numbers, all of one length."""
     columns = [np.asarray(table[name]) for name in names if name in table]
     sound = len(columns) == len(names) and all(c.ndim == 1 and c.dtype.kind in "fiub" for c in columns)
     return sound and len({len(c) for c in columns}) == 1 and all(bool(np.isfinite(c).all()) for c in columns)
 
 
 def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
-    """(T,) bool rows of `pose` in which the fish was not seen, and one note where there are some; none of a damaged table.
+    """(T,) bool rows of `pose` without the fish in view, and one note if there are some; none of a damaged table.
 
     x, y or yaw leaves its path and comes back within `LOST`, each time faster than a fish; one pose that a tracker repeats may
     last longer, and begin or end the table.
@@ -60,7 +60,7 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
 
 
 def failed_reads(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
-    """(T,) bool rows of `joint` in which a joint was not read, and one note where there are some; none of a damaged table."""
+    """(T,) bool rows of `joint` with an unread joint, and one note if there are some; none of a damaged table."""
     if not is_sound(table, ["t", *joints(table)]):
         return np.zeros(len(np.atleast_1d(next(iter(table.values()), ()))), bool), []
     t = np.asarray(table["t"], float)
@@ -112,7 +112,7 @@ def failed_rows(t: np.ndarray, x: np.ndarray, bounds: Plausible) -> np.ndarray:
 
 
 def _peaks(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """(runs,) first and last row of each run of equal values, how far it stands out on both sides, and what is usual."""
+    """(runs,) first and last row of each run of equal values, its height over both neighbours, and the usual height."""
     start = np.flatnonzero(np.r_[True, np.diff(x) != 0])
     end = np.r_[start[1:], len(x)] - 1
     v = x[start]
@@ -126,7 +126,7 @@ def _peaks(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
 
 
 def _recurring(x: np.ndarray, bounds: Plausible) -> np.ndarray:
-    """Rows of one value that comes back exactly, in short runs, each time far from its neighbours."""
+    """Rows of one value that returns exactly, in short runs, each time far from its neighbours."""
     start, _, peak, _ = _peaks(x)
     large = peak > bounds.spike
     values, counts = np.unique(x[start[large]], return_counts=True)
@@ -144,7 +144,7 @@ def _recurring(x: np.ndarray, bounds: Plausible) -> np.ndarray:
 
 
 def _spikes(t: np.ndarray, x: np.ndarray, bounds: Plausible) -> np.ndarray:
-    """Rows of peaks that the joint cannot reach and leave in the time that there is."""
+    """Rows of peaks that the joint cannot reach and leave in the available time."""
     start, end, peak, usual = _peaks(x)
     step = np.abs(np.diff(x[start]))
     fast = step > bounds.rate * (t[start[1:]] - t[end[:-1]])

@@ -1,4 +1,4 @@
-"""The robot: a small description (dataclass or TOML) in, geometry and a MuJoCo model out."""
+"""The robot: from a small description (dataclass or TOML) to geometry and a MuJoCo model."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """`build`, `build_spec` and `mjcf_xml`: MuJoCo is loaded at their first use only."""
+    """Loads `build`, `build_spec` and `mjcf_xml`, and so MuJoCo, at their first use."""
     if name not in __all__:
         raise AttributeError(f"module 'fishmj.mjcf' has no attribute {name!r}")
     from fishmj.mjcf import model

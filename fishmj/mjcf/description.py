@@ -1,4 +1,4 @@
-"""What a robotic fish is, in plain numbers: links, fins, servos, timing. SI units, radians.
+"""Data classes of a robotic fish: links, fins, servos, timing. SI units, radians.
 
 A description is a TOML file (`data/calib/fish.toml` is the paper's fish) or these dataclasses built by hand. Links are
 listed from nose to tail; each hangs on the rear end of the one before it by a servo hinge about the vertical axis.
@@ -52,7 +52,7 @@ class Fin:
 class Servo:
     """A position servo: torque = clip(kp e - kv w, +-torque) - kb w, the torque-speed line of a DC motor.
 
-    kb = torque / speed_no_load is the back-EMF slope, kv = kd - kb what the controller adds. [N m/rad, N m s/rad, N m, rad/s]
+    kb = torque / speed_no_load is the back-EMF slope, kv = kd - kb the controller's damping. [N m/rad, N m s/rad, N m, rad/s]
     """
 
     kp: float = 8.0
@@ -73,7 +73,7 @@ class Servo:
 
     @property
     def kv(self) -> float:
-        """Damping that the position controller adds to the back-EMF, N m s/rad; never below zero by the rounding of its parts."""
+        """Damping that the position controller adds to the back-EMF, N m s/rad; rounding never makes it negative."""
         return max(self.kd - self.kb, 0.0)
 
 
@@ -92,9 +92,9 @@ class Timing:
 
 @dataclass(frozen=True, kw_only=True)
 class RigSpec:
-    """How the robot is wired, fed and painted: what its host needs and no simulation. One entry a joint, from the head.
+    """Wiring, supply and paint of the robot, needed by its host but not by a simulation. One entry a joint, from the head.
 
-    None is what nobody stated: `Robot.servo_ids` and its neighbours say what it then is.
+    None means not stated; properties of `Robot` such as `servo_ids` then give the default.
     """
 
     bus: str = "lx"  # a name of servo_buses.BUSES
@@ -110,7 +110,7 @@ class RigSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """A complete description: what `mjcf.build` and the water are made from."""
+    """A complete description: the input of `mjcf.build` and of the water."""
 
     name: str
     links: tuple[Link, ...]
@@ -126,6 +126,7 @@ class Robot:
 
     @property
     def n_joints(self) -> int:
+        """Number of joints, one less than links."""
         return len(self.links) - 1
 
     @property
@@ -140,15 +141,15 @@ class Robot:
 
     @property
     def servo_ids(self) -> tuple[int, ...]:
-        """Numbers on the servo bus, from the head to the tail; where the rig says none 1 to the number of joints."""
+        """Numbers on the servo bus, from the head to the tail; 1 to the number of joints unless the rig states them."""
         return self.rig.servo_ids or tuple(range(1, self.n_joints + 1))
 
     @property
     def low_voltage(self) -> float:
-        """V below which the battery counts as low.
+        """Voltage below which the battery counts as low, V.
 
-        Where the rig says none: 3.2 V for each LiPo cell, where the servos' voltage is one of cells between 3.7 and 4.2 V; else
-        86 % of it.
+        Unless the rig states it: 3.2 V for each LiPo cell, if the servos' voltage is a multiple of 3.7 to 4.2 V a cell; else 86 %
+        of that voltage.
         """
         volts, (lowest, nominal, full) = self.servo.voltage, CELL
         cells = next((n for n in range(1, 15) if nominal * n - 1e-9 <= volts <= full * n + 1e-9), 0)
@@ -156,9 +157,9 @@ class Robot:
 
 
 def load_robot(source: "str | Path | Robot" = "fish") -> Robot:
-    """Read a robot from a TOML path or a shipped name (`fish`, `tendon_fish`), or check one that was built by hand.
+    """Reads a robot from a TOML path or a shipped name (`fish`, `tendon_fish`), or checks one that was built by hand.
 
-    What the description leaves out and what is unlikely in it is said once on stderr, and is in `Robot.notes`.
+    Notes on defaults and on unlikely values are printed once on stderr, and kept in `Robot.notes`.
 
     Raises:
         DescriptionError: something is missing, unknown or impossible; lists everything with file, block, key, got, expected.
@@ -201,12 +202,12 @@ def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
 
 
 def _name_of(path: Path) -> str:
-    """The name of a robot whose description has none."""
+    """Name for a robot whose description has none."""
     return nearest(path.stem) or "fish"
 
 
 def checked(robot: Robot) -> Robot:
-    """A robot that was built by hand, by the rules of a file; one that was checked before comes back at once.
+    """Checks a robot that was built by hand by the rules of a file; returns one that was checked before at once.
 
     Raises:
         DescriptionError: as `load_robot`.
@@ -255,9 +256,10 @@ def _sound(robot: Robot) -> Robot:
 
 
 def _examined(table: Mapping[str, Any], where: str) -> list[str]:
-    """The notes on a sound table; pydantic is loaded here, by the first description.
+    """Notes on a sound table; loads pydantic at the first description.
 
-    Beside the tank it is missing (deploy/host_requirements.txt): what ships was examined before; of another file that is said.
+    A computer beside the tank lacks pydantic (deploy/host_requirements.txt): shipped files were checked before, another file gets
+    a note.
     """
     try:
         from fishmj.mjcf.validation import examine
@@ -273,7 +275,7 @@ def _examined(table: Mapping[str, Any], where: str) -> list[str]:
 
 
 def _in_radians(block: Mapping[str, Any]) -> dict[str, Any]:
-    """A block with its angles in rad, whose keys end in _deg in the file."""
+    """Converts the angles of a block to rad; their keys end in _deg in the file."""
     turned = lambda value: [radians(v) for v in value] if isinstance(value, list) else radians(value)
     plain = {key: value for key, value in block.items() if not key.endswith("_deg")}
     return plain | {key.removesuffix("_deg"): turned(value) for key, value in block.items() if key.endswith("_deg")}
@@ -292,7 +294,7 @@ def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """As TOML would give it: lists for tuples and arrays, Python's numbers for NumPy's, nothing for None."""
+    """Converts a value to TOML's types: lists for tuples and arrays, Python's numbers for NumPy's, no key for None."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items() if item is not None}
     if hasattr(value, "tolist"):
@@ -301,7 +303,7 @@ def _plain(value: Any) -> Any:
 
 
 def _defaults(block: str, default: "Servo | Timing", given: Mapping[str, Any], where: str) -> list[str]:
-    """What a block leaves out, in one line."""
+    """Note on the keys that a block leaves out, in one line."""
     left = {key: value for key, value in vars(default).items() if key not in given}
     if not left:
         return []
@@ -313,7 +315,7 @@ def _defaults(block: str, default: "Servo | Timing", given: Mapping[str, Any], w
 
 
 def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tuple[dict, list[str]]:
-    """The water table with the prior's values in the place of those that are left out, and what to tell."""
+    """The water table with the prior's values for the missing keys, and notes on them."""
     missing = [key for key in WATER_NEEDS if key not in given and f"{key}_deg" not in given]
     water = dict(given)
     if not missing:
@@ -329,7 +331,11 @@ def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tup
 
 
 def check_timing(timing: Timing, where: str) -> None:
-    """Steps must nest: physics into bus into control; names the nearest valid value otherwise."""
+    """Checks that steps nest: physics into bus into control.
+
+    Raises:
+        ConfigError: they do not; names the nearest valid value.
+    """
     from fishmj.mjcf.relations import timing as findings
 
     for finding in findings(vars(timing)):
@@ -337,7 +343,7 @@ def check_timing(timing: Timing, where: str) -> None:
 
 
 def _effects(table: dict, where: str) -> "tuple[FittedEffect, ...]":
-    """The blocks [[effect]]; the catalogue is loaded only for a fish that has some."""
+    """Parses the blocks [[effect]]; the catalogue is loaded only for a fish that has some."""
     if not table.get("effect"):
         return ()
     from fishmj.effects.calibration import parse

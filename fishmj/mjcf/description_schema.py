@@ -1,9 +1,8 @@
-"""What may stand in a robot description: every block and key with its unit, its bounds and what it is.
+"""Schema of a robot description: every block and key with its unit, bounds and meaning.
 
-pydantic checks a description against these models; `validation.py` turns what it finds into lines for a reader, and
-`relations.py` adds what no single key can know (masses that add up, steps that nest). `Fault` is one thing that is wrong, `line`
-tells it. The table of keys in docs/simulate/your_own_fish.md is made from here.
-
+pydantic checks a description against these models; `validation.py` turns its errors into lines for a reader, and
+`relations.py` adds the checks between several keys (masses that add up, steps that nest). `Fault` is one error, `line` its text.
+The table of keys in docs/simulate/your_own_fish.md is made from here.
 Lengths in m from the front of each link backwards, angles in rad or in keys that end in `_deg`.
 """
 
@@ -48,34 +47,34 @@ def _field(what: str, unit: str, expected: str, default: Any, **bounds) -> Any:
 
 
 def number(what: str, low: float, high: float, unit: str = "", *, above: bool = False, default: Any = REQUIRED) -> Any:
-    """A finite number from `low` (with `above`: beyond it) to `high`."""
+    """Field for a finite number from `low` (with `above`: beyond it) to `high`."""
     bounds: dict[str, Any] = {("gt" if above else "ge"): low, "le": high, "allow_inf_nan": False}
     return _field(what, unit, f"a number {span(low, high, above)}{f' {unit}' if unit else ''}", default, **bounds)
 
 
 def whole(what: str, low: int, high: int, unit: str = "", *, default: Any = REQUIRED) -> Any:
-    """A whole number from `low` to `high`."""
+    """Field for a whole number from `low` to `high`."""
     return _field(what, unit, f"a whole number {span(low, high)}{f' {unit}' if unit else ''}", default, ge=low, le=high)
 
 
 def text(what: str, *, default: Any = "", most: int = LONGEST_TEXT, least: int = 0) -> Any:
-    """Printable text."""
+    """Field for printable text."""
     expected = f"printable text of {f'{least} to ' if least else 'at most '}{most} characters"
     return _field(what, "", expected, default, max_length=most, min_length=least)
 
 
 def name(what: str, default: Any = REQUIRED) -> Any:
-    """What may stand in paths, pages and source."""
+    """Field for a name that may stand in paths, pages and source."""
     return _field(what, "", NAME, default)
 
 
 def span(low: float, high: float, above: bool = False) -> str:
-    """`from 0 to 1`, `above 0 to 1`."""
+    """Range in words: `from 0 to 1`, `above 0 to 1`."""
     return f"{'above' if above else 'from'} {low:g} to {high:g}"
 
 
 class TomlTable(BaseModel):
-    """A table of a description: no other keys, no text or truth value in the place of a number."""
+    """A table of a description: refuses unknown keys, and texts or truth values in place of numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, protected_namespaces=())
 
@@ -170,7 +169,7 @@ A_JOINT = "one number a joint, head first"
 
 
 class RigBlock(TomlTable):
-    """How the robot is wired, fed and painted, for `fishmj deploy`; options of the command line go before it."""
+    """Wiring, supply and paint of the robot, for `fishmj deploy`; options of the command line take precedence."""
 
     bus: Literal["lx", "dynamixel-x", "dynamixel-ax"] = _field(
         "kind of servos on a `serial:` link", "", "'lx', 'dynamixel-x' or 'dynamixel-ax'", "lx"
@@ -199,7 +198,7 @@ class RigBlock(TomlTable):
 
 
 class WaterBlock(TomlTable):
-    """Start values of the strip model (docs/simulate/water.md); what is left out comes from the shape of the sections."""
+    """Start values of the strip model (docs/simulate/water.md); missing ones come from the shape of the sections."""
 
     model: Text | None = text(
         "these strips ('structured'), 'fitted', or a fitted water by name or .toml; default: fitted if there is one",
@@ -228,7 +227,7 @@ class WaterBlock(TomlTable):
 
 
 class EffectBlock(TomlTable):
-    """What calibration or the gap search adds; leave it out at first (docs/simulate/effects.md)."""
+    """Effect added by calibration or by the gap search; leave it out at first (docs/simulate/effects.md)."""
 
     name: str = _field("of the catalogue", "", "the name of an effect", REQUIRED, max_length=64)
     parameters: dict[str, Any] = _field("by name", "", "a table of name = { value, low, high }", {})
@@ -237,7 +236,7 @@ class EffectBlock(TomlTable):
 
 
 class VersionBlock(BaseModel):
-    """Where a version of a model comes from; `gap apply` writes it."""
+    """Origin of a version of a model; `gap apply` writes it."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True)
 
@@ -292,7 +291,7 @@ LISTS = ("link", "fin", "effect")  # blocks that may stand several times, [[...]
 
 
 def said(block: str, key: str) -> tuple[str, str, str]:
-    """(what it is, unit, what is expected) of a key of a block; of a key at the top of the file where `block` is empty."""
+    """(meaning, unit, expected value) of a key of a block; of a key at the top of the file if `block` is empty."""
     model = BLOCKS[block] if block else Description
     for field_name, info in model.model_fields.items():
         if key == (info.alias or field_name):
@@ -308,12 +307,12 @@ def keys(block: str = "") -> list[str]:
 
 
 def header(block: str) -> str:
-    """`[servo]`, `[[link]]`."""
+    """Header of a block in the file: `[servo]`, `[[link]]`."""
     return f"[[{block}]]" if block in LISTS else f"[{block}]"
 
 
 class Fault(NamedTuple):
-    """One thing that is wrong. block: "link"; nth: which of several, from 0; key: "mass", or "" for the whole block."""
+    """One error in a description. block: "link"; nth: index among several, from 0; key: "mass", or "" for the whole block."""
 
     block: str
     nth: int | None
@@ -324,7 +323,7 @@ class Fault(NamedTuple):
 
 
 def line(f: Fault, table: Mapping[str, Any], where: str) -> str:
-    """`FILE [[link]] 2 'body1' mass: got nan, expected a number above 0 kg; what to do`."""
+    """Text of a fault: `FILE [[link]] 2 'body1' mass: got nan, expected a number above 0 kg; what to do`."""
     place = f" {header(f.block)}" if f.block else ""
     if f.nth is not None:
         entry = table[f.block][f.nth]
@@ -337,7 +336,7 @@ def line(f: Fault, table: Mapping[str, Any], where: str) -> str:
 
 
 def shown(value: Any, most: int = 60) -> str:
-    """A value for a message: short, on one line, and safe whatever it holds."""
+    """Value for a message: short, on one line, and printable."""
     if isinstance(value, bool):
         text = str(value).lower()  # as TOML spells it
     elif isinstance(value, int) and value.bit_length() > 128:

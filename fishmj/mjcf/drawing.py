@@ -1,7 +1,7 @@
-"""How links are drawn: colours, a nose that is round, the hull through the sections of a link, its fins.
+"""Shapes for drawing links: colours, a round nose, the hull through the sections of a link, its fins.
 
-Only pictures have the round nose: water, mass and inertia keep the sections as they are described. The plates of a fin are those
-that the water acts on.
+Only pictures have the round nose: water, mass and inertia keep the described sections. The plates of a fin are those that the
+water acts on.
 """
 
 import numpy as np
@@ -33,11 +33,11 @@ def colour_of(robot: Robot, i: int) -> tuple[float, float, float]:
 
 
 def drawn_sections(robot: Robot, i: int) -> np.ndarray:
-    """The rows (S, 3) of link i's sections [m] as pictures show them: the head's front end is rounded off.
+    """The rows (S, 3) of link i's sections [m] for pictures: the head's front end is rounded off.
 
-    A first section is a flat wall, h0 high. One that is higher than a quarter of the head becomes half an ellipsoid inside the
-    described length, as deep as r = h0 / 2 (at most a quarter of the link), as high and wide as the link is at r: its rings
-    stand at r (1 - cos a) and have sin a of that.
+    A first section is a flat wall, h0 high. If it is higher than a quarter of the head, it becomes half an ellipsoid inside the
+    described length. The ellipsoid is r = h0 / 2 deep (at most a quarter of the link), and as high and wide as the link is at r.
+    Its rings stand at r (1 - cos a) and have sin a of that size.
     """
     link = robot.links[i]
     rows = np.array(link.sections, float)
@@ -71,7 +71,7 @@ def tube_faces(n: int, around: int) -> np.ndarray:
 
 
 def hull_faces(n: int, around: int) -> np.ndarray:
-    """The same, closed: behind the points of the rings come the middles of the first and of the last ring."""
+    """Triangles (F, 3) of the closed hull of n rings; the centres of the first and last ring are the final vertices."""
     k, following, last = np.arange(around), (np.arange(around) + 1) % around, (n - 1) * around
     nose = np.stack([np.full(around, n * around), k, following], 1)
     tail = np.stack([np.full(around, n * around + 1), last + following, last + k], 1)
@@ -91,7 +91,7 @@ def fin_plates(robot: Robot, geometry: Geometry, fin) -> list[tuple[float, float
 
 
 def solids(robot: Robot) -> tuple[Solid, ...]:
-    """The links as a viewer draws them, nose first: the same hulls and fin plates as in the robot's MuJoCo model."""
+    """Links for a viewer, nose first: the same hulls and fin plates as in the robot's MuJoCo model."""
     g, out = geometry_of(robot), []
     for i, (link, front) in enumerate(zip(robot.links, [g.reference, *g.origin[1:]], strict=True)):
         plates = [plate for fin in robot.fins if fin.link == link.name for plate in fin_plates(robot, g, fin)]

@@ -20,7 +20,7 @@ class FromAbove:
     """Draws on images (H, W, 3) uint8 BGR, north (+y) up. Raises MissingExtra without OpenCV.
 
     Args:
-        size: W, H in pixels. middle: pixel (2,) at which the world's `centre` (2,) [m] lies. scale: pixels a metre.
+        size: W, H in pixels. middle: pixel (2,) of the world's `centre` (2,) [m]. scale: pixels a metre.
     """
 
     def __init__(self, size: tuple[int, int], centre, scale: float, middle):
@@ -45,26 +45,26 @@ class FromAbove:
         return image
 
     def line(self, image, points, colour, thickness: int) -> None:
-        """A line through the world's points (n, 2), m."""
+        """Draws a line through the world's points (n, 2), m."""
         whole = np.round(self.pixel(points) * 16).astype(np.int32).reshape(-1, 1, 2)
         self.cv2.polylines(image, [whole], False, colour, thickness, self.cv2.LINE_AA, 4)
 
     def swimmer(self, image, q, target, s: Skin, tint=None) -> None:
-        """The target (2,) [m], if any (NaN: none), in a ring that is green around a fish that has arrived; and the fish."""
+        """Draws the fish, and the target (2,) [m] (NaN: none) in a ring, which is green around a fish that has arrived."""
         if np.isfinite(target).all():
             radius = constant("protocol", "arrival_radius")
             self.target(image, target, radius, bool(np.hypot(*(target - q[:2])) <= radius))
         self.fish(image, q, s, tint)
 
     def target(self, image, target, radius: float, reached: bool) -> None:
-        """A ring of `radius` [m] around the target (2,), m."""
+        """Draws a ring of `radius` [m] around the target (2,), m."""
         at = tuple(int(v) for v in np.round(self.pixel(target) * 16))
         colour = INSIDE if reached else OUTSIDE
         self.cv2.circle(image, at, int(radius * self.scale * 16), colour, 3, self.cv2.LINE_AA, 4)
         self.cv2.circle(image, at, 4 * 16, colour, -1, self.cv2.LINE_AA, 4)
 
     def fish(self, image, q, s: Skin, tint=None) -> None:
-        """The skin at q (nv,): painter's algorithm over the upper triangles, on an enlarged patch of the picture."""
+        """Draws the skin at q (nv,): painter's algorithm over the upper triangles, on an enlarged patch of the picture."""
         p = posed(s, q)
         xy = self.pixel(p[:, :2])
         low = np.floor(xy.min(0) - 3).astype(int).clip(0, [self.size[0] - 1, self.size[1] - 1])
@@ -88,12 +88,12 @@ class FromAbove:
 
 
 def coarse_skin(robot: Robot) -> Skin:
-    """The skin that `FromAbove` draws: as fine as a picture from above shows."""
+    """The skin that `FromAbove` draws, as coarse as its pictures allow."""
     return skin(robot, spacing=0.012, around=12, smooth=True)
 
 
 def opencv(needed_for: str = "a picture from above") -> Any:
-    """The module cv2. Raises MissingExtra."""
+    """Imports and returns the module cv2. Raises MissingExtra."""
     try:
         import cv2
     except ImportError as error:

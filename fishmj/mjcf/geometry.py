@@ -1,8 +1,9 @@
-"""From sections to numbers: displaced volume, inertia, added-mass moments and strips of every link.
+"""Displaced volume, inertia, added-mass moments and strips of every link from its sections.
 
 Elliptical section of height h(s) and width w(s) at station s:  A = pi/4 h w,
 displaced volume V = integral A ds, lateral added mass per length mu = k rho pi/4 h^2 (slender body, Lighthill 1960).
 Widths are scaled by one factor so that rho V = total mass: the fish is neutrally buoyant (docs/decisions/decisions.md).
+
 Link frame: x towards the nose, y left, z up, origin at the link's front joint; for the head the origin is the
 reference point, the centre of mass of the straight fish projected on the long axis.
 """
@@ -136,7 +137,7 @@ def _com_back(link):
 
 
 def _inertia(link, scale, lead):
-    """Mass spread like the displaced volume, moved to the stated centre of mass: (Ixx, Iyy, Izz), kg m2."""
+    """(Ixx, Iyy, Izz), kg m2, of mass distributed like the displaced volume and moved to the stated centre of mass."""
     s, _, weight = _quadrature(link, _FINE)
     h, w = _section(link, s, scale)
     share = link.mass * h * w * weight / np.sum(h * w * weight)

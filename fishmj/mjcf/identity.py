@@ -1,8 +1,8 @@
-"""Which robot a log, a result or a policy is of.
+"""Identity of the robot of a log, a result or a policy.
 
-A log says its name, its number of joints, and a sum that changes with every number of it. A policy says the structure that it
-must find again. Masses, gains, water and effects are left out there: a calibrated fish is the same structure. They have a sum of
-their own, all but the water.
+A log holds its name, its number of joints, and a hash of every number of the description. A policy holds the structure that it
+needs. Masses, gains, water and effects are no part of the structure, so a calibrated fish has the same one. All of these but the
+water have a hash of their own.
 """
 
 import json
@@ -15,9 +15,9 @@ from fishmj.mjcf.geometry import geometry_of
 
 
 def robot_sha256(robot: Robot) -> str:
-    """Hex digest of what a description says of the fish: links, servo, timing, water, effects. Equal for equal descriptions.
+    """Hex digest of a description of the fish: links, servo, timing, water, effects. Equal for equal descriptions.
 
-    The rig is left out: another plug or paint is no other fish.
+    The rig is left out: another plug or paint does not make another fish.
     """
     table = asdict(robot)
     del table["rig"]
@@ -27,7 +27,7 @@ def robot_sha256(robot: Robot) -> str:
 
 
 def identity(robot: Robot) -> dict:
-    """The keys of a trial's meta data that say which robot it is of."""
+    """Keys of a trial's meta data that identify its robot."""
     return {"robot": robot.name, "joints": robot.n_joints, "robot_sha256": robot_sha256(robot)}
 
 
@@ -47,9 +47,9 @@ def structure_of(robot: Robot) -> dict:
 
 
 def constants_sha256(robot: Robot) -> str:
-    """Hex digest of what a description says besides structure, command path, water and words.
+    """Hex digest of a description without structure, command path, water and texts.
 
-    It covers masses and sections of links and fins, servo, times, water's density, and effects but those at their null.
+    It covers masses and sections of links and fins, servo, times, water's density, and effects that are not at their null.
     """
     table = {
         "links": [[link.mass, link.com, link.sections, link.fin_from] for link in robot.links],

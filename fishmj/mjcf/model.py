@@ -1,13 +1,14 @@
-"""Robot description -> MuJoCo model.
+"""MuJoCo model of a robot description.
 
 The head's body frame is the robot's reference point: x towards the nose, y left, z up. Every other link's frame sits at
-its front hinge, axis z. Inertias are stated, shapes are only looked at: nothing collides, and MuJoCo's own fluid stays off.
+its front hinge, axis z. Inertias are stated and shapes are only drawn: nothing collides, and MuJoCo's own fluid stays off.
 
     root = "planar"   slides x, y and hinge yaw:  q = (x, y, psi, j1 ..),  the same as the closed-form chain's
     root = "free"     a free joint in gravity; buoyancy comes with the water
 
-Servo, natively:  torque = clip(kp (command - q) - kv w, +-T) - kb w.  The clipped part is a position actuator, kb w is joint
-damping, integrated implicitly by the Euler integrator: the torque-speed line of a DC motor (docs/decisions/decisions.md).
+Servo in MuJoCo's own terms:  torque = clip(kp (command - q) - kv w, +-T) - kb w.  The clipped part is a position actuator, kb w
+is joint damping, integrated implicitly by the Euler integrator: the torque-speed line of a DC motor
+(docs/decisions/decisions.md).
 """
 
 import mujoco
@@ -32,17 +33,18 @@ PLANAR_JOINTS = (
 
 
 def build(robot: "Robot | str" = "fish", root: str = "planar", *, bare: bool = False, ellipsoid: bool = False) -> mujoco.MjModel:
-    """Compile the MuJoCo model of `robot`.
+    """Compiles the MuJoCo model of `robot`.
 
     Args:
         robot: a description, a TOML path or a shipped name.
         root: "planar" (x, y, yaw) or "free".
-        bare: leave out geoms and sites (batched engines never look at them).
+        bare: leave out geoms and sites, which batched engines do not use.
         ellipsoid: give the links MuJoCo's own ellipsoid fluid instead of leaving the water to `fishmj.hydro_fit`.
 
     Raises:
         ConfigError: the description cannot be built.
-        InjectionError: called inside an `inject` block, where MuJoCo cannot compile; another thread's block is waited for.
+        InjectionError: called inside this thread's `inject` block, where MuJoCo cannot compile. Another thread's block is
+            awaited.
     """
     spec = build_spec(robot, root, bare=bare, ellipsoid=ellipsoid)
     try:
@@ -52,14 +54,14 @@ def build(robot: "Robot | str" = "fish", root: str = "planar", *, bare: bool = F
 
 
 def mjcf_xml(robot: "Robot | str" = "fish", root: str = "planar") -> str:
-    """The same model as MJCF text."""
+    """MJCF text of the model of `build`."""
     return passive_slot.xml_of(build_spec(robot, root))
 
 
 def build_spec(
     robot: "Robot | str" = "fish", root: str = "planar", *, bare: bool = False, ellipsoid: bool = False
 ) -> mujoco.MjSpec:
-    """The editable `mujoco.MjSpec` behind `build`; arguments and errors as there."""
+    """The editable `mujoco.MjSpec` behind `build`; same arguments and errors."""
     if root not in ROOTS:
         raise UnknownName("root", root, ROOTS)
     robot = load_robot(robot)
@@ -114,7 +116,7 @@ def _add_servo(spec, body, robot: Robot, name: str) -> None:
 
 
 def _add_link(spec, body, robot: Robot, geometry: Geometry, i: int) -> None:
-    """What link i looks like on `body`: a lofted hull, side fins, named sites. Massless, collides with nothing."""
+    """Adds the visible parts of link i to `body`: a lofted hull, side fins, named sites. Massless, without collisions."""
     link = robot.links[i]
     rear, front = geometry.span[i]
     vertices, faces = loft(robot, geometry, i)
@@ -146,7 +148,7 @@ def _add_ellipsoid(body, geometry: Geometry, i: int) -> None:
 
 
 def personalise(model: mujoco.MjModel, *, mass, kp, kv, kb, zero) -> None:
-    """Write one fish's own constants into its model.
+    """Writes one fish's own constants into its model.
 
     Args:
         mass: factor on mass and inertia of every link (N,).

@@ -1,9 +1,9 @@
-"""MuJoCo's slot for a passive-force callback, one a process, and MuJoCo's compiler, which a filled slot breaks.
+"""MuJoCo's slot for a passive-force callback, one a process, and MuJoCo's compiler, which fails while the slot is filled.
 
-    install(callback) ... remove()      the slot is one thread's meanwhile
-    compiled(spec), xml_of(spec)        wait while the slot is another thread's; whoever installs waits for a compiler
+    install(callback) ... remove()      the slot belongs to this thread in between
+    compiled(spec), xml_of(spec)        wait while another thread holds the slot; `install` waits for a running compiler
 
-So a thread that steps a fish from tick to tick and a thread that builds models never meet: neither has to know of the other.
+So one thread can step a fish while another builds models, without further coordination.
 """
 
 import threading
@@ -21,7 +21,7 @@ _owner: int | None = None  # the thread whose callback is installed
 
 
 def install(callback) -> None:
-    """Fill the slot for this thread. Raises InjectionError: someone else has filled it."""
+    """Fills the slot for this thread. Raises InjectionError if it is filled already."""
     global _owner
     with _turn:
         if _owner not in (None, threading.get_ident()):
@@ -36,7 +36,7 @@ def install(callback) -> None:
 
 
 def remove() -> None:
-    """Empty the slot."""
+    """Empties the slot."""
     global _owner
     with _turn:
         mujoco.set_mjcb_passive(None)
@@ -45,16 +45,16 @@ def remove() -> None:
 
 
 def taken_by_another_thread() -> bool:
-    """Whether the slot is filled, and not by this thread."""
+    """Returns True if another thread has filled the slot."""
     return _owner not in (None, threading.get_ident())
 
 
 @contextmanager
 def kept_empty() -> Iterator[None]:
-    """A block in which MuJoCo compiles: the slot is empty, and nobody fills it.
+    """Context in which MuJoCo compiles: the slot is empty, and no thread fills it.
 
     Raises:
-        InjectionError: this thread or a stranger has filled the slot, or another thread does not empty it.
+        InjectionError: this thread or foreign code has filled the slot, or another thread does not empty it.
     """
     global _compilers
     with _turn:
@@ -73,13 +73,13 @@ def kept_empty() -> Iterator[None]:
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """`spec.compile()` with an empty slot. Raises InjectionError as `kept_empty`. ValueError: MuJoCo cannot compile it."""
+    """Runs `spec.compile()` with an empty slot. Raises InjectionError as `kept_empty`. ValueError: MuJoCo cannot compile it."""
     with kept_empty():
         return spec.compile()
 
 
 def xml_of(spec: mujoco.MjSpec) -> str:
-    """`spec.to_xml()`, which compiles too; as `compiled`."""
+    """Runs `spec.to_xml()`, which compiles too, with an empty slot; raises as `compiled`."""
     with kept_empty():
         spec.compile()
         return spec.to_xml()

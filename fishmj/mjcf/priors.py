@@ -1,7 +1,7 @@
-"""What a description can be given before anything is measured: water by shape, masses that float level.
+"""Start values of a description before any measurement: water by shape, masses that float level.
 
-Both are starting points from the literature (docs/simulate/water.md has the sources and their ranges), fitted to no flow and to
-no fish.
+Both come from the literature (docs/simulate/water.md has the sources and their ranges). They are fitted to no flow and to no
+fish.
 """
 
 from collections.abc import Sequence
@@ -40,17 +40,17 @@ def water_prior(links: Sequence[Link]) -> dict:
         p  = integral h^2 g p(s) ds / integral h^2 g ds
         p(s) = 1 behind `fin_from`, else clip((h / w - 3) / (13 - 3), 0, 1)
 
-    where g is how much a strip matters as the link moves: s^2 for a link that turns about its front end, 1 for the head. A thin
+    where g is the weight of a strip in the link's motion: s^2 for a link that turns about its front end, 1 for the head. A thin
     trailing plate thus makes a tail a plate, although its root is round.
 
     - k: 0.9 for the whole hull (Lamb's integral for the default fish as an ellipsoid gives 0.93 of the strips), 0.7 to 0.85 for a
       plate of finite span; cn: ellipses 1.1 to 1.3 (circular cylinder 1.20), steady plates 1.17 (square) to 1.98 (long), more
-      when they flap, which is why a plate has 2.0. Sources and what of them was read: docs/simulate/water.md.
-    - ke: 0.7 of the range 0.4 to 0.9; with it unfitted shapes swim about as fast as in the flow solver at the slip ratio of a
+      when they flap, hence 2.0 for a plate. Sources and the parts that were read: docs/simulate/water.md.
+    - ke: 0.7 of the range 0.4 to 0.9; with 0.7, unfitted shapes swim about as fast as in the flow solver at the slip ratio of a
       real fish (`studies/new_shapes.py`; docs/simulate/results.md). The shipped descriptions have 0.5, on which their
       results rest.
-    - 3 and 13 are chosen; nothing in the literature read here gives the drag of sections between. They give the
-      default fish and the tendon fish the values that stand in their descriptions: k rounded to 0.05, cn to 0.1, which is
+    - 3 and 13 are chosen; the literature read here does not give the drag of sections between. They give the
+      default fish and the tendon fish the values in their descriptions: k rounded to 0.05, cn to 0.1, which is
       finer than the ranges above.
 
     Args:
@@ -65,7 +65,7 @@ def water_prior(links: Sequence[Link]) -> dict:
 
 
 def plate_share(link: Link, *, turns: bool = True) -> float:
-    """How much of a plate a link is in the water, 0 to 1; formula in `water_prior`. turns: about its front end."""
+    """Share of a link that acts as a plate in the water, 0 to 1; formula in `water_prior`. turns: about its front end."""
     s, h, w = _sections(link)
     flat = np.clip((h / np.maximum(w, 1e-9) - BODY) / (PLATE - BODY), 0.0, 1.0)
     if link.fin_from is not None:

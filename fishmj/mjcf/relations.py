@@ -1,6 +1,6 @@
-"""What takes two keys of a description to be wrong: stations and length, masses and volume, nested steps, a servo's figures.
+"""Checks between keys of a description: stations and length, masses and volume, nested steps, a servo's figures.
 
-And what is possible, but unlikely: a note says it once, and the description is read.
+Possible but unlikely values only get a note, and the description is read.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float;
 ROUNDED = 0.01  # of the mass: mass_total may be rounded
 NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
-# beyond these it is unlikely
+# values beyond these are unlikely
 LONG, HEAVY = (0.05, 3.0), (0.01, 300.0)  # m, kg: of robotic fish
 WIDTHS = (0.8, 1.25)  # factor on the widths that lets the fish float
 CHARGED = 0.5  # of the servos' voltage: a battery that counts as low only below it is never low
@@ -28,7 +28,7 @@ MOTOR = 3.0  # times: figures of one motor that differ by more do not belong tog
 
 
 def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[Fault]:
-    """Errors between keys, of the blocks that are sound by themselves. listed: the links are a list of a possible length."""
+    """Errors between keys of sound blocks. listed: the links are a list of a possible length."""
     links = table.get("link", [])
     whole = ("link", None) not in bad
     for i, link in enumerate(links if listed else []):
@@ -116,7 +116,7 @@ def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body
 
 
 def apart(a: float, b: float) -> tuple[str, str]:
-    """Two numbers with as many digits as it takes to see their difference, 4 at least."""
+    """Two numbers with as many digits as their difference needs, 4 at least."""
     for digits in range(4, 17):
         if (texts := (f"{a:.{digits}g}", f"{b:.{digits}g}"))[0] != texts[1]:
             break
@@ -124,7 +124,7 @@ def apart(a: float, b: float) -> tuple[str, str]:
 
 
 def width_scale(table: Mapping[str, Any]) -> float | None:
-    """Factor on all widths that lets the fish float; None where the sections are not sound."""
+    """Factor on all widths that makes the fish float; None if the sections are not sound."""
     rho, volume = table.get("body", {}).get("density_water", 1000.0), 0.0
     for link in table["link"]:
         for (a, ha, wa), (b, hb, wb) in zip(link["sections"], link["sections"][1:], strict=False):
@@ -152,7 +152,7 @@ def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]])
 
 
 def _clashes(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
-    """Names that would meet another one in the MuJoCo model."""
+    """Names that would clash in the MuJoCo model."""
     drawn = {f"{fin['name']}_{side}" for fin in fins for side in ("left", "right")} | {f"{link['name']}_fluid" for link in links}
     for i, link in enumerate(links):
         if link["name"] in drawn | set(RESERVED):
@@ -166,12 +166,12 @@ def _both(block: str, given: Mapping[str, Any], key: str) -> Iterator[Fault]:
 
 
 def angle(given: Mapping[str, Any], key: str, default: float) -> float:
-    """`key` in rad, or `key_deg` in deg, in rad."""
+    """Angle [rad] from `key` in rad or `key_deg` in deg."""
     return float(given[key]) if key in given else radians(given[f"{key}_deg"]) if f"{key}_deg" in given else default
 
 
 def servo_of(given: Mapping[str, Any]) -> dict[str, float]:
-    """Every figure of a [servo] block, the default servo's where it is silent; angles in rad."""
+    """All figures of a [servo] block, with the default servo's for missing ones; angles in rad."""
     from fishmj.mjcf.description import Servo
 
     plain = vars(Servo())
@@ -201,7 +201,7 @@ def _servo(given: Mapping[str, Any]) -> Iterator[Fault]:
 
 
 def _of_a_data_sheet(s: Mapping[str, float]) -> str:
-    """Torque in kg cm, speed in s/60 deg: what they are in SI, where that makes the figures fit; "" otherwise."""
+    """Hint if torque in kg cm and speed in s/60 deg would make the figures fit, with their values in SI; "" otherwise."""
     from fishmj.mjcf.servos import KG_CM, S_PER_60_DEG
 
     torque, speed = s["torque"] * KG_CM, S_PER_60_DEG / s["speed_no_load"]
@@ -217,7 +217,7 @@ def _of_a_data_sheet(s: Mapping[str, float]) -> str:
 
 
 def timing(given: Mapping[str, Any]) -> Iterator[Fault]:
-    """Steps must nest: physics into bus into control; names the nearest valid value otherwise."""
+    """Errors of steps that do not nest (physics into bus into control), with the nearest valid value."""
     from fishmj.mjcf.description import COMMAND_PATHS, Timing
 
     t = vars(Timing()) | dict(given)
@@ -235,7 +235,7 @@ def timing(given: Mapping[str, Any]) -> Iterator[Fault]:
 
 
 def _rig(given: Mapping[str, Any], n_joints: int | None, reach: float) -> Iterator[Fault]:
-    """Errors of a rig; reach: rad, of a command to either side."""
+    """Errors of a rig; reach: largest command to either side, rad."""
     bus = BUSES[given.get("bus", "lx")]
     yield from _both("rig", given, "zeros")
     for key in ("servo_ids", "signs", "zeros", "zeros_deg"):
@@ -290,7 +290,10 @@ def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[Fault]:
 
 
 def _no_water(model: str) -> Fault | None:
-    """Strips alone, the shipped fitted water, a fitted one by name (`NAME-base`: without residual) or a file that is there."""
+    """Error for an unknown water, else None.
+
+    Valid are strips alone, the shipped fitted water, a fitted one by name (`NAME-base`: without residual) or an existing file.
+    """
     known, (model, _) = ["structured", "fitted", *calib.waters()], names.split_member(model)
     if model in (*known, "surrogate") or model.removesuffix("-base") in calib.waters():
         return None
@@ -308,7 +311,7 @@ _PATH = "a path counts from the folder in which the command runs"
 
 
 def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
-    """The catalogue's own checks; it is loaded only for a fish that has effects."""
+    """Errors from the catalogue's own checks; the catalogue is loaded only for a fish that has effects."""
     if not blocks:
         return
     from fishmj.base.errors import FishmjError
@@ -330,11 +333,11 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
             yield Fault("effect", i, "name", got, "each effect once", "keep one block")
 
 
-# what is possible, but unlikely
+# possible but unlikely values
 
 
 def unlikely(table: Mapping[str, Any]) -> Iterator[Fault]:
-    """What is possible, but unlikely: it is read, and said once."""
+    """Notes on possible but unlikely values."""
     links, servo = table["link"], servo_of(table.get("servo", {}))
     length, mass = sum(link["length"] for link in links), sum(link["mass"] for link in links)
     for key, unit, total, (low, high) in (("length", "m", length, LONG), ("mass", "kg", mass, HEAVY)):
@@ -388,7 +391,10 @@ def _unlikely_outline(links: Sequence[Mapping[str, Any]]) -> Iterator[Fault]:
 
 
 def _unlikely_timing(given: Mapping[str, Any]) -> Iterator[Fault]:
-    """Latencies longer than any that a randomised fish has: the task draws those of the paper, whatever the description says."""
+    """Notes on latencies longer than any of a randomised fish.
+
+    The task draws those of the paper whatever the description states.
+    """
     for key in ("command_latency", "camera_latency"):
         (low, high), latency = constant("randomisation", key), given.get(key)
         if latency is not None and latency > high:

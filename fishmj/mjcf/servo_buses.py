@@ -1,7 +1,7 @@
-"""Servo buses that a description may name: line speed, servo numbers, and what a count of the servo is in rad.
+"""Servo buses that a description may name: line speed, servo numbers, and the angle of a servo count in rad.
 
     bus = BUSES["dynamixel-x"]
-    bus.travel                      rad that a servo turns to either side of its middle
+    bus.travel                      travel of a servo to either side of its middle, rad
 
 The bytes of each are in `fishmj.deploy.protocols.servo_bus`.
 """
@@ -28,7 +28,7 @@ class BusFacts(NamedTuple):
     """A kind of servo bus.
 
     Attributes:
-        name: as `[rig] bus` names it. baud: where nothing is said. most_id: largest number of a servo. scale: of its counts.
+        name: as in `[rig] bus`. baud: the default. most_id: largest number of a servo. scale: of its counts.
     """
 
     name: str
@@ -38,7 +38,7 @@ class BusFacts(NamedTuple):
 
     @property
     def travel(self) -> float:
-        """rad that a servo turns to either side of its middle."""
+        """Travel of a servo to either side of its middle, rad."""
         return min(self.scale.centre, self.scale.span - self.scale.centre) * self.scale.step
 
 
@@ -55,7 +55,7 @@ NEARER = "mount its horn nearer to the middle, or give [servo] a smaller range" 
 
 
 def beyond_travel(facts: BusFacts, zeros: Sequence[float], reach: float) -> str:
-    """The largest of `zeros` and the commands to `reach`, rad, in words where they leave the servo's travel together; else ""."""
+    """Text on the largest of `zeros` and the commands to `reach`, rad, if together they leave the servo's travel; else ""."""
     most = max(map(abs, zeros), default=0.0)
     within = most + reach <= facts.travel + 1e-9
     return "" if within else f"a zero of {math.degrees(most):.3g} deg and commands of +-{math.degrees(reach):.3g} deg"

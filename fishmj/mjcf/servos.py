@@ -1,13 +1,13 @@
-"""Servos: from the figures of a data sheet to a description's `[servo]`, a shelf of named ones, and what a command becomes.
+"""Servos: `[servo]` of a description from the figures of a data sheet, named servos, and the path of a command.
 
 A position servo is a DC motor behind gears: at the voltage V it stalls at the torque T and turns freely at w0. With K its
-constant, R its resistance, both seen at the output, and kb the slope of its torque-speed line
+constant, R its resistance, both referred to the output, and kb the slope of its torque-speed line
 
     kb = T / w0          K = V / w0          R = V K / T          K^2 / R = kb
 
-R holds the gears' loss, so that the power of a stalled motor is V^2 / R = T w0: the real stall current is V / (R eta), eta the
-share of the torque that gears let through. A data sheet says nothing of the controller: kp saturates at 12 deg of
-error and kd is the motor's own kb, as data/calib/paper.toml has them for the default fish.
+R includes the gears' loss, so that the power of a stalled motor is V^2 / R = T w0: the real stall current is V / (R eta), eta the
+share of the torque that passes the gears. A data sheet does not describe the controller: kp saturates at 12 deg of
+error and kd is the motor's own kb, as in data/calib/paper.toml for the default fish.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ RPM = 2 * pi / 60  # rad/s
 
 @dataclass(frozen=True, kw_only=True)
 class DataSheet:
-    """What a data sheet says of a servo, all at one voltage; SI units, rad/s."""
+    """Figures of a servo's data sheet, all at one voltage; SI units, rad/s."""
 
     name: str
     stall_torque: float  # N m
@@ -80,12 +80,12 @@ def servo_from_sheet(sheet: DataSheet, *, idle_power: float = 1.5, where: str = 
     """A description's servo from data sheet figures at one voltage; formulas at the top of this file.
 
     Args:
-        sheet: its stall current checks the others, and is not kept: `resistance` holds the gears' loss.
+        sheet: its stall current only checks the others: `resistance` includes the gears' loss.
         idle_power: electronics of the whole robot, W. where: names the servo in errors.
 
     Raises:
         ConfigError: a figure is not positive, or they contradict each other: a stalled motor cannot give more than
-            V I / w0, nor do gears eat nearly all of it.
+            V I / w0, nor do gears consume nearly all of it.
     """
     stall, free, volts, current = sheet.stall_torque, sheet.no_load_speed, sheet.voltage, sheet.stall_current
     figures = {"stall torque": stall, "no-load speed": free, "voltage": volts, "resolution": sheet.resolution}
@@ -131,13 +131,13 @@ def _up(value: float, n: int) -> float:
 
 
 def on_the_bus(servo: Servo, command: np.ndarray) -> np.ndarray:
-    """What the servos make of a command (J,) rad: clamped to the range, rounded to the resolution."""
+    """Commands (J,) rad as the servos store them: clamped to the range, rounded to the resolution."""
     clamped = np.minimum(np.maximum(command, -servo.range), servo.range)
     return np.rint(clamped / servo.resolution) * servo.resolution
 
 
 def arrived(commands: Sequence[np.ndarray], step: int, delay: int, steps: int, ramp: bool) -> np.ndarray:
-    """What the servos aim at in physics step `step`, (J,) rad: the newest command that is `delay` steps old.
+    """Targets of the servos in physics step `step`, (J,) rad: the newest command that is `delay` steps old.
 
     Args:
         commands: all so far, one a bus tick of `steps` steps; number 0 was on the bus before t = 0.

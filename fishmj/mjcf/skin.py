@@ -1,6 +1,6 @@
-"""One smooth skin over all links: what replays draw, and where an immersed boundary can put its markers.
+"""One smooth skin over all links, for replays and for the markers of an immersed boundary.
 
-The straight body is a stack of elliptical rings through the sections of every link. Each vertex hangs on its nearest
+The straight body is a stack of elliptical rings through the sections of every link. Each vertex belongs to its nearest
 hinge h and turns about it by a share s of the hinge angle, so a bend is spread over a short zone and no volume is lost:
 
     p = H_h + R(phi_h + s j_h) (r - h_rest),   s = smoothstep(distance behind the hinge / zone)
@@ -35,11 +35,11 @@ class Skin(NamedTuple):
 
 
 def skin(robot: Robot, *, spacing: float = 0.005, around: int = 28, smooth: bool = False, details: bool = True) -> Skin:
-    """Loft the skin of `robot`.
+    """Lofts the skin of `robot`.
 
     Args:
         spacing: distance between rings, m. around: points on a ring.
-        smooth: draw a monotone cubic through the sections (prettier) instead of straight lines (what the water uses).
+        smooth: draw a monotone cubic through the sections (prettier) instead of straight lines (used by the water).
         details: add side fins and eyes; without them the mesh is the closed hull alone.
     """
     g = geometry_of(robot)
@@ -130,7 +130,7 @@ def _hull(robot: Robot, g: Geometry, spacing: float, around: int, smooth: bool):
 
 
 def _shaded(base: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Countershading as fish have it: darker back, pale belly."""
+    """Colours with the countershading of fish: darker back, pale belly."""
     up = normals[:, 2:3]
     pale = 0.6 * np.clip((-up - 0.45) / 0.5, 0, 1)
     return np.clip((base * (1 - 0.22 * np.clip(up, 0, 1))) * (1 - pale) + BELLY * pale, 0, 1)

@@ -1,8 +1,8 @@
-"""Everything that is wrong with a description, in lines that a reader can act on: file, block, key, got, expected, what to do.
+"""Lists every error of a description in lines that a reader can act on: file, block, key, got, expected, what to do.
 
     errors, notes = examine(table, "my_fish.toml")
 
-`description_schema.py` says what a single key may be, `relations.py` what takes two of them, and what is unlikely (notes).
+`description_schema.py` holds the rules for a single key, `relations.py` those between keys, and the unlikely values (notes).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ MOST = 100  # errors that are collected: more tell nobody more
 
 
 def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]:
-    """(errors, notes), one line each, of a description as TOML gives it; `where` begins each line."""
+    """(errors, notes), one line each, of a parsed TOML description; `where` begins each line."""
     given = table.get("schema", SCHEMA)
     if given != SCHEMA:  # another format: every other line would be noise
         kind = "a fitted water, for --water" if isinstance(given, str) and given.startswith("fishmj.water/") else "another format"
@@ -40,7 +40,7 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
 
 
 def _foreign(table: Mapping[str, Any]) -> str:
-    """The keys of a table that has nothing of a robot, nor a mistyped block of one; otherwise empty."""
+    """The keys of a table that has no block of a robot, not even a mistyped one; otherwise empty."""
     own = {"schema", *BLOCKS}
     unknown = [key for key in table if key not in keys()]
     if not unknown or own & table.keys() or any(get_close_matches(key, keys(), 1, 0.6) for key in unknown):
@@ -49,16 +49,16 @@ def _foreign(table: Mapping[str, Any]) -> str:
 
 
 def _order(f: Fault) -> tuple:
-    """As in the file's schema."""
+    """Sorting key: position of a fault in the file's schema."""
     blocks = keys()
     return (blocks.index(f.block) if f.block in blocks else -1, -1 if f.nth is None else f.nth)
 
 
-# what a single key may be
+# rules for a single key
 
 
 def _single_keys(table: Mapping[str, Any]) -> Iterator[Fault]:
-    """What pydantic finds; several complaints about one key are one."""
+    """Errors from pydantic, at most one for each key."""
     surplus = set([key for key in table if key not in keys()][MOST:])
     try:
         Description.model_validate({key: item for key, item in table.items() if key not in surplus})
@@ -108,7 +108,7 @@ def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Fault:
 
 
 def _least_damping(table: Mapping[str, Any]) -> float:
-    """torque / speed_no_load where both are sound; 0 otherwise."""
+    """torque / speed_no_load if both are sound; 0 otherwise."""
     servo = servo_of(table["servo"])
     torque, speed = servo["torque"], servo["speed_no_load"]
     sound = all(isinstance(v, int | float) and 1e-4 <= v <= 1e5 for v in (torque, speed))
@@ -116,7 +116,7 @@ def _least_damping(table: Mapping[str, Any]) -> float:
 
 
 def _split(place: Sequence[Any]) -> tuple[str, int | None, str, list[Any]]:
-    """(block, index, key, place within the value) of pydantic's place."""
+    """Splits pydantic's place into (block, index, key, place within the value)."""
     parts = [str(p) if not isinstance(p, int) else p for p in place]
     first = str(parts[0])
     if first in LISTS:
@@ -128,7 +128,7 @@ def _split(place: Sequence[Any]) -> tuple[str, int | None, str, list[Any]]:
 
 
 def _got(value: Any, inner: Sequence[Any]) -> str:
-    """The value, and where in its list it stands."""
+    """The value, and its place in the list that holds it."""
     numbers = [i + 1 for i in inner if isinstance(i, int)]
     spot = "" if not numbers else f" in row {numbers[0]}" if len(numbers) > 1 else f" at number {numbers[0]}"
     length = f" ({len(value)} characters)" if isinstance(value, str) and len(value) > 60 else ""
@@ -137,7 +137,7 @@ def _got(value: Any, inner: Sequence[Any]) -> str:
 
 
 def _todo(value: Any, kind: str, what: str, unit: str, key: str) -> str:
-    """What to do about one key."""
+    """Advice on one key."""
     if key == "name" and isinstance(value, str) and names.nearest(value):
         return f"for example {names.nearest(value)[:24]!r}"
     if isinstance(value, str) and kind in ("float_type", "int_type"):
@@ -167,11 +167,11 @@ def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) 
 
 
 def _one_of(near: Sequence[str], known: Sequence[str], *, quote: bool = True) -> str:
-    """The nearest first, then the others."""
+    """Known names in words, the nearest first."""
     others = ", ".join(k for k in known if k not in near)
     return f"{repr(near[0]) if quote else near[0]} or another of {others}" if near else f"one of {others}"
 
 
 def _home(key: str, but: str = "") -> str:
-    """The header of another block that has this key; "" where none has."""
+    """Header of another block that has this key; "" if there is none."""
     return next((header(b) for b in BLOCKS if b != but and key in keys(b)), "")

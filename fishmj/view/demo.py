@@ -37,7 +37,10 @@ def options() -> console.Parser:
 
 
 def learn(args) -> dict:
-    """Train into <out>/training until the fish holds; an interrupted demo goes on there, a finished one begins anew."""
+    """Trains into <out>/training until the fish holds its station.
+
+    An interrupted demo goes on there, a finished one begins anew.
+    """
     import shutil
 
     os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1")  # compiles in 3/4 of the time, swims as fast
@@ -68,7 +71,7 @@ def holds(figures: dict) -> bool:
 
 
 def steps_per_second(learner) -> float:
-    """Control steps that this machine trains in a second, measured on a training that is thrown away."""
+    """Control steps a second that this machine trains, measured on a training that is thrown away."""
     import jax
 
     _, algorithm, _ = learner
@@ -85,7 +88,7 @@ def steps_per_second(learner) -> float:
 
 
 def plan(rate: float, left: int) -> str:
-    """The sentence that says how long the demo takes.
+    """Sentence with the expected duration of the demo.
 
     rate: control steps of training per second. left: control steps of training, at most.
     """
@@ -94,7 +97,7 @@ def plan(rate: float, left: int) -> str:
 
 
 def judge(args, policy: str):
-    """The 24 trials on batched MuJoCo (smoke: two, shorter)."""
+    """Runs the 24 trials on batched MuJoCo (smoke: two, shorter)."""
     from fishmj import control
     from fishmj.evaluate import run, trials
     from fishmj.mjcf import load_robot
@@ -113,7 +116,7 @@ def judge(args, policy: str):
 
 
 def show(args, result) -> dict:
-    """Report with pictures, and the replay of one trial against the stream."""
+    """Writes the report with pictures, and the replay of one trial against the stream."""
     from fishmj.evaluate import summary
     from fishmj.evaluate.report import condition, trial_of, write
     from fishmj.log import write_trial
@@ -134,7 +137,7 @@ def show(args, result) -> dict:
 
 
 def verdict(result) -> dict:
-    """The two figures that the demo stands for."""
+    """The demo's two headline figures."""
     from fishmj.evaluate import figures
 
     found = figures(result)
@@ -147,7 +150,7 @@ def verdict(result) -> dict:
 
 
 def shown(page: Path) -> None:
-    """Open a page in the user's browser; a machine without one says so."""
+    """Opens a page in the user's browser; without one, prints that."""
     import webbrowser
 
     address = page.resolve().as_uri()
@@ -156,6 +159,7 @@ def shown(page: Path) -> None:
 
 
 def main(argv: list[str]) -> int:
+    """Trains, evaluates and shows a fish: the verb `demo`. Returns the exit code."""
     from fishmj.base import store
 
     args = options().parse_args(argv)

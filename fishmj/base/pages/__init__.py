@@ -6,8 +6,8 @@
     data(value)            JSON for a <script type="application/json">, without any < > &
     drawn(text)            for Matplotlib, whose `$` begins a formula
 
-Templates escape whatever is not `Markup`, and leave out control characters. A log, a data set, a verdict or a description is
-somebody else's text wherever it came from. A page's policy lets nothing load and only the page's own scripts run.
+Templates escape everything that is not `Markup`, and leave out control characters. The text of a log, a data set, a verdict or a
+description is never trusted. A page's policy lets nothing load and only the page's own scripts run.
 """
 
 import base64
@@ -30,7 +30,7 @@ WRAPPED = 40  # characters from which a cell of a table may break into lines
 
 
 class Section(NamedTuple):
-    """A part of a page. parts: made by `part`, or plain text, which becomes a paragraph; what is empty is left out."""
+    """A part of a page. parts: made by `part`, or plain text, which becomes a paragraph; empty ones are left out."""
 
     name: str
     about: str
@@ -38,25 +38,25 @@ class Section(NamedTuple):
 
 
 def escaped(text: object) -> Markup:
-    """`text` as HTML: what it says is shown, never run; safe in text and in quoted attributes."""
+    """Escapes `text` as HTML: shown, never run; safe in text and in quoted attributes."""
     return escape(text if hasattr(text, "__html__") else printable(str(text)))
 
 
 def data(value: Any) -> Markup:
-    """JSON that cannot end the <script> it stands in, and that no reader takes for HTML."""
+    """JSON that cannot end its <script> element and is never read as HTML."""
     text = json.dumps(console.plain(value))  # ASCII: U+2028 is escaped too
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
 def drawn(text: object) -> str:
-    """`text` as Matplotlib draws it letter by letter: no formula, no control characters, not endless."""
+    """`text` for Matplotlib, drawn letter by letter: no formula, no control characters, shortened."""
     line = " ".join(printable(str(text)).split())
     line = line if len(line) <= LONGEST else line[: LONGEST - 3] + "..."
     return line.replace("\\$", "$").replace("$", r"\$")
 
 
 def policy(scripts: Iterable[str] = ()) -> Markup:
-    """The meta tag that says what a page may do: show itself, its data: pictures, and run `scripts`, told by their sums.
+    """The meta tag with the page's permissions: show itself and `data:` pictures, and run `scripts`, identified by their hashes.
 
     Nothing is fetched from anywhere, no form is sent, no frame is opened, no attribute and no javascript: address runs.
     """
@@ -80,20 +80,20 @@ def _templates():
 
 
 def page(template: str, title: str, scripts: Sequence[str] = (), **values: Any) -> str:
-    """A self-contained page from a template of this folder; of the page's own `scripts` the policy holds the sums."""
+    """A self-contained page from a template of this folder; the policy holds the hashes of the page's own `scripts`."""
     own = [Markup(text) for text in scripts]
     return _templates().get_template(template).render(title=title, policy=policy(own), scripts=own, **values)
 
 
 def report(title: str, heading: str, sections: Iterable[Section], template: str = "report.html", **more: Any) -> str:
-    """A page of sections below a head: `mark` in a box, the heading, `notes`. All is plain text where it is not `Markup`."""
+    """A page of sections below a head: `mark` in a box, the heading, `notes`. Everything but `Markup` is plain text."""
     shown = [s._replace(parts=[part for part in s.parts if part]) for s in sections]
     given = {"mark": "", "notes": (), **more, "heading": heading, "sections": [s for s in shown if s.parts]}
     return page(template, title, **given)
 
 
 def part(name: str, *given: Any, **options: Any) -> Markup:
-    """A macro of parts.html, filled."""
+    """Fills a macro of parts.html."""
     return getattr(_templates().get_template("parts.html").module, name)(*given, **options)
 
 

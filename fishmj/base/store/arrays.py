@@ -38,10 +38,11 @@ def write_npz(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
 
 
 def read_npz(path: str | Path, *, widened: bool = False) -> dict[str, np.ndarray]:
-    """All arrays of an `.npz`, every member's CRC checked, pickled objects refused, its size known before it is unpacked.
+    """All arrays of an `.npz`. Checks every member's CRC, refuses pickled objects, and checks the size before unpacking.
 
     Args:
         widened: the caller turns every number into float64, so each counts as 8 bytes (a byte of zeros takes up eight then).
+
     Raises:
         StoreError: missing, truncated, bit-flipped, not an archive, with pickled objects, or too large when unpacked.
     """
@@ -142,7 +143,7 @@ def _digest(arrays: dict[str, np.ndarray], header: str) -> str:
 
 
 def unpacked_limit() -> int:
-    """Bytes that a packed file may hold when it is unpacked: 256 MiB, or FISHMJ_MAX_UNPACKED in bytes.
+    """Largest number of bytes that a packed file may unpack to: 256 MiB, or FISHMJ_MAX_UNPACKED in bytes.
 
     Raises:
         StoreError: the variable holds no number.
@@ -157,7 +158,7 @@ def unpacked_limit() -> int:
 
 
 def _measure(path: Path, archive: zipfile.ZipFile) -> None:
-    """Refuse an archive by what its directory says, before anything is unpacked (zipfile never reads on beyond that)."""
+    """Refuses an archive by the sizes in its directory, before anything is unpacked (zipfile never reads beyond them)."""
     members, limit = archive.infolist(), unpacked_limit()
     size = sum(member.file_size for member in members)
     if size > limit or len(members) > MEMBERS:
@@ -176,7 +177,7 @@ def _npy_header(data: io.BytesIO) -> tuple[tuple[int, ...], np.dtype]:
 
 
 def _looks_pickled(start: bytes) -> bool:
-    """Opcode PROTO and a protocol number 2..5 open every modern pickle."""
+    """Returns True for data that begin with opcode PROTO and a protocol number 2..5, as every modern pickle does."""
     return start[:1] == b"\x80" and start[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
 
 
@@ -196,7 +197,7 @@ def _refuse(path, name: str, value: np.ndarray, kinds: str) -> None:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What `Checkpoints.latest` found. `note` is empty, or says which newer files were damaged and skipped."""
+    """Checkpoint that `Checkpoints.latest` found. `note` is empty, or lists the newer files that were damaged and skipped."""
 
     step: int
     arrays: dict

@@ -62,7 +62,7 @@ def write_json(path: str | Path, value) -> Path:
 
 
 def clear(folder: Path, *patterns: str) -> None:
-    """Remove what an earlier run left in `folder`: the files and folders whose names match one of the globs, nothing else.
+    """Removes the results of an earlier run from `folder`: files and folders whose names match one of the globs, nothing else.
 
     Raises:
         StoreError: one cannot be removed.
@@ -75,7 +75,7 @@ def clear(folder: Path, *patterns: str) -> None:
 
 
 def put_in_place(temporary: Path, place: Path) -> None:
-    """Rename a finished file or folder to `place`; a folder that stands there is moved aside, and put back when that fails."""
+    """Renames a finished file or folder to `place`; an existing folder is moved aside, and put back if the rename fails."""
     old = temporary_beside(place, ".old")
     if place.is_dir():
         os.rename(place, old)
@@ -100,7 +100,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def plain(value):
-    """`value` with only what strict JSON knows: NumPy scalars and arrays, tuples, paths and dataclass-free dicts."""
+    """Converts `value` to strict JSON types, from NumPy scalars and arrays, tuples, paths and dataclass-free dicts."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

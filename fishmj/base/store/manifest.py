@@ -1,6 +1,6 @@
-"""`manifest.json`: the sha256 of every file of a folder, so that a changed or missing one is named; and what comes with fishmj.
+"""`manifest.json`: the sha256 of every file of a folder, to name changed or missing ones; and the paths of shipped files.
 
-That is `data/` of a checkout, or `_data` of an installed package, which holds what verbs open on their own.
+Shipped files lie in `data/` of a checkout, or in `_data` of an installed package, which holds those that verbs open on their own.
 """
 
 import hashlib
@@ -29,7 +29,7 @@ def sha256(path: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Change:
-    """One file that is not as the manifest says. `got` is None when it is missing."""
+    """One file that differs from the manifest. `got` is None if it is missing."""
 
     path: str
     expected: str
@@ -48,7 +48,7 @@ class Manifest:
 
     @classmethod
     def of(cls, folder: str | Path, meta: dict | None = None) -> "Manifest":
-        """Hash what is in `folder` now."""
+        """Hashes the present files of `folder`."""
         folder = Path(folder)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
         kept = [n for n in names if n != MANIFEST and not any(part.startswith(".") for part in PurePosixPath(n).parts)]
@@ -75,7 +75,7 @@ class Manifest:
         return write_json(Path(folder) / MANIFEST, {"meta": self.meta, "files": self.files})
 
     def check(self, folder: str | Path) -> list[Change]:
-        """Missing and changed files, in the manifest's order; empty when all is as written."""
+        """Missing and changed files, in the manifest's order; empty if nothing changed."""
         changes = []
         for name, expected in self.files.items():
             path = Path(folder) / name
@@ -93,14 +93,16 @@ class Manifest:
 
 
 def shipped(path: str | Path) -> Path:
-    """A path such as `data/gap/lbm/nulls`: in the working directory, else what came with fishmj, else as it was given."""
+    """A path such as `data/gap/lbm/nulls`: in the working directory, else in the shipped data, else as given."""
     path = Path(path)
     below = path.parts[1:] if path.parts[:1] == ("data",) and not path.exists() else ()
     return next((root.joinpath(*below) for root in ROOTS if below and root.joinpath(*below).exists()), path)
 
 
 def left_out(path: str | Path) -> str:
-    """Where to get what lies below `data/` in the sources alone: words that end an error; "" in a checkout, or of other paths."""
+    """End of an error message: source of the files below `data/` that the package leaves out; "" in a checkout, or for other
+    paths.
+    """
     if OWN in ROOTS or Path(path).parts[:1] != ("data",):
         return ""
     return f"; fishmj's own data/ is whole {SOURCES} only"

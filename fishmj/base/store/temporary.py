@@ -1,7 +1,7 @@
 """Temporary files and folders beside their target, and removal of those that a killed process left there.
 
-A name is `.TARGET.HOST-PID-RANDOM.tmp`. The first temporary file that a process makes in a folder removes those of processes of
-this machine that have ended. Data that were moved aside (`.old.tmp`) go back to their place where nothing stands there.
+A name is `.TARGET.HOST-PID-RANDOM.tmp`. The first temporary file that a process makes in a folder removes those of ended
+processes of this machine. Data that were moved aside (`.old.tmp`) go back to their place if it is empty.
 """
 
 import os
@@ -19,10 +19,10 @@ _clean: set[tuple[int, Path]] = set()  # (process, folder) that was looked throu
 
 
 def temporary_beside(place: Path, ending: str = "") -> Path:
-    """Returns an unused name for a temporary file or folder in the folder of `place`.
+    """Unused name for a temporary file or folder in the folder of `place`.
 
     Args:
-        ending: of the name, `.mp4` where a library goes by it, or `.old` for what is moved aside.
+        ending: of the name, `.mp4` for a library that needs it, or `.old` for data moved aside.
     """
     if (mark := (os.getpid(), place.parent)) not in _clean:
         _clean.add(mark)
@@ -32,7 +32,7 @@ def temporary_beside(place: Path, ending: str = "") -> Path:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove the temporary files of ended processes of this machine from a folder; what cannot be removed stays."""
+    """Removes the temporary files of ended processes of this machine from a folder; ignores those that cannot be removed."""
     try:
         names = os.listdir(folder)
     except OSError:

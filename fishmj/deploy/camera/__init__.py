@@ -1,1 +1,1 @@
-"""Cameras and the pose that they give."""
+"""Cameras and the poses from their pictures."""

@@ -1,4 +1,4 @@
-"""Pictures with the time they were taken: a device, a video file, the loopback robot's camera in shared memory.
+"""Pictures with the time of exposure: from a device, a video file, or the loopback robot's camera in shared memory.
 
 Every stamp is on this computer's monotonic clock, s. Pictures are (H, W, 3) uint8, blue green red.
 """
@@ -25,23 +25,23 @@ TRIES = 3  # times that a slot which is being written is looked at again
 
 
 class Camera(Protocol):
-    """What a localiser asks for pictures."""
+    """Interface of a camera, used by a localiser."""
 
     def open(self) -> None:
-        """Take the device. Raises ConfigError where it cannot be had."""
+        """Opens the device. Raises ConfigError if it is not available."""
 
     def read(self, now: float) -> list[Frame]:
         """Pictures taken since the last call, oldest first; does not wait."""
 
     def wait(self, most: float) -> list[Frame]:
-        """The same, waiting up to `most` s for the first one."""
+        """Pictures as of `read`, waiting up to `most` s for the first one."""
 
     def close(self) -> None:
-        """Give the device back."""
+        """Releases the device."""
 
 
 def cv2() -> Any:
-    """OpenCV. Raises MissingExtra where it is not installed."""
+    """Imports and returns OpenCV. Raises MissingExtra if it is not installed."""
     try:
         import cv2 as opencv
     except ImportError:
@@ -51,10 +51,10 @@ def cv2() -> Any:
 
 
 class Device:
-    """A camera of this computer by its number. A thread grabs, so that no old picture waits in the driver's queue.
+    """A camera of this computer by its number. A thread grabs pictures, so that no old one waits in the driver's queue.
 
     Args:
-        size: (width, height) px and rate: Hz, asked for; a driver may give others.
+        size: requested (width, height) px. rate: requested, Hz. A driver may choose others.
     """
 
     def __init__(self, number: int, size: tuple[int, int] = (1280, 720), rate: float = 60.0):
@@ -65,6 +65,7 @@ class Device:
         self._device: Any = None
 
     def open(self) -> None:
+        """Opens the device and starts to grab. Raises ConfigError if it does not open."""
         opencv = cv2()
         device = opencv.VideoCapture(self.number)
         if not device.isOpened():
@@ -93,14 +94,17 @@ class Device:
                 self._ready.set()
 
     def read(self, now: float) -> list[Frame]:
+        """Pictures grabbed since the last call, oldest first; does not wait."""
         self._ready.clear()
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
     def wait(self, most: float) -> list[Frame]:
+        """Pictures as of `read`, waiting up to `most` s for the first one."""
         self._ready.wait(most)
         return self.read(0.0)
 
     def close(self) -> None:
+        """Stops to grab and releases the device."""
         self._running.clear()
         if self._thread is not None:
             self._thread.join(1.0)
@@ -118,6 +122,7 @@ class VideoFile:
         self._film: Any = None
 
     def open(self) -> None:
+        """Opens the film and starts its clock. Raises StoreError for a file that OpenCV cannot read."""
         opencv = cv2()
         self._film = opencv.VideoCapture(str(self.path))
         rate = self._film.get(opencv.CAP_PROP_FPS) if self._film.isOpened() else 0.0
@@ -126,6 +131,7 @@ class VideoFile:
         self.period, self._start, self._count = 1.0 / rate, self.clock.now(), 0
 
     def read(self, now: float) -> list[Frame]:
+        """Pictures that are due at `now` [s] and were not read yet."""
         found = []
         while self._film is not None and (t := self._start + self._count * self.period) <= now:
             good, image = self._film.read()
@@ -136,12 +142,14 @@ class VideoFile:
         return found
 
     def wait(self, most: float) -> list[Frame]:
+        """Pictures as of `read`, after waiting up to `most` s for the next one."""
         due = self._start + self._count * self.period
         now = self.clock.now()
         self.clock.sleep_until(min(max(due, now + POLL), now + most))
         return self.read(self.clock.now())
 
     def close(self) -> None:
+        """Closes the film."""
         if self._film is not None:
             self._film.release()
             self._film = None
@@ -159,7 +167,7 @@ class SharedFrames:
         name: of the shared memory, as the server prints it.
 
     Attributes:
-        passed: frames that were overwritten before they were looked at.
+        passed: frames that were overwritten before they were read.
     """
 
     def __init__(self, name: str, clock: Clock | None = None):
@@ -169,7 +177,7 @@ class SharedFrames:
         self._seen = 0
 
     def open(self) -> None:
-        """Attach.
+        """Attaches to the shared memory.
 
         Raises:
             ConfigError: there is no such shared memory, or it holds something else.
@@ -184,6 +192,7 @@ class SharedFrames:
         self._memory, self._ring, self.shape, self.slots = memory, ring, (height, width, 3), slots
 
     def read(self, now: float) -> list[Frame]:
+        """The newest frame if it was not read before, copied while no writer changed it; else []."""
         for _ in range(TRIES):
             slot = struct.unpack_from("<q", self._ring, 32)[0] if self._memory is not None else -1
             if not (self._memory is not None and 0 <= slot < self.slots):
@@ -200,12 +209,14 @@ class SharedFrames:
         return []
 
     def wait(self, most: float) -> list[Frame]:
+        """Frames as of `read`, waiting up to `most` s for a new one."""
         end = self.clock.now() + most
         while not (found := self.read(self.clock.now())) and self.clock.now() < end:
             self.clock.sleep_until(self.clock.now() + POLL)
         return found
 
     def close(self) -> None:
+        """Detaches from the shared memory."""
         if self._memory is not None:
             self._ring = memoryview(b"")
             self._memory.close()
@@ -213,7 +224,7 @@ class SharedFrames:
 
 
 def _attached(name: str) -> SharedMemory:
-    """The memory of that name, without owning it: Python below 3.13 would remove it when this process ends."""
+    """The memory of that name, not owned: Python below 3.13 would otherwise remove it when this process ends."""
     register = resource_tracker.register
     resource_tracker.register = lambda *_: None
     try:

@@ -1,14 +1,16 @@
-"""Camera and tracker together: pictures in, fixes out.
+"""Camera and tracker together: from pictures to fixes.
 
-Beside the tank both run in a process of their own (`tracker_process`), and the loop takes what is ready: a tracker in a thread of
-the host holds the interpreter for milliseconds at a time, and the loop waits. In lockstep the loop calls them itself.
+Beside the tank both run in a process of their own (`tracker_process`), and the loop takes the finished fixes. A tracker in a
+thread of the host would hold the interpreter for milliseconds at a time and delay the loop. In lockstep the loop calls them
+itself.
 
     {"t": s, "pose": [m, m, rad], "covariance": [9 numbers], "quality": 0..1, "counts": [frames, fixes, skipped, repeated]}
 
-is a line of that process: one a fix, without the first four where a picture gave none, {"failed": "why"} where the camera goes.
+is a line of that process, one a fix. A picture without a fix gives a line without the first four keys; a failed camera gives
+{"failed": "reason"}.
 
-A camera that hangs gives one picture for ever, and a tracker that follows the fish finds it there a little elsewhere each time.
-So pictures are compared: noise makes two of a living camera differ, and one that repeats the picture before it is none.
+A camera that hangs repeats one picture, in which a tracker that follows the fish finds it at slightly different places. So
+pictures are compared: noise makes any two of a working camera differ, and an exact repetition is ignored.
 """
 
 import json
@@ -33,21 +35,29 @@ EVERY = 16  # rows of a picture between two that are compared first: nearly all 
 
 
 class Localiser(Protocol):
-    """What the loop asks for fixes.
+    """Interface of a localiser, which gives the loop its fixes.
 
     Attributes:
-        counts: frames looked at, fixes found, frames left out because newer ones waited, frames that repeat the one before.
+        counts: frames examined, fixes found, frames skipped for newer ones, frames that repeat the one before.
     """
 
     counts: dict[str, int]
 
-    def open(self) -> None: ...
-    def fixes(self, now: float) -> list[Fix]: ...
-    def close(self) -> None: ...
+    def open(self) -> None:
+        """Opens the camera. Raises ConfigError if it is not available."""
+        ...
+
+    def fixes(self, now: float) -> list[Fix]:
+        """Fixes found since the last call, oldest first."""
+        ...
+
+    def close(self) -> None:
+        """Closes the camera."""
+        ...
 
 
 class Repeats:
-    """Tells whether a picture (H, W, 3) is, to the last bit, the one before. A "picture" that is no image never is."""
+    """Detects a picture (H, W, 3) that equals the one before to the last bit. An object that is no image never counts as one."""
 
     def __init__(self) -> None:
         self._last: np.ndarray | None = None
@@ -68,9 +78,11 @@ class Looking:
         self._repeats = Repeats()
 
     def open(self) -> None:
+        """Opens the camera."""
         self.camera.open()
 
     def close(self) -> None:
+        """Closes the camera."""
         self.camera.close()
 
     def _found(self, t: float, image: np.ndarray) -> Fix | None:
@@ -84,18 +96,19 @@ class Looking:
 
 
 class InStep(Looking):
-    """Looks at every frame when it is asked to: for lockstep, where time waits."""
+    """Examines every frame on request: for lockstep, in which time waits."""
 
     def fixes(self, now: float) -> list[Fix]:
+        """Fixes of all frames up to `now` [s]."""
         found = [self._found(t, image) for t, image in self.camera.read(now)]
         return [fix for fix in found if fix is not None]
 
 
 class Newest(Looking):
-    """Looks at the newest frame that waits and leaves older ones out."""
+    """Examines the newest waiting frame and skips older ones."""
 
     def look(self, most: float) -> Fix | None:
-        """The fix of the next picture, waiting up to `most` s for it; None where there is none. Raises what the camera raises."""
+        """Fix of the next picture, waiting up to `most` s for it; None without one. Raises the camera's errors."""
         frames = self.camera.wait(most)
         self.counts["skipped"] += max(len(frames) - 1, 0)
         return self._found(*frames[-1]) if frames else None
@@ -105,10 +118,10 @@ class InProcess:
     """Camera and tracker in a process of their own, which ends with this one.
 
     Args:
-        words: its command line. It prints the lines above, the first one empty when its camera is open.
+        words: its command line. It prints the lines above, the first one empty once its camera is open.
 
     Attributes:
-        failed: why no more fixes come, None while all is well.
+        failed: error that ended the fixes, None before.
     """
 
     def __init__(self, words: Sequence[str]):
@@ -120,7 +133,7 @@ class InProcess:
         self._text = b""
 
     def open(self) -> None:
-        """Start it and wait until its camera is open. Raises ConfigError: it says why not."""
+        """Starts the process and waits until its camera is open. Raises ConfigError with the process's own message."""
         self._told = tempfile.TemporaryFile()  # noqa: SIM115  open as long as the process
         self._process = subprocess.Popen(  # a session of its own: Ctrl-C is for the host, which brings the fish to rest first
             self.words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._told, start_new_session=True
@@ -136,6 +149,7 @@ class InProcess:
         raise ConfigError(str(why).removeprefix("tracker: "))
 
     def fixes(self, now: float) -> list[Fix]:
+        """Fixes that the process has printed since the last call."""
         self._read()
         found, (*lines, self._text) = [], self._text.split(b"\n")
         for line in filter(None, lines):
@@ -150,6 +164,7 @@ class InProcess:
         return found
 
     def close(self) -> None:
+        """Ends the process."""
         process, self._process = self._process, None
         if process is not None:
             process.terminate()
@@ -169,7 +184,7 @@ class InProcess:
         return self._process.stdout.fileno() if self._process is not None and self._process.stdout is not None else -1
 
     def _read(self) -> None:
-        """Take in what came since the last call; does not wait."""
+        """Reads the output since the last call; does not wait."""
         while self._process is not None and self.failed is None and select.select([self._pipe], [], [], 0.0)[0]:
             data = os.read(self._pipe, 65536)
             if not data:
@@ -177,7 +192,7 @@ class InProcess:
             self._text += data
 
     def _last_words(self) -> str:
-        """Why it ended, as it said itself."""
+        """Reason for the end of the process, from its own message."""
         if self._told is None or self._process is None:
             return "closed"
         self._told.seek(0)

@@ -1,6 +1,6 @@
 """The process of camera and tracker that `localiser.InProcess` starts: `python -m fishmj.deploy.camera.tracker_process OPTIONS`.
 
-It ends with its host: where its parent is another one, or nobody reads what it prints.
+It ends with its host: if its parent changes, or if its output is no longer read.
 """
 
 import gc
@@ -22,7 +22,7 @@ LOOK = 0.1  # s that a picture is waited for before it looks whether the host is
 
 
 def options() -> console.Parser:
-    """The arguments: those of a swim that say how to see the robot."""
+    """The arguments: the camera and tracker options of a swim."""
     made = console.parser("deploy.tracker_process", "Camera and tracker in a process of their own: fixes as lines of JSON.")
     wiring.camera_options(made)
     made.add_argument("--parent", type=console.whole(1, 2**31), required=True, metavar="PID", help="the host, with which it ends")
@@ -30,7 +30,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """Look until the host is gone. Exit code 0: it went; 2: the camera does not open."""
+    """Finds the fish until the host is gone. Exit code 0: the host ended; 2: the camera does not open."""
     args = options().parse_args(argv)
     calibration = Calibration.read(args.calibration)
     eyes = Newest(wiring.make_camera(args.camera, MonotonicClock()), wiring.make_tracker(args, calibration))
@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
 
 
 def line(fix: Fix | None, counts: dict[str, int]) -> dict:
-    """What is told of one picture."""
+    """Report on one picture, for the process's output."""
     told: dict = {"counts": list(counts.values())}
     if fix is not None:
         told |= {"t": fix.t, "pose": [fix.x, fix.y, fix.yaw], "quality": fix.quality}
@@ -63,7 +63,7 @@ def line(fix: Fix | None, counts: dict[str, int]) -> dict:
 
 
 def _write(text: str) -> None:
-    """One line, whole or not at all: a host that does not listen for seconds misses what was seen meanwhile."""
+    """Writes one line completely or not at all; a host that does not read for seconds misses the lines of that time."""
     with suppress(BlockingIOError):
         os.write(sys.stdout.fileno(), f"{text}\n".encode())
 

@@ -1,4 +1,4 @@
-"""`fishmj deploy calibrate-camera`: from pictures of a board and marks of the tank to the calibration that a tracker needs."""
+"""`fishmj deploy calibrate-camera`: the camera calibration from pictures of a board and marks of the tank."""
 
 from argparse import ArgumentTypeError
 from math import isfinite
@@ -49,7 +49,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Exit code 0: the marks fit to 5 mm; 1: they do not, the file is written all the same."""
+    """The command. Exit code 0: the marks fit to 5 mm; 1: they do not, but the file is written."""
     args = options().parse_args(argv)
     columns, rows = args.board
     lens = calibrate_intrinsics(pictures(args.pictures), Board(columns, rows, args.square, args.marker))
@@ -133,7 +133,7 @@ def marks(path: Path) -> list[Mark]:
 
 
 def board_size(text: str) -> tuple[int, int]:
-    """`9x6`. Raises ArgumentTypeError."""
+    """Parses the inner corners of a board, such as `9x6`. Raises ArgumentTypeError."""
     columns, cross, rows = text.partition("x")
     if not cross:
         raise ArgumentTypeError(f"got {text[:40]!r}, expected COLUMNSxROWS such as 9x6")

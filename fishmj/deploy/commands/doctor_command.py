@@ -1,4 +1,4 @@
-"""`fishmj deploy doctor`: what this computer has for a swim: packages, serial lines, cameras, the loop's own timing."""
+"""`fishmj deploy doctor`: checks this computer for a swim: packages, serial lines, cameras, the loop's own timing."""
 
 import time
 from importlib import metadata
@@ -22,7 +22,7 @@ EXAMPLES = """example:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Exit code 1 where a package that a swim needs is missing."""
+    """The command. Exit code 1 if a package that a swim needs is missing."""
     parser = console.parser(
         "deploy doctor", "What is plugged in, what is installed, how evenly this computer ticks.", examples=EXAMPLES
     )
@@ -57,7 +57,7 @@ def required() -> list[str]:
 
 
 def version(package: str) -> str | None:
-    """Of an installed package; OpenCV counts under any of its names."""
+    """Version of an installed package, or None; OpenCV counts under any of its names."""
     names = (package, "opencv-python", "opencv-contrib-python") if package.startswith("opencv") else (package,)
     for name in names:
         try:
@@ -68,7 +68,7 @@ def version(package: str) -> str | None:
 
 
 def cameras() -> list[str]:
-    """Cameras that open, with the size that they give where a swim's is asked for, and what a second really gives."""
+    """Cameras that open, with the size that they deliver for a swim's settings, and the measured rate."""
     found = []
     for number in range(CAMERAS):
         camera = Device(number)
@@ -97,7 +97,7 @@ def _measured(camera: Device) -> str:
 
 
 def ticks(seconds: float) -> dict[str, float]:
-    """How evenly an empty loop ticks at 50 Hz, first in line where a swim would be: as well as this computer can."""
+    """Timing of an empty loop at 50 Hz over `seconds` s with a swim's priority: the best that this computer can do."""
     with first_in_line() as first:
         ticker = Ticker(MonotonicClock(), 0.02)
         while ticker.count < seconds * 50:

@@ -1,4 +1,4 @@
-"""`fishmj deploy firmware-policy`: a policy as the C header that the robot's firmware computes with."""
+"""`fishmj deploy firmware-policy`: exports a policy as the C header for the robot's firmware."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ EXAMPLES = """example:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Raises UnknownName, StoreError, ConfigError: no such policy, a damaged one, a file that is there."""
+    """The command. Raises UnknownName, StoreError, ConfigError: no such policy, a damaged one, an existing file."""
     summary = "A policy as a C header, for a robot that computes it itself."
     parser = console.parser("deploy firmware-policy", summary, examples=EXAMPLES)
     parser.add_argument("policy", type=console.text, metavar="NAME", help="shipped policy, policy file, or folder of a training")

@@ -1,4 +1,4 @@
-"""`fishmj deploy flow-map`: what each setting of the pump makes of the water, from a probe or from drifting markers."""
+"""`fishmj deploy flow-map`: measures the water's flow at each setting of the pump, from a probe or from drifting markers."""
 
 from argparse import ArgumentTypeError
 from math import radians
@@ -50,7 +50,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Exit code 0: every setting has all three; 3: some record is too short for a length scale."""
+    """The command. Exit code 0: every setting has all three figures; 3: some record is too short for a length scale."""
     args = options().parse_args(argv)
     unit = args.pump_unit or ""
     by_setting: dict[float, list[Path]] = {}
@@ -75,7 +75,7 @@ def main(argv: list[str]) -> int:
 
 
 def measured(args, pump: float, paths: list[Path]) -> Setting:
-    """One setting.
+    """Measures one setting of the pump.
 
     Raises:
         ConfigError, LogError: a record that cannot be read, or is too short; names the setting.
@@ -111,7 +111,7 @@ def measured(args, pump: float, paths: list[Path]) -> Setting:
 
 
 def record(text: str) -> tuple[float, Path]:
-    """`20=adv.csv`: a pump setting and a path. Raises ArgumentTypeError: neither."""
+    """Parses `20=adv.csv`: a pump setting and a path. Raises ArgumentTypeError."""
     setting, mark, path = text.partition("=")
     if not mark or not path:
         raise ArgumentTypeError(f"got {text[:60]!r}, expected SETTING=FILE such as 20=adv_20.csv")
@@ -133,7 +133,7 @@ def row(s: Setting, unit: str) -> dict[str, object]:
 
 
 def shown(found: Measured | None, digits: int, factor: float = 1.0) -> str:
-    """`0.2013 (0.1990 0.2036)`."""
+    """A figure with its interval: `0.2013 (0.1990 0.2036)`."""
     if found is None:
         return "-"
     value, low, high = (f"{factor * x:.{digits}f}" for x in found)

@@ -1,4 +1,4 @@
-"""`fishmj deploy monitor`: when robot and model parted, on logs."""
+"""`fishmj deploy monitor`: finds the time at which robot and model part, on logs."""
 
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Exit code 0: nothing parted; 1: an alarm; 3: no trial is longer than what is learnt from."""
+    """The command. Exit code 0: no alarm; 1: an alarm; 3: no trial is longer than the learning time."""
     args = options().parse_args(argv)
     robot = load_robot(args.robot)
     trials, healthy = opened(args.trials), opened(args.healthy)
@@ -86,7 +86,7 @@ def main(argv: list[str]) -> int:
 
 
 def opened(paths: list) -> dict[str, Trial]:
-    """Trials by path: trial folders as they are, of a data set every trial."""
+    """Trials by path: trial folders themselves, and every trial of a data set."""
     found: dict[str, Trial] = {}
     for path in map(Path, paths):
         if (path / META_FILE).is_file() or (path / FLAT_FILE).is_file():

@@ -34,7 +34,7 @@ def tag_page(family: str, number: int, size: float) -> Page:
     """A page with one tag; size: m, outer side of the black border.
 
     Raises:
-        UnknownName: another family. ConfigError: a number that the family has not, or a tag that fits on no sheet.
+        UnknownName: another family. ConfigError: a number outside the family, or a tag too large for every sheet.
     """
     code = code_of(family, number)
     label = f"AprilTag {family}, number {number}, black border {1e3 * size:g} mm; right edge to the nose (--tag-mount X,Y,0)"
@@ -45,14 +45,14 @@ def board_page(columns: int, rows: int, square: float) -> Page:
     """A page with a chessboard of columns x rows inner corners; square: m.
 
     Raises:
-        ConfigError: a board that fits on no sheet.
+        ConfigError: a board too large for every sheet.
     """
     black = np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 == 0
     return _page(black, 1e3 * square, f"board of {columns}x{rows} inner corners, squares of {1e3 * square:g} mm")
 
 
 def _page(black: np.ndarray, side: float, label: str, rim: int = 0) -> Page:
-    """A pattern (rows, columns) of cells of `side` mm in the middle of the smallest sheet that it fits on, with a white rim."""
+    """A pattern (rows, columns) of cells of `side` mm in the middle of the smallest sheet that holds it, with a white rim."""
     rows, columns = black.shape
     wide, high = side * columns, side * rows
     need = max(wide + 2 * rim * side, RULE) + 2 * MARGIN, high + 2 * rim * side + MARGIN + FOOT
@@ -113,7 +113,10 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Raises UnknownName, ConfigError: a tag or a board that cannot be, or that fits on no sheet; MissingExtra."""
+    """The command. Raises UnknownName, ConfigError: an impossible tag or board, or one too large for every sheet;
+
+    MissingExtra.
+    """
     args = options().parse_args(argv)
     if args.out.suffix.lower() != ".pdf":
         raise ConfigError(f"--out {args.out}: print-marks writes a PDF; name it FILE.pdf")

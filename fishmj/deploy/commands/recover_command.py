@@ -1,4 +1,4 @@
-"""`fishmj deploy recover`: the trial of a swim whose host was killed, from the journal that it left."""
+"""`fishmj deploy recover`: makes the trial of a swim whose host was killed from its journal."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Exit code 0: every folder is a trial now; 2: one was none, or is under way."""
+    """The command. Exit code 0: every folder is a trial now; 2: one has no journal, or its swim is still running."""
     args = options().parse_args(argv)
     found = {}
     for folder in map(Path, args.folders):

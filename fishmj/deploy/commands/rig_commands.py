@@ -1,4 +1,4 @@
-"""Commands of `fishmj deploy` for what a lab measures on its rig: experiments, weighing, pictures for the calibration."""
+"""Commands of `fishmj deploy` for measurements on a lab's rig: experiments, weighing, pictures for the calibration."""
 
 from fishmj.base.console import Command
 

@@ -65,7 +65,7 @@ def options() -> console.Parser:
 
 
 def policy_option(parser: Any, **how: bool) -> None:
-    """The option --policy of a parser or a group of one."""
+    """Adds the option --policy to a parser or to a group of one."""
     about = "shipped policy, policy file, or folder of a training" + ("" if how else " (default: none)")
     parser.add_argument("--policy", type=console.text, metavar="NAME", help=about, **how)
 
@@ -88,9 +88,9 @@ def swim_options(parser: console.Parser) -> None:
 
 
 def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> int:
-    """The command. Exit code 0: swam to the end; 1: something ended it; 2: not armed, or bad input.
+    """The command. Exit code 0: swam to the end; 1: a condition ended it; 2: not armed, or bad input.
 
-    wire: opens what the options name, as `wiring.wire` (the default); another one may swim in lockstep.
+    wire: opens the devices that the options name, like `wiring.wire` (the default); another one may swim in lockstep.
     """
     args = options().parse_args(argv)
     robot = load_robot(args.robot)
@@ -118,7 +118,7 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Within, neither another thread nor the collection of garbage keeps the loop waiting for long."""
+    """Context in which neither another thread nor garbage collection delays the loop for long."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH)
     gc.collect()
@@ -131,17 +131,17 @@ def undisturbed() -> Iterator[None]:
 
 
 def warn_of_training(controller: LearnedController, robot: Robot) -> None:
-    """Say what the policy was trained with that is another here."""
+    """Prints the differences between the policy's training and this robot."""
     for what, (there, here) in controller.trained(robot)["differs"].items():
         if what != "water":  # that of a tank is what it is
             console.warn(f"policy {controller.name}: trained with another {what} ({there}, here {here})")
 
 
 def pilot_of(args: Any, robot: Robot) -> tuple[LearnedController | None, Pilot]:
-    """The policy that the options name and its pilot; (None, pilot) of a gait.
+    """The policy that the options name and its pilot; (None, pilot) for a gait.
 
     Raises:
-        UsageError: neither. ConfigError: no such policy, one for another robot, or a gait that this robot cannot beat.
+        UsageError: neither. ConfigError: no such policy, one for another robot, or a gait that this robot cannot follow.
     """
     if args.gait is None and args.policy is None:
         raise UsageError("deploy swim: one of --policy NAME and --gait HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] is needed")
@@ -158,7 +158,7 @@ def _swum(
     args: Any, robot: Robot, controller: LearnedController | None, pilot: Pilot, out: Path,
     wire: Callable[..., wiring.Wired], watched: Watched | None,
 ) -> Outcome:  # fmt: skip
-    """Open everything, swim, close everything, whatever happens."""
+    """Opens all devices, swims, and closes them in every case."""
     with ExitStack() as stack:
         wired = wire(args, robot, stack)
         at_the_tank = wired.loopback or arming.asked_at_the_tank(wired.link, args.i_am_at_the_tank, console.confirmed)
@@ -190,7 +190,7 @@ def _swum(
 
 
 def target_warnings(target: tuple[float, float], bound: float, calibration: Calibration | None) -> list[str]:
-    """What speaks against a target (x, y) m: beyond the bound, m, or where the camera does not see."""
+    """Warnings about a target (x, y) m: beyond the bound, m, or outside the camera's view."""
     told, place = [], "{:g}, {:g} m".format(*target)
     if max(map(abs, target)) > bound:
         told.append(f"--target {place}: beyond --bound {bound:g}; the fish is stopped before it gets there")
@@ -204,7 +204,7 @@ def target_warnings(target: tuple[float, float], bound: float, calibration: Cali
 
 
 def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired: wiring.Wired) -> dict:
-    """The meta data of the trial, as far as it is known before the swim."""
+    """Meta data of the trial that are known before the swim."""
     speed, direction = args.flow or (0.0, 0.0)
     meta = {
         "origin": "synthetic" if wired.loopback else "measured",
@@ -234,13 +234,13 @@ def _mcap(out: Path, robot: Robot) -> Path:
 
 
 def place(text: str) -> tuple[float, float]:
-    """`0.3,-0.2`: x and y in the tank, m. Raises ArgumentTypeError."""
+    """Parses `0.3,-0.2`: x and y in the tank, m. Raises ArgumentTypeError."""
     x, y = _two(text, "X,Y such as 0.3,-0.2 (m)")
     return console.number(-100, 100)(x), console.number(-100, 100)(y)
 
 
 def flow(text: str) -> tuple[float, float]:
-    """`0.2,3.14`: speed, m/s, and where the water moves to, rad; or `tank_flow.toml@22.5`, of a flow map at a pump setting.
+    """Parses `0.2,3.14`: speed, m/s, and direction of flow, rad; or `tank_flow.toml@22.5`, a flow map at a pump setting.
 
     Raises:
         ArgumentTypeError: neither. ConfigError: a map that cannot be read, or a setting outside of it.
@@ -254,7 +254,7 @@ def flow(text: str) -> tuple[float, float]:
 
 
 def gait(text: str) -> Gait:
-    """`1,20,60` or `1,20,60,-10`: Hz, amplitude, lag and bias in deg. Raises ArgumentTypeError."""
+    """Parses `1,20,60` or `1,20,60,-10`: Hz, amplitude, lag and bias in deg. Raises ArgumentTypeError."""
     parts = text.split(",")
     if len(parts) not in (3, 4):
         raise ArgumentTypeError(f"got {text[:40]!r}, expected HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] such as 1,20,60")

@@ -1,4 +1,4 @@
-"""`fishmj deploy track`: the fish in a video file, as a trial folder, with an overlay video to look at."""
+"""`fishmj deploy track`: tracks the fish in a video file; writes a trial folder and an overlay video."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Exit code 0: the fish is in 90 % of the frames at least; 1: in fewer."""
+    """The command. Exit code 0: the fish is found in at least 90 % of the frames; 1: in fewer."""
     args = options().parse_args(argv)
     robot = load_robot(args.robot) if args.robot.endswith(".toml") else args.robot
     tracker = wiring.make_tracker(args, wiring.calibration_of(args, None), robot)

@@ -1,4 +1,4 @@
-"""`fishmj deploy trials`: a person and a robot through the 72 trials of the protocol, and the tables that `evaluate` writes."""
+"""`fishmj deploy trials`: guides a person and a robot through the 72 trials of the protocol; writes the tables of `evaluate`."""
 
 import shlex
 from argparse import Namespace
@@ -120,7 +120,7 @@ def main(argv: list[str], in_step: Wire | None = None) -> int:
 
 
 class Walk:
-    """The way through the trials that are left.
+    """Runs the remaining trials.
 
     Attributes:
         stop: set by a signal while a robot swims. beside: the monitor's process, which learns from the healthy swims once.
@@ -139,7 +139,7 @@ class Walk:
         self._speed: float | None = None
 
     def through(self) -> None:
-        """Swim every trial that is neither accepted nor skipped; a person may stop at every question."""
+        """Swims every trial that is neither accepted nor skipped; a person may stop at every question."""
         left = self.session.left(self.places)
         if len(left) < len(self.places):
             console.say(f"{len(self.places) - len(left)} of {len(self.places)} are there already: going on")
@@ -155,7 +155,7 @@ class Walk:
         return f"{len(self.session.accepted)} trials are in {self.session.folder / KEPT}; {interrupt.again('go on')}"
 
     def _one(self, place: Place) -> None:
-        """One trial until it is accepted or skipped."""
+        """Repeats one trial until it is accepted or skipped."""
         spec, tries = place.spec, 0
         console.say(f"{place.name}: {spec.speed:g} m/s, target {np.degrees(spec.los):.0f} deg from upstream")
         while not self.stop.is_set():
@@ -179,7 +179,7 @@ class Walk:
                 return
 
     def _pump(self, speed: float) -> None:
-        """Ask for a new setting of the pump, where it is one."""
+        """Asks for another setting of the pump when the speed changes."""
         if speed == self._speed:
             return
         water, how = self.waters.get(speed), f"set the pump so that the water moves at {speed:g} m/s"
@@ -195,7 +195,7 @@ class Walk:
         self.person.ready(f"put the fish at x = {x:.2f} m, y = {y:.2f} m, heading {heading} deg, straight and at rest")
 
     def _answer(self, outcome: Outcome, tries: int) -> str:
-        """accept, repeat or skip."""
+        """The operator's answer: accept, repeat or skip."""
         whole = counts(outcome)
         if self.args.yes:
             return "accept" if whole else "repeat" if tries < TRIES else "skip"
@@ -206,10 +206,10 @@ class Walk:
                 return {"": usual, "r": "repeat", "s": "skip"}[answer]
 
     def _swum(self, place: Place, folder: Path) -> Outcome:
-        """Open everything, swim, close everything.
+        """Opens all devices, swims, and closes them.
 
         Raises:
-            ConfigError: nobody stands at a tank that needs somebody; the robot does not arm; what `wiring.wire` raises.
+            ConfigError: no person at a tank that needs one; the robot does not arm; errors of `wiring.wire`.
         """
         args, water = self.args, self.waters.get(place.spec.speed)
         stream = (place.spec.speed, float(self.session.what["direction"]))
@@ -250,12 +250,12 @@ class Walk:
 
 
 def robot_seed(seed: int, name: str) -> int:
-    """Of the loopback robot of a trial: the same one whatever other trials are asked for."""
+    """Seed of the loopback robot of a trial, independent of the other trials."""
     return crc32(f"{seed} {name}".encode())
 
 
 def same_trials(args: Namespace) -> str:
-    """The options of `fishmj evaluate` that make the same trials."""
+    """Options of `fishmj evaluate` that make the same trials."""
     several = {"speeds": args.speeds, "los": args.los}
     given = {name: ",".join(f"{value:g}" for value in values) for name, values in several.items() if values}
     given |= {name: f"{value:g}" for name, value in (("repeats", args.repeats), ("duration", args.duration)) if value}
@@ -273,7 +273,7 @@ def tables(
     session: Session,
     places: Sequence[Place],
 ) -> int:
-    """Judge what is accepted; tables to the terminal and files into the session's folder."""
+    """Judges the accepted trials; prints the tables and writes files into the session's folder. Returns the exit code."""
     logs: dict[str, Trial] = session.read(places)
     simulated = bool(session.what.get("simulated"))
     engine = trials_tables.LOOPBACK if simulated else trials_tables.TANK

@@ -1,6 +1,6 @@
-"""A robot over a transport: greet, arm, command, listen, disarm. One class a protocol, all with the same face.
+"""Links to a robot over a transport: greet, arm, command, listen, disarm. One class a protocol, all with one interface.
 
-What a protocol cannot say stays None, and `lacks` names it: the arming decides what that means.
+Values that a protocol lacks are None, and `lacks` names them; the arming rules decide the consequences.
 """
 
 from typing import NamedTuple, Protocol
@@ -17,7 +17,7 @@ WHOLE = 2**32  # sequence numbers wrap here
 
 
 class Sent(NamedTuple):
-    """One command as it left: seq is None where the protocol has none; t s on the host's clock."""
+    """One command as sent: seq is None if the protocol has none; t s on the host's clock."""
 
     seq: int | None
     t: float
@@ -25,14 +25,14 @@ class Sent(NamedTuple):
 
 
 class Received(NamedTuple):
-    """One packet as it arrived, t s on the host's clock."""
+    """One packet as received, t s on the host's clock."""
 
     t: float
     value: Telemetry | RobotInfo
 
 
 class RobotClock(NamedTuple):
-    """What a question and its answer tell of the robot's clock.
+    """Estimate of the robot's clock from a question and its answer.
 
         ahead = (t_asked + t_heard) / 2 - t_robot,    wrong by at most round_trip / 2
 
@@ -45,13 +45,13 @@ class RobotClock(NamedTuple):
 
 
 class Link(Protocol):
-    """What the loop talks to.
+    """Interface of a link, used by the loop.
 
     Attributes:
-        name: of the protocol. lacks: what it cannot say or do, a phrase each. watched: whether the robot has a watchdog.
-        greets: whether the robot says what it is.
+        name: of the protocol. lacks: missing messages and functions, a phrase each. watched: True if the robot has a watchdog.
+        greets: True if the robot identifies itself.
         counts: bad (no message at all), old (late or repeated, dropped), packets.
-        robot_clock: None where it is not told.
+        robot_clock: None if the robot does not report it.
     """
 
     name: str
@@ -61,17 +61,40 @@ class Link(Protocol):
     counts: dict[str, int]
     robot_clock: RobotClock | None
 
-    def open(self) -> None: ...
-    def hello(self, now: float) -> None: ...
-    def arm(self, now: float, hold: float, neutral: float) -> None: ...
-    def disarm(self, now: float) -> None: ...
-    def send(self, joint: np.ndarray, now: float) -> Sent: ...
-    def receive(self, now: float) -> list[Received]: ...
-    def forget(self) -> None: ...
-    def close(self) -> None: ...
+    def open(self) -> None:
+        """Opens the transport."""
+        ...
+
+    def hello(self, now: float) -> None:
+        """Asks the robot to identify itself."""
+        ...
+
+    def arm(self, now: float, hold: float, neutral: float) -> None:
+        """Requests torque; hold, neutral: the watchdog's times, s."""
+        ...
+
+    def disarm(self, now: float) -> None:
+        """Requests torque off."""
+        ...
+
+    def send(self, joint: np.ndarray, now: float) -> Sent:
+        """Commands joints (J,) rad."""
+        ...
+
+    def receive(self, now: float) -> list[Received]:
+        """Packets that arrived since the last call."""
+        ...
+
+    def forget(self) -> None:
+        """Resets the memory of earlier packets, for a robot that may have restarted."""
+        ...
+
+    def close(self) -> None:
+        """Closes the transport."""
+        ...
 
     def silence(self) -> str:
-        """Why nothing is heard, "" where nothing but the silence is known."""
+        """Reason for the silence of the robot, "" if no other is known."""
 
 
 class Fishmj1Link:
@@ -88,31 +111,34 @@ class Fishmj1Link:
         self._asked: list[float] = []  # s, of the questions that wait for their answer
 
     def open(self) -> None:
+        """Opens the transport."""
         self.transport.open()
 
     def close(self) -> None:
+        """Closes the transport."""
         self.transport.close()
 
     def silence(self) -> str:
+        """Returns "": this protocol gives no reason for silence."""
         return ""
 
     def forget(self) -> None:
-        """The robot may have begun anew: whatever number comes next is believed."""
+        """Accepts any next sequence number, since the robot may have restarted."""
         self._gate.forget()
         self.robot_clock = None
 
     def hello(self, now: float) -> None:
-        """Ask the robot what it is."""
+        """Asks the robot to identify itself."""
         self._asked.append(now)
         self.transport.send(fishmj1.encode_hello(self._number(), now))
 
     def arm(self, now: float, hold: float, neutral: float) -> None:
-        """Ask for torque, with the watchdog's times in s."""
+        """Requests torque, with the watchdog's times in s."""
         self._asked.append(now)
         self.transport.send(fishmj1.encode_arm(self._number(), now, hold, neutral))
 
     def disarm(self, now: float) -> None:
-        """Ask for no torque."""
+        """Requests torque off."""
         self.transport.send(fishmj1.encode_disarm(self._number(), now))
 
     def send(self, joint: np.ndarray, now: float) -> Sent:
@@ -123,7 +149,7 @@ class Fishmj1Link:
         return Sent(seq, now, data)
 
     def receive(self, now: float) -> list[Received]:
-        """What arrived since the last call; old and repeated telemetry is dropped and counted."""
+        """Packets that arrived since the last call; old and repeated telemetry is dropped and counted."""
         found = []
         for t, data in self.transport.receive():
             try:
@@ -143,7 +169,7 @@ class Fishmj1Link:
         return found
 
     def _answered(self, t: float, robot: float) -> None:
-        """The robot's clock from an answer of its time `robot` that arrived at t; where two questions wait, one was lost."""
+        """Updates the robot's clock from an answer with its time `robot`, received at t; of two open questions one was lost."""
         asked, self._asked = self._asked, []
         if len(asked) == 1 and (self.robot_clock is None or t - asked[0] < self.robot_clock.round_trip):
             self.robot_clock = RobotClock((asked[0] + t) / 2 - robot, t - asked[0])
@@ -154,7 +180,7 @@ class Fishmj1Link:
 
 
 class MishLink:
-    """The open robot's own layout: six numbers down, twelve up; no sequence, no clock, no watchdog, no word for arming.
+    """The open robot's own layout: six numbers down, twelve up; no sequence number, clock, watchdog or arming message.
 
     Args:
         firmware: "mish-0.1.0" as published, or "fixed".
@@ -170,25 +196,28 @@ class MishLink:
         self.counts = {"packets": 0, "bad": 0, "old": 0}
 
     def open(self) -> None:
+        """Opens the transport."""
         self.transport.open()
 
     def close(self) -> None:
+        """Closes the transport."""
         self.transport.close()
 
     def silence(self) -> str:
+        """Returns "": this protocol gives no reason for silence."""
         return ""
 
     def forget(self) -> None:
-        """Nothing is remembered."""
+        """Does nothing: this link keeps no memory."""
 
     def hello(self, now: float) -> None:
-        """The robot speaks unasked."""
+        """Does nothing: the robot sends without a request."""
 
     def arm(self, now: float, hold: float, neutral: float) -> None:
-        """Its servos have torque from the first command on."""
+        """Does nothing: the servos have torque from the first command on."""
 
     def disarm(self, now: float) -> None:
-        """It cannot be told to let go: the last angles stay."""
+        """Does nothing: the protocol has no such message, and the last angles stay."""
 
     def send(self, joint: np.ndarray, now: float) -> Sent:
         """Command joints (J,) rad, at once."""
@@ -197,7 +226,7 @@ class MishLink:
         return Sent(None, now, data)
 
     def receive(self, now: float) -> list[Received]:
-        """What arrived since the last call; nothing tells an old packet from a new one."""
+        """Packets that arrived since the last call; old packets cannot be told from new ones."""
         found = []
         for t, data in self.transport.receive():
             try:

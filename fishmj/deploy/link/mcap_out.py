@@ -1,4 +1,4 @@
-"""The swim as MCAP, for Foxglove: the trial folder through `fishmj log export`, with the links of the robot that swam."""
+"""Writes a swim as MCAP, for Foxglove: the trial folder through `fishmj log export`, with the links of its robot."""
 
 from pathlib import Path
 

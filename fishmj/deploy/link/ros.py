@@ -1,13 +1,13 @@
-"""A bridge to ROS 2 over rosbridge, behind the extra `ros`: what the host hears and sends, as standard messages.
+"""A bridge to ROS 2 over rosbridge, behind the extra `ros`: the host's inputs and outputs as standard messages.
 
     /fishmj/pose        geometry_msgs/msg/PoseStamped    accepted fixes, frame `tank`
     /fishmj/joints      sensor_msgs/msg/JointState       measured joint angles
-    /fishmj/commands    sensor_msgs/msg/JointState       commands as they left
+    /fishmj/commands    sensor_msgs/msg/JointState       commands as sent
     /fishmj/battery     sensor_msgs/msg/BatteryState     voltage and current
     /fishmj/state       std_msgs/msg/String              the supervisor's changes
 
-One way only: nothing that ROS says moves the fish. A thread publishes, so a slow bridge delays no tick; what it cannot take
-in time is dropped and counted. Stamps are wall-clock time.
+It only publishes: no ROS message moves the fish. A thread publishes, so a slow bridge delays no tick; messages that it cannot
+take in time are dropped and counted. Stamps are wall-clock time.
 """
 
 import queue
@@ -39,13 +39,13 @@ Message = dict[str, Any]
 
 
 class RosPublisher:
-    """Publishes what the log takes in; a context.
+    """Context manager that publishes the rows of a log.
 
     Args:
-        address: host and port of the rosbridge. log: whose rows are published, too.
+        address: host and port of the rosbridge. log: its rows are published, too.
 
     Attributes:
-        sent, dropped: messages.
+        sent, dropped: numbers of messages.
 
     Raises (on entering):
         MissingExtra: roslibpy is not installed. ConfigError: no rosbridge answers.
@@ -88,21 +88,21 @@ class RosPublisher:
         self._client.close()
 
     def command(self, t: float, joint: np.ndarray) -> None:
-        """A command that left."""
+        """Publishes a sent command."""
         self._put("commands", joints(self._stamp(t), joint))
 
     def heard(self, t: float, packet: Telemetry) -> None:
-        """A packet that arrived."""
+        """Publishes a received packet."""
         self._put("joints", joints(self._stamp(t), packet.joint))
         if (volts := supply(packet)) is not None:
             self._put("battery", battery(self._stamp(t), volts, packet.current))
 
     def fix(self, pose: Pose) -> None:
-        """A fix that was accepted."""
+        """Publishes an accepted fix."""
         self._put("pose", placed(self._stamp(pose.t), pose))
 
     def event(self, event: Event) -> None:
-        """A change of state."""
+        """Publishes a change of state."""
         self._put("state", {"data": f"{event.after.name}: {named(event.because)}"})
 
     def _stamp(self, t: float) -> Message:
@@ -127,7 +127,7 @@ class RosPublisher:
 
 
 def stamp(seconds: float) -> Message:
-    """builtin_interfaces/Time of s since 1970."""
+    """builtin_interfaces/Time of a time in s since 1970."""
     whole = int(seconds // 1)
     return {"sec": whole, "nanosec": int((seconds - whole) * 1e9)}
 

@@ -1,8 +1,8 @@
-"""The servo bus itself over a USB adapter, without any microcontroller: what firmware would do, done by the host.
+"""The servo bus itself over a USB adapter, without a microcontroller: the host does the work of the firmware.
 
-Every tick asks each servo for its position, and one of them for a slow measurement in turn where the bus has such; a servo that
-does not answer is asked twice more, as long as the tick has time for it. Servos hold the last angle when the host is gone:
-nothing watches. What differs between LX and Dynamixel servos is `protocols.servo_bus`.
+Every tick asks each servo for its position, and one of them in turn for a slow measurement if the bus has one. A servo that
+does not answer is asked twice more, as long as the tick has time. There is no watchdog: servos hold the last angle when the host
+is gone. The differences between LX and Dynamixel servos are in `protocols.servo_bus`.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,13 +32,13 @@ class ServoBusLink:
 
     Args:
         opened: makes the serial line, an object with read(n), write(data), in_waiting, close(); raises ConfigError.
-        ids: of the servos, from the head to the tail. zeros: rad, where each stands when its joint is straight.
-        signs: 1 or -1, where a servo turns the other way round. move_time: s that a servo takes over each command, 0: at once.
+        ids: of the servos, from the head to the tail. zeros: angle of each servo for a straight joint, rad.
+        signs: 1, or -1 for a servo that turns the other way. move_time: duration of each move, s, 0: at once.
         bus: kind of servos (`protocols.servo_bus.BUSES`). baud: of the line; None: the bus's own. tick: s.
 
     Raises:
-        ConfigError: ids that stand twice or that the bus does not have; a move time that it does not have; a line too slow for
-            so many servos.
+        ConfigError: a repeated id, or one outside the bus's range; a move time on a bus without one; a line too slow for so many
+            servos.
     """
 
     watched, greets = False, False
@@ -74,17 +74,17 @@ class ServoBusLink:
         self.forget()
 
     def open(self) -> None:
-        """Take the line. Raises ConfigError."""
+        """Opens the line. Raises ConfigError."""
         self._port = self._opened()
 
     def close(self) -> None:
-        """Give the line back."""
+        """Closes the line."""
         if self._port is not None:
             self._port.close()
             self._port = None
 
     def forget(self) -> None:
-        """No servo has answered yet."""
+        """Forgets all answers of the servos."""
         self._reader = self.bus.reader()
         self._turn = 0
         self._known: set[int] = set()  # servos that said what they are
@@ -96,16 +96,16 @@ class ServoBusLink:
         self._fault: dict[int, ServoFault] = {}
 
     def hello(self, now: float) -> None:
-        """Servos answer only what they are asked, at every tick."""
+        """Does nothing: servos only answer the questions of each tick."""
 
     def arm(self, now: float, hold: float, neutral: float) -> None:
-        """Torque on, where the joints are."""
+        """Switches torque on, at the present angles."""
         if not self.bus.moves_in_time and len(self._position) == len(self.ids):  # a goal of an earlier swim would be a jump
             self._write(self.bus.move(self._position, 0))
         self._write(self.bus.torque(self.ids, True))
 
     def disarm(self, now: float) -> None:
-        """Torque off."""
+        """Switches torque off."""
         self._write(self.bus.torque(self.ids, False))
 
     def send(self, joint: np.ndarray, now: float) -> Sent:
@@ -117,7 +117,7 @@ class ServoBusLink:
         return Sent(None, now, data)
 
     def receive(self, now: float) -> list[Received]:
-        """Ask every servo now; one packet, once each has answered at least once."""
+        """Asks every servo now; returns one packet once each has answered at least once."""
         end = now + self.budget
         if len(self._known) < len(self.ids) and not self._identified(now, end):
             return []
@@ -134,7 +134,7 @@ class ServoBusLink:
         return [Received(self.clock.now(), self._packet(silent, now))]
 
     def silence(self) -> str:
-        """Why no packet came: which servos did not answer, and which did."""
+        """Reason for a missing packet: the servos that did not answer, and those that did."""
         asked = f"asked {self.bus.name} servos {_listed(self.ids)} at {self.baud} baud"
         if self._unfit:
             return "; ".join(f"servo {servo} {why}" for servo, why in self._unfit.items())
@@ -155,7 +155,7 @@ class ServoBusLink:
         )
 
     def _identified(self, now: float, end: float) -> bool:
-        """Asks each servo what it is; True once all have said that they are of this bus."""
+        """Asks each servo for its model; returns True once all have answered that they are of this bus."""
         if not self.bus.first:
             return True
         self._ask(self.bus.first, [servo for servo in self.ids if servo not in self._known], now, end, retries=1)
@@ -174,10 +174,9 @@ class ServoBusLink:
         )
 
     def _ask(self, question: str, servos: Sequence[int], now: float, end: float, retries: int = RETRIES) -> set[int]:
-        """Ask a question and keep what is answered; the servos that count as silent.
+        """Asks a question and stores the answers. Returns the servos that count as silent.
 
-        Servos that are asked together and stay silent are asked again one by one: on some buses one that is missing silences
-        those behind it.
+        Silent ones of a group are asked again one by one: on some buses a missing servo silences those behind it.
         """
         silent: set[int] = set()
         for group in (tuple(servos),) if self.bus.together else [(servo,) for servo in servos]:
@@ -195,7 +194,7 @@ class ServoBusLink:
         return silent
 
     def _asked_once(self, question: str, servos: Sequence[int], end: float) -> tuple[dict[int, Answer], bool]:
-        """Returns the answers of servos by `end`, and whether there was time to ask."""
+        """Answers of the servos by `end`, and True if there was time to ask."""
         now, found = self.clock.now(), {}
         if now >= end or not servos:
             return {}, False
@@ -237,7 +236,7 @@ class ServoBusLink:
             self._fault[servo] = answer.fault
 
     def _wire_time(self) -> float:
-        """s that the questions and answers of a tick take on the wire."""
+        """Time that the questions and answers of a tick take on the wire, s."""
         bus, one = self.bus, self.ids[:1]
         asked = [self.ids] if bus.together else [(servo,) for servo in self.ids]
         size = sum(len(bus.ask(bus.each, group)) for group in asked) + len(self.ids) * bus.size(bus.each)

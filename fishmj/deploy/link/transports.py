@@ -1,4 +1,4 @@
-"""Ways for bytes between host and robot: a UDP socket, a serial line. Links put protocols on top."""
+"""Transports of bytes between host and robot: a UDP socket, a serial line. Links put protocols on top."""
 
 import socket
 import threading
@@ -13,23 +13,23 @@ KEPT = 1000  # datagrams that may wait unread: 20 s of telemetry
 
 
 class Transport(Protocol):
-    """Datagrams out and in; nothing here waits."""
+    """Interface of a datagram transport; no call waits."""
 
     def open(self) -> None:
-        """Take the socket or line. Raises ConfigError where it cannot be had."""
+        """Opens the socket or line. Raises ConfigError if it is not available."""
 
     def send(self, data: bytes) -> None:
-        """One datagram, now; one that the network refuses is lost, as on any radio."""
+        """Sends one datagram now; one that the network refuses is lost, as on any radio."""
 
     def receive(self) -> list[tuple[float, bytes]]:
-        """What came in since the last call, each with the time of its arrival on the host's clock, s."""
+        """Datagrams since the last call, each with its time of arrival on the host's clock, s."""
 
     def close(self) -> None:
-        """Give the socket or line back; may be called twice."""
+        """Closes the socket or line; may be called twice."""
 
 
 class UdpTransport:
-    """Datagrams to one address. A thread takes them in, so that each has the time of its arrival and not that of a tick.
+    """Datagrams to one address. A thread receives them, so that each is stamped on arrival and not at the next tick.
 
     Args:
         host, port: of the robot. listen: port of this computer that the robot sends to; 0 lets the system choose.
@@ -82,6 +82,7 @@ class UdpTransport:
                     self.foreign += 1
 
     def send(self, data: bytes) -> None:
+        """Sends one datagram now; counts one that the system refuses."""
         if self._socket is not None:
             try:
                 self._socket.sendto(data, self._address)
@@ -89,9 +90,11 @@ class UdpTransport:
                 self.refused += 1
 
     def receive(self) -> list[tuple[float, bytes]]:
+        """Datagrams since the last call, each with its time of arrival, s."""
         return [self._heard.popleft() for _ in range(len(self._heard))]
 
     def close(self) -> None:
+        """Stops to listen and closes the socket."""
         self._open.clear()
         if self._thread is not None:
             self._thread.join(1.0)
@@ -101,10 +104,10 @@ class UdpTransport:
 
 
 def open_serial(device: str, timeout: float, baud: int) -> Any:
-    """A serial line of 8N1, as `serial.Serial`; reads give up after `timeout` s.
+    """Opens a serial line of 8N1, as `serial.Serial`; reads give up after `timeout` s.
 
     Raises:
-        MissingExtra: pyserial is not installed. ConfigError: no such device, or no right to open it.
+        MissingExtra: pyserial is not installed. ConfigError: no such device, or no permission to open it.
     """
     try:
         import serial
@@ -121,7 +124,7 @@ def serial_devices() -> list[str]:
     """Serial devices of this computer.
 
     Raises:
-        StoreError: the system does not list them. MissingExtra: pyserial is not installed.
+        StoreError: the system cannot list them. MissingExtra: pyserial is not installed.
     """
     try:
         from serial.tools import list_ports

@@ -1,7 +1,7 @@
-"""What must be true before a robot gets torque: it is the one that the policy is for, and it guards itself.
+"""Conditions for torque: the robot matches the policy, and it has a watchdog.
 
-A robot without a watchdog of its own swims on after the host is gone. It is armed only when a person has said that they stand at
-the tank.
+A robot without a watchdog keeps swimming after the host is gone. It is armed only after a person has confirmed to stand at the
+tank.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ QUESTION = "This robot has no watchdog: it keeps moving when the host is gone. D
 
 
 class Refusal(NamedTuple):
-    """Why a robot is not armed: conditions for the supervisor, and a sentence each for people."""
+    """Reasons against arming: conditions for the supervisor, and a sentence each for people."""
 
     conditions: Condition
     reasons: tuple[str, ...]
@@ -32,7 +32,10 @@ class Refusal(NamedTuple):
 def examine(
     link: Link, info: RobotInfo | None, robot: Robot, controller: LearnedController | None, at_the_tank: bool
 ) -> Refusal:  # fmt: skip
-    """Compare what the robot says of itself with the description and the policy, None for none; nothing refused: (NONE, ())."""
+    """Compares the robot's identification with the description and the policy (None: no policy).
+
+    Without objection: (NONE, ()).
+    """
     found, reasons = NONE, []
     ours = structure_of(robot)["joints"]
     if "joint angles" in link.lacks:
@@ -65,7 +68,7 @@ def examine(
 
 
 def asked_at_the_tank(link: Link, said: bool, ask: Callable[[str], bool]) -> bool:
-    """Whether a person stands at the tank: `said` on the command line, or answered now; only asked where it matters."""
+    """Returns True if a person stands at the tank: `said` on the command line, or answered now; asks only if it matters."""
     return said or (not link.watched and ask(QUESTION))
 
 
@@ -75,7 +78,7 @@ FAULTY = {
 
 
 def servos_at_fault(newest: Telemetry | None, ids: Sequence[int]) -> str:
-    """`servo 9 (joint 3 from the head) is hot`, "" where no servo says so; ids: on the bus, from the head to the tail."""
+    """Text such as `servo 9 (joint 3 from the head) is hot`, "" without a fault; ids: on the bus, from the head to the tail."""
     faults = newest.fault if newest is not None and newest.fault else ()
     return ", ".join(
         f"servo {ids[k] if k < len(ids) else '?'} (joint {k + 1} from the head) {what}"
@@ -86,13 +89,13 @@ def servos_at_fault(newest: Telemetry | None, ids: Sequence[int]) -> str:
 
 
 def why_not_armed(newest: Telemetry | None, servo_range: float, hold: float, neutral: float) -> str:
-    """Why a robot that was asked to arm has not, as the end of a line, "" where it says nothing of itself.
+    """Reason that a robot did not arm on request, as the end of a line; "" if it reports nothing about itself.
 
-    ARM is answered with INFO and the state, not with a reason. The rules are those of `protocols.watchdog`, and what they look at
-    is in the telemetry: state, joints, servos that do not answer.
+    The robot answers ARM with INFO and its state, not with a reason. The rules are those of `protocols.watchdog`. Their inputs
+    are in the telemetry: state, joints, servos that do not answer.
 
     Args:
-        newest: telemetry. servo_range: rad. hold, neutral: s, the times that ARM asked for.
+        newest: telemetry. servo_range: rad. hold, neutral: s, the times in the request.
     """
     if newest is None or newest.state is None:
         return ""

@@ -1,4 +1,4 @@
-"""The host's time. The loop asks a clock, so that the very same loop runs in real time and in lockstep with a simulated robot."""
+"""The host's time. The loop asks a clock, so that the same loop runs in real time and in lockstep with a simulated robot."""
 
 import os
 import time
@@ -11,22 +11,24 @@ HEARING, SEEING = 9, 5  # who takes datagrams in, and who looks for the fish
 
 
 class Clock(Protocol):
-    """Seconds that only rise."""
+    """Interface of a monotonic clock in seconds."""
 
     def now(self) -> float:
-        """s since any fixed moment."""
+        """Time since any fixed moment, s."""
 
     def sleep_until(self, t: float) -> None:
-        """Return at `t` or later; at once where that has passed."""
+        """Returns at `t` [s] or later; at once if that has passed."""
 
 
 class MonotonicClock:
-    """This computer's monotonic clock, the one that the camera's stamps are on as well."""
+    """This computer's monotonic clock, which also stamps the camera's pictures."""
 
     def now(self) -> float:
+        """Time on the monotonic clock, s."""
         return time.monotonic()
 
     def sleep_until(self, t: float) -> None:
+        """Sleeps until `t` [s]; returns at once if that has passed."""
         left = t - time.monotonic()
         if left > 0:
             time.sleep(left)
@@ -34,10 +36,10 @@ class MonotonicClock:
 
 @contextmanager
 def first_in_line(priority: int = PRIORITY) -> Iterator[bool]:
-    """Within, this thread goes before ordinary ones, where the system allows it (Linux, with the right to); whether it does.
+    """Context in which this thread runs before ordinary ones, if the system permits it. Yields True if so.
 
-    Of several such threads the one with the higher `priority`, 1 to 99, goes first. Threads and processes that begin within are
-    ordinary.
+    It needs Linux and the right to set priorities. Of several such threads the one with the higher `priority`, 1 to 99, goes
+    first. Threads and processes that start inside are ordinary.
     """
     allowed = False
     if hasattr(os, "SCHED_RESET_ON_FORK"):

@@ -1,7 +1,7 @@
 """Named excitations and a sine gait, open loop on the robot, as trials that `fishmj calibrate` and `fishmj gap find` read.
 
-The host's own swim plays the commands, with its supervisor, limits and log; `kept` then cuts the trial to what was played, from
-the first command on, and says what was measured of the noise while the fish rested.
+The host's own swim plays the commands, with its supervisor, limits and log. `kept` then cuts the trial to the played part, from
+the first command on, and adds the noise that was measured while the fish rested.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +30,7 @@ REPEATS = 3
 QUIET = 8  # rows at least in which the noise of a channel is taken
 SAME = 1e-6  # rad: a command that left as it was wanted
 SESSIONS: Mapping[str, tuple[str, ...]] = {
-    # without a carriage nothing is let go at a speed: `burst_and_coast` swims up to it, and coasting then shows the drag
+    # without a carriage no run starts at a speed: `burst_and_coast` swims up to it, and coasting then shows the drag
     "session": (
         "gait",
         "chirp",
@@ -48,7 +48,7 @@ SESSIONS: Mapping[str, tuple[str, ...]] = {
 
 
 class Run(NamedTuple):
-    """One repeat of one experiment. name: of its folder; first: name of the repeat that it repeats, "" for the first."""
+    """One repeat of one experiment. name: of its folder; first: name of the first repeat, "" for the first itself."""
 
     name: str
     what: Excitation
@@ -56,9 +56,9 @@ class Run(NamedTuple):
 
 
 def runs(asked: Sequence[str], repeats: int, joints: int) -> list[Run]:
-    """The repeats of every experiment, the repeats of one apart: experiment by experiment once, then all over again.
+    """Repeats of every experiment in rounds: each experiment once, then all over again.
 
-    A drift of the rig (battery, water) thus does not hide in one experiment.
+    So a drift of the rig (battery, water) does not hide in one experiment.
 
     Raises:
         UnknownName: no such experiment. ConfigError: one that needs a tow carriage.
@@ -117,7 +117,7 @@ class Gait(NamedTuple):
 
 
 def unpoliced(link: Link, robot: Robot, at_the_tank: bool) -> Callable[[RobotInfo | None], Refusal]:
-    """Returns the reasons against arming without a policy: joints, servo range and watchdog, as for a swim."""
+    """Function that returns the reasons against arming without a policy: joints, servo range and watchdog, as for a swim."""
     return lambda info: examine(link, info, robot, None, at_the_tank)
 
 
@@ -125,12 +125,13 @@ def play(
     rig: Rig, run: Run, folder: Path, meta: Mapping[str, Any], *, medium: str = "water", wait: float = 10.0,
     stop: Callable[[], bool] = lambda: False, person: bool = False, bound: float = inf,
 ) -> tuple[Outcome, Trial | None]:  # fmt: skip
-    """Play one experiment on a rig; the host's whole log stays in `folder`.
+    """Plays one experiment on a rig; the host's whole log stays in `folder`.
 
     Args:
-        medium: "air" where the fish hangs and no camera is needed. stop, person: as `Swim`. bound: m, as `Plan`.
+        medium: "air" if the fish hangs and no camera is needed. stop, person: as `Swim`. bound: m, as `Plan`.
+
     Returns:
-        how it ended, and the trial of a data set; None where it did not play to the end.
+        the outcome, and the trial for a data set; None if it did not play to the end.
     """
     plan = Plan(seconds=run.what.seconds, wait=wait, pose=medium == "water", bound=bound)
     told = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
@@ -142,7 +143,7 @@ def play(
 
 
 def meta_of(robot: Robot, flow: tuple[float, float] | None, simulated: bool, notes: str = "") -> dict[str, Any]:
-    """Meta data of every trial of a session. flow: (m/s, rad), None where it is not known."""
+    """Meta data of every trial of a session. flow: (m/s, rad), None if unknown."""
     speed, direction = flow or (0.0, 0.0)
     return {
         "origin": "synthetic" if simulated else "measured",
@@ -164,7 +165,7 @@ def meta_of(robot: Robot, flow: tuple[float, float] | None, simulated: bool, not
 
 
 def kept(trial: Trial, run: Run) -> Trial:
-    """What of a host's log belongs into a data set: from the first command that was played to the last, on a clock from there.
+    """Part of a host's log for a data set: from the first played command to the last, on a clock from there.
 
     Raises:
         ConfigError: nothing was played.
@@ -195,7 +196,7 @@ KEPT = ("t", "c", "asked", "seq", "j", "w", "temp", "x", "y", "yaw", "quality", 
 
 
 def _as_sent(table: Table) -> Table:
-    """Without the wanted commands where they left as they were."""
+    """Table without the wanted commands if they were sent unchanged."""
     asked = [name for name in table if name.startswith("asked")]
     same = all(np.max(np.abs(table[name] - table["c" + name.removeprefix("asked")])) < SAME for name in asked)
     return {name: values for name, values in table.items() if not (same and name in asked)}
@@ -204,8 +205,8 @@ def _as_sent(table: Table) -> Table:
 def noise_at_rest(tables: Mapping[str, Table]) -> dict[str, float]:
     """Standard deviation of each channel while the fish rests before its first movement; a channel without rows is left out.
 
-    Neighbouring rows are subtracted, so that a slow drift is no noise: var(x_k - x_{k-1}) = 2 sigma^2. An encoder that shows one
-    count only has the noise of a count, step / sqrt(12).
+    Neighbouring rows are subtracted, so that a slow drift does not count: var(x_k - x_{k-1}) = 2 sigma^2. An encoder that stays
+    on one count has the noise of a count, step / sqrt(12).
     """
     found: dict[str, float] = {}
     for name, columns in (("joint", ("j",)), ("pose", ("x", "y", "yaw")), ("power", ("V", "I"))):
@@ -221,6 +222,6 @@ def noise_at_rest(tables: Mapping[str, Table]) -> dict[str, float]:
 
 
 def placing(what: Excitation) -> str:
-    """Where the fish goes, in words."""
+    """Start pose of the fish in words, for the operator."""
     x, y, yaw = what.start
     return f"put the fish at x = {x:.2f} m, y = {y:.2f} m, heading {np.degrees(yaw):.0f} deg, straight and at rest"

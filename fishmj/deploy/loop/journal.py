@@ -1,11 +1,11 @@
-"""Rows on disk while the fish swims: appended and never written anew, so the tenth minute costs what the first did.
+"""Rows on disk while the fish swims: only appended, so the tenth minute costs as much as the first.
 
-    FOLDER/meta.toml            of the trial, as far as it is known; written anew only where it changed
+    FOLDER/meta.toml            of the trial, as far as it is known; rewritten only if it changed
     FOLDER/journal/layout.json  {"zero": s, "columns": {table: [column, ..]}}
     FOLDER/journal/TABLE.f64    rows of little-endian float64 in the order of the columns
 
-The trial folder takes the place of all that when the swim ends. Where the host was killed, `fishmj deploy recover FOLDER` makes
-it of what is there. A row that is only half there, as a full disk leaves it, is left out.
+The trial folder replaces all that when the swim ends. If the host was killed, `fishmj deploy recover FOLDER` makes it from the
+journal. An incomplete row, as left by a full disk, is dropped.
 """
 
 import fcntl
@@ -28,7 +28,7 @@ FLOAT = np.dtype("<f8")
 
 
 class Left(NamedTuple):
-    """What a journal holds. zero: s of the host's clock where the trial's time is 0. columns, rows: of each table, (n, C)."""
+    """Content of a journal. zero: host's time at the trial's time 0, s. columns, rows: of each table, (n, C)."""
 
     meta: dict[str, Any]
     zero: float
@@ -37,7 +37,7 @@ class Left(NamedTuple):
 
 
 class Journal:
-    """The journal of a swim under way.
+    """The journal of a running swim.
 
     Args:
         folder: of the trial; is made. zero: s of the host's clock. columns: of every table.
@@ -59,13 +59,13 @@ class Journal:
         write_json(folder / NAME / LAYOUT, {"zero": zero, "columns": self.columns})
 
     def tell(self, meta: Mapping[str, Any]) -> None:
-        """Keep the meta data where they are others than before. Raises StoreError, LogError."""
+        """Writes the meta data if they changed. Raises StoreError, LogError."""
         if meta != self._meta:
             write_text(self.folder / META_FILE, checked_meta(self.folder, dict(meta)))
             self._meta = dict(meta)
 
     def append(self, name: str, rows: np.ndarray) -> None:
-        """Rows (n, C) of a table: all of them or none. Raises StoreError."""
+        """Appends rows (n, C) of a table: all of them or none. Raises StoreError."""
         try:
             file = self._files.get(name) or self._files.setdefault(name, _opened(self.folder, name))
             begin = file.seek(0, os.SEEK_END)
@@ -83,7 +83,7 @@ class Journal:
         return _rows(self.folder, self.columns)
 
     def close(self) -> None:
-        """Let go of the files; they stay. May be called twice."""
+        """Closes the files, which stay. May be called twice."""
         for file in self._files.values():
             file.close()
         self._files.clear()
@@ -93,10 +93,10 @@ class Journal:
 
 
 def left(folder: Path) -> Left:
-    """What the host of a swim left in `folder`.
+    """Reads the journal of a swim in `folder`.
 
     Raises:
-        StoreError: there is no journal, it is damaged, or its host is still there.
+        StoreError: there is no journal, it is damaged, or its host is still running.
     """
     if not (folder / NAME / LAYOUT).is_file():
         whole = f"{folder}: a whole trial; nothing to recover"
@@ -135,7 +135,7 @@ def _opened(folder: Path, name: str) -> Any:
 
 
 def _locked(folder: Path) -> int:
-    """A handle that holds the journal for one process; gone with it, however it ends. Raises OSError where another holds it."""
+    """Handle that locks the journal for one process, until it ends in any way. Raises OSError if another process holds it."""
     handle = os.open(folder / NAME / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,10 +1,10 @@
-"""What a joint may be commanded: its range, and no further from where it *is* than it can turn until the command arrives.
+"""Limits of a joint command: the servo's range, and the distance that the joint can turn before the command arrives.
 
     c' = clip(c, +-range),   |c' - j| <= rate (min(age, oldest) + ahead)
 
-j is the measured joint, `age` s old, `oldest` the age from which on the link counts as silent and nothing is steered, and `ahead`
-the time until the command acts: latency and one tick. A jump of the policy, or a joint that was pushed aside while nothing was
-commanded, thus never turns into a faster motion than the servo's own 5.2 rad/s.
+j is the measured joint, `age` s old. `oldest` is the age at which the link counts as silent and steering stops. `ahead` is the
+time until the command acts: latency and one tick. So neither a jump of the policy nor a joint that was pushed aside without
+commands ever causes a faster motion than the servo's own 5.2 rad/s.
 """
 
 import numpy as np
@@ -17,17 +17,17 @@ class Limiter:
     """Limits of one robot.
 
     Args:
-        reach: rad, commands stay within +- this. ahead: s until a command that leaves now acts. rate: rad/s. oldest: s.
+        reach: commands stay within +- this, rad. ahead: time until a command that is sent now acts, s. rate: rad/s. oldest: s.
 
     Attributes:
-        acted: commands that were changed so far.
+        acted: number of changed commands so far.
     """
 
     def __init__(self, reach: float, ahead: float, rate: float = RATE, oldest: float = 0.3):
         self.range, self.ahead, self.rate, self.oldest, self.acted = reach, ahead, rate, oldest, 0
 
     def __call__(self, wanted: np.ndarray, measured: np.ndarray, age: float) -> np.ndarray:
-        """The nearest command (J,) rad that is allowed; `measured` (J,) rad, `age` s old."""
+        """The nearest allowed command (J,) rad; `measured` (J,) rad, `age` s old."""
         far = self.rate * (min(max(age, 0.0), self.oldest) + self.ahead)
         measured = np.where(np.isfinite(measured), measured, 0.0)  # a bad reading ends the swim; until then, near the middle
         allowed = np.clip(np.clip(wanted, measured - far, measured + far), -self.range, self.range)

@@ -1,10 +1,10 @@
-"""What the policy sees, from fixes and telemetry: the very vector that training computes (`fishmj.tasks.station_hold.observe`).
+"""The policy's observation from fixes and telemetry: the same vector as in training (`fishmj.tasks.station_hold.observe`).
 
-    poses     fixes of the camera, laid on bus ticks back from the newest one: t_k = t_newest - k dt, linear between fixes
+    poses     fixes of the camera at bus ticks back from the newest one: t_k = t_newest - k dt, linear between fixes
     velocity  the slope of a line through the last `velocity_window` of them, the filter that training simulates
-    rates     the slope of a line through the last RATE_WINDOW joint readings, by the robot's own stamps where it has a clock
+    rates     the slope of a line through the last RATE_WINDOW joint readings, by the robot's own stamps if it has a clock
 
-A fix that lies where the fish cannot have got to is refused and told as a jump; the pose then simply grows old.
+A fix at a place that the fish cannot have reached is refused and reported as a jump; the pose then just ages.
 """
 
 from collections import deque
@@ -25,20 +25,31 @@ KEPT = 100  # fixes and readings
 
 
 class Fix(Protocol):
-    """A pose as the tracker finds it: t s on the host's clock when the picture was taken, x, y m, yaw rad, tank frame."""
+    """A pose from the tracker: t time of exposure on the host's clock, s; x, y m; yaw rad, tank frame."""
 
     @property
-    def t(self) -> float: ...
+    def t(self) -> float:
+        """Time of exposure, s."""
+        ...
+
     @property
-    def x(self) -> float: ...
+    def x(self) -> float:
+        """x in the tank, m."""
+        ...
+
     @property
-    def y(self) -> float: ...
+    def y(self) -> float:
+        """y in the tank, m."""
+        ...
+
     @property
-    def yaw(self) -> float: ...
+    def yaw(self) -> float:
+        """Heading in the tank, rad."""
+        ...
 
 
 class Pose(NamedTuple):
-    """An accepted fix; yaw is unwrapped. `heard`: s, when it reached the loop."""
+    """An accepted fix; yaw is unwrapped. `heard`: time at which it reached the loop, s."""
 
     t: float
     x: float
@@ -48,7 +59,7 @@ class Pose(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Joint angles (J,) rad; t s on the clock that is even (the robot's, else arrival); heard: s, arrival on the host's clock."""
+    """Joint angles (J,) rad; t s on the even clock (the robot's, else arrival); heard: s, arrival on the host's clock."""
 
     t: float
     joint: tuple[float, ...]
@@ -56,14 +67,14 @@ class Reading(NamedTuple):
 
 
 class Observer:
-    """Collects fixes and readings, and answers with the observation.
+    """Collects fixes and readings, and computes the observation.
 
     Args:
-        robot: whose timing and joint count hold. target: (x, y) m in the tank.
+        robot: gives timing and joint count. target: (x, y) m in the tank.
 
     Attributes:
-        jumped: whether the newest fix was refused. jumps, late: fixes refused so far, and those older than one before.
-        changed: s, the newest fix that was not, to the last bit, the one before: a camera that hangs gives one picture for ever.
+        jumped: True if the newest fix was refused. jumps, late: numbers of refused fixes and of fixes older than an earlier one.
+        changed: time of the newest fix that differs from the one before, s: a camera that hangs repeats one picture.
     """
 
     def __init__(self, robot: Robot, target: tuple[float, float]):
@@ -74,12 +85,12 @@ class Observer:
         self._readings: deque[Reading] = deque(maxlen=RATE_WINDOW)
 
     def forget_poses(self) -> None:
-        """The next fix is believed, wherever it lies."""
+        """Accepts the next fix at any place."""
         self._poses.clear()
         self.jumped, self.changed = False, None
 
     def fix(self, seen: Fix, now: float) -> Pose | None:
-        """Take in one fix; None where it is refused or older than the newest."""
+        """Adds one fix; returns its pose, or None if it is refused or older than the newest."""
         yaw = seen.yaw
         if not np.isfinite((seen.t, seen.x, seen.y, yaw)).all():
             self.jumped, self.jumps = True, self.jumps + 1
@@ -104,7 +115,7 @@ class Observer:
         return found
 
     def telemetry(self, heard: float, packet: Telemetry) -> None:
-        """Take in the joints of one packet."""
+        """Adds the joints of one packet."""
         t = heard if packet.time is None else packet.time
         if self._readings and t <= self._readings[-1].t:
             self._readings.clear()  # the robot's clock began anew
@@ -121,7 +132,7 @@ class Observer:
         return self._readings[-1] if self._readings else None
 
     def joints(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Joint angles and rates (J,), rad and rad/s; None until RATE_WINDOW readings are there."""
+        """Joint angles and rates (J,), rad and rad/s; None until there are RATE_WINDOW readings."""
         if len(self._readings) < RATE_WINDOW:
             return None
         t = np.array([reading.t for reading in self._readings])
@@ -130,7 +141,7 @@ class Observer:
         return angle[-1], away @ angle / (away @ away)
 
     def poses(self) -> np.ndarray | None:
-        """(W, 3) poses on bus ticks, oldest first, the last one the newest fix; None until they reach back far enough."""
+        """(W, 3) poses on bus ticks, oldest first, ending at the newest fix; None until they reach back far enough."""
         if not self._poses:
             return None
         window, dt = self.robot.timing.velocity_window, self.robot.timing.bus_dt

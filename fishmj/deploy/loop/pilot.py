@@ -1,4 +1,4 @@
-"""Who steers: a policy, one decision every control step and one command a tick; or commands that were written down before."""
+"""Pilots: a policy, with one decision every control step and one command a tick; or prepared commands."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -13,10 +13,10 @@ Observe = Callable[[], np.ndarray | None]
 
 
 class Pilot(Protocol):
-    """What the swim asks for commands.
+    """Interface of a pilot, which gives the swim its commands.
 
     Attributes:
-        obs, action: of the newest decision, (5 + 2 J,) and (J,); None where there is none. trouble: why it gave no command.
+        obs, action: of the newest decision, (5 + 2 J,) and (J,); None without one. trouble: reason for a missing command.
     """
 
     obs: np.ndarray | None
@@ -24,25 +24,26 @@ class Pilot(Protocol):
     trouble: str
 
     def reset(self) -> None:
-        """A new swim."""
+        """Starts a new swim."""
 
     def pause(self) -> None:
-        """The fish is held; what was decided no longer holds."""
+        """Discards the running decision while the fish is held."""
 
     def command(self, slot: int, observe: Observe, last: np.ndarray) -> tuple[np.ndarray | None, bool]:
-        """The command (J,) rad of tick `slot`, and whether it was decided now.
+        """The command (J,) rad of tick `slot`, and True if it was decided now.
 
         Args:
-            observe: gives the observation (5 + 2 J,), None where it is not complete. last: (J,) rad, the command on the bus.
+            observe: gives the observation (5 + 2 J,), None if it is not complete. last: (J,) rad, the command on the bus.
+
         Returns:
-            (None, True) where there is no finite answer; `trouble` says what it was.
+            (None, True) if the answer is not finite; `trouble` describes it.
         """
 
 
 class PlayedPilot:
     """Commands (T, J) rad, one a tick from the first on; the last one stays.
 
-    A tick that was left out leaves its command out: the rhythm stays.
+    A skipped tick skips its command, so that the rhythm stays.
     """
 
     def __init__(self, commands: np.ndarray):
@@ -53,19 +54,21 @@ class PlayedPilot:
         self._begun: int | None = None
 
     def reset(self) -> None:
+        """Starts the commands again at the next tick."""
         self._begun = None
 
     def pause(self) -> None:
-        """Nothing to forget."""
+        """Does nothing: the commands follow the ticks."""
 
     def command(self, slot: int, observe: Observe, last: np.ndarray) -> tuple[np.ndarray | None, bool]:
+        """The prepared command of tick `slot`, and False."""
         if self._begun is None:
             self._begun = slot
         return self.commands[min(slot - self._begun, len(self.commands) - 1)], False
 
 
 class PolicyPilot:
-    """A policy: its commands begin wherever the last command left the joints."""
+    """A policy whose commands begin at the last command's angles."""
 
     def __init__(self, controller: LearnedController):
         self.controller = controller
@@ -78,16 +81,17 @@ class PolicyPilot:
         controller.reset(1)
 
     def reset(self) -> None:
-        """Forget the past: a new swim."""
+        """Forgets the past for a new swim."""
         self.controller.reset(1)
         self.obs = self.action = self._chunk = None
         self.trouble = ""
 
     def pause(self) -> None:
-        """Whatever was decided no longer holds; the next tick decides anew."""
+        """Discards the running decision; the next tick decides anew."""
         self._chunk = None
 
     def command(self, slot: int, observe: Observe, last: np.ndarray) -> tuple[np.ndarray | None, bool]:
+        """The policy's command of tick `slot`, and True if it was decided now; (last, False) without an observation."""
         fresh = self._chunk is None or slot - self._begun >= self.ticks
         if fresh:
             if (obs := observe()) is None:

@@ -1,4 +1,4 @@
-"""One live line while it swims: state, distance, age of the pose, battery, late ticks. On a pipe a plain line now and then."""
+"""One live line during a swim: state, distance, age of the pose, battery, late ticks. On a pipe, a plain line now and then."""
 
 from contextlib import suppress
 
@@ -24,7 +24,7 @@ class StatusLine:
         self._most = 0.999 * seconds  # a bar that is full would print at every tick of the way home
 
     def show(self, swum: float, now: float, decision: Decision, observer: Observer, watch: Watch, ticker: Ticker) -> None:
-        """Tell how things stand at `now`, `swum` s into the swim; prints only when it is time to."""
+        """Reports the state at `now`, `swum` s into the swim; prints only when a line is due."""
         if self._bar is None:
             return
         fields: dict[str, object] = {"state": decision.state.name}
@@ -45,7 +45,7 @@ class StatusLine:
             self._bar = None
 
     def _wait(self, text: str, because: str, now: float) -> None:
-        """Name what the swim waits for, once a second at most and where it changes."""
+        """Names the cause of waiting, at most once a second and on changes."""
         told = text + (f": {because}" if because else "")
         if self._bar is None or told == self._waits or now - self._told < 1.0:
             return
@@ -54,12 +54,12 @@ class StatusLine:
             self._bar.stage(told)
 
     def warn(self, text: str) -> None:
-        """Say a line of its own, also where nothing else is shown."""
+        """Prints a line of its own, even if nothing else is shown."""
         with suppress(OSError):
             self.close()
             console.warn(text)
 
     def close(self) -> None:
-        """Leave the line standing."""
+        """Ends the line and leaves it on the terminal."""
         if self._bar is not None:
             self._bar.__exit__(None, None, None)

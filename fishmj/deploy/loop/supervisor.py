@@ -1,18 +1,18 @@
-"""What may the fish do now? Five states, conditions that are true or not, and one table that says what each does in each state.
+"""Decides the permitted action: five states, conditions, and one table with the effect of each condition in each state.
 
 After the supervisor of the Crazyflie's firmware: conditions are bits, found anew at every tick; the table alone decides.
 
     DOWN -> LINKED -> ARMED -> SWIMMING -> NEUTRAL -> DOWN
 
-    DOWN       nothing is heard of the robot
+    DOWN       the robot is silent
     LINKED     it answers; its servos are without torque
-    ARMED      it takes commands; the joints are held where they are
+    ARMED      it takes commands; the joints are held in place
     SWIMMING   the policy steers
-    NEUTRAL    joints go to zero at a limited rate, then the torque goes off; only a person leads out of it
+    NEUTRAL    joints go to zero at a limited rate, then the torque goes off; only a person ends this state
 
 A cell is a state to go to, HOLD (the last angles stay, the state too), REFUSE (no way up from here while it lasts), LET_GO (the
-torque goes off at once instead of on the way to zero), or STAY. Where several conditions are true at once, the most careful cell
-wins: NEUTRAL, DOWN, LET_GO or REFUSE, HOLD, then a way up. What is let go in NEUTRAL is let go on the way there already.
+torque goes off at once instead of on the way to zero), or STAY. If several conditions are true at once, the most careful cell
+wins: NEUTRAL, DOWN, LET_GO or REFUSE, HOLD, then a way up. A condition with LET_GO in NEUTRAL also acts on the way there.
 """
 
 from enum import Enum, IntEnum, IntFlag, auto
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 
 class State(IntEnum):
-    """Where host and robot stand."""
+    """State of the swim, of host and robot together."""
 
     DOWN = 0
     LINKED = 1
@@ -30,7 +30,7 @@ class State(IntEnum):
 
 
 class Condition(IntFlag):
-    """What is true at a tick. The first five are what a way up needs, all others are faults."""
+    """Conditions at a tick. The first five are needed for a way up, all others are faults."""
 
     HEARD = auto()  # the robot answers, and has said what it is where its protocol can
     ASK_ARM = auto()  # a person asked to arm, and the robot says that it is armed where it can
@@ -57,7 +57,7 @@ class Condition(IntFlag):
 
 
 class Stay(Enum):
-    """Cells of the table that are no state."""
+    """Cells of the table that are not a state."""
 
     STAY = 0
     HOLD = 2
@@ -66,7 +66,7 @@ class Stay(Enum):
 
 
 class Action(Enum):
-    """What the host sends in a state."""
+    """Commands that the host sends in a state."""
 
     LISTEN = "listen"  # nothing but greetings
     HOLD = "hold"  # the last angles
@@ -111,7 +111,7 @@ NONE = Condition(0)
 
 
 class Event(NamedTuple):
-    """A change of state: s on the host's clock, from where to where, the conditions that did it, and what else was true."""
+    """A change of state: time on the host's clock, s, old and new state, the causing conditions, and the other true ones."""
 
     t: float
     before: State
@@ -121,7 +121,7 @@ class Event(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What holds from this tick on; `because`: conditions that hold the fish, refuse a way up, or changed the state."""
+    """State and action from this tick on; `because`: conditions that hold the fish, refuse a way up, or changed the state."""
 
     state: State
     action: Action
@@ -129,14 +129,14 @@ class Decision(NamedTuple):
 
 
 def care(cell: Cell) -> int:
-    """How careful a cell is; of several, the highest wins."""
+    """Priority of a cell: of several, the highest wins."""
     if isinstance(cell, Stay):
         return {STAY: 0, HOLD: 2, REFUSE: 3, LET_GO: 3}[cell]
     return {NEUTRAL: 5, DOWN: 4}.get(cell, 1)
 
 
 def decide(state: State, conditions: Condition) -> Decision:
-    """The table, read for one tick. A pure function."""
+    """Reads the table for one tick. A pure function."""
     cells = {condition: TABLE[condition][state] for condition in TABLE if condition in conditions}
     strictest = max((care(cell) for cell in cells.values()), default=0)
     ruling = [condition for condition, cell in cells.items() if care(cell) == strictest] if strictest else []
@@ -150,7 +150,7 @@ def decide(state: State, conditions: Condition) -> Decision:
 
 
 class Supervisor:
-    """The state, and every change of it.
+    """The state, and its history.
 
     Attributes:
         state: now. events: changes so far, oldest first.
@@ -161,7 +161,7 @@ class Supervisor:
         self.events: list[Event] = []
 
     def step(self, now: float, conditions: Condition) -> Decision:
-        """Decide for the tick at `now` s."""
+        """Decides for the tick at `now` s and records a change of state."""
         decision = decide(self.state, conditions)
         if decision.state is not self.state:
             self.events.append(Event(now, self.state, decision.state, decision.because, conditions))
@@ -170,10 +170,10 @@ class Supervisor:
 
     @property
     def cause(self) -> Condition:
-        """Why the fish is, or was last, in NEUTRAL; NONE before."""
+        """Conditions that led to the present or last NEUTRAL; NONE before."""
         return next((event.because for event in reversed(self.events) if event.after is State.NEUTRAL), NONE)
 
 
 def named(conditions: Condition) -> str:
-    """`LINK_QUIET, POSE_OLD`; "" for none."""
+    """Names of conditions: `LINK_QUIET, POSE_OLD`; "" for none."""
     return ", ".join(condition.name or "" for condition in Condition if condition in conditions)

@@ -1,12 +1,12 @@
-"""The swim: one tick after the other, listen, look, decide, command, write down.
+"""The swim, tick by tick: listen, look, decide, command, record.
 
     tick     on the 20 ms grid (`ticker`)
     listen   packets of the robot, fixes of the tracker -> observation (`observer`), ages and faults (`watch`)
     decide   state and action from the conditions (`supervisor`)
-    command  of the policy, held, or on the way to zero; within what the joints can do (`limits`); over the link (`links`)
-    write    what was asked, sent, heard and seen (`trial_log`)
+    command  of the policy, held, or on the way to zero; within the joints' limits (`limits`); over the link (`links`)
+    write    requests, commands, packets and fixes (`trial_log`)
 
-It ends in NEUTRAL, whatever happens: joints to zero, torque off, log closed. Where a servo is hot, jammed or unheard, or the
+It ends in NEUTRAL in every case: joints to zero, torque off, log closed. If a servo is hot, jammed or silent, or the
 operator stops the way to zero, the torque goes off at once.
 """
 
@@ -44,10 +44,10 @@ POSE = Condition.POSE_OLD | Condition.POSE_LOST | Condition.POSE_JUMP | Conditio
 
 @dataclass(kw_only=True)
 class Rig:
-    """What stands around the tank, opened, and stays for several swims.
+    """Opened devices around the tank, kept for several swims.
 
     Attributes:
-        examine: what speaks against arming, from what the robot says of itself (`arming.examine`); None before it said it.
+        examine: reasons against arming, from the robot's identification (`arming.examine`); None before it arrived.
     """
 
     robot: Robot
@@ -62,8 +62,8 @@ class Rig:
 class Plan:
     """One swim. target: m, tank frame. wait: s to wait for robot and camera.
 
-    hold, neutral: s without a command after which the firmware shall hold and go to neutral. pose: the pilot needs the camera.
-    bound: m, the fish may swim where |x| and |y| are at most this. thresholds: of the watch; None: with the robot's low voltage.
+    hold, neutral: s without a command after which the firmware holds and goes to neutral. pose: the pilot needs the camera.
+    bound: m, the fish may swim within |x| and |y| of at most this. thresholds: of the watch; None: with the robot's low voltage.
     """
 
     target: tuple[float, float] = (0.0, 0.0)
@@ -78,14 +78,15 @@ class Plan:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How it ended.
+    """Result of a swim.
 
     Attributes:
-        cause: what led to NEUTRAL; NONE where it never was armed. refused: reasons against arming, of this rig or of this moment.
+        cause: conditions that led to NEUTRAL; NONE if it never was armed. refused: reasons against arming, permanent or
+            momentary.
         swum: s under the policy. figures: counts and times for the log and for people.
-        released: whether the robot said that its torque is off; None where its protocol cannot say, or it never was armed.
-        lets_go: whether it can be told to let go at all. camera: why no more poses came, "" while they did.
-        faulty: servos that said a fault when it ended, and the voltage of a low battery; "" for none.
+        released: True if the robot reported its torque off; None if its protocol cannot, or it never was armed.
+        lets_go: True if the protocol can switch the torque off. camera: reason for the end of the poses, "" while they came.
+        faulty: servos with a fault at the end, and the voltage of a low battery; "" for none.
     """
 
     cause: Condition
@@ -99,7 +100,7 @@ class Outcome:
 
     @property
     def complete(self) -> bool:
-        """Whether the time was over, and nothing else ended it."""
+        """Returns True if the swim ended only because its time was over."""
         return self.cause == Condition.FINISHED and self.swum > 0.0
 
     @property
@@ -116,7 +117,7 @@ class Outcome:
 
     @property
     def _torque(self) -> str:
-        """What to do about the torque, "" where it is off."""
+        """Advice about the torque, "" if it is off."""
         if not self.lets_go:
             return "; this robot cannot be told to let go and keeps its torque: use the switch"
         if self.released is None:
@@ -128,10 +129,10 @@ class Swim:
     """One swim of a rig under a pilot.
 
     Args:
-        stop: asked at every tick whether the operator wants an end. person: a person has looked at the fish since the last swim.
+        stop: asked at every tick; True if the operator wants an end. person: a person has checked the fish since the last swim.
 
     Raises:
-        ConfigError: the last swim ended in NEUTRAL, and nobody has looked.
+        ConfigError: the last swim ended in NEUTRAL, and no person has checked the fish.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ class Swim:
         self._person = person
 
     def run(self) -> Outcome:
-        """Swim to the end; the robot is without torque afterwards where it can be told so.
+        """Swims to the end. Afterwards the robot is without torque, if its protocol can switch it off.
 
         A swim that never armed leaves no trial.
         """
@@ -193,7 +194,7 @@ class Swim:
         return outcome
 
     def _let_go_blindly(self) -> None:
-        """Where the loop is broken: no way to zero, and nobody hears an answer; one datagram may be lost, ten are not."""
+        """Requests torque off ten times after an exception in the loop: no answer is read, and single datagrams may be lost."""
         for _ in range(LET_GO):
             with suppress(Exception):
                 self.rig.link.disarm(self.rig.clock.now())
@@ -201,7 +202,7 @@ class Swim:
                 self.rig.clock.sleep_until(self.rig.clock.now() + self.dt / 2)
 
     def listen(self, now: float) -> None:
-        """Take in what robot and tracker have said."""
+        """Reads the packets of the robot and the fixes of the tracker."""
         for t, value in self.rig.link.receive(now):
             if isinstance(value, RobotInfo):
                 self.info, self.refusal = value, self.rig.examine(value)
@@ -222,7 +223,7 @@ class Swim:
                 self.log.fix(pose, float(getattr(fix, "quality", 1.0)))
 
     def decide(self, now: float) -> Decision:
-        """What may the fish do now?"""
+        """Decision of the supervisor from the conditions at `now` [s]."""
         state = self.supervisor.state
         true = self.watch.conditions(now, state, self.observer) | self._trouble
         if (pose := self.observer.pose) is not None and max(abs(pose.x), abs(pose.y)) > self.plan.bound:
@@ -255,7 +256,7 @@ class Swim:
         return decision
 
     def _operator(self, state: State) -> Condition:
-        """The operator's stop; one that comes on the way to zero means now."""
+        """Condition of the operator's stop; a stop on the way to zero means at once."""
         asked = self.stop()
         if state is not State.NEUTRAL or not asked:
             self._stopped = asked
@@ -264,9 +265,9 @@ class Swim:
         return Condition.OPERATOR_STOP if self._stopped else Condition.STOP_NOW
 
     def _may_arm(self, now: float, true: Condition) -> bool:
-        """Ask the robot to arm where nothing speaks against it; whether it says that it has, where it can.
+        """Asks the robot to arm unless there is an objection; returns True once it reports that it has, if its protocol can.
 
-        A robot that another host left with torque is told to let go first: its firmware leaves NEUTRAL by that alone.
+        A robot with torque from another host is disarmed first, since its firmware leaves NEUTRAL only that way.
         """
         newest = self.watch.newest
         if newest is None or self.observer.reading is None:
@@ -291,7 +292,7 @@ class Swim:
         return False
 
     def _tell_unguarded(self, now: float) -> None:
-        """Say which guards the swim has not; once, and again where one is lost on the way."""
+        """Prints the missing guards of the swim, once, and again if one is lost on the way."""
         lacking = self.watch.unguarded(now)
         if set(lacking) - set(self._unguarded):
             self._unguarded = tuple(dict.fromkeys((*self._unguarded, *lacking)))
@@ -301,7 +302,7 @@ class Swim:
             self.status.warn(f"{told}: keep an eye on it")
 
     def _changed(self, before: State, after: State, now: float) -> None:
-        """Once at every change of state."""
+        """Reacts once to every change of state."""
         if before is after:
             return
         if after is State.ARMED and self.observer.reading is not None:
@@ -315,7 +316,7 @@ class Swim:
         self.log.event(self.supervisor.events[-1])
 
     def _wait_or_end(self, now: float, true: Condition) -> None:
-        """Before arming: end where it is refused for good, where the operator stops, or where it takes too long."""
+        """Before arming: ends the swim on a permanent refusal, on the operator's stop, or after too long a wait."""
         if self.refusal is not None and self.refusal.reasons or Condition.OPERATOR_STOP in true:
             self.over = True
         elif now - self.start > self.plan.wait:
@@ -332,13 +333,13 @@ class Swim:
             self.over = True
 
     def _at_fault(self, because: Condition) -> str:
-        """Servos that say a fault, by their numbers on the bus, and the voltage of a low battery."""
+        """Servos that report a fault, by their numbers on the bus, and the voltage of a low battery."""
         servos = servos_at_fault(self.watch.newest, self.info.servo_ids if self.info is not None else self.rig.robot.servo_ids)
         battery = self.watch.battery() if Condition.BATTERY_LOW in because else ""
         return "; ".join(told for told in (servos, battery) if told)
 
     def command(self, tick: Tick, decision: Decision) -> None:
-        """Send what the action wants."""
+        """Sends the commands of the action."""
         now, link = tick.began, self.rig.link
         if decision.action is Action.LISTEN:
             if self.info is None and tick.slot % GREET == 0:
@@ -364,7 +365,7 @@ class Swim:
         self.log.command(t, command, asked, sent.seq, decision.state)
 
     def _steered(self, tick: Tick, decision: Decision) -> tuple[np.ndarray, Decision]:
-        """The pilot's command of this tick; where its answer is not finite, the last one, and the decision that follows."""
+        """The pilot's command of this tick; if its answer is not finite, the last command, and the decision that follows."""
         found, fresh = self.pilot.command(tick.slot, self.observer.vector, self.last)
         if fresh:
             self.log.decided(tick.began, self.pilot.obs, self.pilot.action)
@@ -377,7 +378,7 @@ class Swim:
         return self.last, self.decide(tick.began)
 
     def _let_go(self, now: float, decision: Decision) -> bool:
-        """In NEUTRAL: whether the way to zero is over or broken off, and the robot is told to let go."""
+        """In NEUTRAL: disarms once the way to zero is over or broken off; returns True then."""
         at_once = decision.action is Action.LET_GO
         there = bool(np.all(self.last == 0.0)) or self.observer.reading is None
         late = self.home is not None and now - self.home > HOME
@@ -393,14 +394,14 @@ class Swim:
         return True
 
     def _released(self) -> bool | None:
-        """Whether the robot has said, since it was told so, that it let go; None where it cannot say."""
+        """Returns True if the robot has reported torque off since the request; None if its protocol cannot."""
         newest, heard = self.watch.newest, self.watch.heard
         if self._let_go_at is None or newest is None or heard is None or newest.state is None:
             return None
         return newest.state is RobotState.IDLE and heard > self._let_go_at
 
     def write(self, now: float) -> None:
-        """Keep the figures that the status line and the log want."""
+        """Updates the figures for the status line and the log."""
         if self.began is not None and self.home is None:
             self.swum = now - self.began
 

@@ -1,7 +1,7 @@
 """Bus ticks on a fixed grid, t_k = t_0 + k T. A late tick is counted, and never caught up in a burst.
 
-A tick that starts late runs at once. Grid points that passed meanwhile, and one that is nearer than T / 2 ahead, are dropped and
-counted: two commands are never less than T / 2 apart, and the grid itself does not drift.
+A tick that starts late runs at once. Grid points that have passed by then, and one less than T / 2 ahead, are dropped and
+counted. So two commands are never less than T / 2 apart, and the grid itself does not drift.
 """
 
 from math import floor
@@ -19,7 +19,7 @@ class Tick(NamedTuple):
     """One beat of the bus.
 
     Attributes:
-        slot: number of its grid point. began: s on the clock. late: s after the grid point that was waited for.
+        slot: number of its grid point. began: s on the clock. late: s after the awaited grid point.
         dropped: grid points without a tick since the tick before.
     """
 
@@ -37,7 +37,7 @@ class Ticker:
 
     Attributes:
         count: ticks so far. late: those that began more than LATE after their grid point. dropped: grid points without a tick.
-        worst: s, the latest. histogram: (BINS + 1,) ticks by lateness in steps of BIN s; the last one is all that were later.
+        worst: largest lateness, s. histogram: (BINS + 1,) ticks by lateness in steps of BIN s; the last bin holds all later ones.
     """
 
     def __init__(self, clock: Clock, period: float):
@@ -48,7 +48,7 @@ class Ticker:
         self._last, self._next = -1, 0
 
     def wait(self) -> Tick:
-        """Sleep until the next grid point."""
+        """Sleeps until the next grid point."""
         due = self.start + self._next * self.period
         self.clock.sleep_until(due)
         began = self.clock.now()
@@ -63,7 +63,7 @@ class Ticker:
         return tick
 
     def lateness(self, share: float) -> float:
-        """s below which a share (0 to 1) of the ticks began, rounded up to BIN; `worst` beyond the histogram."""
+        """Lateness [s] that a share (0 to 1) of the ticks stayed below, rounded up to BIN; `worst` beyond the histogram."""
         if not self.count:
             return 0.0
         at = int(np.searchsorted(np.cumsum(self.histogram), share * self.count))

@@ -1,20 +1,20 @@
-"""The trial folder of a swim: every command asked and sent, every packet and fix, each with its own stamps.
+"""The trial folder of a swim: every requested and sent command, every packet and fix, each with its own stamps.
 
-    cmd      t sent; c# as they left; asked# as the policy or the experiment wanted them; seq; state of the supervisor
+    cmd      t sent; c# as sent; asked# as requested by the policy or the experiment; seq; state of the supervisor
     joint    t; j#, temp#; seq and echo (-1: none), t_robot, t_rx
     pose     t; x, y, yaw, quality; t_taken, t_rx
     power    t; V, I
     obs, action, target
 
-`t` is the host's clock, s from the first row. Where the robot has a clock, t of `joint` and `power` is that clock's, shifted to
-the host's: even, as it was read. The shift is that of the quickest answer to a question (`links.RobotClock`, half of its round
-trip each way), else the least t_rx - t_robot, which is late by the radio's way up.
+`t` is the host's clock, s from the first row. If the robot has a clock, t of `joint` and `power` is that clock's time of
+measurement, shifted to the host's clock: even. The shift is that of the quickest answer to a question (`links.RobotClock`, half
+of its round trip each way), else the least t_rx - t_robot, which is late by the radio's way up.
 
-A fix is stamped as the schema wants it, when it arrives: its own time plus the median latency, which `latency.pose` in
+A fix is stamped at its arrival, as the schema asks: its own time plus the median latency, which `latency.pose` in
 meta.toml holds.
 
-Every few seconds a thread appends what came to a journal on disk (`journal`), which becomes the folder at the end. So a long swim
-takes no more memory and time a second than a short one, and a killed process loses what came since the last time.
+Every few seconds a thread appends the new rows to a journal on disk (`journal`), which becomes the folder at the end. So a long
+swim takes no more memory and time a second than a short one, and a killed process loses only the rows since the last time.
 """
 
 import shutil
@@ -45,54 +45,65 @@ LEAST = {"voltage_least": 1e-30, "current_least": 1e-30}
 
 
 class Listener(Protocol):
-    """Who hears what the log takes in; nothing here may wait."""
+    """Interface for further receivers of the log's rows; no call may wait."""
 
-    def command(self, t: float, joint: np.ndarray) -> None: ...
-    def heard(self, t: float, packet: Telemetry) -> None: ...
-    def fix(self, pose: Pose) -> None: ...
-    def event(self, event: Event) -> None: ...
+    def command(self, t: float, joint: np.ndarray) -> None:
+        """Receives a sent command."""
+        ...
+
+    def heard(self, t: float, packet: Telemetry) -> None:
+        """Receives a packet of the robot."""
+        ...
+
+    def fix(self, pose: Pose) -> None:
+        """Receives an accepted fix."""
+        ...
+
+    def event(self, event: Event) -> None:
+        """Receives a change of state."""
+        ...
 
 
 class Rows:
-    """Rows that wait for the disk: columns of float64, in an array that doubles where there is no room."""
+    """Buffer of rows for the disk: columns of float64, in an array that doubles when it is full."""
 
     def __init__(self, columns: Sequence[str]):
         self.columns, self.count = tuple(columns), 0
         self._data = np.empty((FIRST, len(self.columns)))
 
     def add(self, *values: float) -> None:
-        """One row, in the order of the columns."""
+        """Adds one row, in the order of the columns."""
         if self.count == len(self._data):
             self._data = np.concatenate([self._data, np.empty_like(self._data)])
         self._data[self.count] = values
         self.count += 1
 
     def waiting(self) -> np.ndarray:
-        """(n, C): what is there."""
+        """(n, C) rows in the buffer."""
         return self._data[: self.count].copy()
 
     def drop(self, count: int) -> None:
-        """The first rows are on disk."""
+        """Removes the first `count` rows, which are on disk."""
         self._data[: self.count - count] = self._data[count : self.count].copy()
         self.count -= count
 
 
 def refuse_taken(folder: Path) -> None:
-    """Raises StoreError where a folder that is to become a trial is there already."""
+    """Raises StoreError if the folder of a new trial exists already."""
     if folder.exists():
         raise StoreError(f"{folder}: exists; choose another name for the trial")
 
 
 class TrialLog:
-    """One trial folder under way.
+    """One trial folder of a running swim.
 
     Args:
         folder: must not exist. meta: of the trial; `clock`, `latency` and `host` are added. joints: J.
         every: s between two writings.
 
     Attributes:
-        listeners: are told every command, packet, fix and event, too.
-        dropped: rows left out because a value was not finite. failed: why the last writing did not work, "" where it did.
+        listeners: receive every command, packet, fix and event, too.
+        dropped: rows left out because a value was not finite. failed: error of the last writing, "" if it succeeded.
     """
 
     def __init__(self, folder: Path, meta: Mapping[str, Any], joints: int, *, every: float = EVERY):
@@ -127,13 +138,13 @@ class TrialLog:
         self.close("" if error is None else f"{kind.__name__}: {error}")
 
     def command(self, t: float, sent: np.ndarray, asked: np.ndarray, seq: int | None, state: int) -> None:
-        """A command that left at `t`."""
+        """Records a command that was sent at `t`."""
         self._add("cmd", t, *sent, *asked, -1 if seq is None else seq, state)
         for listener in self.listeners:
             listener.command(t, sent)
 
     def heard(self, t: float, packet: Telemetry) -> None:
-        """A packet that arrived at `t`."""
+        """Records a packet that arrived at `t`."""
         number = lambda value, absent=np.nan: absent if value is None else value
         numbers = number(packet.seq, -1), number(packet.echo, -1)
         warmth = packet.temperature or [np.nan] * self.joints
@@ -147,24 +158,24 @@ class TrialLog:
             listener.heard(t, packet)
 
     def fix(self, pose: Pose, quality: float) -> None:
-        """A fix that the loop took in."""
+        """Records a fix of the loop."""
         self._add("pose", pose.t, pose.x, pose.y, pose.yaw, quality, pose.heard)
         for listener in self.listeners:
             listener.fix(pose)
 
     def decided(self, t: float, obs: np.ndarray | None, action: np.ndarray | None) -> None:
-        """What the policy saw and answered at `t`; an answer that is not finite stands among the events instead."""
+        """Records the policy's observation and action at `t`; an action that is not finite becomes an event instead."""
         if obs is not None:
             self._add("obs", t, *obs)
         if action is not None:
             self._add("action", t, *action)
 
     def target(self, t: float, x: float, y: float) -> None:
-        """Where the fish should be from `t` on."""
+        """Records the target position from `t` on, m."""
         self._add("target", t, x, y)
 
     def event(self, event: Event) -> None:
-        """A change of the supervisor's state."""
+        """Records a change of the supervisor's state."""
         also = event.conditions & ~event.because & ~Condition.HEARD
         more = f"; also {named(also)}" if also else ""
         for listener in self.listeners:
@@ -172,11 +183,11 @@ class TrialLog:
         self.say(event.t, f"{event.before.name} -> {event.after.name}: {named(event.because) or 'asked'}{more}")
 
     def say(self, t: float, text: str) -> None:
-        """A line among the events."""
+        """Records a line among the events."""
         self.events.append(f"{t - (self._zero if self._zero is not None else t):.3f} s {text}")
 
     def _add(self, name: str, t: float, *values: float, may_lack: int = 0) -> bool:
-        """One row, when its numbers are finite; the last `may_lack` of them may be absent."""
+        """Adds one row if its numbers are finite; the last `may_lack` of them may be absent. Returns True if it was added."""
         if not np.isfinite((t, *values[: len(values) - may_lack])).all():
             self.dropped += 1
             return False
@@ -187,7 +198,7 @@ class TrialLog:
         return True
 
     def trial(self) -> Trial:
-        """What is there so far, as a trial of the schema. Raises StoreError: the journal cannot be read."""
+        """The trial so far, in the schema. Raises StoreError: the journal cannot be read."""
         with self._lock:
             waiting = {name: rows.waiting() for name, rows in self.rows.items()}
         kept = self._journal.rows() if self._journal is not None else {}
@@ -196,12 +207,12 @@ class TrialLog:
         return trial_of(tables, self._zero or 0.0, self._told(), self.folder.name)
 
     def _told(self) -> dict[str, Any]:
-        """The meta data with what happened so far."""
+        """The meta data with the events so far."""
         host = {**self.meta.get("host", {}), "events": list(self.events), "rows_dropped": self.dropped}
         return {**self.meta, "host": host}
 
     def flush(self) -> None:
-        """Append what came to the journal. Raises StoreError: the disk refuses; the rows wait."""
+        """Appends the new rows to the journal. Raises StoreError: the disk refuses; the rows wait."""
         if self._zero is None:
             return
         if self._journal is None:
@@ -217,11 +228,11 @@ class TrialLog:
                     rows.drop(len(waiting))
 
     def discard(self) -> None:
-        """Leave no trial: the robot was never armed, and the next swim may take the folder."""
+        """Removes the trial: the robot was never armed, and the next swim may use the folder."""
         self.discarded = True
 
     def write(self) -> None:
-        """Write the trial folder in one step; the journal goes."""
+        """Writes the trial folder in one step and removes the journal."""
         if self.discarded:
             if self._journal is not None:
                 shutil.rmtree(self.folder, ignore_errors=True)
@@ -239,7 +250,7 @@ class TrialLog:
                 self.failed = str(error)
 
     def close(self, why: str = "") -> None:
-        """Write the last rows; may be called twice, also from another thread.
+        """Writes the last rows; may be called twice, also from another thread.
 
         Raises:
             StoreError: the disk refuses; the trial then lies in the folder for temporary files.
@@ -265,10 +276,10 @@ class TrialLog:
 
 
 def recovered(folder: Path) -> Trial:
-    """The trial of a swim whose host was killed, made of its journal and written in its place.
+    """Makes the trial of a swim whose host was killed from its journal, and writes it in its place.
 
     Raises:
-        StoreError: there is no journal, or its host is still there. LogError: there is no row in it.
+        StoreError: there is no journal, or its host is still running. LogError: there is no row in it.
     """
     meta, zero, columns, rows = left(folder)
     host = {name: value for name, value in meta.get("host", {}).items() if name != "state"}
@@ -280,10 +291,10 @@ def recovered(folder: Path) -> Trial:
 
 
 def trial_of(raw: Mapping[str, Table], zero: float, meta: Mapping[str, Any], name: str) -> Trial:
-    """Rows as they were taken down, as tables of the schema.
+    """Converts recorded rows to tables of the schema.
 
     Args:
-        raw: columns of `TrialLog.rows`; stamps are of the host's clock, s. zero: s of it at which the trial's time is 0.
+        raw: columns of `TrialLog.rows`; stamps are of the host's clock, s. zero: its time, s, at which the trial's time is 0.
     """
     tables: dict[str, Table] = {}
     clock = {"cmd": "host, sending", "obs": "host", "action": "host", "target": "host"}
@@ -307,7 +318,7 @@ def trial_of(raw: Mapping[str, Table], zero: float, meta: Mapping[str, Any], nam
 
 
 def write_whole(folder: Path, trial: Trial) -> None:
-    """Write a trial over what lies in its folder. Raises StoreError, LogError."""
+    """Writes a trial over the content of its folder. Raises StoreError, LogError."""
     save = partial(write_trial, folder, overwrite=True, form="npz", precision="float64")
     try:
         save(trial)
@@ -317,9 +328,9 @@ def write_whole(folder: Path, trial: Trial) -> None:
 
 
 def _on_even_clock(table: Table, zero: float, told: Mapping[str, float]) -> tuple[Table, str]:
-    """The table with its `t`, and the clock that stamped it; columns that lack a number are left out.
+    """The table with its `t`, and the name of its clock; columns that lack a number are left out.
 
-    told: fields of `links.RobotClock`, {} where nobody asked.
+    told: fields of `links.RobotClock`, {} if it was never asked.
     """
     full = {name: values for name, values in table.items() if np.isfinite(values).all()}
     heard = full["t_rx"] - zero
@@ -338,7 +349,7 @@ def _on_even_clock(table: Table, zero: float, told: Mapping[str, float]) -> tupl
 
 
 def _rising(table: Table) -> Table:
-    """Rows whose stamp is later than every one before; a repeated stamp is left out."""
+    """Rows with a later stamp than all before; a repeated stamp is left out."""
     t = table["t"]
     keep = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
     return table if keep.all() else {name: values[keep] for name, values in table.items()}

@@ -1,6 +1,6 @@
-"""From what was heard and seen to the supervisor's conditions: every threshold of the host, each with its reason.
+"""Derives the supervisor's conditions from packets and fixes: every threshold of the host, each with its reason.
 
-Ages are taken at every tick; what a person asked for, and what the policy answered, the loop adds.
+Ages are taken at every tick. The loop adds the operator's requests and the policy's answer.
 """
 
 from collections import deque
@@ -17,7 +17,7 @@ from fishmj.deploy.protocols.messages import RobotState, ServoFault, Telemetry
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """When a measurement becomes a condition. s, V, deg C, rad."""
+    """Thresholds at which a measurement becomes a condition. s, V, deg C, rad."""
 
     quiet: float = 0.1  # five packets missing
     silent: float = 0.3  # a step of the policy and a half
@@ -40,7 +40,7 @@ class Thresholds:
 
 
 class Watch:
-    """Remembers what conditions need.
+    """State behind the conditions.
 
     Attributes:
         heard: s, arrival of the newest packet; None before the first. answered: s, when the robot last echoed a new command.
@@ -56,7 +56,7 @@ class Watch:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what belongs to one swim; the link stays."""
+        """Forgets the data of one swim; the link's stay."""
         self.armed: float | None = None
         self.answered: float | None = None
         self.ever_answered = False
@@ -65,7 +65,7 @@ class Watch:
         self._motion: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
 
     def hear(self, t: float, packet: Telemetry, asked: np.ndarray | None) -> None:
-        """Take in one packet that arrived at `t`; asked: (J,) the newest command that can have acted by then, None for none."""
+        """Adds one packet that arrived at `t`; asked: (J,) the newest command that can have acted by then, None for none."""
         self.heard, self.newest = t, packet
         self.first = t if self.first is None else self.first
         self._told |= {guard: t for guard, told in GUARDS.items() if told(packet)}
@@ -88,12 +88,12 @@ class Watch:
                 self._motion.popleft()
 
     def unguarded(self, now: float) -> tuple[str, ...]:
-        """Conditions that cannot become true at `now`, since the robot does not tell what they are made of, a phrase each."""
+        """Conditions that cannot become true at `now`, since the robot does not report their inputs, a phrase each."""
         never = -float("inf")
         return tuple(guard for guard in GUARDS if now - self._told.get(guard, never) > self.limits.absent)
 
     def conditions(self, now: float, state: State, observer: Observer) -> Condition:
-        """What is true at `now`."""
+        """Conditions that are true at `now` [s]."""
         active = state in (State.ARMED, State.SWIMMING)
         if active and self.armed is None:
             self.armed = now
@@ -145,26 +145,26 @@ class Watch:
         return found
 
     def _low(self) -> bool:
-        """No reading of the last second above the limit, once a second is there."""
+        """Returns True if no reading of the last second is above the limit, once there is a second of them."""
         if not self._volts or self._volts[-1][0] - self._volts[0][0] < 0.9 * self.limits.sag:
             return False
         return max(volts for _, volts in self._volts) < self.limits.battery_low
 
     def undecided(self, now: float) -> bool:
-        """True while the newest voltage is too low and the readings are too few to rule out a sag."""
+        """Returns True while the newest voltage is too low and the readings are too few to rule out a sag."""
         volts = supply(self.newest) if self.newest is not None else None
         if volts is None or volts >= self.limits.battery_low or self.first is None:
             return False
         return now - self.first < self.limits.sag + self.limits.quiet
 
     def battery(self) -> str:
-        """The newest voltage beside its bound, for a line that names BATTERY_LOW."""
+        """The newest voltage beside its limit, for a line that names BATTERY_LOW."""
         volts = supply(self.newest) if self.newest is not None else None
         told = f"{volts:.2f} V, " if volts is not None else ""
         return f"{told}low_voltage is {self.limits.battery_low:g} V: charge it, or state the bound of this battery in [rig]"
 
     def _stuck(self) -> bool:
-        """A joint that hardly moves while commands do, or stands still away from them."""
+        """Returns True if a joint hardly moves while its commands do, or stands still away from them."""
         limits, motion = self.limits, self._motion
         if not motion or motion[-1][0] - motion[0][0] < 0.9 * limits.stuck_after:
             return False
@@ -177,12 +177,12 @@ class Watch:
 
 
 def warmth(packet: Telemetry) -> bool:
-    """Whether the temperatures of all servos are there."""
+    """Returns True if the temperatures of all servos are reported."""
     return packet.temperature is not None and all(map(isfinite, packet.temperature))
 
 
 def supply(packet: Telemetry) -> float | None:
-    """The battery's voltage in V, or the servos' mean; None where the robot tells none."""
+    """The battery's voltage in V, or the servos' mean; None if the robot reports none."""
     if packet.voltage is not None:
         return packet.voltage
     readings = [volts for volts in packet.servo_voltage or () if volts > 0]

@@ -1,9 +1,9 @@
-"""The way out of a robot that swims: a signal asks it to stop, and it has the time to come to rest and to let go.
+"""Graceful stop of a swimming robot: a signal requests it, and the robot gets the time to come to rest and switch torque off.
 
-    first Ctrl-C, SIGTERM or SIGHUP    `stop` is set; the loop brings the joints to zero and lets go by itself, within GRACE
+    first Ctrl-C, SIGTERM or SIGHUP    `stop` is set; the loop brings the joints to zero and disarms by itself, within GRACE
     a second one, or GRACE is over     `let_go` is called at once, several times, and the process ends
 
-Nothing else ends the process meanwhile.
+Nothing else ends the process in between.
 """
 
 import time
@@ -20,11 +20,11 @@ APART = 0.01  # s between them
 
 @contextmanager
 def way_out(stop: Event, let_go: Callable[[], object], words: Callable[[], str], grace: float = GRACE) -> Iterator[None]:
-    """Within, a signal sets `stop`, and the loop that looks at it has `grace` s.
+    """Context in which a signal sets `stop`; the loop that reads it has `grace` s to end.
 
     Args:
-        let_go: tells the robot once to let go, now; called from another thread, where the loop does not come to its own end.
-        words: keeps what is not kept yet and says what was; for the last line, only where the loop does not come to its own end.
+        let_go: requests torque off once, now; called from another thread if the loop does not end by itself.
+        words: saves the remaining data and returns a report for the last line; only called if the loop does not end by itself.
     """
 
     def last() -> None:

@@ -1,4 +1,4 @@
-"""From options to opened things: link, camera, tracker, and the loopback robot as a process of its own.
+"""Opens the devices that the options name: link, camera, tracker, and the loopback robot as a process of its own.
 
 --link    loopback | udp://HOST[:PORT] | serial:DEVICE        --camera    loopback | shm:NAME | NUMBER | FILE
 """
@@ -50,7 +50,7 @@ WAIT = 0.002  # s that a read of the servo bus waits
 
 @dataclass(frozen=True)
 class Wired:
-    """What `swim` needs, opened. loopback: the robot is simulated. calibration: of the camera, None where there is none."""
+    """Opened devices for `swim`. loopback: the robot is simulated. calibration: of the camera, None without one."""
 
     link: Link
     localiser: Localiser
@@ -61,7 +61,7 @@ class Wired:
 
 @dataclass(frozen=True)
 class Loopback:
-    """A loopback robot that runs: its port and its own of this host, the name of its frames, the file of its calibration.
+    """A running loopback robot: its ports, the name of its frames, the file of its calibration.
 
     device: serial line of its servos, in place of the ports.
     """
@@ -74,7 +74,7 @@ class Loopback:
 
 
 def link_options(parser: console.Parser) -> None:
-    """How to reach the robot."""
+    """Adds the options for the link to the robot."""
     add, ports = parser.add_argument, f"{PORTS[PROTOCOLS[0]]}; of mish {mish.ROBOT_PORT}"
     add(
         "--link",
@@ -98,7 +98,7 @@ def link_options(parser: console.Parser) -> None:
 
 
 def camera_options(parser: console.Parser) -> None:
-    """How to see the robot."""
+    """Adds the options for camera and tracker."""
     parser.add_argument(
         "--camera",
         type=console.text,
@@ -109,7 +109,7 @@ def camera_options(parser: console.Parser) -> None:
 
 
 def tracker_options(parser: console.Parser) -> None:
-    """What to look for, and where pixels are."""
+    """Adds the options for the tracked marks and the camera's calibration."""
     add = parser.add_argument
     add("--calibration", type=console.path, metavar="FILE", help="of the camera over the tank; needed but with loopback")
     add("--tracker", choices=("tag", "colour"), default="tag", help="AprilTag, or red head and yellow neck")
@@ -124,7 +124,7 @@ def tracker_options(parser: console.Parser) -> None:
 
 
 def tag_options(parser: console.Parser) -> None:
-    """Which tag, and how large."""
+    """Adds the options for the tag's family, number and size."""
     add = parser.add_argument
     add("--tag-family", choices=("36h11", "16h5"), default="36h11", help="of the tag")
     add("--tag-number", type=console.whole(0, 586), default=0, help="of the tag")
@@ -132,16 +132,16 @@ def tag_options(parser: console.Parser) -> None:
 
 
 def loopback_options(parser: console.Parser) -> None:
-    """What kind of loopback robot."""
+    """Adds the options for the loopback robot."""
     about = "options of fishmj deploy loopback as one text, such as '--body fitted --fault loss=0.02' (default none)"
     parser.add_argument("--loopback", type=console.text, metavar="OPTIONS", help=about)
 
 
 def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
-    """Open all that the options name; `stack` closes it.
+    """Opens all devices that the options name; `stack` closes them.
 
     Raises:
-        ConfigError: something is not there, or options do not go together. MissingExtra: a package is not installed.
+        ConfigError: a device is missing, or options contradict each other. MissingExtra: a package is not installed.
     """
     clock = MonotonicClock()
     if args.link.startswith("serial:") or args.protocol == SERVO_BUS:
@@ -178,12 +178,13 @@ def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> L
 
 
 def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], Any]) -> ServoBusLink:
-    """The robot's servo bus: what the options say, else the description's rig.
+    """The robot's servo bus, from the options, else from the description's rig.
 
     Args:
         opened: makes the serial line at a baud rate.
+
     Raises:
-        ConfigError: as many numbers as joints are not there; what `ServoBusLink` refuses.
+        ConfigError: another count of numbers than joints; errors of `ServoBusLink`.
     """
     rig = robot.rig
     zeros = tuple(map(radians, args.servo_zeros_deg)) if args.servo_zeros_deg else rig.zeros
@@ -222,7 +223,7 @@ def make_camera(text: str, clock: Clock) -> Camera:
 
 
 def tracker_words(args: Any, camera: str, fish: Loopback | None, robot: Robot) -> list[str]:
-    """The command line of camera and tracker in a process of their own, with what the options say of them."""
+    """Command line of the process of camera and tracker, with their options."""
     paint, height = paint_of(args, robot) if args.tracker == "colour" else (PAPER_FISH, 0.0)
     several = lambda values: ",".join(map(repr, values))
     pairs = lambda values: ",".join(f"{x!r}:{width!r}" for x, width in values)
@@ -237,7 +238,7 @@ def tracker_words(args: Any, camera: str, fish: Loopback | None, robot: Robot) -
 
 
 def calibration_of(args: Any, fish: Loopback | None) -> Calibration:
-    """The calibration that the options name; the loopback robot brings its own. Raises ConfigError."""
+    """The calibration that the options name; the loopback robot has its own. Raises ConfigError."""
     if args.calibration is not None:
         return Calibration.read(args.calibration)
     if fish is None:
@@ -246,10 +247,10 @@ def calibration_of(args: Any, fish: Loopback | None) -> Calibration:
 
 
 def paint_of(args: Any, robot: "str | Robot") -> tuple[Paint, float]:
-    """The paint and its height over the water, m: what the options say, else the description's rig.
+    """The paint and its height over the water, m, from the options, else from the description's rig.
 
     Raises:
-        ConfigError: nobody says where the paint is, and the head is not that of the shipped fish.
+        ConfigError: the place of the paint is not stated, and the head is not that of the shipped fish.
     """
     red, yellow, height = args.red, args.yellow, args.paint_height
     if red is None or yellow is None or height is None:
@@ -269,7 +270,7 @@ def paint_of(args: Any, robot: "str | Robot") -> tuple[Paint, float]:
 
 
 def off_the_head(robot: Robot, name: str, rows: Bands) -> None:
-    """Raises ConfigError where a painted band (x, width), m, is not on the head link, or wider than it."""
+    """Raises ConfigError if a painted band (x, width), m, is not on the head link, or wider than it."""
     head, hinge = robot.links[0], float(geometry_of(robot).origin[1])
     nose = hinge + head.length
     station, width = ([row[k] for row in head.sections] for k in (0, 2))
@@ -283,7 +284,7 @@ def off_the_head(robot: Robot, name: str, rows: Bands) -> None:
 
 
 def make_tracker(args: Any, calibration: Calibration, robot: "str | Robot" = "fish") -> Tracker:
-    """The tracker that the options name, of this robot's paint. Raises ConfigError, MissingExtra."""
+    """The tracker that the options name, for this robot's paint. Raises ConfigError, MissingExtra."""
     if args.tracker == "colour":
         return ColourTracker(calibration, *paint_of(args, robot))
     from fishmj.deploy.tracker.apriltag import AprilTagTracker
@@ -295,7 +296,7 @@ def make_tracker(args: Any, calibration: Calibration, robot: "str | Robot" = "fi
 
 
 def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
-    """Start the loopback robot; it ends with the stack, or with this process."""
+    """Starts the loopback robot; it ends with the stack, or with this process."""
     folder = temporary_beside(Path(tempfile.gettempdir()) / "fishmj-loopback")
     folder.mkdir(mode=0o700)
     stack.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -342,7 +343,7 @@ def _end(process: "subprocess.Popen[str]") -> None:
 
 
 def link_text(text: str) -> str:
-    """`loopback`, `udp://HOST[:PORT]` or `serial:DEVICE`. Raises ArgumentTypeError."""
+    """Checks `loopback`, `udp://HOST[:PORT]` or `serial:DEVICE`. Raises ArgumentTypeError."""
     if text == "loopback" or re.fullmatch(r"serial:.{1,200}", text):
         return text
     if text.startswith("udp://"):
@@ -352,7 +353,7 @@ def link_text(text: str) -> str:
 
 
 def address(port: int) -> Callable[[str], tuple[str, int]]:
-    """The type of an option `HOST[:PORT]`; without one it is `port`. Raises ArgumentTypeError."""
+    """The type of an option `HOST[:PORT]` with `port` as default. Raises ArgumentTypeError."""
 
     def read(text: str) -> tuple[str, int]:
         found = re.fullmatch(r"([A-Za-z0-9._-]{1,253})(?::(\d{1,5}))?", text)
@@ -364,17 +365,17 @@ def address(port: int) -> Callable[[str], tuple[str, int]]:
 
 
 def numbers(text: str) -> tuple[float, ...]:
-    """Numbers with commas. Raises ArgumentTypeError."""
+    """Parses numbers with commas. Raises ArgumentTypeError."""
     return tuple(console.number(-1000, 1000)(part) for part in text.split(","))
 
 
 def whole_numbers(text: str) -> tuple[int, ...]:
-    """Whole numbers with commas, -1 to 253. Raises ArgumentTypeError."""
+    """Parses whole numbers with commas, -1 to 253. Raises ArgumentTypeError."""
     return tuple(console.whole(-1, 253)(part) for part in text.split(","))
 
 
 def bands(text: str) -> Bands:
-    """`0.05:0.058,0.175:0.012`: stations and widths, m. Raises ArgumentTypeError."""
+    """Parses `0.05:0.058,0.175:0.012`: stations and widths, m. Raises ArgumentTypeError."""
     pairs = [part.split(":") for part in text.split(",")]
     if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):
         raise ArgumentTypeError(f"got {text[:60]!r}, expected X:WIDTH,X:WIDTH such as 0.05:0.058,0.175:0.012 (m)")
@@ -382,7 +383,7 @@ def bands(text: str) -> Bands:
 
 
 def published(where: tuple[str, int], log: Any) -> Any:
-    """A ROS publisher of what the log takes in. Raises MissingExtra, ConfigError."""
+    """A ROS publisher of the log's rows. Raises MissingExtra, ConfigError."""
     from fishmj.deploy.link.ros import RosPublisher
 
     return RosPublisher(where, log)

@@ -1,15 +1,15 @@
-"""Bodies that the loopback robot can move: one small interface for the second robot, MuJoCo and the flow solver.
+"""Bodies of the loopback robot: one small interface for the second robot, MuJoCo and the flow solver.
 
-A body is what hangs on the servo bus: joints, hull, water, battery. It knows nothing of datagrams, cameras or watchdogs.
+A body is everything on the servo bus: joints, hull, water, battery. It knows nothing of datagrams, cameras or watchdogs.
 
     body = make("virtual", effects={"command_latency": {"delay": 0.02}}, seed=3)
     body.send((0.3, 0.2, 0.1))          # leaves the microcontroller now; the servos have it after the bus's delay
     body.advance(0.02)
-    body.sensors().joint                # what the servos say
+    body.sensors().joint                # the servos' readings
     body.truth()                        # x, y, yaw, j1 ..: for the camera's picture and for scoring
 
-The nominal command latency of a description runs from the host to the servo. The loopback's radio has a part of it, so every
-body is told what is left (`bus_delay`): no delay is put in twice.
+The nominal command latency of a description runs from the host to the servo. The loopback's radio causes a part of it, so every
+body gets the rest (`bus_delay`): no delay is applied twice.
 """
 
 from collections.abc import Mapping
@@ -34,19 +34,19 @@ def make(
     nuisance: float = 0.1, start: tuple[float, float, float] = (0.0, 0.0, 0.0), flow: Flow | None = None, radio: float = 0.0,
     engine: str = MUJOCO, domain: str = "paper",
 ) -> Body:  # fmt: skip
-    """The body of this name.
+    """Makes the body of this name.
 
     Args:
         robot: description, TOML path or shipped name.
         effects: {name: {parameter: value}} hidden in the second robot, SI.
-        seed, noise, nuisance: as `virtual_robot.trials.generate`; the second robot's alone.
+        seed, noise, nuisance: as `virtual_robot.trials.generate`; for the second robot only.
         start: x, y [m], yaw [rad], at rest over ground, straight. flow: background flow, still by default.
-        radio: s of the nominal command latency that the caller puts in itself.
+        radio: part of the nominal command latency that the caller applies itself, s.
         engine: of the waters fitted and structured, "mujoco" or, for hours in lockstep, "compiled", which is equal to it.
         domain: of the flow solver, `lbm_oracle.run.domain.preset`.
 
     Raises:
-        UnknownName: a body or an effect that does not exist. ConfigError: effects or turbulence that this body cannot have.
+        UnknownName: no such body or effect. ConfigError: effects or turbulence that this body does not support.
     """
     if name not in NAMES:
         raise UnknownName("body", name, NAMES)

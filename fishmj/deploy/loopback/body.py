@@ -16,7 +16,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 class Sensors(NamedTuple):
-    """What the electronics inside the body read now."""
+    """Present readings of the electronics inside the body."""
 
     joint: np.ndarray  # (J,) rad, servo readings before they are rounded to counts
     voltage: float  # V, battery lead
@@ -24,50 +24,53 @@ class Sensors(NamedTuple):
 
 
 class Body(Protocol):
-    """Joints in water. Time begins at 0 and moves with `advance` alone."""
+    """Interface of a body: joints in water. Time begins at 0 and moves only with `advance`."""
 
     robot: Robot
 
     @property
     def time(self) -> float:
-        """s since the body began."""
+        """Time since the body began, s."""
 
     def send(self, command: Sequence[float] | np.ndarray) -> None:
-        """The microcontroller puts joint angles (J,) [rad] on the servo bus now."""
+        """Puts joint angles (J,) [rad] on the servo bus now, like the microcontroller."""
 
     def advance(self, seconds: float) -> None:
-        """Move on by whole milliseconds."""
+        """Advances by whole milliseconds; seconds: s."""
 
     def sensors(self) -> Sensors:
-        """Readings of now."""
+        """Present readings."""
 
     def truth(self) -> np.ndarray:
         """(3 + J,): x, y [m], yaw [rad] of the reference point, hinge angles [rad]."""
 
     def seen(self) -> tuple[float, np.ndarray]:
-        """What a camera that exposes now makes of the body, without noise: its stamp [s], and as `truth` with what is planted in
-        the camera."""
+        """The body as a camera that exposes now records it, without noise.
+
+        Returns:
+            The stamp [s], and the pose as of `truth`, with the errors that are planted in the camera.
+        """
 
     def torque(self, on: bool) -> None:
-        """Switch the servos' torque."""
+        """Switches the servos' torque."""
 
     def supply(self, volts: float | None) -> None:
-        """Feed the servos from this open-circuit voltage [V]; None: from the battery as it is."""
+        """Feeds the servos from this open-circuit voltage [V]; None: from the battery."""
 
     def jam(self, joint: int, stuck: bool) -> None:
-        """Make the gears of a joint (0 at the head) bind where they are, or let them go."""
+        """Jams the gears of a joint (0 at the head) in place, or frees them."""
 
 
 def bus_delay(robot: Robot, radio: float) -> float:
-    """s from the microcontroller to the servo: what the radio leaves of the nominal command latency, 0 at least."""
+    """Delay from the microcontroller to the servo, s: the nominal command latency without the radio's part, at least 0."""
     return max(robot.timing.command_latency - radio, 0.0)
 
 
 def whole_milliseconds(seconds: float) -> int:
-    """How many.
+    """Number of milliseconds in `seconds`.
 
     Raises:
-        ConfigError: none, or a part of one.
+        ConfigError: less than one, or a fraction.
     """
     whole = round(seconds / MILLISECOND)
     if whole < 1 or abs(whole * MILLISECOND - seconds) > 1e-6:

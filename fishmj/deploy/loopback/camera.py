@@ -1,9 +1,9 @@
-"""The camera over the loopback's tank: when it exposes, when its frames can be read, and what goes wrong with it.
+"""The camera over the loopback's tank: the times of exposure and of reading, and its faults.
 
     exposure    k period + jitter u,  u in [0, 1)         stamped then; a planted error of the clock is in the stamp
     readable    exposure + latency
 
-What is on a frame is the business of `camera_frames`; here a frame is the pose that is to be drawn.
+`camera_frames` draws the frames; here a frame is the pose to be drawn.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ KEPT = 64  # frames
 
 
 class CameraTiming(NamedTuple):
-    """When frames are taken and readable, s."""
+    """Times of exposure and of reading, s."""
 
     period: float = 0.02
     latency: float = 0.065  # from exposure until the frame can be read
@@ -28,7 +28,7 @@ class CameraTiming(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """One frame: what a camera saw."""
+    """One frame: the pose as the camera records it."""
 
     t: float  # s, its stamp
     pose: np.ndarray  # (3 + J,): x, y [m], yaw [rad], hinges [rad]
@@ -40,7 +40,7 @@ class LoopbackCamera:
     """Frames of a body.
 
     Args:
-        timing: when. seed: of the jitter. faults: those of the camera count.
+        timing: of the frames. seed: of the jitter. faults: only those of the camera count.
     """
 
     def __init__(self, body: Body, timing: CameraTiming, seed: int, faults: Iterable[Fault] = ()):
@@ -52,13 +52,13 @@ class LoopbackCamera:
         self._frozen: Frame | None = None
 
     def next_exposure(self) -> int:
-        """ms of the next exposure; call once for each."""
+        """Time of the next exposure in ms; call once for each."""
         t = self._count * self.timing.period + self.timing.jitter * self._random.random()
         self._count += 1
         return round(t / MILLISECOND)
 
     def expose(self) -> None:
-        """Take a frame of the body as it is now."""
+        """Takes a frame of the body now."""
         now = self.body.time
         stamp, pose = self.body.seen()
         if fault := active(self._faults, "camera_jump", now):
@@ -74,9 +74,9 @@ class LoopbackCamera:
             self._fresh.append(frame)
 
     def frames(self, since: float, now: float) -> list[Frame]:
-        """Frames that can be read now and became readable after `since`, oldest first."""
+        """Frames that are readable now and became so after `since` [s], oldest first."""
         return [frame for frame in self._frames if since < frame.readable <= now]
 
     def exposed(self) -> list[Frame]:
-        """Frames taken since the last call, readable or not: for who draws them in the meantime."""
+        """Frames taken since the last call, readable or not, for drawing them in the meantime."""
         return [self._fresh.popleft() for _ in range(len(self._fresh))]

@@ -1,13 +1,13 @@
-"""Frames of an overhead camera, drawn by OpenCV: what the tracker is tried on where there is no tank.
+"""Frames of an overhead camera, drawn by OpenCV: test pictures for the tracker without a tank.
 
     look = FishLook.of("fish", marks="colour")
     frame = FrameArtist(calibration, look, FrameOptions(glare=1.0, ripple=1.0)).draw((x, y, yaw), joint, t)
 
-The fish is drawn `FINE` times larger in the patch that it covers and averaged down: its centre of area is where it should be
-within 0.05 px. Without glare, ripple, light and JPEG only that patch is drawn; all else is the picture of the empty tank and
-noise. The same arguments give the same frame.
+The fish is drawn `FINE` times larger in the patch that it covers and averaged down: its centre of area is right within 0.05 px.
+Without glare, ripple, light and JPEG only that patch is drawn; the rest is the picture of the empty tank and noise. The same
+arguments give the same frame.
 
-The tracker (`fishmj.deploy.tracker`) shares one thing with this file: where the calibration puts a point of the tank. It knows
+The tracker (`fishmj.deploy.tracker`) shares one thing with this file: the calibration's map from tank points to pixels. It knows
 nothing of the lens's blur, vignetting, shading of the hull, noise, exposure, glints, waves and compression.
 """
 
@@ -110,15 +110,15 @@ class FishLook:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions:
-    """What is between the fish and the file. The defaults are a good camera over a calm tank.
+    """Disturbances between the fish and the file. The defaults are a good camera over a calm tank.
 
     Attributes:
         noise: standard deviation of every pixel, grey levels. blur: standard deviation of the lens's spot, px.
         vignetting: share of the light that the corners lack. exposure: s; needs the velocity in `draw`.
         glare: 0 none, 1 glints over some percent of the tank, half of them round the fish, saturated.
         ripple: root mean square displacement of the image by the waves, px, with waves of brightness.
-        occlusion: share of the head link's length that something opaque covers, from one side beyond the middle.
-        decoy: a second red object of the head's size, with another tag on it where the fish has one.
+        occlusion: share of the head link's length behind an opaque object, from one side beyond the middle.
+        decoy: a second red object of the head's size, with another tag on it if the fish has one.
         light: relative amplitude of slow changes of the light and of its colour. jpeg: quality of the compression, or None.
     """
 
@@ -236,7 +236,7 @@ class FrameArtist:
         return layers
 
     def _decoy(self, pose: np.ndarray, t: float) -> list[Drawn]:
-        """A red object on a path of its own, never nearer to the reference point than it could be without touching the hull."""
+        """A red object on its own path, always far enough from the reference point not to touch the hull."""
         wide, high = np.array(self.calibration.size) * self.calibration.metres_per_pixel() * 0.4
         phase = self.options.seed * 0.7
         loop = np.array([wide * np.sin(0.31 * t + phase), high * np.sin(0.43 * t + 2 * phase)])

@@ -85,10 +85,10 @@ def numbers(*ranges: tuple[float, float]):
 
 
 def served(args) -> ServeOptions:
-    """What the arguments ask for.
+    """Options of the server from the arguments.
 
     Raises:
-        UnknownName, ConfigError: names, faults or effects that cannot be.
+        UnknownName, ConfigError: unknown or impossible names, faults or effects.
     """
     if args.effect and args.body != bodies.VIRTUAL:
         raise ConfigError(f"--effect {args.effect[0][:60]}: effects hide in the second robot alone; take --body {bodies.VIRTUAL}")

@@ -12,12 +12,12 @@ from fishmj.water.flow import Flow, stack
 
 
 class Stage(Sim):
-    """A `Sim` whose servos are told their aims step by step."""
+    """A `Sim` whose servo targets are set from outside, step by step."""
 
     goals: np.ndarray  # (S, J) rad, of the present tick
 
     def arrived(self, step: int) -> np.ndarray:
-        """What the servos aim at in this physics step, (J,) rad."""
+        """Targets of the servos in this physics step, (J,) rad."""
         return self.goals[step % self.steps]
 
 
@@ -33,6 +33,7 @@ class MujocoBody(TickedBody):
         self._begin = self._end = self._moment(0.0)._replace(q=np.array([*start, *stage.data.qpos[joints]]))
 
     def tick(self, goals: np.ndarray) -> Moment:
+        """Simulates one tick; goals (S, J) rad, one row a physics step."""
         stage = self.stage
         stage.goals = goals
         stage.step(goals[-1])
@@ -42,6 +43,7 @@ class MujocoBody(TickedBody):
         return self._moment(watts)
 
     def torque(self, on: bool) -> None:
+        """Switches the servos' torque, by their gains."""
         super().torque(on)
         gain, bias = self._gains
         self.stage.model.actuator_gainprm[:] = gain if on else 0.0
@@ -55,7 +57,7 @@ class MujocoBody(TickedBody):
 class CompiledBody(TickedBody):
     """The same fish by the compiled engine, which a test holds equal to MuJoCo: for hours in lockstep.
 
-    Of several commands that arrive within one tick it takes the last.
+    If several commands arrive within one tick, it uses the last.
     """
 
     def __init__(self, robot: Robot, water: str, start: tuple[float, float, float], flow: Flow, radio: float):
@@ -73,6 +75,7 @@ class CompiledBody(TickedBody):
         self._state = begun
 
     def tick(self, goals: np.ndarray) -> Moment:
+        """Simulates one tick; of the goals (S, J) rad only the newest counts, from its step on. Raises SimDiverged."""
         fresh = int(np.argmax((goals == goals[-1]).all(1)))  # the step from which the newest one counts
         params = (self._params if self.on else self._limp)._replace(delay=np.array([fresh], np.int32))
         sent = np.array(goals[-1])[None, None]
@@ -84,9 +87,9 @@ class CompiledBody(TickedBody):
 
 
 class SolverBody(TickedBody):
-    """One fish in the flow solver. A command waits for the next tick: the mean of that wait is taken off its way.
+    """One fish in the flow solver. A command waits for the next tick; the mean of that wait is subtracted from its delay.
 
-    The solver's joints always have servos: one without torque is told to aim at where it is, tick by tick.
+    The solver's joints always have servos: without torque, each tick sets the target to the present angle.
     """
 
     def __init__(self, robot: Robot, start: tuple[float, float, float], flow: Flow, radio: float, domain: str):
@@ -99,6 +102,7 @@ class SolverBody(TickedBody):
         self._state = engines.at_rest(robot, [start])
 
     def tick(self, goals: np.ndarray) -> Moment:
+        """Simulates one tick with the first of the goals (S, J) rad. Raises SimDiverged if the solver has stopped."""
         aim = goals[0] if self.on else self._end.q[3:] - self.zero
         self._state, trace = self.engine.advance(self._state, np.array(aim)[None, None], self._params, None, None)
         if self.engine.stopped[0]:

@@ -1,9 +1,9 @@
-"""What can go wrong with the loopback robot: one table of switches, each with a name, a size and a time.
+"""Faults of the loopback robot: one table of switches, each with a name, a size and a time.
 
     NAME[:up|:down][=VALUE][@T0[-T1]]       loss=0.05    delay:down=0.15    silent_radio@10-12    brown_out@30    stuck_servo=2@5
 
 `down` is from host to robot, `up` from robot to host; without either, both. Times are of the robot's clock, s since the start;
-without them a fault is there from the beginning to the end.
+without them a fault lasts from the beginning to the end.
 """
 
 import re
@@ -61,15 +61,15 @@ class Fault(NamedTuple):
     direction: str = ""  # of the radio's; "" both
 
     def active(self, t: float) -> bool:
-        """Whether it is there at t, s."""
+        """Returns True if the fault is present at t [s]."""
         return self.begin <= t < self.end
 
 
 def parse(texts: Iterable[str]) -> tuple[Fault, ...]:
-    """Switches as the command line says them.
+    """Parses switches of the command line.
 
     Raises:
-        UnknownName: no such fault. ConfigError: not of the form above, or a value or time that cannot be.
+        UnknownName: no such fault. ConfigError: not of the form above, or an impossible value or time.
     """
     return tuple(map(_fault, texts))
 
@@ -114,5 +114,5 @@ def described() -> list[str]:
 
 
 def active(faults: Iterable[Fault], name: str, t: float) -> Fault | None:
-    """The first fault of this name that is there at t, s."""
+    """The first fault of this name that is present at t [s], or None."""
     return next((fault for fault in faults if fault.name == name and fault.active(t)), None)

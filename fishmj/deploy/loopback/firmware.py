@@ -1,6 +1,6 @@
 """The microcontroller of the loopback robot: datagrams in, servo targets and telemetry out.
 
-Time that is passed in is the loopback's; each firmware counts its own from its boot, as a microcontroller does. Both read servos
+Times as arguments are the loopback's; each firmware counts its own from its boot, like a microcontroller. Both read servos
 in their counts (0.24 deg of LX servos) and send them whole counts.
 """
 
@@ -36,18 +36,18 @@ class Firmware(Protocol):
     """One life of a microcontroller, from boot to brown-out.
 
     Attributes:
-        target: rad, (J,), what the servos were told last; None: they have no torque.
-        bad: datagrams that were none of its protocol's.
+        target: last targets of the servos, rad, (J,); None: they have no torque.
+        bad: datagrams outside its protocol.
     """
 
     target: tuple[float, ...] | None
     bad: int
 
     def hear(self, data: bytes, now: float, measured: Sequence[float]) -> tuple[bool, list[bytes]]:
-        """A datagram that arrives now: whether it asks for other targets, and what is answered."""
+        """Handles a datagram that arrives now; returns True if it changes the targets, and the answers."""
 
     def act(self, now: float, measured: Sequence[float]) -> tuple[float, ...] | None:
-        """What the servos are told now, rad, (J,); None: no torque."""
+        """Present targets of the servos, rad, (J,); None: no torque."""
 
     def report(self, now: float, readings: Readings) -> bytes:
         """One packet of telemetry."""
@@ -72,7 +72,7 @@ def firmware_of(protocol: str, robot: Robot, born: float, policy_sha256: str = "
 
 @cache
 def own_sha256() -> str:
-    """Of this file, which is the firmware."""
+    """sha256 of this file, which is the firmware."""
     return sha256(Path(__file__).read_bytes()).hexdigest()
 
 
@@ -95,6 +95,7 @@ class FishmjFirmware:
         self._last = (0.0,) * len(names)  # rad, where each joint was when its servo last answered
 
     def hear(self, data: bytes, now: float, measured: Sequence[float]) -> tuple[bool, list[bytes]]:
+        """Handles a datagram; returns True for an accepted command, and the answers."""
         clock = now - self._born
         try:
             message = fishmj1.decode(data)
@@ -121,8 +122,9 @@ class FishmjFirmware:
         return message.kind is fishmj1.Kind.ARM, [fishmj1.encode_info(self._number(), clock, info)]
 
     def act(self, now: float, measured: Sequence[float]) -> tuple[float, ...] | None:
+        """Targets of the servos from the watchdog, rad, (J,); None: no torque."""
         clock = now - self._born
-        # A step between two commands would spend the time in which the next one may move: it would arrive in halves from then on
+        # A step between two commands would use up the time in which the next one may move: its motion would be split from then on
         since, there = clock - self._taken, self._asked is None
         waits = not self._fresh and (since < PERIOD or there and since < self.watchdog.hold)
         if not (waits and self.watchdog.state is RobotState.ARMED):
@@ -133,6 +135,7 @@ class FishmjFirmware:
         return None if self.target is None else tuple(in_counts(angle, self._scale) for angle in self.target)
 
     def report(self, now: float, readings: Readings) -> bytes:
+        """One packet of telemetry, with the guard's faults."""
         clock, measured = now - self._born, tuple(a if abs(a) <= fishmj1.MOST_ANGLE else nan for a in readings.measured)
         found = self.guard.check(clock, self.target, measured, readings.temperature, readings.voltage)
         echo, echo_time = self._echo or (None, None)
@@ -147,13 +150,13 @@ class FishmjFirmware:
         return fishmj1.encode_telemetry(told)
 
     def _number(self) -> int:
-        """Of the next datagram."""
+        """Number of the next datagram."""
         self._sent = (self._sent + 1) % 2**32
         return self._sent
 
 
 class MishFirmware:
-    """The open robot's firmware: commands act at once, nothing watches. Its servos have torque from the first command on."""
+    """The open robot's firmware: commands act at once, without a watchdog. Its servos have torque from the first command on."""
 
     bad = 0
 
@@ -167,6 +170,7 @@ class MishFirmware:
         self._stepped = 0.0
 
     def hear(self, data: bytes, now: float, measured: Sequence[float]) -> tuple[bool, list[bytes]]:
+        """Handles a datagram; returns True for a command, and no answer."""
         try:
             asked = mish.decode_command(data)
         except ProtocolError:
@@ -180,6 +184,7 @@ class MishFirmware:
         return True, []
 
     def act(self, now: float, measured: Sequence[float]) -> tuple[float, ...] | None:
+        """Targets of the servos, rad, (J,), on the way to the command at its speed; None before the first."""
         if self.target is None or self._goal is None:
             return None
         dt, self._stepped = now - self._stepped, now
@@ -188,10 +193,11 @@ class MishFirmware:
         return tuple(in_counts(angle, self._scale) for angle in self.target)
 
     def report(self, now: float, readings: Readings) -> bytes:
+        """One packet of telemetry in the robot's layout."""
         told = Telemetry(readings.joint, servo_voltage=readings.servo_voltage, temperature=readings.temperature)
         return mish.encode_telemetry(told, self._ids, self._firmware)
 
 
 def in_counts(angle: float, scale: servo_counts.Scale = servo_counts.LX) -> float:
-    """The angle [rad] in whole counts of a servo."""
+    """Angle [rad] rounded to whole counts of a servo."""
     return servo_counts.angle(servo_counts.counts(angle, 0.0, scale), 0.0, scale)

@@ -1,9 +1,9 @@
-"""The loopback robot behind the host's own commands, in this process and in lockstep: no second process, no waiting.
+"""Wires the loopback robot to the host's own commands, in this process and in lockstep: no second process, no waiting.
 
     trials_command.main([..., "--link", "loopback", "--yes"], in_step=wired)
     rig_experiment.main([..., "--link", "loopback", "--yes"], wire=wired)
 
-No camera is drawn: the host gets poses with a tracker's errors, as late as frames would be.
+No camera is drawn: the host gets poses with a tracker's errors and the delay of frames.
 """
 
 import shlex
@@ -33,10 +33,10 @@ def wired(
     args: Any, robot: Robot, stack: ExitStack, clock: Callable[[LoopbackRobot], LockstepClock] = LockstepClock,
     noise: FixNoise | None = None,
 ) -> Wired:  # fmt: skip
-    """In the place of `deploy.wiring.wire`.
+    """Replaces `deploy.wiring.wire`.
 
     Args:
-        args: `loopback` are the options of `deploy loopback`; `robot` and `protocol` as of the host's command.
+        args: `loopback` are the options of `deploy loopback`; `robot` and `protocol` as in the host's command.
         clock: makes the clock that moves the robot. noise: of the fixes; None: a tag's on clean frames, as measured.
     """
     words = ["--protocol", args.protocol, "--model", args.robot, *shlex.split(args.loopback or "")]

@@ -5,7 +5,7 @@
     link = Fishmj1Link(LockstepTransport(clock))
     localiser = InStep(LockstepCamera(clock), PoseTracker(seed=3))     # or LockstepCamera(clock, artist) and a tracker
 
-The host's loop is the one that runs in real time over UDP.
+The host's loop is the same as in real time over UDP.
 """
 
 from collections import deque
@@ -26,7 +26,7 @@ class LockstepClock:
     """The host's clock.
 
     Args:
-        origin: what it shows, s, when the robot's time is 0; as of any host and robot they are not the same.
+        origin: its value, s, at the robot's time 0; the two differ, as for any host and robot.
     """
 
     def __init__(self, robot: LoopbackRobot, origin: float = 100.0):
@@ -35,11 +35,11 @@ class LockstepClock:
         self._now = origin + robot.time
 
     def now(self) -> float:
-        """s."""
+        """Time on the host's clock, s."""
         return self._now
 
     def sleep_until(self, t: float) -> None:
-        """Move the robot on to t, s on this clock; at once where that has passed."""
+        """Advances the robot to t, s on this clock; returns at once if that has passed."""
         if t <= self._now:
             return
         self._now = t
@@ -53,36 +53,36 @@ class LockstepTransport:
         self.clock = clock
 
     def open(self) -> None:
-        """Nothing to take."""
+        """Does nothing."""
 
     def send(self, data: bytes) -> None:
-        """One datagram, now."""
+        """Sends one datagram now."""
         self.clock.robot.receive(data)
 
     def receive(self) -> list[tuple[float, bytes]]:
-        """What arrived since the last call, with its times on the host's clock, s."""
+        """Datagrams since the last call, with their times of arrival on the host's clock, s."""
         heard = self.clock.arrived
         return [heard.popleft() for _ in range(len(heard))]
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Does nothing."""
 
 
 class LockstepSerial:
-    """The serial line to the robot's servos, as `serial.Serial`: a read that finds nothing waits for a millisecond."""
+    """The serial line to the robot's servos, as `serial.Serial`: a read without data waits for a millisecond."""
 
     def __init__(self, clock: LockstepClock):
         self.clock, self._heard = clock, b""
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that can be read."""
+        """Number of bytes that can be read."""
         while self.clock.arrived:
             self._heard += self.clock.arrived.popleft()[1]
         return len(self._heard)
 
     def write(self, data: bytes) -> None:
-        """Bytes to the servos, now."""
+        """Sends bytes to the servos now."""
         self.clock.robot.receive(data)
 
     def read(self, count: int) -> bytes:
@@ -94,14 +94,14 @@ class LockstepSerial:
         return found
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Does nothing."""
 
 
 class LockstepCamera:
     """Frames as they become readable.
 
     Args:
-        artist: draws (H, W, 3) uint8 images; without one the "image" is the pose that would be drawn, (3 + J,), which
+        artist: draws (H, W, 3) uint8 images; without one the "image" is the pose to be drawn, (3 + J,), which
             `PoseTracker` reads: a hundred times faster.
     """
 
@@ -111,7 +111,7 @@ class LockstepCamera:
         self._drawn: tuple[float, np.ndarray] | None = None
 
     def open(self) -> None:
-        """Frames from now on."""
+        """Starts the frames."""
         self._since = self.clock.robot.time
 
     def read(self, now: float) -> list[tuple[float, np.ndarray]]:
@@ -122,14 +122,14 @@ class LockstepCamera:
         return [(self.clock.origin + frame.t, self._image(frame.pose, frame.drawn)) for frame in frames]
 
     def wait(self, most: float) -> list[tuple[float, np.ndarray]]:
-        """The same, moving time on by up to `most` s until there is one."""
+        """Frames as of `read`, advancing time by up to `most` s until there is one."""
         end = self.clock.now() + most
         while not (found := self.read(self.clock.now())) and self.clock.now() < end:
             self.clock.sleep_until(min(self.clock.now() + self.clock.robot.camera.timing.period, end))
         return found
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Does nothing."""
 
     def _image(self, pose: np.ndarray, drawn: float) -> np.ndarray:
         if self.artist is None:
@@ -143,7 +143,7 @@ class FixNoise(NamedTuple):
     """Errors of a tracker.
 
     Attributes:
-        position, heading: standard deviation, m and rad. slow: share of the variance that stays for a while, with memory
+        position, heading: standard deviation, m and rad. slow: share of the variance that lasts, with memory
             `memory` s; slow_heading, memory_heading: the same of the heading, None as of the position.
         missed: share of the frames without a fix.
     """
@@ -158,7 +158,10 @@ class FixNoise(NamedTuple):
 
     @classmethod
     def measured(cls, case: str = "tag_clean") -> "FixNoise":
-        """As measured on drawn frames (`data/calib/camera_noise.toml`); case: tag_clean, tag_glare, colour_clean, colour_glare.
+        """Errors measured on drawn frames (`data/calib/camera_noise.toml`).
+
+        Args:
+            case: tag_clean, tag_glare, colour_clean or colour_glare.
 
         Raises:
             UnknownName: no such case.
@@ -174,7 +177,7 @@ class FixNoise(NamedTuple):
 
     @classmethod
     def of_the_task(cls) -> "FixNoise":
-        """The noise that training puts on the camera, white: [noise] of paper.toml."""
+        """Errors of the camera in training, white: [noise] of paper.toml."""
         return cls(constant("noise", "position"), constant("noise", "yaw"))
 
 
@@ -185,7 +188,7 @@ def _size(part: dict) -> tuple[float, float]:
 
 
 class PoseTracker:
-    """In the place of a tracker: adds its errors to the poses of a `LockstepCamera` without an artist.
+    """Replaces a tracker: adds its errors to the poses of a `LockstepCamera` without an artist.
 
     Args:
         noise: of its fixes; None: of the tag on clean frames, as measured.
@@ -203,10 +206,10 @@ class PoseTracker:
         self._covariance = np.diag(sizes**2)
 
     def reset(self) -> None:
-        """Nothing is remembered but the errors."""
+        """Does nothing: there is no memory but that of the errors."""
 
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
-        """The fix in a "frame" (3 + J,) stamped t [s]; None where it is missed."""
+        """Fix from a "frame" (3 + J,) stamped t [s]; None if it is missed."""
         draws, missed = self._random.standard_normal((2, 3)), self._random.random() < self.noise.missed
         keep = np.exp(-max(t - self._t, 0.0) / self._memory) if self._t else np.zeros(3)
         self._slow, self._t = keep * self._slow + np.sqrt(1.0 - keep * keep) * draws[0] * self._slow_size, t

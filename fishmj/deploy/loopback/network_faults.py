@@ -1,8 +1,9 @@
-"""The radio between host and robot: when each datagram arrives, how often, and with which bits.
+"""The radio between host and robot: time of arrival, copies and bits of each datagram.
 
     t_arrival = t_sent + max(delay + spread g, 1 ms) + faults,    g a skewed number of zero mean (gamma, shape 2)
 
-Every datagram draws all its random numbers, whatever is switched on: switching one fault on never changes what another one does.
+Every datagram draws all its random numbers, independent of the active faults: switching one fault on never changes another's
+effect.
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,7 +31,7 @@ class Radio:
     """One direction of the radio.
 
     Args:
-        direction: "down" (host to robot) or "up". seed: of what is random. faults: those of the radio count.
+        direction: "down" (host to robot) or "up". seed: of the random numbers. faults: only those of the radio count.
         delay, spread: s, of a radio without faults; a wire has neither.
     """
 
@@ -43,7 +44,7 @@ class Radio:
         self._drawn: list[list[float]] = []
 
     def send(self, t: float, data: bytes) -> list[Arrival]:
-        """What becomes of a datagram that is sent at t, s: none, one or two arrivals."""
+        """Arrivals of a datagram that is sent at t [s]: none, one or two."""
         size = {fault.name: fault.value for fault in self._faults if fault.active(t)}
         base, late = random_streams.jitter(self._base), random_streams.lateness(self._late)
         lost, held, twice, again, *bits = self._draw()
@@ -65,7 +66,7 @@ class Radio:
         return out
 
     def _draw(self) -> list[float]:
-        """The NUMBERS of one datagram, in [0, 1)."""
+        """Draws the NUMBERS uniform numbers of one datagram, in [0, 1)."""
         if not self._drawn:
             self._drawn = self._chance.random((BLOCK, NUMBERS)).tolist()[::-1]
         return self._drawn.pop()

@@ -7,7 +7,7 @@ from fishmj.deploy.protocols.messages import ServoFault
 
 
 class Readings(NamedTuple):
-    """What the microcontroller reads off its buses. J joints."""
+    """Readings of the microcontroller's buses. J joints."""
 
     joint: tuple[float, ...]  # rad, whole counts
     voltage: float  # V, battery lead
@@ -18,5 +18,5 @@ class Readings(NamedTuple):
 
     @property
     def measured(self) -> tuple[float, ...]:
-        """Joint angles (J,) rad; nan of a servo that did not answer, whose `joint` is an old one."""
+        """Joint angles (J,) rad; nan for a servo that did not answer, whose `joint` is an old one."""
         return tuple(nan if flag & ServoFault.NO_REPLY else angle for angle, flag in zip(self.joint, self.fault, strict=True))

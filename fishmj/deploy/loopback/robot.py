@@ -1,11 +1,11 @@
-"""The loopback robot: radio, microcontroller, body and camera on one clock that somebody else moves.
+"""The loopback robot: radio, microcontroller, body and camera on one clock, which its owner advances.
 
     robot = LoopbackRobot(bodies.make("virtual"), "fishmj-1", faults.parse(["silent_radio@10-12"]), seed=3)
     robot.receive(datagram)              # the host sends it now
-    datagrams = robot.advance(0.02)      # what reached the host in the meantime
+    datagrams = robot.advance(0.02)      # received by the host in the meantime
     robot.frames(since)                  # camera frames that became readable
 
-Everything happens at whole milliseconds, in an order that only the seed decides: the same calls give the same bytes.
+Everything happens at whole milliseconds, in an order that depends on the seed alone: the same calls give the same bytes.
 """
 
 import heapq
@@ -33,18 +33,18 @@ class LoopbackRobot:
     """One robot in its tank.
 
     Args:
-        body: what moves (`bodies.make`), at its time 0.
+        body: the moving body (`bodies.make`), at its time 0.
         protocol: one of `firmware.PROTOCOLS`. With "servo-bus" datagrams are pieces of the byte stream on the servos' wire.
         faults: `faults.parse`. seed: of radio and exposures; the body has its own.
         delay, spread: s, of the radio each way without faults.
-        camera: when frames are taken; by default with the description's latency.
-        policy_sha256: what INFO says of a policy in the firmware.
+        camera: timing of frames; by default with the description's latency.
+        policy_sha256: hash in INFO of a policy in the firmware.
 
     Attributes:
-        restarts: how often the microcontroller booted again.
+        restarts: number of reboots of the microcontroller.
 
     Raises:
-        UnknownName, ConfigError: a protocol or a fault that this robot cannot have.
+        UnknownName, ConfigError: a protocol or a fault that this robot does not support.
     """
 
     def __init__(
@@ -78,20 +78,20 @@ class LoopbackRobot:
 
     @property
     def time(self) -> float:
-        """s since the start."""
+        """Time since the start, s."""
         return self._now * MILLISECOND
 
     def receive(self, data: bytes) -> None:
-        """The host sends a datagram now; it arrives when, and if, the radio lets it."""
+        """Takes a datagram that the host sends now; the radio decides on its arrival."""
         for arrival in self._down.send(self.time, data):
             self._at(arrival.t, partial(self._hear, arrival.data))
 
     def advance(self, seconds: float) -> list[bytes]:
-        """Move on; returns the datagrams that reached the host meanwhile."""
+        """Advances by `seconds` s; returns the datagrams that reached the host in that time."""
         return [arrival.data for arrival in self.advance_to(self.time + seconds)]
 
     def advance_to(self, t: float) -> list[Arrival]:
-        """Move on to t [s], or to the next whole millisecond after it; returns what reached the host meanwhile, and when."""
+        """Advances to t [s], or to the next whole millisecond; returns the datagrams that reached the host, with times."""
         goal = ceil(t / MILLISECOND - 1e-6)
         while self._agenda and self._agenda[0][0] <= goal:
             when, _, step = heapq.heappop(self._agenda)
@@ -102,7 +102,7 @@ class LoopbackRobot:
         return arrived
 
     def next_event(self) -> float:
-        """s at which something happens next by itself."""
+        """Time of the next event, s."""
         return self._agenda[0][0] * MILLISECOND
 
     def pose(self) -> np.ndarray:
@@ -110,11 +110,11 @@ class LoopbackRobot:
         return self.body.truth()[:3]
 
     def frames(self, since: float) -> list[Frame]:
-        """Camera frames that can be read now and became readable after `since` [s], oldest first."""
+        """Camera frames that are readable now and became so after `since` [s], oldest first."""
         return self.camera.frames(since, self.time)
 
     def _at(self, t: float, step: Step) -> None:
-        """Do a step at t [s], not before now."""
+        """Schedules a step at t [s], not before now."""
         heapq.heappush(self._agenda, (max(round(t / MILLISECOND), self._now), next(self._order), step))
 
     def _move(self, when: int) -> None:
@@ -123,7 +123,7 @@ class LoopbackRobot:
             self._now = when
 
     def _boot(self) -> None:
-        """A new life of the microcontroller: numbers and clock from the beginning, IDLE."""
+        """Starts a new life of the microcontroller: numbers and clock from the beginning, IDLE."""
         self.restarts += 1
         self._told = None
         self.firmware = firmware = firmware_of(self.protocol, self.body.robot, self.time, self._policy)
@@ -131,12 +131,12 @@ class LoopbackRobot:
         self._at(self.time, partial(self._tick, firmware))
 
     def _die(self) -> None:
-        """The supply is gone: nothing is heard, said or held."""
+        """Ends a life of the microcontroller for lack of supply: it neither receives, sends nor holds."""
         self.firmware = None
         self.body.torque(False)
 
     def _tick(self, firmware: Firmware) -> None:
-        """Read the servos, tell them where to go, send telemetry; every 20 ms while this life lasts."""
+        """Reads the servos, sets their targets, sends telemetry; every 20 ms during this life."""
         if firmware is not self.firmware:
             return
         self._readings = self._read()
@@ -159,7 +159,7 @@ class LoopbackRobot:
             self._say(answer)
 
     def _act(self, firmware: Firmware, taken: bool = False) -> None:
-        """Tell the servos, where they are to go elsewhere or a command was taken: more would be repeats that hide a lost one."""
+        """Sends targets to the servos, only if they changed or a command was taken: repeats would hide a lost one."""
         target = firmware.act(self.time, self._readings.measured)
         self.body.torque(target is not None)
         if target is not None and (taken or target != self._told):

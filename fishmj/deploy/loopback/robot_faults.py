@@ -1,4 +1,4 @@
-"""What fails inside the robot: supply, servos, heat. What the faults do to the body, and what they do to the readings.
+"""Faults inside the robot: supply, servos, heat; their effects on the body and on the readings.
 
 Heat of a servo, first order:  T' = (T_water + K |I| - T) / tau,  I its share of the battery's current. K and tau are chosen, not
 measured: a servo that is stalled at 1.2 A heads for 50 deg C in water of 20 deg C, with a time constant of five minutes.
@@ -22,7 +22,7 @@ VOLT_STEP, AMPERE_STEP = 0.00125, 0.00025  # V and A, INA226 with a shunt of 10 
 
 
 class RobotFaults:
-    """Applies those of the faults that are the robot's own.
+    """Applies the faults of the robot itself.
 
     Raises:
         ConfigError: a joint that the robot does not have.
@@ -38,15 +38,15 @@ class RobotFaults:
                 raise ConfigError(f"fault {fault.name}={fault.value:g}: {body.robot.name} has {body.robot.n_joints} joints")
 
     def edges(self) -> list[float]:
-        """s at which something begins or ends that the body must be told."""
+        """Times [s] at which a fault of the body begins or ends."""
         return sorted({t for fault in self._faults for t in (fault.begin, fault.end) if t != float("inf")})
 
     def brown_outs(self) -> list[tuple[float, float]]:
-        """(s when the microcontroller dies, s when it has booted) of each."""
+        """(time of death, end of the reboot) of the microcontroller, s, of each brown-out."""
         return [(f.begin + min(COLLAPSE, f.end - f.begin), f.end + f.value) for f in self._faults if f.name == "brown_out"]
 
     def tell_the_body(self, now: float) -> None:
-        """Set the body's switches as they are now."""
+        """Sets the body's switches for the present time."""
         low, sag = active(self._faults, "low_battery", now), active(self._faults, "brown_out", now)
         self.body.supply(min(SAGGED, SAG * self.body.robot.servo.voltage) if sag else low.value if low else None)
         jammed = self._joints("stuck_servo", now)
@@ -54,7 +54,7 @@ class RobotFaults:
             self.body.jam(joint, joint in jammed)
 
     def readings(self, now: float, sensed: Sensors, target: tuple[float, ...] | None) -> Readings:
-        """What the microcontroller reads now. target: rad, (J,), what the servos were told last."""
+        """Readings of the microcontroller at `now` [s]. target: last targets of the servos, rad, (J,)."""
         volts, amps = max(sensed.voltage, 0.0), sensed.current
         servo, joints = self.body.robot.servo, len(sensed.joint)
         jammed, silent = self._joints("stuck_servo", now), self._joints("silent_servo", now)
@@ -84,7 +84,7 @@ class RobotFaults:
         return {round(fault.value) - 1 for fault in self._faults if fault.name == name and fault.active(now)}
 
     def _warm(self, now: float, amps: list[float]) -> None:
-        """Move the temperatures on to now."""
+        """Advances the temperatures to now."""
         dt, self._warmed = now - self._warmed, now
         heated = self._joints("hot_servo", now)
         for joint, current in enumerate(amps):

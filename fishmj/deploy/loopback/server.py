@@ -3,10 +3,10 @@
     {"robot_port": 2333, "host_port": 0, "protocol": "fishmj-1", "frames": "psm_1a2b3c", "size": [1280, 720],
      "frame_rate": 50.0, "pid": 7, "device": null}
 
-is the line that `serve` prints when it is ready; with the protocol servo-bus ports are null and `device` is a pseudo-terminal,
-the servos' line. Telemetry goes to whoever sent a datagram last, or to `host_port` before anybody did. One thread keeps the
-robot's clock with the machine's monotonic clock, another draws frames while their latency runs. Both go before other programs
-where the system allows it: a robot and its camera keep time however busy the host's computer is.
+is the line that `serve` prints when it is ready. With the protocol servo-bus the ports are null and `device` is a
+pseudo-terminal, the servos' line. Telemetry goes to the sender of the last datagram, or to `host_port` before the first one. One
+thread keeps the robot's clock with the machine's monotonic clock, another draws frames while their latency runs. Both run before
+other programs if the system permits it, since a robot and its camera keep time on a busy computer too.
 """
 
 import contextlib
@@ -46,12 +46,12 @@ SWITCH = 5e-4  # s that the drawing thread may keep the clock's thread waiting, 
 
 @dataclass(frozen=True, kw_only=True)
 class ServeOptions:
-    """How it is served.
+    """Options of the server.
 
     Attributes:
         address: 127.0.0.1, nothing else. port: of the robot, 0 lets the system choose; None: 2333 of mish, else 0.
-        host_port: to which telemetry goes before anybody has sent anything; None: 6060 of mish, else nowhere.
-        camera: whether frames are drawn. seconds: after which it ends; None: never.
+        host_port: destination of telemetry before the first datagram; None: 6060 of mish, else nowhere.
+        camera: True to draw frames. seconds: duration; None: no limit.
         parent: pid of the process with which it ends.
     """
 
@@ -75,7 +75,7 @@ class ServeOptions:
 
 
 class UdpPort:
-    """A socket on 127.0.0.1. port: of the robot, 0 lets the system choose; host_port: of the host before it spoke, 0 for none."""
+    """A socket on 127.0.0.1. port: of the robot, 0 lets the system choose; host_port: of a silent host, 0 for none."""
 
     def __init__(self, port: int, host_port: int):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -90,21 +90,21 @@ class UdpPort:
 
     @classmethod
     def of(cls, options: ServeOptions) -> "UdpPort":
-        """The port that the options ask for. Raises ConfigError: it is taken."""
+        """Opens the port in the options. Raises ConfigError: it is taken."""
         is_mish = options.settings.protocol != PROTOCOLS[0]
         port = (mish.ROBOT_PORT if is_mish else 0) if options.port is None else options.port
         return cls(port, (mish.HOST_PORT if is_mish else 0) if options.host_port is None else options.host_port)
 
     def told(self) -> dict:
-        """Where a host finds it."""
+        """Ports for the host."""
         return {"robot_port": self.port, "host_port": self._host_port}
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         return self.socket.fileno()
 
     def receive(self) -> list[bytes]:
-        """Datagrams that are there."""
+        """The waiting datagrams."""
         found: list[bytes] = []
         while len(found) < MOST:
             try:
@@ -115,19 +115,19 @@ class UdpPort:
         return found
 
     def send(self, data: bytes) -> bool:
-        """A datagram to the host; False before anybody is known. Raises OSError: the system did not take it."""
+        """Sends a datagram to the host; returns False while the host is unknown. Raises OSError: the system did not take it."""
         if self.peer is None:
             return False
         self.socket.sendto(data, self.peer)
         return True
 
     def close(self) -> None:
-        """May be called twice."""
+        """Closes the socket; may be called twice."""
         self.socket.close()
 
 
 class SerialPort:
-    """A pseudo-terminal in the place of a USB adapter: the host opens `device`. Raises ConfigError: this system has none."""
+    """A pseudo-terminal in place of a USB adapter: the host opens `device`. Raises ConfigError: this system has none."""
 
     def __init__(self) -> None:
         try:
@@ -141,15 +141,15 @@ class SerialPort:
         self.device = os.ttyname(self._slave)
 
     def told(self) -> dict:
-        """Where a host finds it."""
+        """Device for the host."""
         return {"device": self.device}
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         return self._master
 
     def receive(self) -> list[bytes]:
-        """The bytes that are there, as one piece."""
+        """The waiting bytes, as one piece."""
         try:
             data = os.read(self._master, LONGEST)
         except OSError:  # nothing there
@@ -157,12 +157,12 @@ class SerialPort:
         return [data] if data else []
 
     def send(self, data: bytes) -> bool:
-        """Bytes to the host. Raises OSError: nobody reads, and the line is full."""
+        """Sends bytes to the host. Raises OSError: the host does not read, and the line is full."""
         os.write(self._master, data)
         return True
 
     def close(self) -> None:
-        """May be called twice."""
+        """Closes the line; may be called twice."""
         for handle in (self._master, self._slave):
             if handle >= 0:
                 os.close(handle)
@@ -205,12 +205,12 @@ class Server:
 
     @staticmethod
     def _warmed(settings: Settings) -> LoopbackRobot:
-        """The robot, after another one has loaded the machine code."""
+        """The robot, built after another one has loaded the machine code."""
         make_robot(replace(settings, faults=())).advance(0.1)
         return make_robot(settings)
 
     def told(self) -> dict:
-        """What a host needs to know."""
+        """Connection data for a host."""
         size = list(calibration_of(self.options.settings).size) if self.ring else None
         return {
             **dict.fromkeys(("robot_port", "host_port", "device")), **self.line.told(),
@@ -219,7 +219,7 @@ class Server:
         }  # fmt: skip
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> None:
-        """Serve until somebody stops it, the time is over, or the parent is gone."""
+        """Serves until `stop` returns True, the time is over, or the parent is gone."""
         self.start, looked, used = self.clock(), -LOOK, time.process_time()
         begun = self.start
         if self.ring:
@@ -243,7 +243,7 @@ class Server:
         self.figures["cpu_share"] = (time.process_time() - used) / max(self.figures["seconds"], 1e-9)
 
     def turn(self, now: float) -> None:
-        """Bring the robot to `now` [s since the start], give it what came in, send what it says."""
+        """Advances the robot to `now` [s since the start], passes it the input, sends its output."""
         lag = now - self.robot.next_event()
         self.figures["lag"] = max(self.figures["lag"], lag)
         if lag > BEHIND:  # a machine that slept, or a body that is too slow: the robot's clock stands still meanwhile
@@ -263,7 +263,7 @@ class Server:
                 self._hand_over(frame)
 
     def close(self) -> None:
-        """Give line and shared memory back; may be called twice."""
+        """Closes the line and the shared memory; may be called twice."""
         if self._painter is not None:
             painter, self._painter = self._painter, None
             self._over.set()
@@ -286,7 +286,7 @@ class Server:
             self.figures["dropped_frames"] += 1
 
     def _paint(self) -> None:
-        """Thread: draw each frame, and show it when it is due."""
+        """Thread that draws each frame, and publishes it when it is due."""
         try:
             with first_in_line(DRAWING):
                 while not self._over.is_set():
@@ -313,7 +313,7 @@ class Server:
 
 
 def serve(options: ServeOptions) -> dict[str, float]:
-    """Serve in real time until Ctrl-C, the end of the time, or of the parent; prints the line above first. Returns the figures.
+    """Serves in real time until Ctrl-C, the end of the time, or of the parent; prints the line above first. Returns the figures.
 
     Raises:
         ConfigError: another address than 127.0.0.1, a port that is taken, a body that is too slow.

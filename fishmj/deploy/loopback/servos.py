@@ -1,6 +1,7 @@
-"""Servos on a bus without a microcontroller: what a host on a serial line hears of the loopback robot.
+"""Servos on a bus without a microcontroller: the loopback robot as a host on a serial line sees it.
 
-They answer the frames of the description's `[rig] bus` from the body's joints, and hold their last goal whoever falls silent.
+They answer the frames of the description's `[rig] bus` from the body's joints, and hold their last goal when the host falls
+silent.
 """
 
 from collections.abc import Sequence
@@ -23,10 +24,10 @@ VERSION = 52  # of their firmware
 
 
 class Servos:
-    """The servos of a robot, from the moment at which they got power. See `firmware.Firmware`.
+    """The servos of a robot, from the moment of power. See `firmware.Firmware`.
 
     Attributes:
-        readings: of now; the robot sets them before each question.
+        readings: present ones; the robot sets them before each question.
     """
 
     bad = 0
@@ -41,6 +42,7 @@ class Servos:
         self._reader = self.bus.reader()
 
     def hear(self, data: bytes, now: float, measured: Sequence[float]) -> tuple[bool, list[bytes]]:
+        """Handles the frames in `data`; returns True if one changed a servo, and the answers."""
         told, answers, damaged = False, [], self._reader.damaged
         for frame in self._reader.frames(data):
             if not frame.reply:
@@ -50,7 +52,7 @@ class Servos:
         return told, answers
 
     def act(self, now: float, measured: Sequence[float]) -> tuple[float, ...] | None:
-        """Where the servos go, rad, (J,); one without torque stays where it is, all without: None."""
+        """Targets of the servos, rad, (J,); a servo without torque keeps its angle; None if all are without."""
         self._check()
         if not any(self._on):
             self.target = None
@@ -62,18 +64,18 @@ class Servos:
         return self.target
 
     def report(self, now: float, readings: "Readings") -> bytes:
-        """Nothing: servos answer only what they are asked."""
+        """Returns b"": servos only answer questions."""
         return b""
 
     def _check(self) -> None:
-        """Dynamixel servos that are too hot let go until they are switched off."""
+        """Switches off the torque of Dynamixel servos that are too hot, until they are switched off."""
         for k, degrees in enumerate(self.readings.temperature):
             if isinstance(self.bus, DynamixelBus) and degrees >= HOTTEST:
                 self._error[k] |= ServoFault.HOT
                 self._on[k] = False
 
     def _heard(self, frame: Any) -> tuple[bool, list[bytes]]:
-        """Whether a servo was told something, and what is answered."""
+        """Handles a frame; returns True if it changed a servo, and the answers."""
         listening = [k for k, fault in enumerate(self.readings.fault) if ServoFault.NO_REPLY not in fault]
         if isinstance(self.bus, DynamixelBus):
             return self._dynamixel(self.bus, frame, listening)

@@ -1,4 +1,4 @@
-"""What a loopback robot is made of, as one value: for the command line, the server and lockstep alike."""
+"""Settings of a loopback robot as one value, for the command line, the server and lockstep."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,9 +24,9 @@ class Settings:
     Attributes:
         body, robot, effects, noise, nuisance, start, flow, engine, domain: as `bodies.make`.
         protocol, faults, delay, spread, policy_sha256: as `robot.LoopbackRobot`.
-        seed: of everything that is random.
-        camera_latency: s from exposure until a frame can be read; None: the description's. frame_rate: 1/s.
-        marks: on the drawn fish, "colour" or "tag". picture: what is between the fish and the file.
+        seed: of all random numbers.
+        camera_latency: time from exposure until a frame is readable, s; None: the description's. frame_rate: 1/s.
+        marks: on the drawn fish, "colour" or "tag". picture: disturbances between the fish and the file.
         calibration: of the drawn camera; None: 1280 x 720 px, 2.8 mm/px, 3 m over the middle of the tank.
     """
 
@@ -62,7 +62,7 @@ def make_robot(settings: Settings) -> LoopbackRobot:
     """The robot at its time 0.
 
     Raises:
-        UnknownName, ConfigError: a name or a combination that cannot be.
+        UnknownName, ConfigError: an unknown name or an impossible combination.
     """
     s, described = settings, load_robot(settings.robot)
     delay, spread = (0.0, 0.0) if s.protocol == SERVO_BUS else (s.delay, s.spread)
@@ -78,10 +78,10 @@ def make_robot(settings: Settings) -> LoopbackRobot:
 
 
 def calibration_of(settings: Settings) -> Calibration:
-    """Of the drawn camera: the host's tracker needs the same."""
+    """Calibration of the drawn camera; the host's tracker needs the same."""
     return settings.calibration or overhead(SIZE, SCALE, HEIGHT)
 
 
 def artist_of(settings: Settings) -> FrameArtist:
-    """Who draws its frames. Raises MissingExtra without OpenCV."""
+    """Artist that draws the robot's frames. Raises MissingExtra without OpenCV."""
     return FrameArtist(calibration_of(settings), FishLook.of(settings.robot, settings.marks), settings.picture)

@@ -4,9 +4,8 @@
     per slot    int64 number, float64 captured, uint8[height][width][3] BGR
 
 `newest` is the slot of the newest complete frame, -1 before the first. `captured` is on the machine's monotonic clock, s.
-`number` is 2 n of the n-th frame, from n = 1; odd while the slot is being written, so a reader that finds an odd number, or
-another one after it has copied, takes no torn frame (a sequence lock). Slots follow each other without gaps, 16 + 3 W H bytes
-each.
+`number` is 2 n of the n-th frame, from n = 1, and odd while the slot is being written. A reader that finds an odd number, or
+another one after copying, drops the torn frame (a sequence lock). Slots follow each other without gaps, 16 + 3 W H bytes each.
 """
 
 from multiprocessing import resource_tracker, shared_memory
@@ -44,7 +43,7 @@ class _Ring:
         self.images = [np.ndarray((height, width, 3), np.uint8, memory.buf, begin + SLOT) for begin in begins]
 
     def close(self) -> None:
-        """Let go of the memory; may be called twice."""
+        """Detaches from the memory; may be called twice."""
         self.header, self.numbers, self.stamps, self.images = np.zeros(FIELDS, np.int64), [], [], []
         self.memory.close()
 
@@ -56,10 +55,10 @@ class FrameWriter(_Ring):
         width, height: px. rate: frames a second, for readers' information. slots: of the ring, 2 at least.
 
     Attributes:
-        name: under which readers find it.
+        name: for readers.
 
     Raises:
-        ConfigError: a size that cannot be. StoreError: the machine has no room for it.
+        ConfigError: an impossible size. StoreError: the machine has no room for it.
     """
 
     def __init__(self, width: int, height: int, rate: float, slots: int = SLOTS):
@@ -77,7 +76,7 @@ class FrameWriter(_Ring):
         self.header[0] = MAGIC  # last: a reader that comes early finds no ring
 
     def write(self, image: np.ndarray, t: float) -> int:
-        """Put a frame (H, W, 3) uint8 that was captured at t [s] over the oldest; returns its number.
+        """Writes a frame (H, W, 3) uint8 that was captured at t [s] over the oldest; returns its number.
 
         Raises:
             ConfigError: an image of another size or kind.
@@ -95,14 +94,14 @@ class FrameWriter(_Ring):
         self.numbers[slot][0] = 2 * self.count + 1
 
     def finish(self, slot: int) -> int:
-        """Mark it as complete and newest."""
+        """Marks a slot as complete and newest; returns the frame's number."""
         self.count += 1
         self.numbers[slot][0] = 2 * self.count
         self.header[_NEWEST] = slot
         return self.count
 
     def close(self) -> None:
-        """Give the memory back to the machine; readers keep what they have mapped."""
+        """Returns the memory to the machine; readers keep their mapping."""
         super().close()
         try:
             self.memory.unlink()
@@ -111,7 +110,7 @@ class FrameWriter(_Ring):
 
 
 class FrameReader(_Ring):
-    """Looks into a ring of another process.
+    """Reads a ring of another process.
 
     Raises:
         StoreError: no ring of that name, or something else.
@@ -129,7 +128,7 @@ class FrameReader(_Ring):
         self.rate, self.torn, self._last = header[_RATE] / 1000.0, 0, 0
 
     def newest(self) -> Picture | None:
-        """The newest frame, if it has not been given before; None also where the writer was faster three times in a row."""
+        """The newest frame, if it was not returned before; None also if the writer was faster three times in a row."""
         for _ in range(3):
             slot = int(self.header[_NEWEST])
             if not 0 <= slot < self.slots:
@@ -146,7 +145,7 @@ class FrameReader(_Ring):
 
 
 def _attach(name: str) -> shared_memory.SharedMemory:
-    """The memory of that name, without becoming its owner: Python 3.11 and 3.12 would remove it when this process ends."""
+    """The memory of that name, not owned: Python 3.11 and 3.12 would otherwise remove it when this process ends."""
     register = resource_tracker.register
     resource_tracker.register = lambda *_: None
     try:

@@ -1,7 +1,7 @@
-"""The second robot as a body: the physics and planted effects of `virtual_robot.ClosedLoopRobot`, read only when somebody asks.
+"""The second robot as a body: the physics and planted effects of `virtual_robot.ClosedLoopRobot`, computed on demand.
 
-`ClosedLoopRobot` makes every table at every step, which costs seventeen times the motion itself. Here time is counted first and
-the motion is made up when a sensor, a camera or a switch needs it; a test holds both equal.
+`ClosedLoopRobot` makes every table at every step, which costs seventeen times the motion itself. Here only time is counted first;
+the motion is simulated when a sensor, a camera or a switch needs it. A test holds both equal.
 """
 
 import heapq
@@ -57,14 +57,14 @@ class VirtualBody:
         self._acting = made
 
     def change(self, made: RobotConstants) -> None:
-        """From now on it is a robot of these numbers (`virtual_robot.plant`), in mid-swim; its weather stays as it was drawn."""
+        """Replaces the robot's constants (`virtual_robot.plant`) in mid-swim; its drawn weather stays."""
         self._catch_up()
         made = self._take(made)
         self._radio.network, self._radio.odd = made.network, made.odd
         self._rewire()
 
     def _take(self, made: RobotConstants) -> RobotConstants:
-        """The robot's numbers, with what is left of the command latency; the camera's own latency is the loopback's."""
+        """The robot's constants, with the remaining command latency; the camera's own latency is the loopback's."""
         left = max(bus_delay(self.robot, self.radio) - FIRMWARE_WAIT * made.motor.period, 0.0)
         self.plant = made = made.with_fields({"network.latency": left, "network.jitter": 0.0})
         self._camera = made.camera._replace(latency=0.0)
@@ -76,18 +76,22 @@ class VirtualBody:
 
     @property
     def time(self) -> float:
+        """Time since the body began, s."""
         return self._now * MILLISECOND
 
     def send(self, command: Sequence[float] | np.ndarray) -> None:
+        """Puts joint angles (J,) [rad] on the servo bus now; they may be lost or arrive late."""
         angles = np.asarray(command, float)
         arrival = self._radio.arrival(self.time, angles)
         if arrival is not None:
             heapq.heappush(self._queue, (arrival, next(self._order), angles))
 
     def advance(self, seconds: float) -> None:
+        """Advances by whole milliseconds; seconds: s."""
         self._now += whole_milliseconds(seconds)
 
     def sensors(self) -> Sensors:
+        """Present readings, with the sensors' noise and planted errors."""
         self._catch_up()
         here, made, meter = np.array([self.time]), self.plant, self.plant.meter
         table = network.telemetry(made.network, made.zero, self._past, here, self._joint, self.noise)
@@ -100,11 +104,13 @@ class VirtualBody:
         return Sensors(joint, float(volts + meter.voltage_noise * error[0]), float(amps + meter.current_noise * error[1]))
 
     def truth(self) -> np.ndarray:
+        """(3 + J,): x, y [m], yaw [rad] of the reference point, hinge angles [rad]."""
         self._catch_up()
         z = self._state.z
         return np.array([z[0], z[1], z[2], *np.diff(z[2:])])
 
     def seen(self) -> tuple[float, np.ndarray]:
+        """Stamp [s] and pose as the camera records them without noise, with its planted errors."""
         truth, camera = self.truth(), self._camera
         if self._honest:
             return self.time, truth
@@ -114,18 +120,21 @@ class VirtualBody:
         return float(stamped["t"][0]), np.array([*pose, *truth[3:]])
 
     def torque(self, on: bool) -> None:
+        """Switches the servos' torque."""
         if on != self._on:
             self._catch_up()
             self._on = on
             self._rewire()
 
     def supply(self, volts: float | None) -> None:
+        """Feeds the servos from this open-circuit voltage [V]; None: from the battery."""
         if volts != self._volts:
             self._catch_up()
             self._volts = volts
             self._rewire()
 
     def jam(self, joint: int, stuck: bool) -> None:
+        """Jams the gears of a joint (0 at the head) in place, or frees them."""
         if stuck == (joint in self._jams):
             return
         angle = float(self.truth()[3 + joint] - self.plant.zero[joint])
@@ -136,21 +145,21 @@ class VirtualBody:
             del self._jams[joint]
 
     def _rewire(self) -> None:
-        """The plant as the switches say: gains of zero leave a motor whose leads are shorted, as an unpowered bridge does."""
+        """Applies the switches to the plant: gains of zero leave a motor with shorted leads, like an unpowered bridge."""
         fields = {} if self._on else {"motor.gain": 0.0, "motor.rate_gain": 0.0}
         if self._volts is not None:
             fields["motor.voltage"] = self._volts
         self._acting = self.plant.with_fields(fields) if fields else self.plant
 
     def _before_the_first(self) -> Recording:
-        """The fish at rest, a millisecond before it begins."""
+        """Recording of the fish at rest, a millisecond before it begins."""
         column, row = columns(self.robot.n_joints), np.zeros(len(columns(self.robot.n_joints)))
         row[:3], row[[column[f"j{j + 1}"] for j in range(self.robot.n_joints)]] = self._state.z[:3], np.diff(self._state.z[2:])
         row[[column["V"], column["I"]]] = self.plant.motor.voltage, self.plant.motor.idle / self.plant.motor.nominal_voltage
         return Recording(np.array([-MILLISECOND]), row[None])
 
     def _catch_up(self) -> None:
-        """Simulate what was asked for."""
+        """Simulates up to the present time."""
         seconds = (self._now - self._made) * MILLISECOND
         if self._now == self._made:
             return
@@ -176,7 +185,7 @@ def _with_gusts(effects: Effects, flow: Flow) -> Effects:
     """The effects and, as one more, the turbulence of the flow.
 
     Raises:
-        ConfigError: turbulence that is not uniform in space, or said twice.
+        ConfigError: turbulence that is not uniform in space, or stated twice.
     """
     if flow.rms == 0.0:
         return effects

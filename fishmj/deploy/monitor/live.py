@@ -1,10 +1,10 @@
-"""The monitor beside a swim: rows of the trial go to a process of its own, alarms come back.
+"""The monitor of a swim: rows of the trial go to a separate process, alarms come back.
 
-    this process   collects rows as the log takes them in; a thread sends them, twice a second (`LiveMonitor`)
-    the other one  `monitor_process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, behind the loop by as much; it
-                   may stay for several swims, one after the other (`Beside`), and then learns from healthy ones once
+    this process   collects rows from the log; a thread sends them, twice a second (`LiveMonitor`)
+    the other one  `monitor_process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, so it lags the loop by as
+        much; it may stay for several swims, one after the other (`Beside`), and then learns from healthy ones once
 
-So no tick waits for the model. The swim goes on whatever an alarm says: protection is the supervisor's task.
+So no tick waits for the model. The swim continues after any alarm: protection is the supervisor's task.
 """
 
 import json
@@ -40,7 +40,7 @@ Tables = dict[str, dict[str, list[float]]]
 
 @dataclass(frozen=True, kw_only=True)
 class Watched:
-    """What is compared with what. model: description. flow: the ordered stream, m/s and rad, None where it is not known.
+    """Settings of the comparison. model: description. flow: the ordered stream, m/s and rad, None if unknown.
 
     healthy: folders of healthy swims to learn from, none: the first `settle` s. rate: false alarms an hour.
     """
@@ -53,7 +53,7 @@ class Watched:
 
 
 def monitor_options(parser: console.Parser) -> None:
-    """How to watch a swim."""
+    """Adds the options for the monitor of a swim."""
     add = parser.add_argument
     model = "say while it swims when the robot parts from this description: shipped name or TOML file (default: not)"
     add("--monitor", type=console.text, metavar="MODEL", help=model)
@@ -64,10 +64,10 @@ def monitor_options(parser: console.Parser) -> None:
 
 
 def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, seconds: float) -> Watched | None:
-    """What the options ask for, None where no monitor was; says what will not be watched.
+    """Settings from the options, None without a monitor; prints the tables that will not be watched.
 
     Raises:
-        ConfigError: a model of another chain, a healthy swim that is not there, or --healthy without --monitor.
+        ConfigError: a model of another chain, a missing healthy swim, or --healthy without --monitor.
     """
     if args.monitor is None:
         if args.healthy:
@@ -92,7 +92,7 @@ def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, second
 
 
 class Beside:
-    """The monitor's process: started when a swim needs it, ended by `close`; a context.
+    """The monitor's process: started by the first swim that needs it, ended by `close`; a context.
 
     Args:
         words: its command line.
@@ -109,7 +109,7 @@ class Beside:
         self.close()
 
     def watch(self, hear: Callable[[dict], object]) -> IO[str]:
-        """Begin a swim: where its lines are to be written; what comes back goes to `hear`, from a thread."""
+        """Begins a swim; returns the file for its lines. A thread passes the answers to `hear`."""
         self._hear = hear
         if self._process is None or self._process.poll() is not None:
             self.close()
@@ -125,7 +125,7 @@ class Beside:
         return cast(IO[str], self._process.stdin)
 
     def _listen(self, process: "subprocess.Popen[str]") -> None:
-        """The thread that hears."""
+        """Thread that reads the answers."""
         with suppress(OSError, ValueError):
             for line in process.stdout or ():
                 self._hear(json.loads(line))
@@ -133,7 +133,7 @@ class Beside:
             self._hear({"failed": "its process ended"})
 
     def close(self) -> None:
-        """End the process."""
+        """Ends the process."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -146,15 +146,15 @@ class Beside:
 
 
 class LiveMonitor:
-    """Watches what a log takes in; a context.
+    """Context manager that watches the rows of a log.
 
     Args:
-        log: whose rows are watched; alarms become events of it, and `monitor` in its meta data.
-        say: shows a line. stopped: whether the operator wants an end, so that nothing is waited for.
+        log: its rows are watched; alarms become events of it, and `monitor` in its meta data.
+        say: shows a line. stopped: returns True if the operator wants an end, so that nothing is awaited.
         beside: the process; None: one of its own, which ends with this.
 
     Attributes:
-        alarms: so far. failed: why nothing is watched any more, "" while it is.
+        alarms: so far. failed: reason for the end of the watch, "" while it runs.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class LiveMonitor:
         return self
 
     def __exit__(self, kind, error, trace) -> None:
-        """Wait for what is on its way, then write down what was found."""
+        """Waits for pending answers, then records the result."""
         if self in self.log.listeners:
             self.log.listeners.remove(self)
         self._done.set()
@@ -201,19 +201,19 @@ class LiveMonitor:
         self._note()
 
     def _hear(self, told: dict) -> None:
-        """What came back, in the thread that hears."""
+        """Receives an answer, in the reading thread."""
         self._heard.append(told)
         if "end" in told or "failed" in told:
             self._last.set()
 
     def command(self, t: float, joint: np.ndarray) -> None:
-        """A command left at t."""
+        """Adds a command sent at t [s]."""
         self._row("cmd", t, t, {f"c{k + 1}": float(value) for k, value in enumerate(joint)})
         if self._heard:
             self._take()
 
     def heard(self, t: float, packet: Telemetry) -> None:
-        """A packet arrived at t; where the robot has a clock, its rows stand on that one (`monitor_rows.as_heard`)."""
+        """Adds a packet that arrived at t [s]; if the robot has a clock, its rows use that clock (`monitor_rows.as_heard`)."""
         at = t
         if packet.time is not None:
             self._shift = min(self._shift, t - packet.time)
@@ -223,11 +223,11 @@ class LiveMonitor:
             self._row("power", t, at, {"V": packet.voltage, "I": packet.current})
 
     def fix(self, pose: Pose) -> None:
-        """A fix, with the time when its picture was taken."""
+        """Adds a fix at its time of exposure."""
         self._row("pose", pose.t, pose.t, {"x": pose.x, "y": pose.y, "yaw": pose.yaw})
 
     def event(self, event: Event) -> None:
-        """A change of the supervisor: what comes after the swim is not watched."""
+        """Notes a change of the supervisor: rows after the swim are not watched."""
         self._over |= event.after is State.NEUTRAL
 
     def _row(self, name: str, t: float, at: float, values: dict[str, float]) -> None:
@@ -241,7 +241,7 @@ class LiveMonitor:
                 table.setdefault(column, []).append(value)
 
     def _send(self, pipe: IO[str], wanted: dict) -> None:
-        """The thread that delivers."""
+        """Thread that sends the rows."""
         try:
             pipe.write(json.dumps(wanted) + "\n")
             last = False
@@ -258,7 +258,7 @@ class LiveMonitor:
             pass
 
     def _take(self) -> None:
-        """Say what came back; in the loop's own thread."""
+        """Prints the answers, in the loop's own thread."""
         while self._heard:
             told = self._heard.popleft()
             if "alarm" in told:
@@ -279,7 +279,7 @@ class LiveMonitor:
         self.log.say((self._zero or 0.0) + t, text)
 
     def _note(self) -> None:
-        """The table `monitor` of the trial's meta data."""
+        """Writes the table `monitor` of the trial's meta data."""
         w = self.watched
         learnt = [str(path) for path in w.healthy] or f"the first {w.settle:g} s"
         told: dict[str, Any] = {"model": w.model, "rate": w.rate, "learnt_from": learnt, **self._end}

@@ -1,11 +1,11 @@
-"""Says when robot and model part: on line while it swims, or on logs.
+"""Detects when robot and model part: during the swim, or on logs.
 
     monitor = Monitor(robot, flow=(0.2, 3.14), rate=0.1)
     monitor.update({"cmd": rows, "joint": rows, "pose": rows, "power": rows})      as they arrive; any number of rows
-    monitor.alarms                                                                  time, channel, what moved
+    monitor.alarms                                                                  time, channel, changed probe
 
-The first `settle` seconds, or a healthy log given to `reference_of`, say what the robot's innovations are like; from then on a
-CUSUM for every channel and probe compares (`monitor_statistics`). What a fault is called is the business of `gap find`.
+The first `settle` seconds, or a healthy log given to `reference_of`, give the distribution of the robot's innovations. After that
+a CUSUM for every channel and probe compares (`monitor_statistics`). Naming the fault is the task of `gap find`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -31,7 +31,7 @@ Tables = Mapping[str, Mapping[str, Any]]
 
 
 class Alarm(NamedTuple):
-    """Robot and model parted."""
+    """An alarm: robot and model parted."""
 
     t: float  # s, end of the block that raised it, on the clock of the tables
     channel: str  # surge, sway, yaw_rate, j1 .. jN, power
@@ -64,7 +64,7 @@ class Blocks:
         self._open: list[Innovation] = []
 
     def take(self, tables: Tables) -> Iterable[tuple[float, dict]]:
-        """(s, block) of every block that these rows complete."""
+        """Adds rows; yields (s, block) for every completed block."""
         self.ticks.add(tables)
         for t, seen, paused in self.ticks.taken():
             if paused or self._since < 0:
@@ -93,15 +93,15 @@ class Monitor:
 
     Args:
         robot: the description that the policy was trained on, in its water.
-        flow: speed [m/s] of the ordered stream and where it moves to [rad].
+        flow: speed [m/s] and direction [rad] of the ordered stream.
         rate: false alarms an hour, of all tests together.
-        settle: s of swimming to learn from where there is no `reference`.
+        settle: s of swimming to learn from without a `reference`.
         reference: of a healthy swim of this very robot (`reference_of`).
-        pose, power: whether these tables are there.
+        pose, power: True if these tables are logged.
         camera: s from a frame to its stamp; by default the description's camera latency.
 
     Attributes:
-        alarms: every alarm since the start; the tests begin afresh after each.
+        alarms: every alarm since the start; the tests restart after each.
         history: statistics over time.
     """
 
@@ -125,11 +125,11 @@ class Monitor:
 
     @property
     def settled(self) -> bool:
-        """Whether it knows the healthy robot and watches."""
+        """Returns True once it knows the healthy robot and watches."""
         return self.cusums is not None
 
     def update(self, tables: Tables) -> list[Alarm]:
-        """Take fresh rows of cmd, joint, pose and power; returns the alarms that they raise."""
+        """Adds new rows of cmd, joint, pose and power; returns the alarms that they raise."""
         raised = []
         for t, block in self.blocks.take(tables):
             if self.cusums is None:
@@ -150,12 +150,12 @@ class Monitor:
 
 
 def has(trials: Iterable[Trial], table: str) -> bool:
-    """Whether all of them have it."""
+    """Returns True if all trials have the table."""
     return all(table in trial.tables and len(trial.tables[table]["t"]) > 1 for trial in trials)
 
 
 def reference_of(robot: Robot, trials: Iterable[Trial], pose: bool = True, power: bool = True) -> Reference:
-    """What the healthy robot's innovations are like, from its trials.
+    """Reference distribution of the healthy robot's innovations, from its trials.
 
     Raises:
         ConfigError: less than 80 s of it behind the run-in of every trial.
@@ -170,13 +170,13 @@ def reference_of(robot: Robot, trials: Iterable[Trial], pose: bool = True, power
 
 
 def flow_of(trial: Trial) -> tuple[float, float]:
-    """(m/s, rad) of the ordered stream of a trial; still water where it does not say."""
+    """(m/s, rad) of the ordered stream of a trial; still water if it states none."""
     told = trial.meta.get("flow", {})
     return float(told.get("speed") or 0.0), float(told.get("direction") or 0.0)
 
 
 def said(alarm: Alarm) -> str:
-    """One line for the person at the tank."""
+    """One line on an alarm for the person at the tank."""
     what = (
         "innovations are larger" if alarm.probe == SIZE and alarm.sign > 0 else f"{alarm.probe} {'+' if alarm.sign > 0 else '-'}"
     )

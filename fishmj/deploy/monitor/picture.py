@@ -23,7 +23,7 @@ def drawn(title: str, history: History, alarms: Sequence[Alarm]) -> str:
     step = max(1, len(t) // POINTS)
     lines, names = [], list(history.share[0]) if history.share else []
     for k, name in enumerate(names):
-        # the highest of every stretch, so that a short peak is never thinned out
+        # the maximum of every stretch, so that a short peak is never thinned out
         peaks = [(t[i], max(share[name] for share in history.share[i : i + step])) for i in range(0, len(t), step)]
         points = " ".join(f"{across(s):.1f},{up(value):.1f}" for s, value in peaks)
         ink, y = INK[k % len(INK)], TOP + 16 + 16 * k

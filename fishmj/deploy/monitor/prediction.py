@@ -1,13 +1,12 @@
-"""What the model expects of the next bus tick: the planar fish in water of strips, corrected by what was measured before.
+"""Prediction of the next bus tick: the planar fish in water of strips, corrected by earlier measurements.
 
     predict   q, v after one bus tick of the delayed commands (`fishmj.water.dynamics.planar_chain`, the robot's own physics step)
-    compare   e = measured - predicted: joints now; pose where the model was when the frame was taken; power over the tick
+    compare   e = measured - predicted: joints now; pose at the model's place at the frame's exposure; power over the tick
     correct   q += alpha e,   v += (beta / dt) e          an alpha-beta observer with fixed gains
 
 The observer follows the fish slowly on purpose: an acceleration a that the model lacks stays visible in e as a / omega^2, with
-beta = (omega dt)^2. With each innovation e come its probes: the directions in which a known kind of fault would move it.
-
-One definition for one fish, of floats, beside the tank and for many logs at once, of arrays (B,).
+beta = (omega dt)^2. Each innovation e comes with its probes: the directions in which a known kind of fault would move it.
+One definition serves one fish, of floats, beside the tank, and many logs at once, of arrays (B,).
 """
 
 import math
@@ -29,14 +28,14 @@ CREEP = 0.2  # rad/s, over which dry friction changes its sign
 
 
 class Floats:
-    """The array functions that the model needs, for plain floats: ten times as fast as NumPy on single numbers."""
+    """The model's array functions for plain floats: ten times as fast as NumPy on single numbers."""
 
     cos, sin, sqrt, exp, arctan2, tanh = math.cos, math.sin, math.sqrt, math.exp, math.atan2, math.tanh
     abs, minimum, maximum = abs, min, max
 
     @staticmethod
     def where(condition, a, b):
-        """a or b."""
+        """a if `condition` is true, else b."""
         return a if condition else b
 
 
@@ -50,7 +49,7 @@ class Seen(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """What a tick was off by: channel -> e, and channel -> the value of each of its probes."""
+    """Prediction errors of a tick: channel -> e, and channel -> the value of each of its probes."""
 
     error: dict[str, Any]
     probes: dict[str, tuple]
@@ -84,7 +83,7 @@ class Observer:
         self._filters: dict[tuple[str, str], list] = {}
 
     def begin(self, seen: Seen) -> None:
-        """Start at rest where the fish is seen."""
+        """Starts at rest at the measured pose."""
         pose = [0.0 * seen.joint[0]] * 3 if seen.pose is None else list(seen.pose)
         self.q, self.v = [*pose, *seen.joint], [0.0 * seen.joint[0]] * (3 + self.joints)
         self.attached = 0.0 * seen.joint[0] + 1.0
@@ -92,7 +91,7 @@ class Observer:
         self._filters = {}
 
     def step(self, seen: Seen) -> Innovation:
-        """One bus tick."""
+        """Predicts, compares and corrects one bus tick."""
         xp = self.xp
         power, accel = self._moved(seen.target)
         drive = planar_chain.servo_drive(xp, self.chain, self.swimmer, self.q, self.v, seen.target[-1])
@@ -113,7 +112,7 @@ class Observer:
         return Innovation(error, probes)
 
     def _moved(self, targets: Any) -> tuple[Any, Any]:
-        """Move on by the physics steps of a tick, a target each: mean power, W, and the acceleration of the last step."""
+        """Advances by the physics steps of a tick, a target each. Returns mean power, W, and the last step's acceleration."""
         power: Any = 0.0
         for target in targets:
             made = planar_chain.step(
@@ -124,7 +123,7 @@ class Observer:
         return power / len(targets), made.accel
 
     def _body(self, seen: Seen, accel, error: dict, probes: dict, one) -> None:
-        """Compare with the pose that the model had when the frame was taken; correct the pose that it has now."""
+        """Compares with the model's pose at the frame's exposure; corrects the present pose."""
         xp = self.xp
         self._poses = [*self._poses[1:], self.q[:3]]
         whole = int(self.late)
@@ -154,7 +153,7 @@ class Observer:
         self.v[a] = self.v[a] + gains[1] / self.dt * e
 
     def _filtered(self, channel: str, values: tuple, gains: tuple[float, float]) -> tuple:
-        """What an acceleration in proportion to each value would leave in e, times omega^2: the observer's own error dynamics."""
+        """Response of e, times omega^2, to an acceleration in proportion to each value: the observer's own error dynamics."""
         alpha, beta = gains
         out = []
         for i, value in enumerate(values):

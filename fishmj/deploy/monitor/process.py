@@ -1,8 +1,8 @@
 """The process that `monitor_live.Beside` starts: `python -m fishmj.deploy.monitor.process`.
 
-It reads lines of JSON, for each swim: what to watch, then rows of the tables as they come, then {"over": true}. It writes lines
-of JSON: what it watches, every alarm, and at the end of a swim how long it has watched. What it learnt from healthy swims it
-keeps for the next one.
+It reads lines of JSON, for each swim: the settings, then rows of the tables as they come, then {"over": true}. It writes lines
+of JSON: the watched channels, every alarm, and at the end of a swim the watched time. It keeps the reference from healthy swims
+for the next one.
 """
 
 import json
@@ -31,11 +31,11 @@ Rows = Mapping[str, Mapping[str, list[float]]]
 
 
 def watch(wanted: Mapping[str, Any], lines: Iterable[Rows], tell: Callable[[dict], object]) -> None:
-    """Watch rows until they end.
+    """Watches rows until they end.
 
     Args:
-        wanted: model, flow (m/s, rad), rate, settle s, healthy: folders. lines: rows; poses are stamped when they were taken.
-        tell: takes what `LiveMonitor` reads.
+        wanted: model, flow (m/s, rad), rate, settle s, healthy: folders. lines: rows; poses are stamped at exposure.
+        tell: receives the messages for `LiveMonitor`.
 
     Raises:
         FishmjError: the model or a healthy log cannot be read, or is too short.
@@ -76,12 +76,12 @@ def _healthy(folders: tuple[str, ...]) -> tuple[Trial, ...]:
 
 @cache
 def _learnt(model: str, folders: tuple[str, ...], pose: bool, power: bool) -> Reference:
-    """What is usual, from the healthy swims: 1.2 ms for every tick of them, so once for all swims of this process."""
+    """Reference from the healthy swims, computed once for all swims of this process because it takes 1.2 ms a tick."""
     return reference_of(load_robot(model), _healthy(folders), pose, power)
 
 
 def _monitor(wanted: Mapping[str, Any], robot: Robot, healthy: Sequence[Trial], waiting: list[Rows], late: float) -> Monitor:
-    """A monitor of what this robot measures and the healthy swims have."""
+    """A monitor for the tables that both this robot and the healthy swims have."""
     there = {name: any(name in rows for rows in waiting) and has(healthy, name) for name in ("pose", "power")}
     reference = _learnt(wanted["model"], tuple(wanted["healthy"]), **there) if healthy else None
     flow = (float(wanted["flow"][0]), float(wanted["flow"][1]))
@@ -89,14 +89,14 @@ def _monitor(wanted: Mapping[str, Any], robot: Robot, healthy: Sequence[Trial], 
 
 
 def _stamped(rows: Rows, late: float) -> Rows:
-    """The rows, poses stamped as a log stamps them: `late` s after their picture was taken."""
+    """The rows, with poses stamped as in a log: `late` s after exposure."""
     if "pose" not in rows:
         return rows
     return {**rows, "pose": {**rows["pose"], "t": [t + late for t in rows["pose"]["t"]]}}
 
 
 def _long_enough(waiting: list[Rows]) -> bool:
-    """Whether commands have come for long enough to know which tables do."""
+    """Returns True once commands have come for long enough to know the available tables."""
     t = [t for rows in waiting for t in rows.get("cmd", {}).get("t", [])]
     return bool(t) and t[-1] - t[0] >= LOOK
 
@@ -106,7 +106,7 @@ def _newest(rows: Rows) -> float:
 
 
 def main(argv: list[str]) -> int:
-    """Watch standard input. Exit code 0: its end; 2: nothing can be watched, and the last line says why."""
+    """Watches standard input. Exit code 0: its end; 2: nothing can be watched, and the last line gives the reason."""
     console.parser("deploy.monitor_process", "The monitor beside a swim: rows and alarms as lines of JSON.").parse_args(argv)
     with suppress(OSError):
         os.nice(BELOW)
@@ -121,7 +121,7 @@ def main(argv: list[str]) -> int:
 
 
 def tell(told: dict) -> None:
-    """A line, at once; where nobody reads, the swim is over."""
+    """Writes a line at once; does nothing if the reader is gone."""
     with suppress(BrokenPipeError):
         console.emit_json(told)
 

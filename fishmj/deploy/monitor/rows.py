@@ -1,10 +1,10 @@
-"""Rows of the tables as they arrive, laid on the ticks of the bus: what the model is compared with.
+"""Interpolates arriving rows of the tables to the ticks of the bus, for the comparison with the model.
 
 A command acts `command_latency` after it was sent and holds until the next. A measurement between two rows is on the straight
-line between them. A tick is taken only when every table has passed it, so that late rows are never guessed.
+line between them. A tick is complete only when every table has passed it, so that late rows are never guessed.
 
-The robot's own stamps are shifted by the least delay of a packet: late by the radio's way up, but by the same in every swim. A
-log's own shift, of half a round trip (`links.RobotClock`), has no such lag and differs by a millisecond or two from swim to swim.
+The robot's own stamps are shifted by the least delay of a packet: late by the radio's way up, but equally in every swim. A
+log's own shift, of half a round trip (`links.RobotClock`), has no such lag but differs by a millisecond or two from swim to swim.
 At 5 rad/s that is 10 mrad, which is no fault of a joint.
 """
 
@@ -22,7 +22,7 @@ KEPT = 2.0  # s of rows that are kept
 
 
 def as_heard(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """Tables of a log, joint and power stamped by the robot's clock plus the least delay; without that clock as they are."""
+    """Tables of a log, joint and power stamped by the robot's clock plus the least delay; without that clock unchanged."""
     made = dict(tables)
     for name in ("joint", "power"):
         table = made.get(name, {})
@@ -36,7 +36,7 @@ def as_heard(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, 
 
 
 class Ticks:
-    """Turns rows into `Seen`, tick by tick. pose, power: whether the robot has them."""
+    """Converts rows to `Seen`, tick by tick. pose, power: True if the robot has them."""
 
     def __init__(self, robot: Robot, pose: bool = True, power: bool = True):
         self.robot, self.dt = robot, robot.timing.bus_dt
@@ -45,7 +45,7 @@ class Ticks:
         self.next: int | None = None  # number of the next tick, from the clock's zero
 
     def add(self, tables: Mapping[str, Mapping[str, Any]]) -> None:
-        """Append rows; rows that are not newer than those that are there are dropped."""
+        """Appends rows; rows that are not newer than all before are dropped."""
         for name in self.needs:
             table = tables.get(name)
             if table is None or not len(table["t"]):
@@ -67,7 +67,7 @@ class Ticks:
         return np.stack([np.asarray(columns[key], float) for key in ("x", "y", "yaw")], 1)
 
     def taken(self) -> list[tuple[float, Seen, bool]]:
-        """(time s, what was seen, whether rows were missing before it) of every tick that is complete now."""
+        """(time s, measurement, True if rows were missing before it) of every tick that is complete now."""
         if set(self.rows) != set(self.needs) or any(not len(t) for t, _ in self.rows.values()):
             return []
         if self.next is None:
@@ -110,7 +110,7 @@ class Ticks:
 
 
 def _paused(t: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Whether the rows on either side of each time are too far apart."""
+    """Returns True for times whose neighbouring rows are too far apart."""
     after = np.clip(np.searchsorted(t, times), 1, max(len(t) - 1, 1))
     if len(t) < 2:
         return np.ones(len(times), bool)

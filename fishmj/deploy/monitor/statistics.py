@@ -1,20 +1,22 @@
-"""Whether innovations are still those of the healthy robot: scores of blocks, and a CUSUM for each of them.
+"""Tests that innovations are still those of the healthy robot: scores of blocks, and a CUSUM for each of them.
 
-    r = e - phi W                          innovation less what the healthy reference explains by the probes phi (n, P)
+    r = e - phi W                          innovation less the part that the healthy reference explains by the probes phi (n, P)
     s_p = sum phi_p r / sqrt(sum phi_p^2 + c_p)   score of a block of n ticks: grows when the coefficient of probe p moves
     s_size = log rms r                     grows when anything makes the innovations larger
     z = normal quantile of the rank of s among the reference's blocks, over the deviation of its long run
     g = max(0, g + clip(+-z) - k)          Page 1954, doi 10.1093/biomet/41.1-2.100; one for each sign; alarm at g >= h
 
-Ranks, because a healthy robot has rare moments (a sharp turn to a new target) that are far from normal: what the reference has
-seen as often is no alarm, however large. Beyond the reference's own range z goes on in a straight line, which only the naming of
-the channel sees: for the alarm itself z is clipped.
+Ranks are used because a healthy robot has rare moments (a sharp turn to a new target) that are far from normal: an event as
+frequent in the reference causes no alarm, however large. Beyond the reference's own range z continues in a straight line, for the
+naming of the channel only: for the alarm itself z is clipped.
 
 The mean run between false alarms of one CUSUM of independent normal z (Siegmund 1985, Sequential Analysis, section 2.6):
+
     ARL = (exp(2 k b) - 2 k b - 1) / (2 k^2),   b = h + 1.166
-h is the one at which all CUSUMs together alarm as often as was asked for, false alarms of several adding up at worst; clipping
-only makes them rarer. The mean of N blocks of reference is itself wrong by about 1 / sqrt(N) deviations; a drift of that size
-would alarm for ever, so k allows for it.
+
+h is chosen so that all CUSUMs together have the requested rate of alarms, if their false alarms add up in the worst case;
+clipping only makes them rarer. The mean of N blocks of reference is itself wrong by about 1 / sqrt(N) deviations; a drift of that
+size would alarm for ever, so k allows for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,7 +51,7 @@ def threshold(blocks: float, k: float = DRIFT) -> float:
     """h at which `run_length` is `blocks`.
 
     Raises:
-        ConfigError: fewer blocks than a CUSUM needs to stand still at all.
+        ConfigError: fewer blocks than a CUSUM needs without any shift.
     """
     if blocks < run_length(0.0, k):
         raise ConfigError(
@@ -63,7 +65,10 @@ def threshold(blocks: float, k: float = DRIFT) -> float:
 
 
 def long_run_deviation(values: np.ndarray, lags: int = LAGS) -> float:
-    """Square root of n times the variance of the mean of n correlated values (n,): Bartlett's window; at least their own."""
+    """Square root of n times the variance of the mean of n correlated values (n,), by Bartlett's window.
+
+    It is at least the standard deviation of the values.
+    """
     x = values - values.mean()
     n, lags = len(x), min(lags, len(x) // 10)
     variance = float(x @ x) / n
@@ -73,7 +78,7 @@ def long_run_deviation(values: np.ndarray, lags: int = LAGS) -> float:
 
 @dataclass(frozen=True)
 class Channel:
-    """What one channel of the healthy robot is like: P probes."""
+    """Reference distribution of one channel of the healthy robot: P probes."""
 
     probes: tuple[str, ...]
     weight: np.ndarray  # (P,), W
@@ -91,7 +96,7 @@ class Channel:
 
 
 def normal_scores(seen: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Normal quantile of each value (P,) among the sorted columns of seen (N, P); beyond them along a straight line."""
+    """Normal quantile of each value (P,) among the sorted columns of seen (N, P); extrapolated along a straight line."""
     n, out = len(seen), np.empty(len(values))
     quantile = NormalDist().inv_cdf
     most = quantile((n - 0.5) / n)
@@ -112,19 +117,19 @@ def scores(r: np.ndarray, phi: np.ndarray, floor: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Reference:
-    """The healthy robot: what its innovations are like, from `blocks` blocks."""
+    """Reference distribution of the healthy robot's innovations, from `blocks` blocks."""
 
     channels: Mapping[str, Channel]
     blocks: int
 
     @property
     def tests(self) -> int:
-        """How many CUSUMs run: two signs of every score."""
+        """Number of CUSUMs: two signs of every score."""
         return 2 * sum(c.seen.shape[1] for c in self.channels.values())
 
     @property
     def allowance(self) -> float:
-        """k with what the reference cannot know: DRIFT + UNSURE / sqrt(blocks)."""
+        """k with the uncertainty of the reference: DRIFT + UNSURE / sqrt(blocks)."""
         return DRIFT + UNSURE / float(np.sqrt(self.blocks))
 
 
@@ -155,7 +160,7 @@ def learn(blocks: Sequence[Block], probes: Mapping[str, tuple[str, ...]]) -> Ref
 
 
 class Cusums:
-    """All CUSUMs of a reference. A large fault drives many to the clip at once, so channels are named by those without one.
+    """All CUSUMs of a reference. A large fault clips many z at once, so the unclipped ones name the channel.
 
     Args:
         rate: false alarms an hour, of all together. block: s.
@@ -170,7 +175,7 @@ class Cusums:
         self.whole = {name: np.zeros((2, c.seen.shape[1])) for name, c in reference.channels.items()}
 
     def take(self, block: Block) -> None:
-        """One block more."""
+        """Adds one block."""
         k = self.reference.allowance
         for name, channel in self.reference.channels.items():
             z = channel.standard(*block[name])
@@ -183,12 +188,12 @@ class Cusums:
         return {name: float(level.max()) / self.limit for name, level in self.level.items()}
 
     def parted(self) -> str:
-        """The channel that is off by most, of those that alarm; "" where none does."""
+        """The alarming channel with the largest deviation; "" if there is none."""
         over = [name for name, share in self.share().items() if share >= 1.0]
         return max(over, key=lambda name: float(self.whole[name].max()), default="")
 
     def highest(self, name: str) -> tuple[str, int]:
-        """(probe or SIZE, sign) of what is off by most in a channel."""
+        """(probe or SIZE, sign) of the largest deviation in a channel."""
         whole = self.whole[name]
         sign, place = np.unravel_index(int(whole.argmax()), whole.shape)
         return (*self.reference.channels[name].probes, SIZE)[place], 1 - 2 * int(sign)

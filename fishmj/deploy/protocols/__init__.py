@@ -1,15 +1,15 @@
-"""What goes over the wires, as pure bytes <-> values. No sockets, no serial ports, no clocks.
+"""Protocols of the wires, as pure bytes <-> values. No sockets, no serial ports, no clocks.
 
-    messages       what host and robot tell each other, in SI units
+    messages       messages between host and robot, in SI units
     fishmj1        this project's own datagram: numbered, stamped, CRC-32, watchdog times, battery, faults
-    sequence       which of the numbered datagrams are new
-    mish           the open robot's UDP layout as published, with what its firmware makes of angles
+    sequence       decides which of the numbered datagrams are new
+    mish           the open robot's UDP layout as published, with its firmware's conversion of angles
     lx_bus         frames of LX-series bus servos
     dynamixel      packets of Dynamixel servos, protocols 2.0 and 1.0
     frame_reader   finds the frames of either in a half-duplex byte stream
-    servo_bus      servo buses behind one face: questions, answers, commands
+    servo_bus      servo buses behind one interface: questions, answers, commands
     servo_counts   counts <-> rad, mV, offsets
-    watchdog       the robot firmware's last guard, as a reference for the C code in `firmware/`
+    watchdog       the robot firmware's watchdog, as a reference for the C code in `firmware/`
     guard          the faults that the robot's firmware finds and reports, likewise
     policy_header  a policy as a C header
 

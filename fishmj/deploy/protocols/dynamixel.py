@@ -9,9 +9,9 @@ the error byte in the place of the instruction. Source: ROBOTIS e-Manual, "DYNAM
     CRC-16 of 2.0: polynomial 0x8005, start 0, most significant bit first, over all bytes before it
     checksum of 1.0: ~(id + length + instruction + sum of parameters) mod 256
 
-In 2.0 a header inside instruction and parameters gets one more FD ("byte stuffing"); length and CRC count it. In 1.0 nothing
-tells a status from an instruction but what the host asks: it sends READ to single servos, SYNC_WRITE to all, and never reads
-two bytes, so a packet of one servo that is not as long as READ is a status.
+In 2.0 a header inside instruction and parameters gets one more FD ("byte stuffing"); length and CRC count it. In 1.0 a status
+looks like an instruction. The host sends only READ to single servos and SYNC_WRITE to all, and never reads two bytes. So a
+packet of one servo with another length than READ is a status.
 """
 
 import struct
@@ -27,7 +27,7 @@ MOST_BYTES = 160  # of a packet: SYNC_WRITE of eleven joints has 69
 
 
 class Instruction(IntEnum):
-    """What a packet asks for."""
+    """Instructions of packets."""
 
     PING = 0x01
     READ = 0x02
@@ -39,7 +39,7 @@ class Instruction(IntEnum):
 
 
 class Packet(NamedTuple):
-    """A packet in values. error: of a status, bits as each protocol has them, else 0. data: the parameters, without stuffing."""
+    """A parsed packet. error: of a status, bits as in each protocol, else 0. data: the parameters, without stuffing."""
 
     servo: int
     instruction: Instruction
@@ -48,7 +48,7 @@ class Packet(NamedTuple):
 
     @property
     def reply(self) -> bool:
-        """Whether a servo sent it."""
+        """Returns True if a servo sent it."""
         return self.instruction is Instruction.STATUS
 
 
@@ -76,7 +76,7 @@ class Protocol2:
     header, most_id = b"\xff\xff\xfd\x00", 252
 
     def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
-        """A packet; error: of STATUS only. Raises ProtocolError: an id or a length that cannot be."""
+        """A packet; error: of STATUS only. Raises ProtocolError: an impossible id or length."""
         _checked_id(servo, self.most_id, instruction)
         body = bytes((instruction, *((error,) if instruction is Instruction.STATUS else ()))) + data
         body = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
@@ -85,7 +85,7 @@ class Protocol2:
         return packet + struct.pack("<H", crc16(packet))
 
     def decode(self, packet: bytes) -> Packet:
-        """The one packet that `packet` is. Raises ProtocolError for any other bytes, and never anything else."""
+        """The packet in `packet`, which must be exactly one. Raises ProtocolError for any other bytes, and no other error."""
         if self.size(bytearray(packet), 0) != len(packet):
             raise ProtocolError(f"{packet[:16].hex(' ')}; expected ff ff fd 00, id, length, instruction, parameters, CRC")
         (crc,) = struct.unpack("<H", packet[-2:])
@@ -99,7 +99,7 @@ class Protocol2:
         return Packet(packet[4], instruction, body[1 + reply :], body[1] if reply else 0)
 
     def size(self, buffer: bytearray, at: int) -> int | None:
-        """See `FrameReader`."""
+        """Length of the packet that may begin at `at`; see `FrameReader`."""
         there = len(buffer) - at
         head = bytes(buffer[at : at + 4])
         if head != self.header[: len(head)] or there > 4 and buffer[at + 4] > BROADCAST:
@@ -119,7 +119,7 @@ class Protocol2:
         return self.encode(BROADCAST, Instruction.SYNC_READ, span + bytes(servos))
 
     def sync_write(self, address: int, values: Mapping[int, bytes]) -> bytes:
-        """The same count of bytes to each servo, which none of them answers."""
+        """Packet that writes an equal number of bytes to each servo, without answers."""
         return self.encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HH", address, _count(values)) + _listed(values))
 
     def span_of(self, packet: Packet) -> tuple[int, int]:
@@ -130,7 +130,7 @@ class Protocol2:
         return address, count
 
     def listed(self, packet: Packet) -> bytes:
-        """What follows address and count."""
+        """Parameters behind address and count."""
         return packet.data[4:]
 
 
@@ -140,7 +140,7 @@ class Protocol1:
     header, most_id = b"\xff\xff", 253
 
     def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
-        """As `Protocol2.encode`."""
+        """Packet, as of `Protocol2.encode`."""
         _checked_id(servo, self.most_id, instruction)
         if instruction is Instruction.STATUS and len(data) == 2:
             raise ProtocolError("a status of two bytes; expected another count, or it cannot be told from READ")
@@ -150,7 +150,7 @@ class Protocol1:
         return self.header + body + bytes((~sum(body) & 0xFF,))
 
     def decode(self, packet: bytes) -> Packet:
-        """As `Protocol2.decode`."""
+        """The packet in `packet`, as of `Protocol2.decode`."""
         if self.size(bytearray(packet), 0) != len(packet):
             raise ProtocolError(f"{packet[:16].hex(' ')}; expected ff ff, id, length, instruction, parameters, checksum")
         if packet[-1] != ~sum(packet[2:-1]) & 0xFF:
@@ -161,7 +161,7 @@ class Protocol1:
         return Packet(servo, Instruction.STATUS, data, what)
 
     def size(self, buffer: bytearray, at: int) -> int | None:
-        """See `FrameReader`."""
+        """Length of the packet that may begin at `at`; see `FrameReader`."""
         there = len(buffer) - at
         head = bytes(buffer[at : at + 2])
         if head != self.header[: len(head)] or there > 2 and buffer[at + 2] > BROADCAST:
@@ -178,17 +178,17 @@ class Protocol1:
         return self.encode(servos[0], Instruction.READ, bytes((address, count)))
 
     def sync_write(self, address: int, values: Mapping[int, bytes]) -> bytes:
-        """As `Protocol2.sync_write`."""
+        """Packet that writes to each servo, as of `Protocol2.sync_write`."""
         return self.encode(BROADCAST, Instruction.SYNC_WRITE, bytes((address, _count(values))) + _listed(values))
 
     def span_of(self, packet: Packet) -> tuple[int, int]:
-        """As `Protocol2.span_of`."""
+        """(address, count), as of `Protocol2.span_of`."""
         if len(packet.data) < 2:
             raise ProtocolError(f"{packet.instruction.name} without address and count")
         return packet.data[0], packet.data[1]
 
     def listed(self, packet: Packet) -> bytes:
-        """As `Protocol2.listed`."""
+        """Parameters behind address and count."""
         return packet.data[2:]
 
 

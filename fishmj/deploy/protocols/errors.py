@@ -1,7 +1,7 @@
-"""The one error of all protocols."""
+"""The error of all protocols."""
 
 from fishmj.base.errors import FishmjError
 
 
 class ProtocolError(FishmjError, ValueError):
-    """Bytes that are no message, or a value that a message cannot carry. One line: what, got, expected."""
+    """Bytes that are no valid message, or a value that does not fit into one. One line: what, got, expected."""

@@ -3,7 +3,7 @@
     magic "FJ" | version u8 | kind u8 | joints u8 | 0 u8 | length u16 | seq u32 | time u64 | payload[length] | crc32 u32
 
 `seq` numbers the sender's datagrams and wraps at 2^32; `time` is the sender's clock in us. The checksum is CRC-32 as in Ethernet
-and zip (`zlib.crc32`), over all bytes before it. There is one encoding of every message: whatever is not exactly one is refused.
+and zip (`zlib.crc32`), over all bytes before it. Every message has exactly one encoding; all other bytes are refused.
 Byte table, with what each kind carries: docs/tank/protocols.md. The C code of `firmware/fishmj1.c` gives the same bytes.
 """
 
@@ -40,7 +40,7 @@ _SEQ = 1 << 32
 
 
 class Kind(IntEnum):
-    """What a datagram is."""
+    """Kinds of datagrams."""
 
     HELLO = 1  # host -> robot: who are you? Answered by INFO
     ARM = 2  # host -> robot: take commands, with these watchdog times. Answered by INFO
@@ -51,7 +51,7 @@ class Kind(IntEnum):
 
 
 class Has(IntFlag):
-    """Which parts of TELEMETRY are there; the bytes of the others are zero."""
+    """Flags of the present parts of TELEMETRY; the bytes of the others are zero."""
 
     ECHO = 1
     POWER = 2
@@ -61,14 +61,14 @@ class Has(IntFlag):
 
 
 class Watch(NamedTuple):
-    """What ARM asks for, in s without a command."""
+    """Watchdog times in ARM, in s without a command."""
 
     hold: float
     neutral: float
 
 
 class Command(NamedTuple):
-    """What COMMAND asks for: rad, (J,); rad/s, (J,), None: as fast as the firmware lets it."""
+    """Content of COMMAND: angles, rad, (J,); speeds, rad/s, (J,), None: the firmware's maximum."""
 
     joint: tuple[float, ...]
     speed: tuple[float, ...] | None = None
@@ -84,25 +84,26 @@ class Message(NamedTuple):
 
 
 def encode_hello(seq: int, time: float) -> bytes:
-    """Ask the robot what it is. seq: number of the datagram. time: s, the host's clock. Raises ProtocolError."""
+    """Request to identify. seq: number of the datagram. time: s, the host's clock. Raises ProtocolError."""
     return _frame(Kind.HELLO, seq, time, 0, b"")
 
 
 def encode_arm(seq: int, time: float, hold: float, neutral: float) -> bytes:
-    """Ask the robot to take commands, and to guard itself after `hold` and `neutral` s without one. Raises ProtocolError."""
+    """Request to take commands, with the watchdog's times `hold` and `neutral`, s without a command. Raises ProtocolError."""
     return _frame(Kind.ARM, seq, time, 0, ARM.pack(*_watch(hold, neutral)))
 
 
 def encode_disarm(seq: int, time: float) -> bytes:
-    """Ask the robot to take the torque off. Raises ProtocolError."""
+    """Request to switch torque off. Raises ProtocolError."""
     return _frame(Kind.DISARM, seq, time, 0, b"")
 
 
 def encode_command(seq: int, time: float, joint: Sequence[float], speed: Sequence[float] | None = None) -> bytes:
-    """Joint angles.
+    """Command of joint angles.
 
     Args:
-        joint: rad, (J,), from the head to the tail. speed: rad/s, (J,), how fast each may move; None: as the firmware lets it.
+        joint: rad, (J,), from the head to the tail. speed: largest speed of each, rad/s, (J,); None: the firmware's maximum.
+
     Raises:
         ProtocolError: a value is not finite or out of range, or the counts differ.
     """
@@ -121,7 +122,7 @@ def encode_command(seq: int, time: float, joint: Sequence[float], speed: Sequenc
 
 
 def encode_info(seq: int, time: float, info: RobotInfo) -> bytes:
-    """What the robot is. time: s, the robot's clock. Raises ProtocolError where a value does not fit."""
+    """The robot's identification. time: s, the robot's clock. Raises ProtocolError if a value does not fit."""
     count = len(info.joints)
     if len(info.servo_ids) != count:
         raise ProtocolError(f"info with {len(info.servo_ids)} servo ids and {count} joints; expected as many ids as joints")
@@ -140,7 +141,7 @@ def encode_info(seq: int, time: float, info: RobotInfo) -> bytes:
 
 
 def encode_telemetry(telemetry: Telemetry) -> bytes:
-    """What the robot measured. Voltages of servos are sent in mV, temperatures in whole deg C.
+    """Telemetry of the robot. Voltages of servos are sent in mV, temperatures in whole deg C.
 
     Raises:
         ProtocolError: seq, time or state is None; a value is not finite or out of range; counts differ; one of echo and
@@ -182,13 +183,14 @@ def encode_telemetry(telemetry: Telemetry) -> bytes:
 
 
 def sayable(telemetry: Telemetry, last: Sequence[float]) -> Telemetry:
-    """The telemetry, with what the datagram cannot say made sayable, so that a host hears something whatever was measured.
+    """The telemetry clamped to the wire's range, so that the host receives a packet for any measurement.
 
     Args:
-        telemetry: with all faults. last: rad, (J,), where each joint was when its servo last answered.
+        telemetry: with all faults. last: angle of each joint at its servo's last answer, rad, (J,).
+
     Returns:
-        A joint that is no angle (nan, beyond +- pi) has its last angle and NO_REPLY. A voltage or a current beyond the range is
-        the end of it; where one of them is nan, both are None.
+        A joint without an angle (nan, beyond +- pi) has its last angle and NO_REPLY. A voltage or a current beyond the range is
+        clamped; if one of them is nan, both are None.
     """
     it, angles, faults = telemetry, list(telemetry.joint), list(telemetry.fault or (ServoFault.NONE,) * len(telemetry.joint))
     for k, angle in enumerate(angles):
@@ -206,7 +208,7 @@ def decode(data: bytes) -> Message:
     """The message in one datagram.
 
     Raises:
-        ProtocolError: for any bytes that are not exactly one message; never anything else.
+        ProtocolError: for any bytes that are not exactly one message; no other error occurs.
     """
     if not HEADER.size + CRC.size <= len(data) <= MOST_BYTES:
         raise ProtocolError(f"datagram of {len(data)} bytes; expected {HEADER.size + CRC.size} to {MOST_BYTES}")

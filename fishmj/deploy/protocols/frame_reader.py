@@ -10,7 +10,9 @@ class BusFrame(Protocol):
     """A frame of any servo bus. reply: a servo sent it."""
 
     @property
-    def reply(self) -> bool: ...
+    def reply(self) -> bool:
+        """Returns True if a servo sent it."""
+        ...
 
 
 F = TypeVar("F", bound=BusFrame)
@@ -19,16 +21,16 @@ F = TypeVar("F", bound=BusFrame)
 class FrameReader(Generic[F]):
     """Finds frames in a byte stream: after noise, damaged or truncated frames, and among echoes of the host's own frames.
 
-    Where the bytes at hand are no frame, one byte is given up, not the length that they claim: a frame that begins inside a
+    If the bytes form no frame, only one byte is dropped, not the length that they claim: a frame that begins inside a
     damaged one is found.
 
     Args:
-        size: bytes of the frame that could begin at a place of a buffer; 0: none could; None: too few bytes to tell, or to have
+        size: length of the frame that may begin at a place of a buffer; 0: none can; None: too few bytes to decide, or to have
             all of it. decode: the frame of such bytes; raises ProtocolError.
 
     Attributes:
-        skipped: bytes that were part of no frame. damaged: of these, starts of possible frames whose checksum or values were
-            wrong. echoes: frames of the host that were heard.
+        skipped: bytes outside any frame. damaged: of these, starts of possible frames with a wrong checksum or
+            wrong values. echoes: received frames of the host itself.
     """
 
     def __init__(self, size: Callable[[bytearray, int], int | None], decode: Callable[[bytes], F]):
@@ -37,15 +39,15 @@ class FrameReader(Generic[F]):
         self.skipped = self.damaged = self.echoes = 0
 
     def __len__(self) -> int:
-        """Bytes that wait for the rest of their frame."""
+        """Number of bytes that wait for the rest of their frame."""
         return len(self._waiting)
 
     def feed(self, data: bytes) -> list[F]:
-        """The servos' answers that are complete with these bytes, in order; echoes are counted and left out."""
+        """The servos' answers that these bytes complete, in order; echoes are counted and left out."""
         return [frame for frame in self.frames(data) if frame.reply]
 
     def frames(self, data: bytes) -> list[F]:
-        """All frames that are complete with these bytes, the host's own as well."""
+        """All frames that these bytes complete, the host's own as well."""
         buffer, found, at = self._waiting + data, [], 0
         while at < len(buffer):
             size = self._size(buffer, at)
@@ -63,7 +65,10 @@ class FrameReader(Generic[F]):
         return found
 
     def silence(self) -> list[F]:
-        """The line fell silent: what waits is truncated. The answers that begin inside it, usually none."""
+        """Handles silence on the line: the waiting bytes are truncated.
+
+        Returns the answers that begin inside them, usually none.
+        """
         found: list[F] = []
         while self._waiting:
             del self._waiting[0]

@@ -1,13 +1,12 @@
-"""What a robot's firmware finds wrong with its servos and its battery, as fault bits. The C code in `firmware/guard.c` equals it.
+"""Faults that the robot's firmware finds in its servos and its battery, as bits. The C code in `firmware/guard.c` equals it.
 
     STUCK     a joint under torque has been further than `far` from its target for `stuck` s and moved less than `still`
     HOT       a servo is at `hot` deg C or above
     VOLTAGE   each reading of the battery has been below `low` for `sag` s; all joints get the bit
 
-It reports and does nothing else: the host decides what a fault ends, because it knows what the fish is about to do. A robot whose
+It only reports. The host decides which fault ends a swim, because it knows the fish's next motion. A robot whose
 host is gone ends in NEUTRAL without torque, whatever its faults are (`fishmj.deploy.protocols.watchdog`).
-
-Time is that of the caller's clock, in s, and counted in whole microseconds as a microcontroller does.
+Time is that of the caller's clock, in s, and counted in whole microseconds like a microcontroller's.
 """
 
 import math
@@ -21,11 +20,11 @@ from fishmj.deploy.protocols.watchdog import microseconds
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """Where a fault begins.
+    """Thresholds of the faults.
 
     Attributes:
         far, still: rad. stuck: s. hot: deg C; LX servos let go at 85. low: V, two LiPo cells at 3.2 V under load. sag: s; a
-            kick of the tail pulls the voltage down for less.
+            kick of the tail lowers the voltage for less.
     """
 
     far: float = math.radians(10.0)
@@ -42,7 +41,7 @@ class Bounds:
 
 
 class Guard:
-    """See the top. Args: joints: J, 1 to 8. Raises: ConfigError for another number."""
+    """Guard of a robot, as described at the top. Args: joints: J, 1 to 8. Raises: ConfigError for another number."""
 
     def __init__(self, joints: int, bounds: Bounds | None = None):
         if not 1 <= joints <= 8:
@@ -58,8 +57,8 @@ class Guard:
         """Faults of each joint, (J,); call it once for each reading of the servos.
 
         Args:
-            target: rad, (J,), where the servos were sent; None: they have no torque. measured: rad, (J,), nan where a servo is
-            silent. temperature: deg C, (J,). voltage: V, of the battery. None: not read.
+            target: servos' targets, rad, (J,); None: they have no torque. measured: rad, (J,), nan for a silent servo.
+            temperature: deg C, (J,). voltage: V, of the battery. None: not read.
         """
         at = microseconds(now)
         if voltage is None or not voltage < self.bounds.low:

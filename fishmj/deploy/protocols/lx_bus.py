@@ -3,10 +3,10 @@
     0x55 0x55 | id u8 | length u8 | code u8 | parameters | checksum u8
     length = 3 + number of parameter bytes,   checksum = ~(id + length + code + sum of parameters) mod 256
 
-Words are little-endian. A read without parameters is the host's question; the same code with parameters is the servo's answer:
-direction follows from the length alone, so a reader that hears its own frames on the one wire can tell them from answers. An
-8-bit sum lets through what keeps the sum, such as two bytes that changed places: `TABLE` bounds lengths and values as well, and
-whoever asks has to compare id and code (`answers`). Byte table: docs/tank/protocols.md.
+Words are little-endian. A read without parameters is the host's question; the same code with parameters is the servo's answer.
+So the length alone gives the direction, and a reader can tell its own frames on the one wire from answers. An 8-bit sum misses
+errors that keep the sum, such as two swapped bytes. So `TABLE` bounds lengths and values as well, and the host must compare id
+and code (`answers`). Byte table: docs/tank/protocols.md.
 """
 
 import struct
@@ -27,7 +27,7 @@ MOST_POSITION = SPAN + MOST_OFFSET  # counts that a servo may report with its ow
 
 
 class Code(IntEnum):
-    """What a frame asks for, named as in the maker's table."""
+    """Codes of frames, named as in the maker's table."""
 
     MOVE_TIME_WRITE = 1
     MOVE_TIME_READ = 2
@@ -60,7 +60,7 @@ class Code(IntEnum):
 
 
 class Field(NamedTuple):
-    """A parameter. form: of `struct`, B u8, b i8, H u16, h i16. least, most: what it may be."""
+    """A parameter. form: of `struct`, B u8, b i8, H u16, h i16. least, most: its range."""
 
     name: str
     form: str
@@ -69,14 +69,14 @@ class Field(NamedTuple):
 
 
 class Row(NamedTuple):
-    """The parameters of a code. asks: host -> servo. replies: servo -> host, () where the servo is silent."""
+    """The parameters of a code. asks: host -> servo. replies: servo -> host, () if the servo is silent."""
 
     asks: tuple[Field, ...] = ()
     replies: tuple[Field, ...] = ()
 
 
 class Frame(NamedTuple):
-    """A frame in values. values: one for each field of `TABLE`, in counts, ms, mV, deg C. reply: a servo sent it."""
+    """A parsed frame. values: one for each field of `TABLE`, in counts, ms, mV, deg C. reply: a servo sent it."""
 
     servo: int
     code: Code
@@ -134,7 +134,7 @@ _KINDS = {(code.value, 3 + form.size): (code, reply, form) for (code, reply), fo
 
 
 def checksum(body: bytes) -> int:
-    """Of id, length, code and parameters."""
+    """Checksum of id, length, code and parameters."""
     return ~sum(body) & 0xFF
 
 
@@ -142,7 +142,8 @@ def encode(servo: int, code: Code, *values: int) -> bytes:
     """The host's frame: a write with its values, or a question.
 
     Args:
-        servo: 0 to 253, 254 for all of them. values: as `TABLE` has them, in counts, ms, mV, deg C (`servo_counts`).
+        servo: 0 to 253, 254 for all of them. values: as in `TABLE`, in counts, ms, mV, deg C (`servo_counts`).
+
     Raises:
         ProtocolError: another number of values, or one out of its range.
     """
@@ -150,14 +151,14 @@ def encode(servo: int, code: Code, *values: int) -> bytes:
 
 
 def encode_reply(servo: int, code: Code, *values: int) -> bytes:
-    """The servo's answer to a question. Raises ProtocolError as `encode`, and where nothing is answered."""
+    """The servo's answer to a question. Raises ProtocolError as `encode`, and for a code without answer."""
     if not TABLE[code].replies:
         raise ProtocolError(f"reply to {code.name}; servos answer none")
     return _encoded(servo, code, values, True, MOST_ID)
 
 
 def decode(data: bytes) -> Frame:
-    """The one frame that `data` is. Raises ProtocolError for any other bytes, and never anything else."""
+    """The frame in `data`, which must be exactly one. Raises ProtocolError for any other bytes, and no other error."""
     if not 6 <= len(data) <= MOST_BYTES or data[:2] != HEADER or data[3] != len(data) - 3:
         raise ProtocolError(
             f"{bytes(data[:MOST_BYTES]).hex(' ')}; expected 55 55, id, length, code, parameters, checksum: 6 to 10 bytes"
@@ -174,7 +175,7 @@ def decode(data: bytes) -> Frame:
 
 
 def answers(frame: Frame, servo: int, code: Code) -> bool:
-    """Whether a frame is what `servo` answers to the question `code`; of a broadcast question any servo's answer is."""
+    """Returns True if a frame is the answer of `servo` to the question `code`; any servo answers a broadcast question."""
     return frame.reply and frame.code is code and servo in (frame.servo, BROADCAST)
 
 
@@ -186,7 +187,7 @@ class Reader(FrameReader[Frame]):
 
 
 def _size(buffer: bytearray, at: int) -> int | None:
-    """Bytes of the frame that could begin here; 0: none could; None: too few bytes to tell, or to have all of it."""
+    """Length of the frame that may begin here; 0: none can; None: too few bytes to decide, or to have all of it."""
     there = len(buffer) - at
     if any(buffer[at + k] != 0x55 for k in range(min(2, there))):
         return 0

@@ -1,7 +1,7 @@
-"""What host and robot tell each other, in SI units, whatever protocol carries it.
+"""Messages between host and robot, in SI units, for any protocol.
 
-A protocol turns these values into bytes and back (`mish` and `fishmj1` beside this file). What a protocol cannot say is None,
-never a made-up value: whoever reads it has to decide what a robot without it may do.
+A protocol converts these values to bytes and back (`mish` and `fishmj1` beside this file). A value that a protocol lacks is None,
+never made up: the reader must decide on a robot without it.
 """
 
 from enum import IntEnum, IntFlag
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class RobotState(IntEnum):
-    """What the robot's own firmware does."""
+    """State of the robot's own firmware."""
 
     IDLE = 0  # servos without torque, commands are not taken
     ARMED = 1  # commands are taken
@@ -18,9 +18,9 @@ class RobotState(IntEnum):
 
 
 class ServoFault(IntFlag):
-    """What a bus servo reports, bit by bit as LX servos number them; NO_REPLY and STUCK are the firmware's own.
+    """Faults of a bus servo, bit by bit as LX servos number them; NO_REPLY and STUCK are the firmware's own.
 
-    The firmware sets HOT and VOLTAGE, too, where its guard (`guard.py`) finds a servo hot or the battery low.
+    The firmware also sets HOT and VOLTAGE if its guard (`guard.py`) finds a servo hot or the battery low.
     """
 
     NONE = 0
@@ -48,7 +48,7 @@ class Telemetry(NamedTuple):
 
 
 class RobotInfo(NamedTuple):
-    """What the robot says of itself before it may be armed."""
+    """Identification of the robot, needed before it may be armed."""
 
     firmware: str  # name and version
     firmware_sha256: str  # hex digest

@@ -1,13 +1,13 @@
-"""The open robot's UDP layout as its firmware publishes it, and what that firmware makes of angles. Little-endian.
+"""The open robot's UDP layout as its firmware publishes it, and that firmware's conversion of angles. Little-endian.
 
     robot -> host   <3i 3f 3f 3i   servo id, joint [rad], voltage at the servo [V], temperature [deg C]   every 20 ms, 48 bytes
     host -> robot   <6f            joint [rad], speed [rad/s], 0 = as fast as it can                        24 bytes
 
-Neither has a number, a time or a checksum, so nothing here can tell an old datagram from a new one, and the robot keeps the last
-angle for ever when the host falls silent: `LACKS`. A host that uses it has to ask a person before it arms.
+Neither has a number, a time or a checksum. So an old datagram looks like a new one, and the robot keeps the last angle for ever
+when the host falls silent: `LACKS`. A host that uses it has to ask a person before it arms.
 
 Firmware 0.1.0 converts with whole numbers: 1000 / 240 is 4 instead of 4.17 servo counts a degree, so the joint goes to 0.96 of
-the angle asked for; 240 / 1000 is 0, so each reading is zero. "fixed" is the same layout from a firmware that converts with
+the requested angle; 240 / 1000 is 0, so each reading is zero. "fixed" is the same layout from a firmware that converts with
 floating-point numbers; then only the servo's own steps of 0.24 deg remain.
 """
 
@@ -48,7 +48,7 @@ _INT_SCALE = 4  # counts a degree in 0.1.0: the whole part of 1000 / 240
 
 
 class Downlink(NamedTuple):
-    """What a command datagram asks for: rad, (3,); rad/s, (3,), 0 = as fast as it can."""
+    """Content of a command datagram: rad, (3,); rad/s, (3,), 0 = as fast as it can."""
 
     joint: tuple[float, ...]
     speed: tuple[float, ...]
@@ -63,17 +63,17 @@ def encode_command(joint: Sequence[float], speed: Sequence[float] | None = None)
 
 
 def decode_command(data: bytes) -> Downlink:
-    """Raises ProtocolError for any bytes that are no command, and never anything else."""
+    """The command in a datagram. Raises ProtocolError for any bytes that are no command, and no other error."""
     values = DOWNLINK.unpack(_sized(data, DOWNLINK.size, "command"))
     return Downlink(_checked(values[:3], MOST_ANGLE, "joint"), _speeds(values[3:]))
 
 
 def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmware = "fixed") -> bytes:
-    """What the robot sends: the true joint angles, rad, become what `firmware` makes of them.
+    """The robot's telemetry: true joint angles, rad, as converted by `firmware`.
 
     Args:
-        ids: of the servos, (3,). Without servo_voltage and temperature zeros are sent, as the robot does for a servo that is
-            silent.
+        ids: of the servos, (3,). Without servo_voltage and temperature zeros are sent, as the robot does for a silent servo.
+
     Raises:
         ProtocolError: other counts, or a value that is not finite or out of range. UnknownName: no such firmware.
     """
@@ -87,10 +87,10 @@ def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmwar
 
 
 def decode_telemetry(data: bytes) -> Telemetry:
-    """What the robot says; all that the layout does not carry is None.
+    """The telemetry in a datagram; values outside the layout are None.
 
     Raises:
-        ProtocolError: for any bytes that are no telemetry, and never anything else.
+        ProtocolError: for any bytes that are no telemetry; no other error occurs.
     """
     values = UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))
     _ids(values[:3])
@@ -104,19 +104,19 @@ def servo_ids(data: bytes) -> tuple[int, ...]:
 
 
 def commanded(joint: float, firmware: Firmware = "fixed") -> float:
-    """The angle, rad, that the firmware sends its servo to when asked for `joint`, rad; the servo's own zero is not in it."""
+    """Servo angle, rad, that the firmware sends for the request `joint`, rad; without the servo's own zero."""
     bound = max(-SERVO_RANGE, min(SERVO_RANGE, joint))
     counts = int(math.degrees(bound) * _INT_SCALE) if _checked_name(firmware) == "mish-0.1.0" else round(bound / RAD_PER_COUNT)
     return counts * RAD_PER_COUNT
 
 
 def reading(joint: float, firmware: Firmware = "fixed") -> float:
-    """The angle, rad, that the firmware reports when the joint is at `joint`, rad."""
+    """Angle, rad, that the firmware reports for a joint at `joint`, rad."""
     return 0.0 if _checked_name(firmware) == "mish-0.1.0" else round(joint / RAD_PER_COUNT) * RAD_PER_COUNT
 
 
 def moved_at(speed: float) -> float | None:
-    """How fast the firmware moves when asked for `speed`, rad/s; None: as fast as the servo can."""
+    """Speed of the firmware's motion for the request `speed`, rad/s; None: the servo's maximum."""
     return None if speed == 0.0 else max(SLOWEST, min(FASTEST, abs(speed)))
 
 

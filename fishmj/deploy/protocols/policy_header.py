@@ -2,7 +2,7 @@
 
     fishmj deploy firmware-policy NAME --out FILE
 
-Weights are written with nine significant digits, which bring back every float32 exactly. The header carries the hash of the
+Weights are written with nine significant digits, which restore every float32 exactly. The header carries the hash of the
 policy's file, which the firmware reports in INFO (`policy_sha256`) and the host compares before it arms.
 """
 

@@ -1,10 +1,10 @@
-"""Which of the numbered datagrams are new.
+"""Decides which of the numbered datagrams are new.
 
     newer  <=>  0 < (seq - last) mod 2^32 < 2^31
 
-Older ones and duplicates are dropped. A sender that restarted counts from the beginning, and would be dropped until it had
-caught up; it is told by its clock: in one life of a sender, number and time grow together. So what is older by number is taken,
-and all later ones are judged by it, where
+Older ones and duplicates are dropped. A sender that restarted counts from the beginning, so its datagrams would be dropped until
+the numbers caught up. Its clock shows the restart: during one life of a sender, number and time grow together. So a datagram with
+an older number is taken, and becomes the reference for all later ones, if
 
     its time is newer                              another program on a computer whose clock ran on, or
     its time is older by more than `late` s         no network keeps a datagram so long: the clock began anew, or
@@ -19,12 +19,12 @@ HALF, WHOLE = 1 << 31, 1 << 32
 
 @dataclass
 class SequenceGate:
-    """Takes each datagram's number and time; says whether it is new.
+    """Decides from each datagram's number and time if it is new.
 
     Attributes:
-        late: s, no datagram is under way for longer. patience: dropped datagrams in a row that count as a restart.
-        taken, duplicates, older, missing, restarts: how many there were. `missing` are the gaps between numbers taken; one that
-            comes late is counted as older, too, for it was missing when it mattered.
+        late: longest time of a datagram on its way, s. patience: dropped datagrams in a row that count as a restart.
+        taken, duplicates, older, missing, restarts: counts. `missing` are the gaps between the taken numbers; one that
+            comes late is counted as older, too, since it was missing in its time.
     """
 
     late: float = 5.0
@@ -39,7 +39,7 @@ class SequenceGate:
     _row: int = 0
 
     def accept(self, seq: int, time: float) -> bool:
-        """Whether a datagram is new. seq: 0 to 2^32 - 1. time: s, the sender's clock."""
+        """Returns True if a datagram is new. seq: 0 to 2^32 - 1. time: s, the sender's clock."""
         if self._last is None:
             return self._take(seq, time)
         last, then = self._last
@@ -60,7 +60,7 @@ class SequenceGate:
         return False
 
     def forget(self) -> None:
-        """The next datagram is new, whatever its number; the counts stay."""
+        """Makes any next datagram new; the counts stay."""
         self._last, self._dropped, self._row = None, None, 0
 
     def _take(self, seq: int, time: float) -> bool:
@@ -70,5 +70,5 @@ class SequenceGate:
 
 
 def newer(seq: int, last: int) -> bool:
-    """Whether `seq` comes after `last` where numbers wrap at 2^32."""
+    """Returns True if `seq` comes after `last`, for numbers that wrap at 2^32."""
     return 0 < (seq - last) % WHOLE < HALF

@@ -1,10 +1,10 @@
-"""Servo buses behind one face: what is asked and told, and what an answer means. The wire's bytes are `lx_bus` and `dynamixel`.
+"""Servo buses behind one interface: questions, commands, and the meaning of answers. `lx_bus` and `dynamixel` make the bytes.
 
     bus = BUSES["dynamixel-x"]
     bus.ask("state", (1, 2))                bytes of a question
     bus.answer(frame)                       Answer(servo=1, position=2048, volts=5.0, degrees=31.0, ...)
     bus.move({1: 2048, 2: 1990}, 0)         bytes of a command
-    bus.torque((1, 2), False)               bytes that take the torque off
+    bus.torque((1, 2), False)               bytes that switch the torque off
 
 Control tables: ROBOTIS e-Manual, XL330-M288-T and XW540-T260-R (one table for the X series), AX-12A.
 """
@@ -23,7 +23,7 @@ from fishmj.mjcf.servo_buses import Scale
 
 
 class Answer(NamedTuple):
-    """What a servo said; None: not in this answer. position: counts. unfit: why it cannot be used, "" where it can."""
+    """Answer of a servo; None: not in this answer. position: counts. unfit: reason that it cannot be used, "" if it can."""
 
     servo: int
     question: str
@@ -38,11 +38,11 @@ class ServoBus(Protocol):
     """One kind of servo bus.
 
     Attributes:
-        name: as `[rig] bus` names it. baud: where nothing is said. most_id: of a servo. scale: of its counts.
+        name: as in `[rig] bus`. baud: the default. most_id: largest number of a servo. scale: of its counts.
         lowest: V, below it the servos report their voltage, as delivered. delay: s that a servo waits before it answers, as
             delivered. moves_in_time: MOVE takes a time.
         first: question that every servo must answer before it is used, "" for none. each: asked of every servo at every tick.
-        turns: asked of one servo a tick, in turn. together: whether one question may go to several servos.
+        turns: asked of one servo a tick, in turn. together: True if one question may go to several servos.
     """
 
     name: str
@@ -58,26 +58,26 @@ class ServoBus(Protocol):
     together: bool
 
     def reader(self) -> FrameReader[Any]:
-        """A reader of its frames."""
+        """Reader of the bus's frames."""
 
     def ask(self, question: str, servos: Sequence[int]) -> bytes:
-        """The bytes of a question to one servo, or with `together` to several."""
+        """Bytes of a question to one servo, or with `together` to several."""
 
     def size(self, question: str) -> int:
-        """Bytes of one servo's answer."""
+        """Number of bytes of one servo's answer."""
 
     def answer(self, frame: Any) -> Answer | None:
-        """The meaning of a frame that a servo sent; None where it answers none of these questions."""
+        """Meaning of a servo's frame; None if it answers none of these questions."""
 
     def move(self, goals: Mapping[int, int], milliseconds: int) -> bytes:
-        """Send each servo to its count; milliseconds: the time of the move where the bus has one, 0 at once."""
+        """Bytes that move each servo to its count; milliseconds: time of the move if the bus has one, 0 at once."""
 
     def torque(self, servos: Sequence[int], on: bool) -> bytes:
-        """Torque on or off."""
+        """Bytes that switch the torque on or off."""
 
 
 class LxBus(ServoBus):
-    """LX series."""
+    """Servo bus of the LX series."""
 
     (name, baud, most_id, scale), lowest = servo_buses.BUSES["lx"], 4.5
     delay = 0.0
@@ -86,15 +86,19 @@ class LxBus(ServoBus):
     _questions = {code: question for question, code in _codes.items()}
 
     def reader(self) -> FrameReader[Any]:
+        """Reader of LX frames."""
         return lx_bus.Reader()
 
     def ask(self, question: str, servos: Sequence[int]) -> bytes:
+        """Bytes of a question to the first of `servos`."""
         return lx_bus.encode(servos[0], self._codes[question])
 
     def size(self, question: str) -> int:
+        """Number of bytes of an answer: 7 for a temperature, else 8."""
         return 7 if question == "degrees" else 8
 
     def answer(self, frame: lx_bus.Frame) -> Answer | None:
+        """Meaning of a servo's frame: position in counts, volts or deg C; None for any other frame."""
         question = self._questions.get(frame.code)
         if question is None or not frame.reply:
             return None
@@ -103,14 +107,16 @@ class LxBus(ServoBus):
         return Answer(frame.servo, question, **said)
 
     def move(self, goals: Mapping[int, int], milliseconds: int) -> bytes:
+        """Bytes of one MOVE_TIME_WRITE for each servo."""
         return b"".join(lx_bus.encode(servo, Code.MOVE_TIME_WRITE, goal, milliseconds) for servo, goal in goals.items())
 
     def torque(self, servos: Sequence[int], on: bool) -> bytes:
+        """Bytes of one LOAD_OR_UNLOAD_WRITE for each servo."""
         return b"".join(lx_bus.encode(servo, Code.LOAD_OR_UNLOAD_WRITE, int(on)) for servo in servos)
 
 
 class ControlTable(NamedTuple):
-    """Where a Dynamixel keeps what the host needs: address and form (of `struct`) of each number.
+    """Places of the needed numbers in a Dynamixel: address and form (of `struct`) of each.
 
     identity, state: first address and count of bytes that are read at once.
     """
@@ -125,7 +131,7 @@ class ControlTable(NamedTuple):
     error: int | None = None  # address of a hardware error of one byte
 
     def value(self, place: tuple[int, str], data: bytes, start: int) -> int:
-        """The number at a place, of bytes that were read from `start`."""
+        """The number at a place, from bytes that were read from address `start`."""
         return int(struct.unpack_from(f"<{place[1]}", data, place[0] - start)[0])
 
 
@@ -141,7 +147,7 @@ X_MODELS, X_OTHERS, AX_MODELS = range(1000, 2000), (30, 311, 321), (12, 18, 300)
 
 
 class DynamixelBus(ServoBus):
-    """What X and AX series share; all that is told goes by SYNC_WRITE, which no servo answers."""
+    """Shared part of the X and AX series; all commands are SYNC_WRITE, which no servo answers."""
 
     moves_in_time, first, each, delay = False, "identity", "state", 0.0005
     name: str
@@ -150,15 +156,19 @@ class DynamixelBus(ServoBus):
     scale: Scale
 
     def reader(self) -> FrameReader[Any]:
+        """Reader of the protocol's packets."""
         return dynamixel.Reader(self.wire)
 
     def ask(self, question: str, servos: Sequence[int]) -> bytes:
+        """Bytes of a read of the question's registers."""
         return self.wire.read(servos, *self._span(question))
 
     def size(self, question: str) -> int:
+        """Number of bytes of one servo's answer."""
         return len(self.wire.encode(1, dynamixel.Instruction.STATUS, bytes(self._span(question)[1])))
 
     def answer(self, frame: dynamixel.Packet) -> Answer | None:
+        """Meaning of a status packet, whose length tells the question; None for any other packet."""
         question = next((q for q in (self.first, self.each, *self.turns) if self._span(q)[1] == len(frame.data)), None)
         if question is None or not frame.reply:
             return None
@@ -172,18 +182,20 @@ class DynamixelBus(ServoBus):
         return Answer(frame.servo, question, position, volts, degrees, self.fault(frame.error))
 
     def move(self, goals: Mapping[int, int], milliseconds: int) -> bytes:
+        """Bytes of one SYNC_WRITE of all goals; the time of the move is not used."""
         address, form = self.table.goal
         return self.wire.sync_write(address, {servo: struct.pack(f"<{form}", goal) for servo, goal in goals.items()})
 
     def torque(self, servos: Sequence[int], on: bool) -> bytes:
+        """Bytes of one SYNC_WRITE that switches all torques."""
         return self.wire.sync_write(self.table.torque[0], {servo: bytes((on,)) for servo in servos})
 
     def fault(self, error: int) -> ServoFault | None:
-        """Faults in the error byte of a status; None where it has none of them."""
+        """Faults in the error byte of a status; None if the byte does not name them."""
         raise NotImplementedError
 
     def unfit(self, data: bytes) -> str:
-        """Why a servo with these first bytes of its table cannot be used."""
+        """Reason that a servo with these first bytes of its table cannot be used, "" if it can."""
         raise NotImplementedError
 
     turns: tuple[str, ...] = ()
@@ -195,15 +207,17 @@ class DynamixelBus(ServoBus):
 
 
 class DynamixelX(DynamixelBus):
-    """X series, protocol 2.0; one SYNC_READ asks all servos. As delivered they have 57600 baud, which is too slow for 50 Hz."""
+    """X series, protocol 2.0; one SYNC_READ asks all servos. The factory setting of 57600 baud is too slow for 50 Hz."""
 
     (name, baud, most_id, scale), lowest = servo_buses.BUSES["dynamixel-x"], 3.5
     together, turns, wire, table = True, ("error",), Protocol2(), X_TABLE
 
     def fault(self, error: int) -> ServoFault | None:
+        """Returns None: the alert bit only shows that there is a fault, and the question "error" tells which."""
         return None  # its alert bit says that there is one, and "error" which
 
     def unfit(self, data: bytes) -> str:
+        """Reason that a servo cannot be used: another series or operating mode; else ""."""
         model, mode = struct.unpack_from("<H", data)[0], data[11]
         if model not in X_MODELS and model not in X_OTHERS:
             return f"is of model number {model}; expected an X series (1000 to 1999), whose control table {self.name} has"
@@ -219,10 +233,12 @@ class DynamixelAx(DynamixelBus):
     together, wire, table = False, Protocol1(), AX_TABLE
 
     def fault(self, error: int) -> ServoFault | None:
+        """Faults in the error byte of a status."""
         pairs = ((0x01, ServoFault.VOLTAGE), (0x04, ServoFault.HOT), (0x20, ServoFault.LOCKED))
         return _faults(error, pairs)
 
     def unfit(self, data: bytes) -> str:
+        """Reason that a servo cannot be used: another series, or wheel mode; else ""."""
         model, lowest, highest = struct.unpack_from("<H", data)[0], *struct.unpack_from("<HH", data, 6)
         if model not in AX_MODELS:
             return f"is of model number {model}; expected an AX series (12, 18 or 300), whose control table {self.name} has"

@@ -1,10 +1,10 @@
-"""Counts of servos and what they are in SI: the one place for units and offsets. `LX` is the default scale.
+"""Conversion of servo counts to SI: the one place for units and offsets. `LX` is the default scale.
 
     angle = (counts - CENTRE - zero) x 0.24 deg          0..1000 counts <-> 0..240 deg
     trim  = offset x 0.24 deg                            -125..125 counts <-> -30..30 deg, kept in the servo itself
     volts = mV / 1000                                    time in ms, temperature in deg C
 
-`zero` is where a joint is straight, counted from the middle: assembly leaves some, and each joint has its own.
+`zero` is the position of a straight joint, counted from the middle: assembly leaves an offset, and each joint has its own.
 """
 
 import math
@@ -22,10 +22,10 @@ def counts(angle: float, zero: float = 0.0, scale: Scale = LX) -> int:
     """The servo position nearest to a joint angle.
 
     Args:
-        angle: rad, 0 = straight. zero: rad, where the servo stands, from its middle, when the joint is straight.
+        angle: rad, 0 = straight. zero: servo angle from its middle for a straight joint, rad.
         scale: of the servo.
-    Returns: 0 to `scale.span`; beyond the servo's range the end of it.
-    Raises: ProtocolError where the sum is not finite.
+    Returns: 0 to `scale.span`; clamped beyond the servo's range.
+    Raises: ProtocolError if the sum is not finite.
     """
     if not math.isfinite(angle + zero):
         raise ProtocolError(f"joint angle {angle} rad, zero {zero} rad; expected finite numbers")
@@ -34,7 +34,7 @@ def counts(angle: float, zero: float = 0.0, scale: Scale = LX) -> int:
 
 
 def angle(position: int, zero: float = 0.0, scale: Scale = LX) -> float:
-    """The joint angle, rad, of a position in counts; servos report some counts below 0 and above their span, too."""
+    """The joint angle, rad, of a position in counts; servos may report counts below 0 and above their span, too."""
     return (position - scale.centre) * scale.step - zero
 
 
@@ -46,25 +46,26 @@ def offset_counts(trim: float) -> int:
 
 
 def offset_angle(offset: int) -> float:
-    """rad of a servo's own offset in counts."""
+    """Angle of a servo's own offset in counts, rad."""
     return offset * RAD_PER_COUNT
 
 
 def volts(millivolts: int) -> float:
+    """Voltage in V of a value in mV."""
     return millivolts / 1000
 
 
 def millivolts(value: float) -> int:
-    """mV of a voltage in V. Raises ProtocolError where 16 bits do not hold it."""
+    """Voltage in mV of a value in V. Raises ProtocolError if it exceeds 16 bits."""
     if not 0.0 <= value <= 65.535:
         raise ProtocolError(f"voltage {value} V; expected 0 to 65.535")
     return round(value * 1000)
 
 
 def move_time(distance: float, speed: float) -> int:
-    """ms that a move over `distance`, rad, takes at `speed`, rad/s; at most 30 s, which is the longest that a servo counts.
+    """Duration of a move over `distance`, rad, at `speed`, rad/s, in ms; at most 30 s, the longest that a servo counts.
 
-    Raises ProtocolError where the speed is not positive, or a value not finite.
+    Raises ProtocolError if the speed is not positive, or a value not finite.
     """
     if not (math.isfinite(distance) and math.isfinite(speed) and speed > 0):
         raise ProtocolError(f"move over {distance} rad at {speed} rad/s; expected finite numbers and a speed above 0")

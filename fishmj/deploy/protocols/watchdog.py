@@ -1,24 +1,24 @@
-"""The robot's last guard: what the firmware does when nobody commands it. The C code in `firmware/watchdog.c` equals it.
+"""The watchdog in the robot's firmware, for a lost host. The C code in `firmware/watchdog.c` equals it.
 
     IDLE -- arm --> ARMED -- no command for `hold` s --> HOLD -- none for `neutral` s --> NEUTRAL
                       ^------------- a command ------------'
     ARMED, HOLD -- fault --> NEUTRAL          any state -- disarm --> IDLE
 
 The host cannot protect a fish that it cannot reach, so the robot counts for itself: from the moment it was armed, and from each
-command that it takes. In HOLD the target stays where it is. In NEUTRAL joints go to zero at a limited rate, then lose their
-torque, and commands are not taken; only DISARM leaves it. The torque goes off where
+accepted command. In HOLD the target stays. In NEUTRAL joints go to zero at a limited rate, then lose their
+torque, and commands are refused; only DISARM ends it. The torque goes off if
 
     all targets are zero, and each joint is within `near` of it,   or   `rest` s have passed in NEUTRAL:
 
-a fish whose host died would else stand under torque until its battery is flat. The target that `step` returns
+otherwise a fish whose host died would stay under torque until its battery is flat. The target that `step` returns
 
-    moves     by at most rate dt, from where it was (from the measured joint at the moment of arming)
+    moves     by at most rate dt, from its last value (from the measured joint at the moment of arming)
     leads     the measured joint by at most `lead`: a stuck servo that comes free does not jump
     stays     within +- servo_range
 
-in this order, so that the last holds always. dt is the time since the last step, at most 0.1 s: a late loop is not caught up.
+in this order, so that the last always holds. dt is the time since the last step, at most 0.1 s: a late loop is not caught up.
 
-Time is that of the caller's clock, in s, and counted in whole microseconds as a microcontroller does. Nothing here reads a clock.
+Time is that of the caller's clock, in s, and counted in whole microseconds like a microcontroller's. Nothing here reads a clock.
 """
 
 import math
@@ -35,17 +35,17 @@ AT_ZERO = 1e-3  # rad, a quarter of a servo's count: what rounding leaves of a t
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a robot's firmware bounds.
+    """Limits in a robot's firmware.
 
     Attributes:
         servo_range: rad, targets stay within +- this. rate: rad/s, of targets that follow commands. neutral_rate: rad/s, of
-            joints on their way to zero. lead: rad, of the target before the measured joint. near: rad, a joint so close to its
-            place is there. rest: s in NEUTRAL after which the torque goes off wherever the joints are.
+            joints on their way to zero. lead: rad, of the target before the measured joint. near: rad, largest distance of a
+            joint that counts as arrived. rest: s in NEUTRAL after which the torque goes off wherever the joints are.
 
-    The default rate is a LX-824's no-load speed (0.2 s for 60 deg). `lead` is what such a servo moves in 0.1 s, five bus
-    ticks: a reading is one or two ticks old, and a shorter lead would take torque from a healthy servo. `near` is eight
-    counts: a geared servo under load stops some counts short. From 60 deg a healthy joint is at zero after 1 s; `rest` gives
-    it five times as long, and a joint that is stuck or silent gets no more than that.
+        The default rate is a LX-824's no-load speed (0.2 s for 60 deg). `lead` is the motion of such a servo in 0.1 s, five bus
+        ticks: a reading is one or two ticks old, and a shorter lead would take torque from a healthy servo. `near` is eight
+        counts: a geared servo under load stops some counts short. From 60 deg a healthy joint is at zero after 1 s; `rest` gives
+        it five times as long, and a joint that is stuck or silent gets no more than that.
     """
 
     servo_range: float = math.radians(60.0)
@@ -63,19 +63,19 @@ class Limits:
 
 
 def microseconds(seconds: float) -> int:
-    """A time in s as the whole number of microseconds that firmware counts."""
+    """Converts a time in s to whole microseconds, as the firmware counts."""
     return round(seconds * 1e6)
 
 
 class Watchdog:
-    """See the top. J joints, from the head to the tail.
+    """The watchdog of one robot, as described at the top. J joints, from the head to the tail.
 
     Args:
-        joints: J. limits: see `Limits`. hold, neutral: s, what INFO says before anybody asks for others.
+        joints: J. limits: see `Limits`. hold, neutral: s, the values in INFO before the first request.
 
     Attributes:
-        state: what the robot does. target: rad, (J,), what `step` returned last. rested: NEUTRAL has taken the torque off.
-        hold, neutral: s, the times that count.
+        state: of the robot. target: rad, (J,), the last result of `step`. rested: NEUTRAL has switched the torque off.
+        hold, neutral: s, the times in force.
     """
 
     def __init__(self, joints: int = 3, limits: Limits | None = None, *, hold: float = 0.1, neutral: float = 0.3):
@@ -94,16 +94,20 @@ class Watchdog:
 
     @property
     def hold(self) -> float:
+        """Time without a command until HOLD, s."""
         return self._hold / 1e6
 
     @property
     def neutral(self) -> float:
+        """Time without a command until NEUTRAL, s."""
         return self._neutral / 1e6
 
     def arm(self, now: float, hold: float, neutral: float, measured: Sequence[float]) -> bool:
-        """IDLE -> ARMED, the target where the joints are. False, and nothing changes, in any other state, with times that are
-        not 0 < hold < neutral <= LONGEST, where a joint was not measured (nan), and where one is beyond the range by more than
-        `near`: its zero is wrong, or somebody bent it, and the way back into the range would be a jump.
+        """IDLE -> ARMED, with the target at the measured joints, rad, (J,). Returns True if the robot armed.
+
+        It refuses, and nothing changes, in any other state; with times that are not 0 < hold < neutral <= LONGEST; if a joint was
+        not measured (nan); and if one is beyond the range by more than `near`: its zero is wrong, or it was bent, and the way
+        back into the range would be a jump.
         """
         if self.state is not RobotState.IDLE or not times_are_sound(hold, neutral):
             return False
@@ -125,15 +129,15 @@ class Watchdog:
         self.state = RobotState.IDLE
 
     def fault(self) -> None:
-        """ARMED, HOLD -> NEUTRAL: the firmware found that it must not go on."""
+        """ARMED, HOLD -> NEUTRAL, on a fault that the firmware found."""
         if self.state in (RobotState.ARMED, RobotState.HOLD):
             self.state = RobotState.NEUTRAL
 
     def command(self, now: float, joint: Sequence[float], speed: Sequence[float] | None = None) -> bool:
-        """Take a command: joint angles in rad, (J,), and how fast each may move, rad/s (None: as fast as the limit).
+        """Takes a command: joint angles in rad, (J,), and the largest speed of each, rad/s (None: the limit).
 
-        Returns: whether it was taken. It is not in IDLE and NEUTRAL, nor with another number of joints; one that is not finite,
-        or of a speed that is not positive, is a fault.
+        Returns: True if it was taken. It is refused in IDLE and NEUTRAL, and with another number of joints. A value that is not
+        finite, or a speed that is not positive, is a fault.
         """
         self._expire(microseconds(now))
         if self.state not in (RobotState.ARMED, RobotState.HOLD) or len(joint) != len(self.target):
@@ -151,10 +155,10 @@ class Watchdog:
         return True
 
     def step(self, now: float, measured: Sequence[float]) -> tuple[float, ...] | None:
-        """Where the servos should go now, rad, (J,); None in IDLE and at the end of NEUTRAL: take their torque off.
+        """Targets of the servos now, rad, (J,); None in IDLE and at the end of NEUTRAL: the torque goes off.
 
         Args:
-            measured: rad, (J,); nan for a joint that did not answer: its target is not bound to it, nor to what is no angle
+            measured: rad, (J,); nan for a joint that did not answer: its target is bound neither to it nor to an impossible angle
                 (beyond +- pi).
         """
         at = microseconds(now)
@@ -176,7 +180,7 @@ class Watchdog:
         return self.target
 
     def _rest(self, at: int, measured: Sequence[float]) -> None:
-        """Whether NEUTRAL has done what it can; once it has, it stays so until somebody arms anew."""
+        """Updates `rested`: True once NEUTRAL has reached zero or its time limit, until the next arming."""
         since = self._neutral_since = at if self._neutral_since is None else self._neutral_since
         there = all(abs(angle) <= AT_ZERO for angle in self.target)
         there = there and all(abs(angle) <= self.limits.near for angle in measured)  # nan is not
@@ -190,7 +194,7 @@ class Watchdog:
         return _within(angle, -limits.servo_range, limits.servo_range)
 
     def _expire(self, at: int) -> None:
-        """ARMED -> HOLD -> NEUTRAL as time goes by without a command."""
+        """ARMED -> HOLD -> NEUTRAL after the times without a command."""
         silent = at - self._heard
         if self.state in (RobotState.ARMED, RobotState.HOLD):
             if silent >= self._neutral:
@@ -200,7 +204,7 @@ class Watchdog:
 
 
 def times_are_sound(hold: float, neutral: float) -> bool:
-    """Whether a firmware takes these watchdog times, in s."""
+    """Returns True if a firmware accepts these watchdog times, in s."""
     finite = math.isfinite(hold) and math.isfinite(neutral)
     return finite and 0 < microseconds(hold) < microseconds(neutral) <= microseconds(LONGEST)
 

@@ -1,4 +1,4 @@
-"""`fishmj deploy capture`: pictures of a board, or of the tank's marks, at the size at which the fish swims."""
+"""`fishmj deploy capture`: takes pictures of a board, or of the tank's marks, at the size used in a swim."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ EXAMPLES = """examples:
 
 
 class Shots:
-    """Pictures of an opened camera, `every` s one, the first after that time.
+    """Pictures of an opened camera, one every `every` s, the first after that time.
 
     Attributes:
         rate: Hz, from the median distance of neighbouring stamps; NaN before the second picture.
@@ -32,6 +32,7 @@ class Shots:
 
     @property
     def rate(self) -> float:
+        """Rate from the median distance of neighbouring stamps, Hz; NaN before the second picture."""
         return 1.0 / float(np.median(self._gaps)) if self._gaps else float("nan")
 
     def taken(self, count: int) -> Iterator[Frame]:
@@ -73,7 +74,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Exit code 0: all were taken; 1: not at the size at which the fish swims."""
+    """The command. Exit code 0: all were taken; 1: not at the size used in a swim."""
     args = options().parse_args(argv)
     clock = MonotonicClock()
     camera, opencv, files = make_camera(camera_of(args.camera, None), clock), cv2(), []

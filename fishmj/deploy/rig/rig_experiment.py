@@ -1,4 +1,4 @@
-"""`fishmj deploy experiment`: named excitations on the robot, three repeats, into a data set for calibration and search."""
+"""`fishmj deploy experiment`: plays named excitations on the robot, three repeats, into a data set for calibration and search."""
 
 from argparse import Namespace
 from collections.abc import Callable
@@ -64,9 +64,9 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str], wire: Wire | None = None) -> int:
-    """The command. Exit code 0: everything was played; 1: some were not, or a robot did not say that it let go.
+    """The command. Exit code 0: everything was played; 1: some were not, or a robot did not confirm its torque off.
 
-    wire: opens what the options name, as `wiring.wire` (the default); another one may play in lockstep.
+    wire: opens the devices that the options name, like `wiring.wire` (the default); another one may play in lockstep.
     """
     args = options().parse_args(argv)
     if args.yes and args.link != "loopback":
@@ -108,20 +108,20 @@ def main(argv: list[str], wire: Wire | None = None) -> int:
 
 
 def finished(folder: Path) -> dict[str, Trial]:
-    """Trials of a session that is under way."""
+    """Trials of a running session."""
     if not folder.is_dir():
         return {}
     return {path.name: read_trial(path) for path in sorted(folder.iterdir()) if (path / "meta.toml").is_file()}
 
 
 def free_name(folder: Path, name: str) -> Path:
-    """A folder of this name that is not there: a repeat that was broken off keeps its log."""
+    """An unused folder of this name: an interrupted repeat keeps its log."""
     tries = [folder / name, *(folder / f"{name}.{k}" for k in range(2, 100))]
     return next(path for path in tries if not path.exists())
 
 
 def collect(out: Path, done: dict[str, Trial], model: str) -> list[str]:
-    """Write the data set's manifest; what to do next with the described robot."""
+    """Writes the data set's manifest; returns the next steps for the described robot."""
     if not done:
         return ["nothing was played"]
     Manifest.of(out / CUT, {"source": "fishmj deploy experiment"}).write(out / CUT)
@@ -136,14 +136,14 @@ def _played(
     args: Namespace, robot: Robot, run: Run, folder: Path, person: Person, ask: Callable[[str], bool], stop: Event,
     words: Callable[[], str], wire: Wire | None = None,
 ) -> tuple[Trial | None, Outcome]:  # fmt: skip
-    """One experiment: the fish is put in place, everything is opened, played and closed.
+    """One experiment: the fish is put in place, all devices are opened, played and closed.
 
     Args:
-        ask: whether somebody stands at the tank. stop: is set by a signal while the robot swims. words: of `way_out`.
+        ask: returns True if a person stands at the tank. stop: is set by a signal while the robot swims. words: of `way_out`.
         wire: as `main`.
 
     Raises:
-        ConfigError: the robot has no watchdog and nobody stands at the tank; what `wiring.wire` raises.
+        ConfigError: the robot has no watchdog and no person stands at the tank; errors of `wiring.wire`.
     """
     given: Any = args
     if args.link == "loopback":
@@ -173,24 +173,24 @@ def _played(
 
 
 class Blind:
-    """In the place of a camera where none is needed."""
+    """Replaces a localiser in experiments without a camera."""
 
     def __init__(self) -> None:
         self.counts = {"frames": 0, "fixes": 0, "skipped": 0}
 
     def open(self) -> None:
-        """Nothing to take."""
+        """Does nothing."""
 
     def fixes(self, now: float) -> list[Fix]:
-        """None, ever."""
+        """Returns [], always."""
         return []
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Does nothing."""
 
 
 def _blind(args: Namespace, robot: Robot, stack: ExitStack) -> wiring.Wired:
-    """The link alone."""
+    """Opens the link only."""
     clock = MonotonicClock()
     link = wiring.make_link(args, robot, clock, None)
     link.open()

@@ -12,7 +12,7 @@ HANDS_OFF = 3  # s from the person's word to torque: both hands out of the water
 
 
 class Person:
-    """Asks in words and reads a line. answers: where from, by default standard input."""
+    """Asks questions and reads lines. answers: their source, by default standard input."""
 
     def __init__(self, answers: TextIO | None = None):
         self.answers = answers
@@ -21,7 +21,7 @@ class Person:
         """One line of answer, stripped.
 
         Raises:
-            ConfigError: there is nobody to answer, or the answer is q.
+            ConfigError: no answer is available, or the answer is q.
         """
         console.say(question)
         line = (self.answers or sys.stdin).readline()
@@ -33,17 +33,17 @@ class Person:
         return answer
 
     def ready(self, what: str) -> None:
-        """Wait until the person has done it."""
+        """Waits until the person has confirmed a step."""
         self.asked(f"{what}; then press Enter (q stops)")
 
     def hands_off(self, clock: Clock) -> None:
-        """Count down before the robot gets torque."""
+        """Counts down before the robot gets torque."""
         for left in range(HANDS_OFF, 0, -1):
             console.say(f"hands off: {left}")
             clock.sleep_until(clock.now() + 1.0)
 
     def number(self, what: str, low: float, high: float, empty: bool = False) -> float | None:
-        """A number of a range; asks again until it is one. empty: Enter alone is None.
+        """A number of a range; asks again until it is valid. empty: Enter alone is None.
 
         Raises:
             ConfigError: as `asked`.

@@ -1,7 +1,7 @@
-"""`fishmj deploy weigh`: scales, knife edge and pendulum, with a person who reads them; leaves `measurements.toml`.
+"""`fishmj deploy weigh`: guides a person through scales, knife edge and pendulum; writes `measurements.toml`.
 
-Every reading is taken three times, the fish lifted off in between; a reading far from the others is asked for again. The page is
-written after every measurement, so a session that was broken off goes on where it was.
+Every reading is taken three times, with the fish lifted off in between; a reading far from the others is asked again. The page is
+written after every measurement, so an interrupted session continues at the same place.
 """
 
 from collections.abc import Callable
@@ -73,7 +73,7 @@ def _keep(folder: Path, page: dict, table: str, found: dict) -> None:
 
 
 def _scales(robot: Robot, done: dict, args: Any, person: Person, keep: Callable[[dict], None]) -> dict:
-    """[scales], kg."""
+    """Measures the table [scales], kg."""
     found = {"unit": "kg", **done}
     described = dict(zip((link.name for link in robot.links), (link.mass for link in robot.links), strict=True))
     for name, mass in {"whole": sum(described.values())}.items() if args.whole else described.items():
@@ -85,7 +85,7 @@ def _scales(robot: Robot, done: dict, args: Any, person: Person, keep: Callable[
 
 
 def _balance(robot: Robot, done: dict, args: Any, person: Person, keep: Callable[[dict], None]) -> dict:
-    """[balance], m from the nose."""
+    """Measures the table [balance], m from the nose."""
     if "at" in done:
         return done
     person.ready("lay the straight robot across a knife edge, nose to the left, until it balances")
@@ -94,7 +94,7 @@ def _balance(robot: Robot, done: dict, args: Any, person: Person, keep: Callable
 
 
 def _pendulum(robot: Robot, done: dict, args: Any, person: Person, keep: Callable[[dict], None]) -> dict:
-    """[pendulum], s of one swing."""
+    """Measures the table [pendulum], s of one swing."""
     if "period" in done:
         return done
     person.ready("hang the straight robot level on two threads of one length, as far in front of its balance point as behind it")
@@ -110,7 +110,7 @@ def _pendulum(robot: Robot, done: dict, args: Any, person: Person, keep: Callabl
 
 
 def readings(person: Person, what: str, expected: float, kind: str, repeats: int) -> list[float]:
-    """Repeats of one reading. A first one far from the description is doubted once; one far from the others is taken again."""
+    """Repeats of one reading. A first one far from the description is questioned once; one far from the others is repeated."""
     values: list[float] = []
     while len(values) < repeats:
         value = person.number(f"{what}, reading {len(values) + 1} of {repeats}", 1e-6, 1e4)
@@ -132,24 +132,24 @@ def readings(person: Person, what: str, expected: float, kind: str, repeats: int
 
 
 def odd_one(values: list[float], apart: float) -> int | None:
-    """Place of the value furthest from the median where the spread is above `apart` of it; None where they agree."""
+    """Index of the value furthest from the median if the spread is above `apart` of it; else None."""
     middle = float(np.median(values))
     away = np.abs(np.array(values) - middle)
     return int(np.argmax(away)) if away.max() > apart * abs(middle) else None
 
 
 def middle_of(robot: Robot) -> float:
-    """m from the nose to the centre of mass of the straight fish as described."""
+    """Distance from the nose to the centre of mass of the straight fish as described, m."""
     return float(robot.links[0].length + _moments(robot)[0])
 
 
 def inertia_of(robot: Robot) -> float:
-    """kg m2 about the vertical through the centre of mass of the straight fish as described."""
+    """Moment of inertia about the vertical through the centre of mass of the straight fish as described, kg m2."""
     return _moments(robot)[1]
 
 
 def _moments(robot: Robot) -> tuple[float, float]:
-    """(m, centre of mass behind the head's rear hinge; kg m2 about the vertical through it), straight."""
+    """(centre of mass behind the head's rear hinge, m; inertia about the vertical through it, kg m2), straight."""
     g = geometry_of(robot)
     front = np.concatenate([[0.0], np.cumsum(g.joint)])  # of each link's origin from the head's, along the fish
     place = front + g.com[:, 0]
@@ -159,7 +159,7 @@ def _moments(robot: Robot) -> tuple[float, float]:
 
 
 def summary(page: dict, robot: Robot) -> list[dict]:
-    """What the page says beside the description."""
+    """Rows that compare the page with the description."""
     names = [link.name for link in robot.links]
     mass = float(sum(measurements.masses(page, names if names[0] in page["scales"] else ["whole"])[0]))
     rows = [

@@ -1,4 +1,4 @@
-"""Where the fish is: calibration of the camera, an AprilTag tracker, a colour tracker. NumPy and OpenCV only.
+"""Position of the fish: calibration of the camera, an AprilTag tracker, a colour tracker. NumPy and OpenCV only.
 
 See docs/tank/tracker.md.
 """

@@ -1,9 +1,9 @@
-"""The pose at which a known pattern explains the pixels best: robust least squares over all pixels of the pattern.
+"""Fits the pose of a known pattern to the pixels: robust least squares over all pixels of the pattern.
 
     I(p) = a + b T(u) + noise,   u = R(-yaw) (X(p) - (x, y))
 
 X(p) is the tank point of pixel p (`Calibration`), u the same in the body frame, T the pattern there, a and b the light.
-Gauss-Newton steps over (x, y, yaw, a, b); pixels that the pattern does not explain (glints, leaves) lose their weight by Tukey's
+Gauss-Newton steps over (x, y, yaw, a, b). Pixels that the pattern does not explain (glints, leaves) lose their weight by Tukey's
 function of their residual over its robust scale s. With J the derivatives of I by the pose, a and b, and W the weights,
 
     covariance = CORRELATED s2 (J' W J)^-1,   s2 = sum(W r2) / (sum(W) - 5)
@@ -25,7 +25,7 @@ CORRELATED = 6.0  # pixels that one independent pixel stands for: the lens blurs
 
 
 class Pattern:
-    """What is looked for, in the body frame.
+    """The pattern to find, in the body frame.
 
     Attributes:
         low: (2,) m, body point of the first pixel. shape: (rows, columns), rows along y.
@@ -58,7 +58,7 @@ class Pattern:
 
 
 class Aligned(NamedTuple):
-    """What an alignment found."""
+    """Result of an alignment."""
 
     pose: np.ndarray  # (3,) m, m, rad
     covariance: np.ndarray  # (3, 3)
@@ -84,11 +84,11 @@ def align(
     coarse: bool = True,
     light: tuple[float, float] | None = None,
 ) -> Aligned | None:
-    """Align a pattern from a first guess (3,); None where it slides away or too little of it is in the patch.
+    """Aligns a pattern from a first guess (3,); None if it slides away or too little of it is in the patch.
 
     Args:
         coarse: find the place with a softened pattern first, for a guess that may be off by a cell. light: a and b of the frame
-            before, where they are known: glints over a third of the pattern then no longer pass for its light.
+            before, if known: glints over a third of the pattern then no longer count as its light.
     """
     cv2 = opencv("the camera tracker")
     height, width = patch.values.shape
@@ -132,7 +132,7 @@ def align(
                 move = np.linalg.solve(normal, heavy.T @ left)
             except np.linalg.LinAlgError:
                 return None
-            # a step is at most a pixel or so: beyond it the slopes mean nothing
+            # a step is at most about a pixel: beyond it the slopes are meaningless
             far = max(float(np.hypot(*move[:2])), abs(move[2]) * long) / step
             pose = pose + move[:3] * min(1.0, 1.5 / max(far, 1e-9))
             light = (a + move[3], b + move[4])
@@ -148,8 +148,8 @@ def align(
 def _tukey(left: np.ndarray, contrast: float) -> np.ndarray:
     """Weights (1 - (r / (c s))^2)^2 within c robust scales s, 0 beyond.
 
-    The scale is not below a share of the contrast: along edges, where the place is told, a pattern that is a little softer or
-    wider than painted leaves more than noise.
+    The scale is at least a share of the contrast. The edges determine the place, and there a pattern slightly softer or wider
+    than painted leaves more than noise.
     """
     scale = max(1.4826 * float(_median(np.abs(left))), LEAST * abs(contrast)) + 1e-9
     inside = 1 - (left / (TUKEY * scale)) ** 2

@@ -2,7 +2,7 @@
 
     fix = AprilTagTracker(calibration, "36h11", size=0.06, number=0, mount=(0.06, 0, 0), height=0.03).locate(frame, t)
 
-Reading a tag takes cells of some 3 px and four free corners. Alignment takes the cells that can be seen: it goes on under glints
+Reading a tag needs cells of some 3 px and four free corners. Alignment uses all visible cells: it works under glints
 that cover a corner, and is finer than corners, because every edge of every cell counts.
 """
 
@@ -34,10 +34,10 @@ BRIGHTER = 1.1  # times the white of the tag over its black: a glint
 
 
 def code_of(family: str, number: int) -> np.ndarray:
-    """Cells (n, n) of a tag with its black border, True where white, as printed.
+    """Cells (n, n) of a tag with its black border, True for white, as printed.
 
     Raises:
-        UnknownName: another family. ConfigError: a number that the family has not.
+        UnknownName: another family. ConfigError: a number outside the family.
     """
     if family not in FAMILIES:
         raise UnknownName("tag family", family, FAMILIES)
@@ -57,11 +57,11 @@ class AprilTagTracker:
         size: m, outer side of the black border.
         mount: m, m, rad: the tag's middle in the body frame and the turn of its x axis (the printed tag's to the right) from the
             nose. height: m of the tag over the water plane.
-        unseen: m and rad, standard deviations of what one frame cannot tell (waves that shift the whole image, a hull that
-            rolls); added to the covariance. `camera_noise.toml` of the study has them for drawn waves.
+        unseen: m and rad, standard deviations of errors that one frame does not show (waves that shift the whole image, a hull
+            that rolls); added to the covariance. `camera_noise.toml` of the study has them for drawn waves.
 
     Raises (on construction):
-        UnknownName: another family. ConfigError: a number that the family has not, or an impossible size.
+        UnknownName: another family. ConfigError: a number outside the family, or an impossible size.
     """
 
     calibration: Calibration
@@ -96,12 +96,12 @@ class AprilTagTracker:
         self.pattern = self._pattern(cv2)
 
     def reset(self) -> None:
-        """Forget where the tag was."""
+        """Forgets the last pose of the tag."""
         self.motion.clear()
         self.light = None
 
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
-        """The tag in a frame (H, W, 3) uint8 BGR stamped t [s]; None where it is not, or where two are.
+        """The tag in a frame (H, W, 3) uint8 BGR stamped t [s]; None if it is not visible, or if there are two.
 
         Raises:
             ConfigError: an image of another size than the calibration's.
@@ -125,7 +125,7 @@ class AprilTagTracker:
         return fix
 
     def reads_mirrored(self, image: np.ndarray) -> bool:
-        """True where the tag shows in the mirror image of a frame (H, W, 3): a mirrored tag is no member of its family."""
+        """Returns True if the tag shows in the mirror image of a frame (H, W, 3): a mirrored tag is no member of its family."""
         cv2 = opencv("the tag tracker")
         flipped = cv2.flip(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), 1)
         zoom = float(np.clip(CELL / self.cell, 1.0, 2.0))
@@ -134,14 +134,14 @@ class AprilTagTracker:
         return numbers is not None and self.number in numbers.ravel()
 
     def _followed(self, image: np.ndarray, pose: np.ndarray) -> Aligned | None:
-        """The tag where it is expected, or turned from there by more than its cells can tell."""
+        """The tag near its expected pose, also if it has turned by more than its cells can resolve."""
         found = self._aligned(image, pose, MATCH[self.family], coarse=False, light=self.light)
         for turn in TURNS:
             found = found or self._aligned(image, pose + [0.0, 0.0, turn], MATCH[self.family], light=self.light)
         return found or self._aligned(image, pose, MATCH[self.family])
 
     def _read(self, image: np.ndarray, window: tuple[int, int, int, int], *, whole: bool = False) -> Aligned | None:
-        """Read tags in part of the frame and align the one that has our number.
+        """Reads tags in part of the frame and aligns the one with our number.
 
         The whole frame is enlarged less: squares of the tag's size that could not be read there are read again, enlarged.
         """
@@ -153,7 +153,7 @@ class AprilTagTracker:
         zoom = float(np.clip(CELL / self.cell, 1.0, 2.0 if whole else 6.0))
         if zoom > 1:
             part = cv2.resize(part, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
-        # noise of single pixels would give OpenCV thousands of outlines to try
+        # noise of single pixels would make OpenCV try thousands of outlines
         part = cv2.GaussianBlur(part, (0, 0), max(0.35 * zoom, 0.15 * self.cell * zoom))
         quads, numbers, unread = self.reader.detectMarkers(part)
         known = () if numbers is None else numbers.ravel()
@@ -172,7 +172,7 @@ class AprilTagTracker:
         return None
 
     def _fits(self, quad: np.ndarray, within: float = WITHIN) -> np.ndarray | None:
-        """The pose (3,) of corners (4, 2) px in OpenCV's order; None where they are not a square of the tag's size."""
+        """The pose (3,) of corners (4, 2) px in OpenCV's order; None if they are not a square of the tag's size."""
         pose, ratio, left = rigid(self.square, self.calibration.to_tank(quad, self.height))
         return pose if abs(ratio - 1) < within and left < within * self.size else None
 
@@ -185,7 +185,7 @@ class AprilTagTracker:
         coarse: bool = True,
         light: tuple[float, float] | None = None,
     ) -> Aligned | None:
-        """The tag near a pose, where its cells look as they should."""
+        """The tag near a pose, or None if its cells do not match."""
         corners = self.calibration.to_pixel(placed(self.pattern.corners, pose), self.height)
         white = 255.0 if light is None else light[0] + BRIGHTER * light[1]
         patch = _patch(image, corners, 3, min(white, SATURATED))
@@ -195,7 +195,7 @@ class AprilTagTracker:
         return found if found is not None and found.match >= least and found.seen >= self.least else None
 
     def _window(self, pose: np.ndarray, reach: float) -> tuple[int, int, int, int]:
-        """Left, top, right, bottom px of where the tag can be."""
+        """Left, top, right, bottom px of the region that may hold the tag."""
         middle = self.calibration.to_pixel(placed(self.square, pose).mean(0), self.height)[0]
         half = (0.9 * self.size + reach) / self.scale
         low, high = np.floor(middle - half).astype(int), np.ceil(middle + half).astype(int) + 1
@@ -228,7 +228,7 @@ class AprilTagTracker:
 
 
 def _patch(image: np.ndarray, corners: np.ndarray, margin: int, white: float) -> Patch | None:
-    """The grey patch round corners (n, 2) px; pixels brighter than the tag's `white`, and their neighbours, weigh nothing."""
+    """The grey patch round corners (n, 2) px; pixels brighter than the tag's `white`, and their neighbours, have zero weight."""
     cv2 = opencv("the tag tracker")
     limit = np.array(image.shape[1::-1])
     low = (np.floor(corners.min(0)).astype(int) - margin).clip(0, limit)

@@ -1,8 +1,8 @@
-"""What turns pixels of the overhead camera into metres of the tank, and back.
+"""Converts pixels of the overhead camera to metres of the tank, and back.
 
     pixel --(lens: k1 k2 p1 p2 k3)--> undistorted pixel --(homography)--> point on the water plane --(height, refraction)--> mark
 
-Tank frame: x, y on the water plane, z up, origin where the marks say. A line of sight meets the plane at p. The camera stands
+Tank frame: x, y on the water plane, z up, origin by the marks. A line of sight meets the plane at p. The camera stands
 at height H over its foot f. A mark at height h above the plane lies nearer to the foot; one at depth d below it lies farther:
 
     above    x = f + (p - f) (H - h) / H
@@ -47,7 +47,7 @@ class Calibration:
         homography: (3, 3), undistorted pixels to m on the water plane.
         camera: (3,) m, foot x, y and height H of the camera over the water plane.
         refractive_index: of the water. lag: s from the middle of an exposure to the time stamp of its frame.
-        marks_rms: m, residual of the marks that the homography was fitted to; 0 where it was not measured.
+        marks_rms: m, residual of the marks that the homography was fitted to; 0 if it was not measured.
     """
 
     size: tuple[int, int]
@@ -80,10 +80,10 @@ class Calibration:
         object.__setattr__(self, "_forward", forward)
 
     def to_plane(self, pixels) -> np.ndarray:
-        """Pixels (n, 2) -> points (n, 2) m where their lines of sight meet the water plane."""
+        """Pixels (n, 2) -> points (n, 2) m at which their lines of sight meet the water plane."""
         cv2 = opencv("the camera tracker")
         points = np.asarray(pixels, float).reshape(-1, 1, 2)
-        # the default five turns leave 0.1 px in the corners of a wide lens
+        # the default five iterations leave 0.1 px in the corners of a wide lens
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, TURNS, 1e-9)
         plain = cv2.undistortPoints(points, self.matrix, self.distortion, None, None, self.matrix, stop).reshape(-1, 2)
         return _projected(self.homography, plain)
@@ -151,10 +151,10 @@ class Calibration:
 
     @classmethod
     def read(cls, path: str | Path) -> "Calibration":
-        """Read a TOML file that `write` or a person wrote.
+        """Reads a TOML file of `write` or of a person.
 
         Raises:
-            ConfigError: not readable, incomplete or impossible. UnknownName: a key that there is not.
+            ConfigError: not readable, incomplete or impossible. UnknownName: an unknown key.
         """
         table, where = read_toml(path), shown_path(path)
         if table.get("schema") != SCHEMA:
@@ -177,7 +177,7 @@ class Calibration:
 
 
 def folding(size: tuple[int, int], matrix: np.ndarray, distortion: np.ndarray) -> str:
-    """Why no lens has such a distortion, "" where one may: rays farther out must be seen farther out, up to the picture's corner.
+    """Reason that no lens has such a distortion, "" if one may: farther rays must map farther out, up to the picture's corner.
 
     Args:
         size: (W, H) px. matrix: (3, 3). distortion: (5,) k1, k2, p1, p2, k3.
@@ -210,7 +210,7 @@ class Mark(NamedTuple):
 
 
 class MarksFit(NamedTuple):
-    """A homography and what it leaves of the marks."""
+    """A homography and its residuals at the marks."""
 
     calibration: Calibration
     residual: np.ndarray  # (n,) m, distance of each mark from where the homography puts its pixel
@@ -232,15 +232,15 @@ def homography_from_marks(
     lag: float = 0.0,
     notes: str = "",
 ) -> MarksFit:
-    """Calibrate the water plane from four marks or more, and find where the camera is.
+    """Calibrates the water plane from four marks or more, and finds the camera's position.
 
     Args:
         marks: in the tank frame, x and y as seen from above a right-handed pair. size, matrix, distortion: of the lens.
-        camera: (3,) m, foot and height where a ruler measured them; None takes them from the homography.
+        camera: (3,) m, foot and height if measured by a ruler; None takes them from the homography.
 
     Raises:
         ConfigError: fewer than four marks, three of four in a line, a mark twice or outside of the picture, marks that mirror
-            the tank, that no camera with this lens sees so, or in another unit than m.
+            the tank, that no camera with this lens can see like this, or in another unit than m.
     """
     cv2 = opencv("the camera tracker")
     if len(marks) < 4:
@@ -276,7 +276,7 @@ def homography_from_marks(
 
 
 def _distinct(marks: Sequence[Mark], pixels: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> None:
-    """Raises ConfigError where a mark lies outside of the picture, or two of them in one place."""
+    """Raises ConfigError if a mark lies outside of the picture, or two of them in one place."""
     for k, mark in enumerate(marks):
         if not np.all((pixels[k] >= -0.5) & (pixels[k] <= np.array(size) - 0.5)):
             seen, (wide, high) = "{:g}, {:g}".format(*pixels[k]), size
@@ -288,7 +288,7 @@ def _distinct(marks: Sequence[Mark], pixels: np.ndarray, points: np.ndarray, siz
 
 
 def _without(cv2, plain: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(n,) m, rms of the other marks without each; infinite where the others tell no plane."""
+    """(n,) m, rms of the other marks without each; infinite if the others determine no plane."""
     left = np.full(len(plain), np.inf)
     for k in range(len(plain)):
         rest = np.arange(len(plain)) != k
@@ -304,7 +304,7 @@ def _axes(homography: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def _no_view(homography: np.ndarray, matrix: np.ndarray) -> str:
-    """Reason why no camera with this matrix sees the tank so, r1 and r2 unequal or not at right angles; "" where one does."""
+    """Reason that no camera with this matrix has this view of the tank, r1 and r2 unequal or not at right angles; else ""."""
     first, second = _axes(homography, matrix)[:, :2].T
     ratio = np.linalg.norm(first) / np.linalg.norm(second)
     cosine = first @ second / (np.linalg.norm(first) * np.linalg.norm(second))
@@ -342,7 +342,7 @@ def overhead(
     turn: float = 0.0,
     lag: float = 0.0,
 ) -> Calibration:
-    """The calibration of a camera that is drawn, not measured: over the tank's middle, looking down.
+    """The calibration of a drawn camera: over the tank's middle, looking down.
 
     Args:
         height: m over the water plane. tilt: (2,) rad about the image's x and y axes. turn: rad about the line of sight.

@@ -4,10 +4,10 @@
 
     redness = (R - max(G, B)) / (R + G + B + DARK),   yellowness = (min(R, G) - B) / (R + G + B + DARK)
 
-The ratios do not change with the light; white light on top lowers them and never makes water red. Each colour's blobs have
-sub-pixel centroids, weighted by its score. A head and a neck are a pair where their distance and their sizes are those of the
-paint: a red object without a yellow one at the right distance is none. The pair is then aligned with the paint as a whole, so
-that what a glint or a leaf covers does not pull the pose; two pairs that both could be the fish are no fix.
+The ratios do not change with the light. Added white light lowers them and never makes water red. Each colour's blobs have
+sub-pixel centroids, weighted by its score. A head and a neck are a pair if their distance and their sizes are those of the
+paint; a red object without a yellow one at the right distance is none. The pair is then aligned with the paint as a whole, so
+that an area under a glint or a leaf does not pull the pose. Two possible pairs give no fix.
 """
 
 from dataclasses import dataclass, field
@@ -40,7 +40,7 @@ Bands = tuple[tuple[float, float], ...]  # stations x and widths, m
 
 
 class Paint(NamedTuple):
-    """Painted bands of the head link as a ruler finds them: two or more stations (x, width), m, from the rear to the front."""
+    """Painted bands of the head link, measured by a ruler: two or more stations (x, width), m, from the rear to the front."""
 
     head: Bands
     neck: Bands
@@ -69,13 +69,13 @@ class ColourTracker:
     """Finds one red head with its yellow neck.
 
     Attributes:
-        paint: where the colours are. height: m of the paint over the water plane, below it negative.
-        red, yellow: scores of the full colours, as a frame of the tank shows them; half of each is the threshold.
-        unseen: m and rad, standard deviations of what one frame cannot tell, added to the covariance: waves, and how far the
-            paint's edges are from where the ruler put them. The default is for a ruler's millimetre and no waves.
+        paint: place of the colours. height: m of the paint over the water plane, below it negative.
+        red, yellow: scores of the full colours in a frame of the tank; half of each is the threshold.
+        unseen: m and rad, standard deviations of errors that one frame does not show, added to the covariance: waves, and the
+            ruler's error of the paint's edges. The default is for a ruler's millimetre and no waves.
 
     Raises (on construction):
-        ConfigError: paint or scores that cannot be.
+        ConfigError: impossible paint or scores.
     """
 
     calibration: Calibration
@@ -112,11 +112,11 @@ class ColourTracker:
         self.pattern = self._pattern()
 
     def reset(self) -> None:
-        """Forget where the fish was."""
+        """Forgets the last pose of the fish."""
         self.motion.clear()
 
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
-        """The fish in a frame (H, W, 3) uint8 BGR stamped t [s]; None where it is not, or where two could be it.
+        """The fish in a frame (H, W, 3) uint8 BGR stamped t [s]; None if it is not visible, or if there are two candidates.
 
         Raises:
             ConfigError: an image of another size than the calibration's.
@@ -138,7 +138,7 @@ class ColourTracker:
         return fix
 
     def _searched(self, image: np.ndarray, window: tuple[int, int, int, int], shrink: int) -> Aligned | None:
-        """Pairs of blobs in part of the frame, the likeliest ones aligned; None where there is none, or more than one."""
+        """Aligns the likeliest pairs of blobs in part of the frame; None if there is no fit, or more than one."""
         left, top, right, bottom = window
         if right - left < 8 * shrink or bottom - top < 8 * shrink:
             return None
@@ -172,9 +172,9 @@ class ColourTracker:
         return best
 
     def _blobs(self, cv2, score: np.ndarray, full: float, window, shrink: int, area: float) -> list[Blob]:
-        """Blobs of a score whose size can be that of the paint, with their weighted centroids."""
+        """Blobs of a score with a possible size of the paint, with their weighted centroids."""
         mask = (score > 0.5 * full).astype(np.uint8)
-        # glints cut a blob in two
+        # glints may cut a blob in two
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         pixel = (self.scale * shrink) ** 2  # m2
@@ -194,7 +194,7 @@ class ColourTracker:
         return blobs
 
     def _aligned(self, image: np.ndarray, pose: np.ndarray) -> Aligned | None:
-        """The paint near a pose, where it shows as it should."""
+        """The paint near a pose, or None if it does not match."""
         cv2 = opencv("the colour tracker")
         corners = self.calibration.to_pixel(placed(self.pattern.corners, pose), self.height)
         limit = np.array(image.shape[1::-1])
@@ -213,7 +213,7 @@ class ColourTracker:
         return found if self._both(patch, found.pose) else None
 
     def _both(self, patch: Patch, pose: np.ndarray) -> bool:
-        """Whether each colour shows where its paint should be: one of them alone is another object."""
+        """Returns True if each colour shows at its paint's place: one of them alone is another object."""
         high, wide = patch.values.shape
         for band, sign in (("head", 1.0), ("neck", -1.0)):
             mask = np.zeros((high, wide), np.uint8)
@@ -226,7 +226,7 @@ class ColourTracker:
         return True
 
     def _window(self, pose: np.ndarray, reach: float) -> tuple[int, int, int, int]:
-        """Left, top, right, bottom px of where the paint can be."""
+        """Left, top, right, bottom px of the region that may hold the paint."""
         middle = self.calibration.to_pixel(placed(self.outline, pose).mean(0), self.height)[0]
         half = (np.ptp(self.outline[:, 0]) / 2 + MARGIN + reach) / self.scale
         low, high = np.floor(middle - half).astype(int), np.ceil(middle + half).astype(int) + 1
@@ -234,7 +234,7 @@ class ColourTracker:
         return max(low[0], 0), max(low[1], 0), min(high[0], width), min(high[1], height)
 
     def _pattern(self) -> Pattern:
-        """Red +1, yellow -1, else 0."""
+        """Pattern of the paint: red +1, yellow -1, else 0."""
         cv2 = opencv("the colour tracker")
         low = np.floor((self.outline.min(0) - MARGIN) / GRAIN) * GRAIN
         columns, rows = (int(n) for n in np.ceil((self.outline.max(0) + MARGIN - low) / GRAIN) + 1)

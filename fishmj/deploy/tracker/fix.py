@@ -1,6 +1,6 @@
-"""A pose that a tracker found in one frame, and what every tracker offers.
+"""A pose that a tracker found in one frame, and the interface of every tracker.
 
-What the tracker knows of the motion: where the fish can be in the next frame. A frame far from that is searched as a whole.
+`Motion` predicts the fish's place in the next frame. A frame without the fish there is searched as a whole.
 """
 
 from typing import NamedTuple, Protocol
@@ -35,25 +35,25 @@ class Tracker(Protocol):
     """Finds one fish, frame after frame."""
 
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
-        """The fix in a frame (H, W, 3) uint8 BGR stamped t [s], or None where there is none, or where it could be another."""
+        """The fix in a frame (H, W, 3) uint8 BGR stamped t [s]; None if there is none, or if it is ambiguous."""
 
     def reset(self) -> None:
-        """Forget where the fish was."""
+        """Forgets the last pose of the fish."""
 
 
 class Motion:
-    """Where the fish should be now, from its last two fixes."""
+    """Predicts the fish's pose from its last two fixes."""
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """Forget."""
+        """Forgets all fixes."""
         self.last: Fix | None = None
         self.velocity = np.zeros(3)
 
     def add(self, fix: Fix) -> None:
-        """Take a fix in."""
+        """Adds a fix."""
         before = self.last
         if before is not None and 0 < fix.t - before.t <= RECENT:
             step = fix.pose - before.pose
@@ -66,7 +66,7 @@ class Motion:
         self.last = fix
 
     def expected(self, t: float) -> tuple[np.ndarray, float, float] | None:
-        """Pose (3,), and how far from it the fish can be, m and rad; None where nothing is known."""
+        """Predicted pose (3,), and the largest distance of the fish from it, m and rad; None without a fix."""
         if self.last is None or not 0 <= t - self.last.t <= FORGOTTEN:
             return None
         ahead = t - self.last.t
@@ -85,7 +85,7 @@ def widened(covariance: np.ndarray, unseen: tuple[float, float]) -> np.ndarray:
 
 
 def rigid(body: np.ndarray, tank: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """The pose (3,) that puts body points (n, 2) on tank points (n, 2) best; ratio of their spreads; rms distance left, m."""
+    """The pose (3,) that best maps body points (n, 2) to tank points (n, 2); ratio of their spreads; rms distance left, m."""
     mean_b, mean_t = body.mean(0), tank.mean(0)
     b, s = body - mean_b, tank - mean_t
     yaw = np.arctan2(np.sum(b[:, 0] * s[:, 1] - b[:, 1] * s[:, 0]), np.sum(b * s))

@@ -1,4 +1,4 @@
-"""What every tracker asks of a frame."""
+"""Checks that every tracker makes of a frame."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from fishmj.deploy.tracker.calibration import Calibration
 
 
 def same_size(image: np.ndarray, calibration: Calibration) -> None:
-    """Raises ConfigError: no frame (H, W, 3) uint8 of the size that was calibrated."""
+    """Raises ConfigError unless the image is a frame (H, W, 3) uint8 of the calibrated size."""
     width, height = calibration.size
     shape, kind = getattr(image, "shape", None), getattr(image, "dtype", None)
     if shape != (height, width, 3) or kind != np.uint8:

@@ -17,7 +17,7 @@ DIFFERENT = 0.1  # of the focal length: pictures from one angle alone do not tel
 class Board(NamedTuple):
     """A printed board. `marker` > 0 makes it a ChArUco board with DICT_5X5_100.
 
-    A chessboard has columns x rows *inner* corners; of a ChArUco board they are its squares, as both are usually named.
+    For a chessboard, columns x rows are its *inner* corners; for a ChArUco board its squares, as both are usually named.
     """
 
     columns: int
@@ -27,7 +27,7 @@ class Board(NamedTuple):
 
 
 class Intrinsics(NamedTuple):
-    """What `Calibration` needs of the lens."""
+    """Lens data for `Calibration`."""
 
     size: tuple[int, int]  # px
     matrix: np.ndarray  # (3, 3)
@@ -39,10 +39,10 @@ class Intrinsics(NamedTuple):
 
 
 def calibrate_intrinsics(images: Sequence[np.ndarray], board: Board) -> Intrinsics:
-    """Fit the lens to pictures (H, W) or (H, W, 3) uint8 of a board held at different angles and places.
+    """Fits the lens to pictures (H, W) or (H, W, 3) uint8 of a board held at different angles and places.
 
     Raises:
-        ConfigError: pictures of different sizes; the board in fewer than five of them; all from one angle; a lens that cannot be.
+        ConfigError: pictures of different sizes; the board in fewer than five of them; all from one angle; an impossible lens.
     """
     cv2 = opencv("the camera calibration")
     if board.columns < 3 or board.rows < 3 or board.square <= 0 or not 0 <= board.marker < board.square:
@@ -96,7 +96,7 @@ def _chessboard(cv2, grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.nda
 
 
 def _charuco(cv2, grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray] | None:
-    """Those corners of the board that the picture shows, six at least."""
+    """Visible corners of the board, m, and in the picture, px; six at least."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
     printed = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(printed).detectBoard(grey)

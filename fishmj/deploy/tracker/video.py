@@ -1,4 +1,4 @@
-"""Poses of a video file into a trial folder, with an overlay video to look at.
+"""Tracks the poses in a video file into a trial folder, with an overlay video.
 
 track_video("swim.mp4", tracker, "runs/swim", overlay="runs/swim.overlay.mp4", progress=lambda done, total, fixes: ...)
 """
@@ -24,7 +24,7 @@ GOOD, POOR, TEXT = (80, 220, 90), (40, 140, 250), (250, 250, 250)  # BGR
 
 
 class Tracked(NamedTuple):
-    """What a video gave."""
+    """Result of tracking a video."""
 
     folder: Path  # of the trial
     frames: int
@@ -43,17 +43,17 @@ def track_video(
     overwrite: bool = False,
     progress: Callable[[int, int, int], None] | None = None,
 ) -> Tracked:
-    """Track a fish through a video file and write the trial: table `pose` (t, x, y, yaw, quality), a row for every fix.
+    """Tracks a fish through a video file and writes the trial: table `pose` (t, x, y, yaw, quality), a row for every fix.
 
     t is the video's own stamp of a frame less the camera's lag, s, from 0; yaw is unwrapped. Frames without a fix have no row.
 
     Args:
-        folder: of the trial; with `overwrite` one that is there is replaced. overlay: file.mp4 of the frames with what was found.
-        meta: entries of meta.toml besides those that the video gives. progress: is told (frames done, frames in all or 0, fixes).
+        folder: of the trial; with `overwrite` an existing one is replaced. overlay: file.mp4 of the frames with the result.
+        meta: entries of meta.toml besides those from the video. progress: receives (frames done, frames in all or 0, fixes).
 
     Raises:
         LogError: no video, a damaged one, or one in which the fish is never found. ConfigError: frames of another size than the
-            calibration's. StoreError: something stands there, or cannot be written.
+            calibration's. StoreError: the folder exists, or cannot be written.
     """
     cv2, path, folder = opencv("tracking a video"), Path(path), Path(folder)
     if wrong := trouble(path, "a video"):
@@ -118,7 +118,7 @@ def track_video(
 
 
 def drawn(frame: np.ndarray, fix: Fix | None, tracker: Tracker) -> np.ndarray:
-    """A copy of a frame with the marks as found, the heading from the reference point, and the quality."""
+    """A copy of a frame with the found marks, the heading from the reference point, and the quality."""
     cv2, image = opencv("an overlay"), frame.copy()
     if fix is None:
         cv2.putText(image, "no fix", (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.8, POOR, 2, cv2.LINE_AA)
@@ -137,7 +137,7 @@ def drawn(frame: np.ndarray, fix: Fix | None, tracker: Tracker) -> np.ndarray:
 
 
 def _stamp(told: float, last: float, rate: float, done: int) -> float:
-    """The video's own stamp; where a container has none that rises, the frame's number over the frame rate."""
+    """The video's own stamp [s]; in a container without rising stamps, the frame's number over the frame rate."""
     if np.isfinite(told) and told > last:
         return told
     return max(done / rate if rate > 0 else 0.02 * done, last + 1e-3)

@@ -1,9 +1,9 @@
-"""The 72 trials on a robot: their order, their place in the tank, what is kept of each, and a session that goes on where it was.
+"""The 72 trials on a robot: their order, their place in the tank, their files, and a session that can be resumed.
 
-order     speed by speed, so that the pump is changed twice; within a speed round by round, so that a battery that sinks
+order     speed by speed, so that the pump is changed twice; within a speed round by round, so that a sinking battery
           does not hide in one direction
-OUT/session.json   what the session is of, and which trials were skipped and why
-OUT/host/NAME      the whole log of every try          OUT/trials/NAME   of an accepted try, cut to where the policy steered
+OUT/session.json   the session's settings, and the skipped trials with reasons
+OUT/host/NAME      the whole log of every try          OUT/trials/NAME   of an accepted try, cut to the time under the policy
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ TABLES = ("cmd", "joint", "pose", "power", "obs", "action", "target")
 
 
 class Place(NamedTuple):
-    """One trial in the tank: its name, what it is, its number in `Trials.items`, start (m, m, rad) and target (m, m)."""
+    """One trial in the tank: name, specification, number in `Trials.items`, start (m, m, rad) and target (m, m)."""
 
     name: str
     spec: TrialSpec
@@ -44,7 +44,7 @@ def name_of(spec: TrialSpec) -> str:
 
 
 def order(trials: Trials) -> list[Place]:
-    """Every trial where it happens, in the order in which a person does them."""
+    """Every trial with its place, in the order of execution."""
     start, target = trials.ends()
     key = lambda k: (trials.items[k].speed, trials.items[k].repeat, trials.items[k].los)
     made = []
@@ -56,18 +56,18 @@ def order(trials: Trials) -> list[Place]:
 
 
 def waters_of(flow_map: FlowMap | None, speeds: Sequence[float]) -> dict[float, Water]:
-    """The setting of the pump for each ordered speed; empty without a map. Raises ConfigError: a speed that no setting makes."""
+    """The setting of the pump for each ordered speed; empty without a map. Raises ConfigError: a speed that no setting gives."""
     return {} if flow_map is None else {speed: flow_map.for_speed(speed) for speed in sorted(set(speeds))}
 
 
 def stream_direction(waters: Mapping[float, Water]) -> float:
-    """rad, where the water moves to, mean over the settings; 0 without a map, along the tank's x."""
+    """Direction of flow, rad, mean over the settings; 0 without a map, along the tank's x."""
     angles = [water.direction for water in waters.values()] or [0.0]
     return float(np.arctan2(np.mean(np.sin(angles)), np.mean(np.cos(angles))))
 
 
 def condition_of(place: Place, water: Water | None) -> dict[str, Any]:
-    """What the trial's meta data say of its condition and its water."""
+    """Meta data of a trial on its condition and its water."""
     spec = place.spec
     told: dict[str, Any] = {
         "condition": {"speed": spec.speed, "los_deg": round(float(np.degrees(spec.los)), 3), "repeat": spec.repeat},
@@ -83,13 +83,13 @@ def condition_of(place: Place, water: Water | None) -> dict[str, Any]:
 
 
 class Session:
-    """A folder of trials under way.
+    """A folder of trials of a running session.
 
     Args:
-        folder: of the session. what: policy, robot, seconds, seed: what one session cannot mix.
+        folder: of the session. what: policy, robot, seconds, seed, which must not change within a session.
 
     Raises:
-        ConfigError: the folder is of a session of something else; names it.
+        ConfigError: the folder belongs to a session with other settings; names it.
     """
 
     def __init__(self, folder: Path, what: Mapping[str, Any]):
@@ -113,37 +113,37 @@ class Session:
 
     @property
     def accepted(self) -> set[str]:
-        """Names of trials that are done."""
+        """Names of the finished trials."""
         return {path.parent.name for path in (self.folder / KEPT).glob(f"*/{META_FILE}")}
 
     def left(self, places: Sequence[Place]) -> list[Place]:
-        """What is neither done nor skipped."""
+        """Trials that are neither finished nor skipped."""
         done = self.accepted | set(self.skipped)
         return [place for place in places if place.name not in done]
 
     def skip(self, name: str, why: str) -> None:
-        """A trial that is not swum."""
+        """Marks a trial as skipped, with the reason."""
         self.skipped[name] = why
         self.save()
 
     def again(self) -> None:
-        """Skipped trials are asked for once more."""
+        """Makes skipped trials pending again."""
         self.skipped = {}
         self.save()
 
     def save(self) -> None:
-        """Write down what the session is of."""
+        """Writes the session's settings."""
         self.folder.mkdir(parents=True, exist_ok=True)
         write_json(self.folder / SESSION, {"schema": SCHEMA, "what": self.what, "skipped": self.skipped})
 
     def accept(self, name: str, log: Path, seconds: float) -> Trial:
-        """Take the log of a try as the trial of this name. Raises LogError, StoreError, ConfigError."""
+        """Takes the log of a try as the trial of this name. Raises LogError, StoreError, ConfigError."""
         trial = cut(read_trial(log), name, seconds)
         write_trial(self.folder / KEPT / name, trial, overwrite=True, form="npz", precision="float64")
         return trial
 
     def read(self, places: Sequence[Place]) -> dict[str, Trial]:
-        """The accepted ones of these places; the manifest of the data set is written anew."""
+        """The accepted trials of these places; rewrites the manifest of the data set."""
         done = self.accepted
         found = {place.name: read_trial(self.folder / KEPT / place.name) for place in places if place.name in done}
         if found:
@@ -152,12 +152,12 @@ class Session:
 
 
 def counts(outcome: Outcome) -> bool:
-    """Whether a swim is a trial: to its end, or until the fish left where it may swim, which the protocol counts as a failure."""
+    """Returns True if a swim counts as a trial: complete, or ended because the fish left its area, which counts as a failure."""
     return outcome.complete or (outcome.swum > 0.0 and bool(outcome.cause & Condition.LEFT_TANK))
 
 
 def cut(trial: Trial, name: str, seconds: float) -> Trial:
-    """A host's log on a clock that begins where the policy took over, up to `seconds`.
+    """A host's log on a clock that begins with the policy's control, up to `seconds`.
 
     Raises:
         ConfigError: the policy never steered.

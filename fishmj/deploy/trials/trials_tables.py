@@ -1,11 +1,11 @@
-"""Trials of a robot as a judgement of `fishmj.evaluate`: the same figures, tables and page, other waters beside.
+"""Trials of a robot as a result of `fishmj.evaluate`: the same figures, tables and page, with results in other waters beside.
 
-    pose      fixes of the camera at their own time, linear between them, on bus ticks; not the true pose, which nobody measures
+    pose      fixes of the camera at their own time, linear between them, on bus ticks; the true pose is not measured
     velocity  differences of these poses; the figures average it over a beat
-    power     V I of the battery's lead, electronics included; NaN without a meter, so that no figure of it stands there
-    left      the bus tick at which the host stopped a fish that had left where it may swim
+    power     V I of the battery's lead, electronics included; NaN without a meter, so that no figure of it appears
+    left      the bus tick at which the host stopped a fish that had left its area
 
-A folder of `fishmj evaluate --out` beside it gives the same trials in another water: their figures alone, from its trials.csv.
+A folder of `fishmj evaluate --out` beside it gives the same trials in another water: only their figures, from its trials.csv.
 """
 
 import csv
@@ -35,7 +35,7 @@ OF_THE_ROBOT = ("power", "energy_per_metre", "cost_of_transport")  # what is mis
 
 
 def measured_trials(trials: Trials, waters: Mapping[float, Water]) -> MeasuredTrials:
-    """The trials in the water that was measured."""
+    """The trials in the measured water."""
     kind = preset_for([water.length for water in waters.values()])[0] if waters else "none"
     return measured(trials, {speed: water.intensity for speed, water in waters.items()}, kind, seen=True)
 
@@ -43,10 +43,10 @@ def measured_trials(trials: Trials, waters: Mapping[float, Water]) -> MeasuredTr
 def result_of(
     name: str, sha256: str, robot: Robot, trials: Trials, places: Sequence[Place], logs: Mapping[str, Trial], engine: str
 ) -> Result:  # fmt: skip
-    """The accepted trials as a judgement; those that are not there are left out.
+    """The accepted trials as a result; missing ones are left out.
 
     Raises:
-        ConfigError: none is there. LogError: one without poses.
+        ConfigError: there is none. LogError: one without poses.
     """
     there = sorted((place for place in places if place.name in logs), key=lambda place: place.number)
     if not there:
@@ -96,13 +96,13 @@ def _row(trial: Trial, place: Place, robot: Robot, t: np.ndarray, k: np.ndarray)
 
 
 def _covers(stamps: np.ndarray, end: float) -> bool:
-    """Whether rows come all the way from 0 to `end` s: a meter that stopped in between has measured no mean."""
+    """Returns True if rows cover 0 to `end` s without a long hole: an interrupted meter has measured no mean."""
     inside = stamps[(stamps > 0.0) & (stamps < end)]
     return bool(np.diff(np.concatenate([[0.0], inside, [end]])).max() < HOLE)
 
 
 def _held(table, sign: str, at: np.ndarray, wide: int) -> np.ndarray:
-    """The newest row at each time (n, wide); NaN where there is no table."""
+    """The newest row at each time (n, wide); NaN without a table."""
     if table is None or not len(table["t"]):
         return np.full((len(at), wide), np.nan)
     values = stacked(table, sign)
@@ -110,9 +110,9 @@ def _held(table, sign: str, at: np.ndarray, wide: int) -> np.ndarray:
 
 
 def beside(folder: Path, policy: str, own: Result) -> Result:
-    """The same trials in another water, from the trials.csv of an evaluation; NaN where it has not all of them.
+    """The same trials in another water, from the trials.csv of an evaluation; NaN for trials that it lacks.
 
-    Time series for pictures come from its logs, where it has them (`--log`).
+    Time series for pictures come from its logs, if it has them (`--log`).
 
     Raises:
         StoreError: no trials.csv there, or a damaged one. ConfigError: of other controllers, or of none of these trials.
@@ -154,7 +154,7 @@ def beside(folder: Path, policy: str, own: Result) -> Result:
 
 
 def _series(logs: Path, policy: str, own: Result) -> dict[str, Any]:
-    """True poses and rates (n, T + 1, 3) from the logs of `evaluate --log`, turned into the tank's stream; {} where one lacks."""
+    """True poses and rates (n, T + 1, 3) from the logs of `evaluate --log`, turned into the tank's stream; {} if one lacks."""
     names = [f"{policy}_{name_of(spec)}" for spec in own.trials.items]
     if not all((logs / name / META_FILE).is_file() for name in names):
         return {}
@@ -181,7 +181,7 @@ def _at(t: np.ndarray, truth: Mapping[str, np.ndarray], column: str, first: floa
 
 
 def condition(result: Result, notes: Sequence[str]) -> str:
-    """One line of what the figures depend on."""
+    """One line on the conditions of the figures."""
     t = result.trials
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     where = "on the loopback robot (synthetic)" if result.engine == LOOPBACK else "on the robot in its tank"
@@ -190,7 +190,7 @@ def condition(result: Result, notes: Sequence[str]) -> str:
 
 
 def lacking(result: Result, logs: Mapping[str, Trial], wanted: int) -> list[str]:
-    """What of the figures is missing or only measured, and why: a clause each."""
+    """Missing or only measured inputs of the figures, with the reason: a clause each."""
     told = ["pose as the camera measured it, not the true one"]
     sigma = [trial.value("sigma.x") for trial in logs.values()]
     told[0] += "" if not any(sigma) else f" (sigma {1e3 * float(np.median([s for s in sigma if s])):.1f} mm)"
@@ -207,7 +207,7 @@ def lacking(result: Result, logs: Mapping[str, Trial], wanted: int) -> list[str]
 def written(
     out: Path, results: list[Result], notes: Sequence[str], *, plots: bool = False, replay: str = ""
 ) -> tuple[dict[str, Any], list[str]]:  # fmt: skip
-    """Write results.json, trials.csv and report.html; what they hold, and what was left out because a package is not there.
+    """Writes results.json, trials.csv and report.html; returns their content, and the parts left out for lack of a package.
 
     replay: the command that plays the worst trial.
     """
@@ -240,7 +240,7 @@ def written(
 
 
 def waters_beside(folders: Sequence[Path]) -> list[str]:
-    """What each folder says that it was judged in."""
+    """Condition of each folder, from its results.json."""
     told = []
     for folder in folders:
         try:
@@ -260,7 +260,7 @@ def worst_replay(out: Path, result: Result, places: Sequence[Place]) -> str:
 
 
 def shown(results: list[Result], found: dict[str, Any]) -> None:
-    """The tables of `evaluate` on the terminal."""
+    """Prints the tables of `evaluate`."""
     from fishmj.evaluate import report
 
     summaries = found["results"]

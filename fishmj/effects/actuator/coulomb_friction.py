@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
-    """At most F_c, sticking at rest."""
+    """Friction of at most F_c, sticking at rest."""
     return apply_dry_friction(xp, lambda speed: p.torque, g, memory, h)
 
 

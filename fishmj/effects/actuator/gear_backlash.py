@@ -4,8 +4,9 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
-    """The motor runs through the gap x at its no-load speed, drive / k_b, and turns the link only in the part of the step in
-    which the gap is taken up: x' = clip(x + h (drive / k_b - w), +-b), share = (what was cut off) / (the whole way)."""
+    """The motor crosses the gap x at its no-load speed, drive / k_b, and turns the link for the rest of the step:
+    x' = clip(x + h (drive / k_b - w), +-b), share = (clipped part) / (whole distance).
+    """
     (x,) = memory
     way = h * (g.drive / g.kb - g.rate)
     taken = xp.minimum(xp.maximum(x + way, -p.half_gap), p.half_gap)

@@ -6,7 +6,7 @@ OFFSETS = ("offset1", "offset2", "offset3")
 
 
 def of(p, joint: int):
-    """The offset of one joint; joints beyond the third share its value."""
+    """Offset of one joint [rad]; joints beyond the third share its value."""
     return getattr(p, OFFSETS[min(joint, len(OFFSETS) - 1)])
 
 

@@ -5,7 +5,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
-    """At most K |tau_m|, tau_m = drive - k_b w the torque that the motor puts on the teeth; sticking at rest."""
+    """Friction of at most K |tau_m|, sticking at rest; tau_m = drive - k_b w is the motor's torque on the teeth."""
     load = xp.abs(g.drive - g.kb * g.rate)
     return apply_dry_friction(xp, lambda speed: p.ratio * load, g, memory, h)
 

@@ -4,7 +4,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
-    """tau = -k (angle + h w'), the spring at the end of the step: its h k w' is taken implicitly."""
+    """tau = -k (angle + h w'), the spring at the end of the step: the part h k w' is taken implicitly."""
     return g._replace(torque=g.torque - p.stiffness * g.angle, resist=g.resist + h * p.stiffness), memory
 
 

@@ -4,7 +4,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def gear(xp, p, g, memory, h):
-    """Torque after back-EMF, drive - k_b w, along the motion <= limit (1 - s |w|); lines above the model's own do nothing.
+    """Torque after back-EMF, drive - k_b w, along the motion <= limit (1 - s |w|). A line above the model's own has no effect.
 
     On the line its slope is taken implicitly: a damping, and a torque that makes up for it at the present rate.
     """

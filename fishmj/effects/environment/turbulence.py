@@ -6,7 +6,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def scatter(rng, p, t):
-    """(T, 2) m/s: velocity that both components add at the times t [s], Gauss-Markov of deviation sigma and memory tau."""
+    """(T, 2) m/s: velocity added to both components at the times t [s], Gauss-Markov of deviation sigma and memory tau."""
     drawn = rng.standard_normal((len(t), 2))
     out, step = p.sigma * drawn, np.diff(t)
     for k, h in enumerate(step, 1):

@@ -4,7 +4,7 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def body(xp, p, b, memory, h):
-    """n = -g m_sway u w, m_sway the base model's added mass in sway: turns the nose away from where the fish drifts."""
+    """n = -g m_sway u w, m_sway the base model's added mass in sway: turns the nose away from the direction of drift."""
     return b._replace(n=b.n - p.gain * b.sway_mass * b.u * b.w), memory
 
 

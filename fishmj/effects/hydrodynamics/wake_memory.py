@@ -4,11 +4,11 @@ from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def water(xp, p, w, memory, h):
-    """m' = m + (1 - e^(-h/T)) (f - m) on what drag and trailing edge do to the last link; the added mass stays immediate."""
+    """m' = m + (1 - e^(-h/T)) (f - m) for drag and trailing edge of the last link; the added mass stays immediate."""
     share = xp.where(p.time > 0.0, 1.0 - xp.exp(-h / xp.where(p.time > 0.0, p.time, 1.0)), 1.0)
     last, fast = w.forces[-1], w.instant[-1]
     kept = tuple(share * (f - i) + (1.0 - share) * m for f, i, m in zip(last, fast, memory, strict=True))
-    # forces + (kept - what it replaces), so that a time of zero is exact
+    # forces + (memory - replaced part), so that a time constant of zero is exact
     slow = tuple(f + (k - (f - i)) for f, i, k in zip(last, fast, kept, strict=True))
     return w._replace(forces=[*w.forces[:-1], slow]), kept
 

@@ -8,13 +8,13 @@ LENGTH = constant("robot", "length")  # m, over which a wall is felt
 
 
 def more(xp, p, x, y):
-    """a e^(-d / L), d the distance from the reference point to the nearest wall."""
+    """a e^(-d / L), d the distance from the reference point to the nearest wall [m]."""
     gap = xp.maximum(HALF - xp.maximum(xp.abs(x), xp.abs(y)), 0.0)
     return p.gain * xp.exp(-gap / LENGTH)
 
 
 def water(xp, p, w, memory, h):
-    """f' = f (1 + a e^(-d / L)) for what drag and trailing edge do."""
+    """f' = f (1 + a e^(-d / L)) for drag and trailing edge."""
     share = more(xp, p, w.x, w.y)
     pairs = zip(w.forces, w.instant, strict=True)
     near = [tuple(f + share * (f - i) for f, i in zip(force, instant, strict=True)) for force, instant in pairs]

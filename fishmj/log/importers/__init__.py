@@ -1,4 +1,4 @@
-"""Readers of foreign recordings: each turns what is on disk into trials of our schema, stamps untouched, nothing resampled."""
+"""Readers of foreign recordings: each turns files into trials of our schema, stamps untouched, nothing resampled."""
 
 from fishmj.log.importers.registry import FORMATS, Importer, read, sniff
 

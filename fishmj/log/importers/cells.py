@@ -1,7 +1,7 @@
-"""Cells of a text table: numbers as programs and spreadsheets of any country write them, dates, times of day, blanks.
+"""Cells of a text table: numbers, dates and times of day in the notation of any country, and blanks.
 
 A cell may have two readings: `1,234` is 1.234 with a decimal comma and 1234 with a comma between thousands; `3/4/2026` is in
-March or in April. Both are given; the rest of its column, else of its file, decides (`decided`).
+March or in April. Both are returned; the rest of the column, else of the file, decides (`decided`).
 """
 
 import math
@@ -36,7 +36,10 @@ _MONTHS |= {"oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12}
 
 
 class Reading(NamedTuple):
-    """Both values of a cell, NaN where it has none: with a decimal point or the day first; with a comma or the month first."""
+    """Both values of a cell: with a decimal point or the day first, and with a comma or the month first;
+
+    NaN for an impossible reading.
+    """
 
     first: float
     second: float
@@ -45,17 +48,17 @@ class Reading(NamedTuple):
 
     @property
     def two(self) -> bool:
-        """The second value is there, and another than the first."""
+        """Returns True if the second value exists and differs from the first."""
         return not math.isnan(self.second) and self.second != self.first
 
 
 def is_number(text: str) -> bool:
-    """Whether a cell is a number in any style."""
+    """Returns True if a cell is a number in any style."""
     return number(text.strip()) is not None
 
 
 def is_value(text: str) -> bool:
-    """Whether a cell is a number, a date or a time of day."""
+    """Returns True if a cell is a number, a date or a time of day."""
     return read(text.strip()) is not None
 
 
@@ -76,7 +79,7 @@ def number(text: str) -> Reading | None:
 
 
 def _value(text: str, point: str, group: str) -> tuple[float, bool]:
-    """(value in one style, NaN where the cell is none of it; whether it has marks between thousands)."""
+    """(value in one style, NaN if the cell does not fit it; True if it has marks between thousands)."""
     grouped = bool(_GROUPED[point, group].fullmatch(text))
     if not grouped and not _PLAIN[point].fullmatch(text):
         return math.nan, False
@@ -85,7 +88,7 @@ def _value(text: str, point: str, group: str) -> tuple[float, bool]:
 
 
 def _stamp(text: str) -> Reading | None:
-    """Seconds since 1970 of a date and time (UTC where no zone is named), or of the day for a time of day."""
+    """Seconds since 1970 of a date and time (UTC if no zone is given), or seconds of the day for a time of day."""
     if clock := _TIME_OF_DAY.fullmatch(text):
         seconds = _of_day(clock)
         return Reading(seconds, seconds, date=True)
@@ -130,12 +133,13 @@ def _since_1970(year: str, month: str, day: str, clock: re.Match) -> float:
 def decided(
     first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], dates: Mapping[str, object]
 ) -> tuple[dict[str, np.ndarray], dict[str, int], list[str]]:
-    """Columns of one reading out of both.
+    """Chooses one reading for each column.
 
     Args:
         first, second: column -> (T,), as in `Reading`; dates: the columns that hold dates.
+
     Returns:
-        The columns; column -> its first row that has two readings, where nothing tells which; notes.
+        The columns; column -> its first row with two readings, if nothing decides between them; notes.
     """
     only = {
         name: tuple(np.isfinite(a) & np.isnan(b) for a, b in ((first[name], second[name]), (second[name], first[name])))
@@ -169,14 +173,17 @@ def decided(
 
 
 def _calmer(day_first: np.ndarray, month_first: np.ndarray) -> int | None:
-    """The reading of dates in which no step is longer than a day; None where both are one day, -1 where neither tells."""
+    """Index of the reading of dates in which no step is longer than a day;
+
+    None if both give the same day, -1 if neither decides.
+    """
     longest = [float(np.max(np.abs(np.diff(v[np.isfinite(v)])), initial=0.0)) for v in (day_first, month_first)]
     calm = [value < DAY for value in longest]
     return None if all(calm) else calm.index(True) if any(calm) else -1
 
 
 def may_hide_thousands(values: np.ndarray) -> bool:
-    """True for a column in which `1.020` may follow `980`: whole numbers beside numbers of three decimals beyond 1."""
+    """Returns True for a column in which `1.020` may follow `980`: whole numbers beside numbers of three decimals beyond 1."""
     v = values[np.isfinite(values)]
     broken = v[v != np.round(v)]
     whole = v[v == np.round(v)]
@@ -185,7 +192,7 @@ def may_hide_thousands(values: np.ndarray) -> bool:
 
 
 def hidden_thousands(texts: Sequence[str]) -> int:
-    """The first row whose point stands between thousands, as the other rows tell by the jumps that go; -1 where none does."""
+    """First row whose point separates thousands, judged by the jumps that this removes; -1 if there is none."""
     both = [number(text) or Reading(math.nan, math.nan) for text in texts]
     first = np.array([cell.first for cell in both])
     second = np.array([cell.second if cell.two else cell.first for cell in both])

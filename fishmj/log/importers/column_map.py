@@ -1,11 +1,11 @@
-"""MAP.toml: which column of a lab's file is which of ours, in what unit.
+"""MAP.toml: maps the columns of a lab's file to ours, with their units.
 
     [meta]
     robot = "swift"
     medium = "water"
 
     [tables.cmd]
-    file = "command*.csv"                     # only where several files have these columns; for recordings, the topic
+    file = "command*.csv"                     # only if several files have these columns; for recordings, the topic
     t = { column = "time_ms", unit = "ms" }   # or "time_s"
     columns = { c1 = { column = "servo1_deg", unit = "deg", sign = -1, zero = 2.4 }, c2 = "servo2_rad" }
 
@@ -16,7 +16,7 @@
     columns.y = { column = "cam_v", unit = "px", scale = 0.0012, zero = 240, sign = -1 }   # rows of a picture count downwards
     columns.yaw = { constant = 0.0 }
 
-value = sign * (cell - zero) * scale * unit; zero is in the file's own unit. `skip = ["gripper"]` leaves columns out knowingly.
+value = sign * (cell - zero) * scale * unit; zero is in the file's own unit. `skip = ["gripper"]` leaves columns out on purpose.
 """
 
 import re
@@ -41,13 +41,13 @@ _NAMED |= {"ax": "acceleration", "ay": "acceleration", "az": "acceleration"}
 
 
 def measured(table: str, column: str) -> str:
-    """What a column of ours measures, as units name it; "" for numbers without a unit."""
+    """Quantity that a column of ours measures, in the words of the unit table; "" for numbers without a unit."""
     spec = table_spec(table)
     return _KINDS.get(spec.kind(column), "") or _NAMED.get(column.rstrip("0123456789") + "#", "") or _NAMED.get(column, "")
 
 
 def is_column(spec: TableSpec, column: str) -> bool:
-    """Whether a table has such a column, stamps left out."""
+    """Returns True if a table has such a column, other than its stamps."""
     template = re.sub(r"[1-9]\d{0,2}", "#", column)
     return column != "t" and (
         column in (*spec.fixed, *spec.optional) or template in (*spec.numbered, *(o for o in spec.optional if "#" in o))
@@ -68,7 +68,7 @@ Unit = Annotated[str, BeforeValidator(_known_unit)]
 
 
 class Column(_Strict):
-    """One column of ours: a cell of the file by its name, or a constant in SI units."""
+    """One column of ours: a named column of the file, or a constant in SI units."""
 
     column: str | None = None
     constant: Finite | None = None
@@ -96,7 +96,7 @@ class Column(_Strict):
 
     @property
     def factor(self) -> float:
-        """To SI, sign included."""
+        """Factor to SI, sign included."""
         unit = 1.0 if self.unit in ("", "px", DATE) else UNITS[self.unit][1]
         return self.sign * self.scale * unit
 
@@ -123,17 +123,17 @@ class Stamp(_Strict):
 
     @property
     def factor(self) -> float:
-        """To s."""
+        """Factor to seconds."""
         return self.scale * (1.0 if self.unit in ("", DATE) else UNITS[self.unit][1])
 
     @property
     def parts(self) -> dict[str, float]:
-        """Columns that are added to it, and the seconds of one count."""
+        """Columns that are added to the stamp, with the seconds of one count."""
         return {c: size for c, size in ((self.nanoseconds, 1e-9), (self.microseconds, 1e-6)) if c}
 
 
 class TableMap(_Strict):
-    """One table: its stamps and columns, the file (a pattern) where the columns alone do not tell, and its clock's offset."""
+    """One table: its stamps and columns, a pattern for its file if the columns are not unique, and its clock's offset."""
 
     t: Stamp
     columns: Annotated[dict[str, Column], Field(min_length=1)]
@@ -191,7 +191,7 @@ def read_map(path: Path) -> ColumnMap:
 
 
 def of_dict(raw: dict, where: str) -> ColumnMap:
-    """Check a map that is a dictionary already."""
+    """Checks a map that is a dictionary already."""
     try:
         return ColumnMap.model_validate(raw)
     except ValidationError as error:

@@ -1,7 +1,7 @@
-"""Units that laboratories write, what they measure, and their factor to SI.
+"""Units of laboratories, the quantities that they measure, and their factor to SI.
 
-Where no name says it, the numbers do: by size, by spread from the first row, by the step of the stamps. Each verdict is
-(unit or "" where the values allow two, why). A bound between two units has a grey zone around it, never a line.
+If no name states the unit, the numbers decide: by size, by spread from the first row, by the step of the stamps. Each verdict is
+(unit or "" if the values allow two, reason). Between two units lies a grey zone, never a sharp bound.
 """
 
 import math
@@ -93,42 +93,42 @@ FLUTTER = 30.0  # a spread beyond is cm, mm or px
 
 
 def unit_of(text: str) -> str:
-    """The unit that `text` spells, "" when it spells none."""
+    """Unit that `text` spells, "" if it spells none."""
     text = text.strip()
     lower = text.lower()
     return text if text in UNITS else _SPELLED.get(lower, "") or _LOWER.get(lower, "")
 
 
 def other_unit(text: str) -> str:
-    """The text of a name's brackets where it is a multiple of a unit, or a length of the body: no factor is known; else ""."""
+    """Text in a name's brackets if it is a unit without a known factor (a multiple of a unit, a body length); else ""."""
     text = text.strip()
     scaled = re.fullmatch(r"[x*]?\s*\d+(?:[.,]\d+)?(?:e-?\d+)?\s*[x*/]?\s*(\D+)", text, re.IGNORECASE)
     return text if text.lower() in BODY or (scaled and unit_of(scaled[1])) else ""
 
 
 def measures(unit: str) -> str:
-    """What a unit measures; "" for none."""
+    """Quantity that a unit measures; "" for no unit."""
     return UNITS[unit][0] if unit in UNITS else ""
 
 
 def of_kind(what: str) -> list[str]:
-    """The units of one quantity that have a factor, or take a scale (px)."""
+    """Units of one quantity that have a factor, or take a scale (px)."""
     return [unit for unit, (measured, _) in UNITS.items() if measured == what]
 
 
 def likely(what: str) -> list[str]:
-    """Those that a laboratory's column is in; the others are taken where its name says so."""
+    """Units that a laboratory's column is likely to use; the others need a name that states them."""
     return [unit for unit in of_kind(what) if unit not in RARE]
 
 
 def fitting(what: str, value: float, unit: str, span: tuple[float, float]) -> list[str]:
-    """The likely units in which a value [SI] that was read in `unit` lies within `span`."""
+    """The likely units in which a value [SI], first read in `unit`, lies within `span`."""
     raw = abs(value) / UNITS[unit or SI[what]][1]
     return [u for u in likely(what) if u != unit and span[0] <= raw * UNITS[u][1] <= span[1]]
 
 
 def time_unit(t: np.ndarray) -> tuple[str, str]:
-    """Of time stamps, in the order of the file."""
+    """Unit of time stamps, in the order of the file, and the reason."""
     t = t[np.isfinite(t)]
     if len(t) < 2:
         return "", "fewer than two stamps"
@@ -150,7 +150,7 @@ def time_unit(t: np.ndarray) -> tuple[str, str]:
 
 
 def angle_unit(values: np.ndarray) -> tuple[str, str]:
-    """Of joint angles (all of one family together)."""
+    """Unit of joint angles (all of one family together), and the reason."""
     most = _most(values)
     told = f"up to {most:.3g}"
     if most == 0:
@@ -165,7 +165,7 @@ def angle_unit(values: np.ndarray) -> tuple[str, str]:
 
 
 def mixed_angles(found: Mapping[str, np.ndarray]) -> str:
-    """Why joints of one table cannot have one unit; "" where they can. One that hardly moves tells nothing."""
+    """Reason that the joints of one table cannot share a unit; "" if they can. A joint that hardly moves is ignored."""
     most = {name: _most(values) for name, values in found.items() if _most(values) >= TINY_ANGLE}
     low, high = min(most, key=most.__getitem__, default=""), max(most, key=most.__getitem__, default="")
     if not most or most[low] > RAD or most[high] <= DEG or not APART[0] <= most[high] / most[low] <= APART[1]:
@@ -174,7 +174,7 @@ def mixed_angles(found: Mapping[str, np.ndarray]) -> str:
 
 
 def heading_unit(values: np.ndarray) -> tuple[str, str]:
-    """Of a heading, wrapped or not."""
+    """Unit of a heading, wrapped or not, and the reason."""
     values = values[np.isfinite(values)]
     most = _most(values)
     jump = float(np.max(np.abs(np.diff(values)), initial=0.0))
@@ -191,7 +191,7 @@ def heading_unit(values: np.ndarray) -> tuple[str, str]:
 
 
 def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
-    """Of positions (x and y together); the first row's place does not count."""
+    """Unit of positions (x and y together), and the reason; the offset of the first row is ignored."""
     spread = max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
     told = f"spread {spread:.3g}"
     if spread <= bounds_of({}, "").tank:
@@ -200,7 +200,7 @@ def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
 
 
 def rate_unit(values: np.ndarray) -> tuple[str, str]:
-    """Of angular rates."""
+    """Unit of angular rates, and the reason."""
     most = _most(values)
     if most <= 12:
         return "rad/s", f"up to {most:.3g}"
@@ -208,7 +208,7 @@ def rate_unit(values: np.ndarray) -> tuple[str, str]:
 
 
 def voltage_unit(values: np.ndarray) -> tuple[str, str]:
-    """Of a supply."""
+    """Unit of a supply voltage, and the reason."""
     values = np.abs(values[np.isfinite(values)])
     middle = float(np.median(values)) if len(values) else 0.0
     if 2 <= middle <= 100:
@@ -217,7 +217,7 @@ def voltage_unit(values: np.ndarray) -> tuple[str, str]:
 
 
 def current_unit(values: np.ndarray) -> tuple[str, str]:
-    """Of a supply."""
+    """Unit of a supply current, and the reason."""
     most = _most(values)
     if most <= 15:
         return "A", f"up to {most:.3g}"
@@ -225,11 +225,11 @@ def current_unit(values: np.ndarray) -> tuple[str, str]:
 
 
 def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Sequence[str]]:
-    """Why the unit that a name says cannot be, and the units that could; ("", ()) where it can.
+    """Reason that the unit in a name is impossible, and the units that are possible; ("", ()) if it is possible.
 
     Args:
-        what: it measures; "joint" for the angle of one. values: of the column, and of those that share its unit: the joints of
-            one kind, x beside y.
+        what: measured quantity; "joint" for the angle of one. values: of the column, and of those that share its unit: the joints
+            of one kind, x beside y.
     """
     if unit == DATE:
         return "", ()
@@ -257,7 +257,7 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
 
 
 def _stamps_against(unit: str, t: np.ndarray) -> str:
-    """Why stamps [unit] cannot be in the unit that their name says; "" where they can."""
+    """Reason that the unit in the name of the stamps is impossible; "" if it is possible."""
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
     finite = t[np.isfinite(t)]
     if seconds:
@@ -273,13 +273,13 @@ def _stamps_against(unit: str, t: np.ndarray) -> str:
 
 
 def _extent(values: np.ndarray) -> float:
-    """How far a position goes from its first row, or starts from zero."""
+    """Largest distance of a position from its first row, or the first row's distance from zero if that is larger."""
     values = values[np.isfinite(values)]
     return max(_most(values - values[0]), abs(float(values[0]))) if len(values) else 0.0
 
 
 def _most(values: np.ndarray) -> float:
-    """The largest size; of spikes that fewer than one cell in a thousand has, none."""
+    """Largest magnitude, without spikes in fewer than one cell in a thousand."""
     values = np.abs(values[np.isfinite(values)])
     return float(np.quantile(values, 0.999)) if len(values) > 2000 else float(values.max(initial=0.0))
 

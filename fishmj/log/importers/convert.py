@@ -1,4 +1,4 @@
-"""Sheets and a map become a checked trial: SI units, seconds, nothing resampled; what was left out is noted."""
+"""Converts sheets and a map to a checked trial: SI units, seconds, nothing resampled; omitted data are noted."""
 
 import re
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
 
 
 def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
-    """An implausible value, and the line of the map that would mend it."""
+    """Error for an implausible value, with the line of the map that would correct it."""
     source = entry.t if doubt.column == "t" else entry.columns[doubt.column]
     place, what = ("t", "time") if doubt.column == "t" else (f"{table}.{doubt.column}", measured(table, doubt.column))
     if source.column is None:
@@ -113,7 +113,7 @@ def in_order(sheets: Sequence[Sheet]) -> list[Sheet]:
 
 
 def go_on(sheets: Sequence[Sheet], column: str) -> bool:
-    """True for files of which each begins at most three rows after the one before ends, by their column of time."""
+    """Returns True for consecutive files: by time, each begins at most three rows after the one before ends."""
     stamps = [sheet.columns[column][np.isfinite(sheet.columns[column])] for sheet in sheets]
     if len(stamps) < 2 or min(map(len, stamps)) < 3:
         return False
@@ -121,7 +121,7 @@ def go_on(sheets: Sequence[Sheet], column: str) -> bool:
 
 
 def _of_parts(sheets: Sequence[Sheet], entry: TableMap) -> Sheet | None:
-    """Files of the same columns put together in the order of their numbers; None where their stamps do not go on."""
+    """Joins files of the same columns in the order of their numbers; None if their stamps do not continue."""
     ordered = in_order(sheets)
     first = ordered[0]
     stamps = [_seconds(sheet, entry.t)[0] for sheet in ordered]
@@ -140,7 +140,7 @@ def _fits(sheet: Sheet, pattern: str) -> bool:
 
 
 def _absent(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> str:
-    """Which column of a table is missing from the file that holds most of the others, and the nearest there is."""
+    """Error text: the missing column of a table, in the file that holds most of the others, and the nearest column there."""
     wanted, remedy = _sources(entry), f"mend the map, or take [tables.{table}] out of it"
     mine = [sheet for sheet in sheets if entry.file is None or _fits(sheet, entry.file)]
     if not mine:
@@ -155,7 +155,7 @@ def _absent(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> str:
 
 
 def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, list[str], bool]:
-    """(columns in SI, their places, notes, whether the stamps count from 1970)."""
+    """(columns in SI, their places, notes, True if the stamps count from 1970)."""
     t, absolute = _seconds(sheet, entry.t)
     notes: list[str] = []
     out: Table = {"t": t}
@@ -202,7 +202,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
 
 
 def _across_the_seam(table: str, columns: Table) -> list[str]:
-    """Unwraps angles of joints that pass from 360 degrees to 0, or from 180 to -180, in place; a note on each."""
+    """Unwraps joint angles that pass from 360 degrees to 0, or from 180 to -180, in place; a note on each."""
     notes = []
     for name in (name for name in columns if table in ("cmd", "joint") and name[0] in "cj" and name[1:].isdecimal()):
         angle = columns[name]
@@ -216,7 +216,7 @@ def _across_the_seam(table: str, columns: Table) -> list[str]:
 
 
 def _still(table: str, columns: Table) -> list[str]:
-    """A robot that was off, or a logger that repeats its first packet."""
+    """Notes on a robot that was off, or a logger that repeats its first packet."""
     moving = [column for column, values in columns.items() if column != "t" and np.ptp(values) > 0]
     if moving or len(columns["t"]) < 3 or not table_spec(table).continuous:
         return []
@@ -224,7 +224,7 @@ def _still(table: str, columns: Table) -> list[str]:
 
 
 def _switched(table: str, columns: Table) -> int:
-    """The row from which every joint is 57 times smaller or larger than in the second before, for good; 0 where there is none."""
+    """First row from which every joint stays 57 times smaller or larger than in the second before; 0 if none."""
     names = [column for column in columns if table in ("cmd", "joint") and column[0] in "cj" and column[1:].isdecimal()]
     step = float(np.median(np.diff(columns["t"]))) if len(columns["t"]) > 1 else 0.0
     reach = int(np.clip(1.0 / step, 20, 2000)) if step > 0 else 0
@@ -243,7 +243,7 @@ def _switched(table: str, columns: Table) -> int:
 
 
 def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
-    """Stamps in s, and whether they count from 1970."""
+    """Stamps in s, and True if they count from 1970."""
     raw = sheet.columns[stamp.column]
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
     t = raw * (1.0 if dated else stamp.factor)
@@ -258,7 +258,7 @@ def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
 def _unwrapped(
     table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: Stamp, absolute: bool
 ) -> tuple[np.ndarray, list[str]]:
-    """Stamps without the turns of a time of day or of a counter of 16, 31 or 32 bits, and a note where there were some."""
+    """Stamps without the wraps of a time of day or of a counter of 16, 31 or 32 bits, and a note if there were some."""
     step = np.diff(t)
     back = np.flatnonzero(step < 0)
     if not len(back):
@@ -282,7 +282,7 @@ def _unwrapped(
 
 
 def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: str) -> tuple[np.ndarray, list[str]]:
-    """The rows whose stamps rise; single strays and repeats are left out with a note, more is an error."""
+    """Keeps the rows with rising stamps. Single strays and repeats are left out with a note; more are an error."""
     if len(t) < 2 or (np.diff(t) > 0).all():
         return np.arange(len(t)), []
     ceiling = np.minimum.accumulate(t[::-1])[::-1]
@@ -309,10 +309,10 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
 
 
 def _refuse_apart(name: str, tables: dict[str, Table]) -> None:
-    """Refuse tables of one swim without an instant in common; commands may be sent a minute ahead of it.
+    """Refuses tables of one swim without a common instant; commands may be sent a minute ahead of it.
 
     Raises:
-        LogError: with the tables, and the offset that would lay them side by side.
+        LogError: names the tables, and the offset that would align them.
     """
     spans = {table: (float(columns["t"][0]), float(columns["t"][-1])) for table, columns in tables.items()}
     for early, (_, end) in spans.items():
@@ -328,7 +328,7 @@ def _refuse_apart(name: str, tables: dict[str, Table]) -> None:
 
 
 def _zero(tables: dict[str, Table]) -> list[str]:
-    """Stamps that count from 1970 are moved to the earliest of them; a clock more than a day away gets its own zero."""
+    """Shifts stamps that count from 1970 to the earliest of them, in place; a clock more than a day away gets its own zero."""
     if not tables:
         return []
     starts = {name: float(table["t"][0]) for name, table in tables.items()}

@@ -1,4 +1,4 @@
-"""Messages of recordings as dictionaries, lists and numbers: JSON, or CDR of ROS 2's standard types.
+"""Decodes messages of recordings to dictionaries, lists and numbers: JSON, or CDR of ROS 2's standard types.
 
 Types that a recording defines itself are not read: the decoder would have to generate code from the file.
 """
@@ -18,7 +18,7 @@ SEQUENCE = 4096  # longest array of a CDR message that is decoded; pictures and 
 
 @dataclass
 class TopicChannel:
-    """One topic: how its messages are written, and (log time [ns], publish time [ns], bytes) of each."""
+    """One topic: the encoding of its messages, and (log time [ns], publish time [ns], bytes) of each."""
 
     encoding: str
     type: str = ""
@@ -29,7 +29,7 @@ Found = dict[str, TopicChannel]
 
 
 def decoder(path: Path, topic: str, channel: TopicChannel) -> Callable[[int], dict]:
-    """Message number -> its content as dictionaries, lists and numbers."""
+    """Function from a message's number to its content as dictionaries, lists and numbers."""
     if channel.encoding == "json":
         return lambda i: read_json(f"{path}:{topic}[{i}]", channel.messages[i][2])
     if channel.encoding == "cdr" and channel.type:
@@ -47,7 +47,7 @@ def decoder(path: Path, topic: str, channel: TopicChannel) -> Callable[[int], di
 
 
 def converted(encoding: str) -> str:
-    """How a recording in another encoding becomes one that is read."""
+    """Advice on converting a recording in another encoding to a readable one."""
     if encoding == "protobuf":
         return (
             "convert the recording to JSON messages: pip install mcap-protobuf-support and run the lines under "
@@ -57,6 +57,11 @@ def converted(encoding: str) -> str:
 
 
 def read_json(where: str, data: bytes) -> dict:
+    """Parses one JSON message to a dictionary of named fields.
+
+    Raises:
+        LogError: not valid JSON, or not an object.
+    """
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as error:

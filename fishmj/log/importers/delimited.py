@@ -1,7 +1,7 @@
-"""Text tables as laboratories write them: any separator, decimal commas, byte order marks, Latin-1, a row of units, date-times.
+"""Text tables of laboratories: any separator, decimal commas, byte order marks, Latin-1, a row of units, date-times.
 
-What is taken differently from plain UTF-8 with commas is noted. No cell is ever evaluated: it is a number, a date-time, blank or
-text. Line numbers are those of the file.
+Every deviation from plain UTF-8 with commas is noted. No cell is ever evaluated: it is a number, a date-time, blank or text. Line
+numbers are those of the file.
 """
 
 import codecs
@@ -58,7 +58,7 @@ def read(path: Path) -> Sheet:
 
 
 def _encoding(path: Path) -> tuple[str, list[str]]:
-    """By the byte order mark, else UTF-8 where all of it is, else Latin-1; bytes that no text has are refused."""
+    """Encoding by the byte order mark, else UTF-8 if the whole file is valid, else Latin-1; non-text bytes are refused."""
     with open(path, "rb") as file:
         start = file.read(4)
         for mark, name in _MARKS:
@@ -128,11 +128,11 @@ def _read(path: Path, lines: Iterator[tuple[int, str]], notes: list[str], carefu
 
 
 class _TwoReadings(Exception):
-    """A cell has two readings: the file is read again, with both."""
+    """Signals a cell with two readings, so that the file is read again with both."""
 
 
 class _Reader:
-    """Rows, one at a time; remembers what was no number. A careful one keeps both readings of a cell."""
+    """Collects rows, one at a time, and the cells that are no numbers. A careful reader keeps both readings of a cell."""
 
     def __init__(self, path: Path, found: layout.Layout, careful: bool, arrows: bool):
         self.path, self.layout, self.careful, self.arrows = path, found, careful, arrows
@@ -148,7 +148,7 @@ class _Reader:
         self.comments = 0
 
     def add(self, number: int, line: str) -> None:
-        """Take a line.
+        """Adds a line.
 
         Raises:
             _TwoReadings: a cell has two, and the reader is not careful.
@@ -210,7 +210,7 @@ class _Reader:
         )
 
     def sheet(self, notes: list[str]) -> Sheet:
-        """Everything read.
+        """The sheet of all rows.
 
         Raises:
             LogError: too many rows of another length, or a column of numbers with two readings.

@@ -1,6 +1,6 @@
 """One flat csv on a common clock, ours: a header of column names, with or without units: `t [s],c1 [rad],x [m]`.
 
-The columns go to the tables of the schema by their names. A unit that the schema does not use is refused with the factor to
+The columns go to the tables of the schema by their names. A unit outside the schema is refused with the factor to
 apply; so are decimal commas, byte order marks and, by size, degrees without a unit. Nothing is converted silently.
 """
 
@@ -29,7 +29,7 @@ _NAMED = {"t": "s", "t_rx": "s", "V": "V", "I": "A", "frequency": "Hz"}
 
 
 def sniff(path: Path) -> bool:
-    """A csv file (or a folder with samples.csv) whose first row names a column `t`."""
+    """Returns True for a csv file (or a folder with samples.csv) whose first row names a column `t`."""
     file = path / "samples.csv" if path.is_dir() else path
     if file.suffix != ".csv" or not file.is_file():
         return False

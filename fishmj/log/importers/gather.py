@@ -1,11 +1,11 @@
-"""Which files make which trial.
+"""Assigns files to trials.
 
 - A folder in our own format (meta.toml and tables) is one trial, and is copied.
-- Text tables, Parquet and .npz that lie in one folder are one trial when no two of them have the same columns (commands,
-  camera, battery), and a trial each when all of them have the same. Between the two the user says: one trial, or a trial each.
+- Text tables, Parquet and .npz that lie in one folder are one trial if no two of them have the same columns (commands,
+  camera, battery), and a trial each if all of them have the same. In other cases the user chooses: one trial, or a trial each.
 - A message recording (MCAP, rosbag2) is a trial.
-- Of several folders, each trial has its folder's name in front, with as many parents as tell the folders apart.
-- A folder in a folder is looked at by itself; hidden files and links that lead outside are passed over. So are pictures, films,
+- With several folders, each trial has its folder's name in front, with as many parents as tell the folders apart.
+- A folder in a folder is treated separately; hidden files and links that lead outside are ignored. So are pictures, films,
   documents and programs, by name; data of other programs are refused.
 """
 
@@ -31,7 +31,7 @@ TABLE_FILES = (*delimited.SUFFIXES, *PARQUET, *NPZ)
 
 @dataclass(frozen=True)
 class Item:
-    """One trial to be: a folder of ours, or foreign files."""
+    """Source of one trial: a folder in our format, or foreign files."""
 
     name: str
     files: tuple[Path, ...]
@@ -41,7 +41,7 @@ class Item:
 
 @dataclass
 class Shelf:
-    """Reads every file once, and keeps what it read as far as memory allows."""
+    """Reads every file once, and caches the result as far as memory allows."""
 
     topics: bool = False  # a mapping of topics was given: recordings need no sheets
     skipped: dict[str, str] = field(default_factory=dict)  # file -> why it was not read
@@ -53,7 +53,7 @@ class Shelf:
         """The sheets of one file.
 
         Raises:
-            FishmjError: it cannot be read.
+            FishmjError: the file cannot be read.
         """
         if path in self._kept:
             return self._kept[path]
@@ -68,7 +68,7 @@ class Shelf:
         return [s for file in item.files for s in self.sheets(file) if item.episode is None or s.episode == item.episode]
 
     def mapped(self, path: Path) -> bool:
-        """Whether it is a recording with a mapping: given, beside it, or by topics that are named like tables."""
+        """Returns True for a recording with a mapping: given, beside it, or by topics that are named like tables."""
         if not is_recording(path):
             return False
         if self.topics or (path.is_file() and path.with_suffix(".toml").is_file()):
@@ -79,7 +79,7 @@ class Shelf:
         return self._mapped[path]
 
     def readable(self, files: Sequence[Path]) -> list[Path]:
-        """Those that can be read; the others are remembered with the reason."""
+        """Files that can be read; the reasons for the others are kept."""
         out = []
         bar = console.Progress(len(files), "read", unit="files")
         for i, file in enumerate(files):
@@ -96,7 +96,7 @@ class Shelf:
 
 
 def read_sheets(path: Path) -> list[Sheet]:
-    """The sheets of one foreign file: one of a table, one a topic of a recording."""
+    """Sheets of one foreign file: one of a table, one a topic of a recording."""
     if is_recording(path):
         found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
         return messages.sheets(path, found, rosbag2.lost(path, found))
@@ -118,12 +118,12 @@ def read_sheets(path: Path) -> list[Sheet]:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether it holds messages and no table."""
+    """Returns True for a file or folder that holds messages and no table."""
     return path.name.lower().endswith(rosbag2.STORED) or (path.is_dir() and rosbag2.sniff(path))
 
 
 def is_own(folder: Path) -> bool:
-    """A trial folder of ours."""
+    """Returns True for a trial folder in our format."""
     if not (folder / META_FILE).is_file():
         return False
     return (folder / FLAT_FILE).is_file() or any(
@@ -132,12 +132,13 @@ def is_own(folder: Path) -> bool:
 
 
 def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None) -> tuple[list[Item], list[str]]:
-    """The trials that files and folders hold, and what was passed over.
+    """The trials in files and folders, and the ignored entries.
 
     Args:
         together: the files of one folder are one trial (True), a trial each (False), or by the rule (None).
+
     Raises:
-        LogError: a source is absent or given twice, or the rule cannot tell.
+        LogError: a source is absent or given twice, or the rule does not decide.
     """
     items: list[Item] = []
     notes: list[str] = []
@@ -174,7 +175,7 @@ def tags_of(sources: Sequence[Path]) -> dict[Path, str]:
 
 
 def _told_apart(items: list[Item]) -> list[Item]:
-    """Trials of single files; those of one name in several folders have the folder's name in front."""
+    """Trials of single files; those with one name in several folders get the folder's name in front."""
     parents = tags_of(list(dict.fromkeys(file.parent.resolve() for item in items for file in item.files)))
     called = [(names.nearest(item.name) or "").lower() for item in items]
     twice = {name for name, count in Counter(called).items() if count > 1 and len(parents) > 1}
@@ -280,7 +281,7 @@ def _heap(files: Sequence[Path], shelf: Shelf, together: bool | None, *, name: s
 
 
 def _by_episode(item: Item, shelf: Shelf) -> list[Item]:
-    """The item, or one for each episode that its file holds."""
+    """The item, or one for each episode in its file."""
     episodes = [sheet.episode for sheet in shelf.sheets(item.files[0]) if sheet.episode is not None]
     if len(episodes) < 2:
         return [item]
@@ -288,7 +289,7 @@ def _by_episode(item: Item, shelf: Shelf) -> list[Item]:
 
 
 def _is_one(tables: Sequence[Path], different: int) -> bool:
-    """The rule: all columns different, one trial; all the same, a trial each."""
+    """Applies the rule: all columns different, one trial; all the same, a trial each."""
     if different == len(tables):
         return True
     if different == 1:
@@ -305,7 +306,7 @@ def _joined(prefix: str, name: str) -> str:
 
 
 def renamed(items: Sequence[Item]) -> tuple[list[Item], list[str]]:
-    """Names that may stand in a path, none of them twice; a note on each that another trial had already."""
+    """Items with unique names that may stand in a path; a note on each name that was taken already."""
     taken: set[str] = set()
     out, notes = [], []
     for item in items:
@@ -324,17 +325,17 @@ def renamed(items: Sequence[Item]) -> tuple[list[Item], list[str]]:
 
 
 def read_own(folder: Path, called: dict[Path, str]) -> Trial:
-    """A trial of our own format; what it repeats goes by the name that this import gives it. called: by folder."""
+    """Reads a trial of our own format. `replicate_of` gets the name that this import gives the other trial. called: by folder."""
     trial = read_trial(folder)
     first = called.get(folder.resolve().parent / str(trial.value("replicate_of") or ""))
     return replace(trial, meta={**trial.meta, "replicate_of": first}) if first else trial
 
 
 def excitations(texts: Sequence[str]) -> dict[str, str]:
-    """Names of experiments by trial, "" for every other trial, of `NAME` and `TRIAL=NAME`.
+    """Names of experiments by trial, "" for every other trial, from `NAME` and `TRIAL=NAME`.
 
     Raises:
-        ConfigError: no name that may stand in a path. UsageError: two names for one trial, or for all.
+        ConfigError: a name that may not stand in a path. UsageError: two names for one trial, or for all.
     """
     found: dict[str, str] = {}
     for text in texts:
@@ -349,7 +350,7 @@ def excitations(texts: Sequence[str]) -> dict[str, str]:
 
 
 def layouts(items: Sequence[Item], shelf: Shelf) -> dict[tuple, list[Item]]:
-    """Foreign items by the kinds of files they consist of."""
+    """Foreign items, grouped by the kinds of their files."""
     out: dict[tuple, list[Item]] = {}
     for item in items:
         if item.own or not item.files:

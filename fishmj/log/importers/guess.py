@@ -1,4 +1,4 @@
-"""A map guessed from names and values. What two readings fit is said to be unclear and left to the user, never taken."""
+"""Guesses a column map from names and values. A column with two possible readings is marked unclear and left to the user."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -26,7 +26,7 @@ ROWS = 200_000  # of one file that the statistics look at
 
 @dataclass(frozen=True)
 class Guess:
-    """What one column of one kind of file is taken for."""
+    """Guessed meaning of one column of one kind of file."""
 
     kind: int
     column: str
@@ -40,52 +40,55 @@ class Guess:
 
     @property
     def place(self) -> str:
+        """First place of the guess, such as "cmd.c1"; "" without one."""
         return self.places[0] if self.places else ""
 
     @property
     def table(self) -> str:
+        """Table of the first place."""
         return self.place.partition(".")[0]
 
     def left(self, why: str) -> "Guess":
-        """It, left out."""
+        """Copy of the guess, left out."""
         return replace(self, state=LEFT, places=(), why=why)
 
     def unclear(self, why: str, **changes: Any) -> "Guess":
-        """It, left to the user."""
+        """Copy of the guess, left to the user."""
         return replace(self, state=UNCLEAR, why=why, **changes)
 
 
 @dataclass(frozen=True)
 class FileKind:
-    """Files with the same columns, told apart by what their names say."""
+    """Files with the same columns and names of the same meaning."""
 
     sheets: tuple[Sheet, ...]
     pattern: str  # of their names
 
     @property
     def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
         return tuple(self.sheets[0].columns)
 
     def called(self, name: str) -> bool:
-        """True where `name` is one of its columns, or a file or topic of it."""
+        """Returns True if `name` is one of its columns, or a file or topic of it."""
         return name in self.sheets[0].columns or any(name == sheet.name for sheet in self.sheets)
 
     def doubt(self, column: str) -> str:
-        """Why the user decides on a column, as its file tells; "" where nothing does."""
+        """Reason from the file that the user must decide on a column; "" without one."""
         return next((sheet.doubts[column] for sheet in self.sheets if column in sheet.doubts), "")
 
     def values(self, column: str) -> np.ndarray:
-        """Of all files one after the other."""
+        """Values of a column (T,), all files one after the other."""
         return np.concatenate([sheet.columns[column][:ROWS] for sheet in self.sheets[:16]])
 
 
 def context(sheet: Sheet) -> frozenset[str]:
-    """What the name of a file or topic says."""
+    """Words in the name of a file or topic."""
     return frozenset(header.words(re.sub(r"\.[A-Za-z0-9]{1,8}\Z", "", sheet.name)))
 
 
 def flavour(sheet: Sheet) -> tuple:
-    """Sheets of one flavour are of one kind: the same columns, and names that say the same of them."""
+    """Sorting key: sheets of one kind have the same columns and names of the same meaning."""
     said = context(sheet)
     topic = sheet.name if sheet.name != sheet.path.name else ""
     return tuple(sheet.columns), topic, bool(said & header.COMMAND), bool(said & header.MEASURED)
@@ -103,7 +106,7 @@ def kinds(sheets: Iterable[Sheet]) -> list[FileKind]:
 
 
 def _pattern(group: Sequence[Sheet], others: Sequence[Sheet]) -> str:
-    """A pattern that the names of a group fit and no other's does."""
+    """Pattern that the names of a group match and no other name does."""
     if len({sheet.name for sheet in group}) == 1:
         return escape(group[0].name)
     shared = set.intersection(*(set(context(sheet)) for sheet in group)) - set.union(set(), *(set(context(o)) for o in others))
@@ -159,7 +162,7 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
 
 
 def _of_its_joint(column: str, said: dict) -> tuple[str, str, float] | None:
-    """Where the rate of a message's joint goes, by what was said of its angle; None where nothing was."""
+    """Place of a joint's rate, from the user's statement on its angle; None without one."""
     angle = said.get(column.removesuffix(STATE["velocity"]))
     if angle is None or not column.endswith(STATE["velocity"]):
         return None
@@ -171,7 +174,7 @@ def _of_a_joint(places: Sequence[str]) -> bool:
 
 
 def _silent(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
-    """A joint without a number, of a table whose other joints have some, is one that swam unseen: the user says what then."""
+    """Handles joints without any value: asks if other joints of the table have values, else leaves them out."""
     dead = [_of_a_joint(g.places) and not np.isfinite(found[g.kind].values(g.column)).any() for g in guesses]
     alive = {(g.kind, _family(p)) for g, no in zip(guesses, dead, strict=True) if not no for p in g.places}
     why = "holds no number, other joints of its table do: was it unplugged?"
@@ -183,7 +186,7 @@ def _silent(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
 
 
 def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
-    """Angles that may be either: measured where others are commanded; else a servo's are commanded, and a joint's unclear."""
+    """Decides ambiguous angles: measured beside commanded ones; otherwise commanded for a servo, unclear for a joint."""
     commanded = any(g.state == TAKEN and g.place.startswith("cmd.c") for g in guesses)
     measured_ = any(g.state == TAKEN and g.place.startswith("joint.j") for g in guesses)
     servo = {g.column for g in guesses if header.parse(g.column).has(header.SERVO)}
@@ -202,7 +205,7 @@ def _commanded_or_measured(guesses: list[Guess]) -> list[Guess]:
 
 
 def _from_one(guesses: list[Guess]) -> list[Guess]:
-    """Numbers that count from 0 are moved up by one, a family at a time."""
+    """Moves numbers that count from 0 up by one, a family at a time."""
     families: dict[str, list[int]] = {}
     for i, g in enumerate(guesses):
         if not g.said and g.place and (found := _NUMBER.search(g.place)):
@@ -219,7 +222,7 @@ def _from_one(guesses: list[Guess]) -> list[Guess]:
 
 
 def _numbered(guesses: list[Guess]) -> list[Guess]:
-    """Numbers from 1 without holes; a single column without a number is the first."""
+    """Checks that numbers count from 1 without holes; a single column without a number is the first."""
     out = _from_one(list(guesses))
     for template in ("cmd.c", "joint.j", "joint.w", "joint.temp", "joint.load", "cmd.on"):
         mine = [
@@ -254,7 +257,7 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
 
 
 def _counts(guesses: list[Guess]) -> list[Guess]:
-    """Fewer commands than joints, or fewer joints than commands: which joint each belongs to is asked."""
+    """Asks which joint each column belongs to, if there are fewer commands than joints or fewer joints than commands."""
     mine = {t: [i for i, g in enumerate(guesses) if g.state == TAKEN and g.place.startswith(t)] for t in ("cmd.c", "joint.j")}
     few, many = sorted(mine, key=lambda t: len({guesses[i].place for i in mine[t]}))
     if not mine[few] or len(mine[few]) == len(mine[many]):
@@ -267,7 +270,7 @@ def _counts(guesses: list[Guess]) -> list[Guess]:
 
 
 def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
-    """A unit for every column that has a place: said by its name or file, else by the values of its family."""
+    """Gives every column with a place a unit: from its name or file, else from the values of its family."""
     out = []
     doubts: dict[tuple[str, str], tuple[str, Sequence[str]]] = {}  # by unit and sensor
     known: dict[tuple[str, str], tuple[str, str]] = {}  # by family: its values are looked at once
@@ -312,7 +315,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
 
 
 def _sensor(g: Guess, what: str) -> str:
-    """What columns have in common whose names say one unit: x and y of one table, joints of one kind; a stamp is alone."""
+    """Key shared by columns whose names state one unit: x and y of one table, joints of one kind; a stamp has its own."""
     return g.column if what == "time" else g.table if what == "length" else _family(g.place)
 
 
@@ -341,12 +344,12 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
 
 
 def _family(place: str) -> str:
-    """Columns that share a unit: joints of one kind; x and y; stamps, heading and supply each by itself."""
+    """Key shared by columns of one unit: joints of one kind; x and y; stamps, heading and supply have their own."""
     return re.sub(r"\d+(?=[xy]?\Z)", "", place)
 
 
 def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tuple[int, int] | None:
-    """The columns of seconds and of the nano- or microseconds within them, as ROS and C export stamps."""
+    """Columns of seconds and of the nano- or microseconds within them, as ROS and C export stamps."""
     whole, part = sorted(stamps, key=lambda i: guesses[i].unit != "s")
     if guesses[whole].unit != "s" or guesses[part].unit not in PARTS or guesses[part].said:
         return None
@@ -357,7 +360,7 @@ def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tup
 
 
 def _of_header(tied: list[int], guesses: list[Guess], kind: FileKind) -> list[int]:
-    """Stamps that every row has, and of these the one of the message's header, which is when it was measured."""
+    """Stamps that every row has; among these the stamp of the message's header, the time of measurement."""
     values = {i: kind.values(guesses[i].column) for i in tied}
     whole = [i for i in tied if np.isfinite(values[i]).all()] or tied
     header_ = [i for i in whole if header.parse(guesses[i].column).words[-2:] == ("header", "stamp") and (values[i] > 0).all()]
@@ -365,7 +368,7 @@ def _of_header(tied: list[int], guesses: list[Guess], kind: FileKind) -> list[in
 
 
 def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
-    """Two columns for one place are both unclear, but a stamp a file is enough: said with its unit, or a date."""
+    """Leaves one column for each place: two for one place are unclear. Of several stamps, the clearest name decides."""
     out = list(guesses)
     for k in {g.kind for g in out}:
         stamps = [i for i, g in enumerate(out) if g.kind == k and g.place == "t" and g.state != LEFT]
@@ -401,7 +404,7 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
 
 
 def _points(guesses: list[Guess]) -> list[Guess]:
-    """A place without a heading is a point on the body, no pose."""
+    """Treats a place without a heading as a point on the body, not as a pose."""
     kinds_ = {g.kind for g in guesses if g.place in ("pose.x", "pose.y") and g.state != LEFT}
     if not kinds_ or any(g.place == "pose.yaw" and g.state != LEFT for g in guesses):
         return guesses
@@ -429,7 +432,7 @@ def _point(name: header.Header) -> header.Header:
 
 
 def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
-    """Asks for what would be lost: columns of a file without stamps, of a table that lacks another, of a table in two files."""
+    """Asks about columns that would be lost: without stamps, without another column of their table, or in a second file."""
     out = list(guesses)
     for k, kind in enumerate(found):
         mine = [i for i, g in enumerate(out) if g.kind == k and g.state != LEFT and g.table != "t"]
@@ -455,7 +458,7 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
 
 
 def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]) -> list[Guess]:
-    """A file whose names say no time: its columns that rise may be the stamps, and are asked; without one all are."""
+    """Asks, in a file without a named time, about the rising columns that may be the stamps; without one, about all columns."""
     out = list(guesses)
     for i, g in enumerate(out):
         if g.kind == k and g.state == LEFT and not g.said:

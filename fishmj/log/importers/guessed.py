@@ -1,4 +1,4 @@
-"""What is made of a guess: a map, comments on what it leaves out, a table to look at, and the choices left to the user."""
+"""Uses of a guess: a map, comments on the omitted columns, a table for the terminal, and the choices left to the user."""
 
 import re
 import sys
@@ -19,12 +19,12 @@ SHOWN = 3  # first values of a column
 
 
 def unclear(guesses: Iterable[Guess]) -> list[Guess]:
-    """Those that the user must decide."""
+    """Guesses that the user must decide."""
     return [g for g in guesses if g.state == UNCLEAR]
 
 
 def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, where: str) -> ColumnMap:
-    """The map that the guesses make, unclear ones left out.
+    """Map from the guesses, without unclear ones.
 
     Raises:
         LogError: nothing is left.
@@ -56,7 +56,7 @@ def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, wher
 
 
 def _source(g: Guess) -> dict:
-    """A column as the map says it."""
+    """A column in the notation of the map."""
     return {"column": g.column} | ({"unit": g.unit} if g.unit else {}) | ({"scale": g.scale} if g.scale != 1 else {})
 
 
@@ -72,7 +72,7 @@ def _nothing(guesses: Sequence[Guess], where: str) -> str:
 
 
 def choices(g: Guess) -> str:
-    """What --set could say of an unclear column."""
+    """Values of --set for an unclear column."""
     table, _, column = g.place.partition(".")
     what = "time" if g.place == "t" else measured(table, column)
     units = g.fits or ([g.unit] if g.unit else likely(what))
@@ -81,7 +81,7 @@ def choices(g: Guess) -> str:
 
 
 def remarks(found: Sequence[FileKind], guesses: Iterable[Guess]) -> Iterator[str]:
-    """Comments of a map: every column of the files that no line of it takes."""
+    """Comments for a map: every column of the files that the map does not use."""
     for g in guesses:
         name = f"{bare(found[g.kind].sheets[0].name)}: {bare(g.column)}"
         if g.state == UNCLEAR:
@@ -91,14 +91,14 @@ def remarks(found: Sequence[FileKind], guesses: Iterable[Guess]) -> Iterator[str
 
 
 def show(found: Guesses) -> None:
-    """Every column on the terminal, a table for each layout of files."""
+    """Prints every column, a table for each layout of files."""
     for kinds, made in found:
         rows = [_as_row(kinds, g) for g in made]
         console.say(console.table(rows, ["file", "column", "becomes", "unit", "first values", "why"]), "")
 
 
 def rows(found: Guesses) -> list[dict]:
-    """Every column, for JSON."""
+    """All columns as rows for JSON."""
     return [_as_row(kinds, g) for kinds, made in found for g in made]
 
 
@@ -122,13 +122,13 @@ def _shown(value: float, unit: str) -> str:
 
 
 def first_unclear(found: Guesses) -> str:
-    """What --set could say of the first of them, as an example."""
+    """Example of --set for the first unclear column."""
     g = next((g for _, made in found for g in unclear(made)), None)
     return f"{bare(g.column)}={choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
 
 
 def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
-    """Nothing unclear is left, and the user agrees, by `yes` or on the terminal.
+    """Checks that nothing is unclear and that the user agrees, by `yes` or on the terminal.
 
     Raises:
         LogError: a column is unclear, or the user does not agree.
@@ -156,7 +156,7 @@ def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
 
 
 def _certain(g: Guess) -> bool:
-    """Nothing to confirm: said by the user, or the schema's own name in the schema's own unit."""
+    """Returns True for a column without need of confirmation: stated by the user, or with the schema's name and unit."""
     own = g.place.rpartition(".")[2] == re.sub(r"\s*[\[(].*", "", g.column) and (
         not g.unit or g.unit in ("s", "rad", "m", "V", "A", "rad/s", "m/s")
     )

@@ -1,4 +1,4 @@
-"""What the name of a column says: its words, its number, its unit; and what the column may be by its name alone."""
+"""Parses the name of a column: its words, number and unit; and the places that the name allows."""
 
 import re
 from collections.abc import Sequence
@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from fishmj.log.importers.column_units import UNITS, measures, other_unit, unit_of
 
-# In English, German, French, Spanish, Italian and Portuguese, as far as a word has one meaning in a log: `tension` (a tendon's)
-# and `cap` (a capacity) are left to the user.
+# Words in English, German, French, Spanish, Italian and Portuguese that have one meaning in a log. The user decides on `tension`
+# (of a tendon) and `cap` (a capacity).
 TIME = set("time t ts stamp timestamp tstamp clock elapsed utc epoch date datetime uptime".split())
 TIME |= set("tick ticks tv".split())
 TIME |= set("zeit stempel datum temps horodatage heure tiempo hora tempo ora tijd tid czas aika zaman idő čas timp".split())
@@ -61,7 +61,7 @@ _RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m"
 
 @dataclass(frozen=True)
 class Header:
-    """`words` in lower case without number and unit."""
+    """Parsed name of a column: `words` in lower case without number and unit."""
 
     words: tuple[str, ...]
     number: int | None = None
@@ -69,12 +69,12 @@ class Header:
     other: str = ""  # unit that has no factor here: 0.1 deg, BL
 
     def has(self, words: set[str]) -> bool:
-        """Whether one of `words` is among its own."""
+        """Returns True if one of `words` is among its own."""
         return not words.isdisjoint(self.words)
 
 
 def words(text: str) -> list[str]:
-    """`servo1Goal_deg` -> servo, 1, goal, deg."""
+    """Words of a name: `servo1Goal_deg` -> servo, 1, goal, deg."""
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text[:200]).lower()
     out: list[str] = []
     for part in re.findall(r"[^\W\d_]+|\d+|°|%", text):
@@ -104,7 +104,7 @@ def parse(raw: str) -> Header:
 
 
 def nose_to_tail(names: Sequence[Header]) -> list[int] | None:
-    """Places 1, 2, .. of joints that are called after parts of the body; None where their names do not tell an order."""
+    """Numbers 1, 2, .. of joints that are named after parts of the body; None if their names give no order."""
     parts = [max((ALONG[word] for word in name.words if word in ALONG), default=None) for name in names]
     if None in parts or len(set(parts)) < 2 or any(name.has(BESIDE) for name in names):
         return None
@@ -113,7 +113,7 @@ def nose_to_tail(names: Sequence[Header]) -> list[int] | None:
 
 
 class Role(NamedTuple):
-    """`places`: "cmd.c#" and the like, # for the column's number; none: left out because of `why`; several: unclear."""
+    """Possible places of a column, such as "cmd.c#" (#: its number). None: left out, for the reason `why`; several: unclear."""
 
     places: tuple[str, ...] = ()
     why: str = ""
@@ -123,7 +123,7 @@ def role(name: Header, context: set[str]) -> Role:
     """The places that a column's name allows.
 
     Args:
-        context: words of the file's name or the topic: `commands.csv` tells what its columns are.
+        context: words of the file's name or the topic: `commands.csv` tells the meaning of its columns.
     """
     for rule in (_force, _exact, _time, _power, _imu, _velocity, _place, _heading, _joint):
         if found := rule(name, context):
@@ -132,7 +132,7 @@ def role(name: Header, context: set[str]) -> Role:
 
 
 def _exact(name: Header, context: set[str]) -> Role | None:
-    """Names of the schema itself."""
+    """Role of a name of the schema itself; None for any other name."""
     if name.words in (("c",), ("j",)) and name.number is not None and measures(name.unit) in ("", "angle"):
         return Role(("cmd.c#" if name.words == ("c",) else "joint.j#",), "the schema's own name")
     if name.words in (("w",), ("on",)) and name.number is not None:

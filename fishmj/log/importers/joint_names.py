@@ -1,4 +1,4 @@
-"""Joints by their names in text tables: `rostopic echo -p` writes a column of names beside each column of values.
+"""Assigns values to joints by name in text tables: `rostopic echo -p` writes a column of names beside each column of values.
 
 `field.name0, field.name1, .., field.position0, field.position1, ..`: each value goes to the joint that its own row names, as in a
 recording of the same messages (`messages.py`).
@@ -21,17 +21,20 @@ NAME = re.compile(r"(?P<before>.*?)(?P<key>(?:joint_)?names?)(?P<mark>[._\[]?)(?
 
 
 def column_of(name: str, key: str) -> str:
-    """`joint.NAME` for a position, `joint.NAME.velocity`, `joint.NAME.effort`; `KEY.NAME` for values of another key."""
+    """Column's name: `joint.NAME` for a position, `joint.NAME.velocity`, `joint.NAME.effort`;
+
+    `KEY.NAME` for values of another key.
+    """
     return f"joint.{name}{STATE[key]}" if key in STATE else f"{key}.{name}"
 
 
 def holds_names(column: str) -> bool:
-    """True for a column that may hold names of joints: `name0`, `joint_name`."""
+    """Returns True for a column that may hold names of joints: `name0`, `joint_name`."""
     return bool(NAME.fullmatch(column) or ROW.fullmatch(column))
 
 
 def _refuse_long(where: str, column: str, cells: Sequence[str]) -> None:
-    """Refuse a table with a row for each joint: its angles would be taken for those of one."""
+    """Refuses a table with a row for each joint, whose angles would be taken for those of one joint."""
     names = list(dict.fromkeys(cells))
     if 1 < len(names) <= 64 and len(cells) >= 3 * len(names) and "" not in names:
         raise LogError(
@@ -41,10 +44,11 @@ def _refuse_long(where: str, column: str, cells: Sequence[str]) -> None:
 
 
 def by_name(where: str, columns: Table, names: Mapping[str, Sequence[str]]) -> Table:
-    """The columns, those beside columns of names replaced by one for each joint that is named.
+    """Columns in which those beside a column of names are replaced by one for each named joint.
 
     Args:
-        names: column of names -> name in each row, "" where the cell is blank.
+        names: column of names -> name in each row, "" for a blank cell.
+
     Raises:
         LogError: a value stands beside a blank name.
     """

@@ -1,8 +1,8 @@
 """Layout of a text table: its separator, its first row of values, and the names and units of its columns in the rows above.
 
-The rows of values decide: the separator is the one that cuts most of the first lines into equally many cells of which most are
-numbers, dates or blanks. The last row above them names the columns, but for a row of units. Names that repeat or are blank get
-those of the rows above in front: `nose` over `x` is `nose x`. Rows above that name nothing are titles.
+The rows of values decide. The separator is the mark that cuts most of the first lines into equally many cells, most of them
+numbers, dates or blanks. The last row above the values names the columns, apart from a row of units. Repeated or blank names get
+those of the rows above in front: `nose` over `x` is `nose x`. Rows above that add nothing are titles.
 """
 
 import csv
@@ -26,7 +26,7 @@ Lines = Sequence[tuple[int, str]]  # (number in the file, text)
 
 @dataclass(frozen=True)
 class Layout:
-    """Separator, names, and units by name of the columns of one file, and what is worth noting.
+    """Separator, names, and units by name of the columns of one file, and notes.
 
     above: lines before the first row of values. line: of the names, in the file. settings: of a Motive export.
     """
@@ -40,7 +40,7 @@ class Layout:
     settings: tuple[tuple[str, str], ...] = ()
 
     def cut(self, line: str) -> list[str]:
-        """The cells of a line, blank ones beyond the last column left out."""
+        """Cells of a line, without blank ones beyond the last column."""
         fields = split(line, self.mark)
         if len(fields) == len(self.names) - 1 and self.names[-1].lower() == "comment":  # LabVIEW writes none
             fields.append("")
@@ -62,10 +62,11 @@ def split(line: str, mark: str) -> list[str]:
 
 
 def find(path, head: Lines, comment: str, said: str) -> Layout:
-    """The layout of a file by its first lines.
+    """Finds the layout of a file from its first lines.
 
     Args:
-        comment: the last line of comment above them, without its mark. said: the separator that the file itself names, or "".
+        comment: the last line of comment above them, without its mark. said: the separator that the file itself states, or "".
+
     Raises:
         LogError: at file:line, one column only, no names, or a name twice.
     """
@@ -111,13 +112,13 @@ def _separated(mark: str) -> tuple[str, ...]:
 
 
 def _is_row(cells: Sequence[str]) -> bool:
-    """Whether most cells that are not blank are numbers or dates."""
+    """Returns True if most cells that are not blank are numbers or dates."""
     filled = [cell for cell in cells if cell.strip().lower() not in BLANKS]
     return len(cells) > 1 and bool(filled) and 2 * sum(map(is_value, filled)) >= len(filled)
 
 
 def _rows(head: Lines, marks: Sequence[str]) -> tuple[str, int]:
-    """(separator, index of the first row of values); ("", 0) where there are no such rows."""
+    """(separator, index of the first row of values); ("", 0) if there are no such rows."""
     best: tuple[int, bool, str, int] = (0, False, "", 0)
     for mark in marks:
         cells = [split(line, mark) for _, line in head]
@@ -137,7 +138,7 @@ def _rows(head: Lines, marks: Sequence[str]) -> tuple[str, int]:
 
 
 def _without_end(cells: Sequence[str], least: int = 0) -> list[str]:
-    """Cells without the blank ones at the end, `least` of them at least."""
+    """Cells without the blank ones at the end, but at least `least` of them."""
     out = list(cells)
     while len(out) > least and not out[-1].strip():
         out.pop()
@@ -145,7 +146,7 @@ def _without_end(cells: Sequence[str], least: int = 0) -> list[str]:
 
 
 def _separator(path, head: Lines, comment: str) -> str:
-    """The separator of a file without rows of values: the one that cuts its first line into most cells."""
+    """Separator of a file without rows of values: the mark that cuts its first line into most cells."""
     first = comment if comment and all(map(is_number, re.split(r"[;,\t| ]+", head[0][1].strip()))) else head[0][1]
     best, most = "", 1
     for mark in SEPARATORS:
@@ -167,7 +168,7 @@ def _separator(path, head: Lines, comment: str) -> str:
 
 
 def _units(cells: Sequence[str]) -> list[str]:
-    """The units of a row of units, "" where a cell names none; empty where it is no such row."""
+    """Units of a row of units, "" for a cell without one; empty if it is no such row."""
     bare = [cell.strip().strip(_BRACKETS) for cell in cells]
     filled = [cell for cell in bare if cell]
     units = [unit_of(cell) or other_unit(cell) for cell in bare]
@@ -177,7 +178,7 @@ def _units(cells: Sequence[str]) -> list[str]:
 
 
 def _composed(rows: Sequence[Sequence[str]]) -> tuple[list[str], int]:
-    """Names out of the last of `rows` and as many above it as they need to differ, and how many above were used."""
+    """Names from the last of `rows` and from as many rows above it as make them differ, and the number of those rows."""
     names, used = list(rows[-1]), 0
     while any(not name for name in names[1:-1]) or len(set(filter(None, names))) < len(list(filter(None, names))):
         if used + 1 >= len(rows):
@@ -195,13 +196,13 @@ def _composed(rows: Sequence[Sequence[str]]) -> tuple[list[str], int]:
 
 
 def _counts(cells: Sequence[str]) -> bool:
-    """Whether cells count up by one."""
+    """Returns True if cells count up by one."""
     whole = [int(cell) for cell in cells if cell.isdecimal()]
     return len(whole) == len(cells) > 1 and all(b - a == 1 for a, b in zip(whole, whole[1:], strict=False))
 
 
 def _checked(path, line: int, names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Names that differ, blank ones filled, and notes."""
+    """Unique names, with blank ones filled, and notes."""
     if len(names) > COLUMNS:
         raise LogError(f"{path}:{line}:1: {len(names)} columns; at most {COLUMNS} are read. Is it a picture or a matrix?")
     out: list[str] = []

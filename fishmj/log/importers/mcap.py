@@ -1,8 +1,8 @@
 """MCAP recordings (ROS 2, Foxglove): JSON messages, or CDR of ROS 2's standard types. Needs the extra `logs`.
 
-Topics become tables as `topics.py` says: by `<recording>.toml` beside the file, by the TOML given, or by their names. Stamps are
+`topics.py` maps topics to tables: by `<recording>.toml` beside the file, by the TOML given, or by their names. Stamps are
 log time, publish time or a field of the message; t = 0 is the earliest of them. Messages in other encodings (protobuf) are
-refused by name: convert them, or write the log as a trial folder. A chunk is unpacked only as far as it says it is long.
+refused by name: convert them, or write the log as a trial folder. A chunk is unpacked only up to its stated length.
 """
 
 import io
@@ -25,7 +25,7 @@ CHUNK = 512 << 20  # bytes, unpacked; recorders write 1 to 16 MB
 
 
 def sniff(path: Path) -> bool:
-    """A file that begins as MCAP does."""
+    """Returns True for a file that begins like MCAP."""
     if not path.is_file():
         return False
     with open(path, "rb") as file:
@@ -52,7 +52,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
 
 
 def carried(path: Path) -> dict | None:
-    """The meta data that a file of `log export` carries; None in any other, and without the library."""
+    """Meta data in a file of `log export`; None in any other, and without the library."""
     try:
         from mcap.exceptions import McapError
         from mcap.reader import SeekingReader
@@ -73,7 +73,7 @@ def carried(path: Path) -> dict | None:
 
 
 def channels(path: Path, needed: set[str] | None = None) -> Found:
-    """The messages of every topic that is needed (all when None), in the file's order.
+    """The messages of every topic in `needed` (all if None), in the file's order.
 
     Raises:
         LogError: damaged, cut off, or larger unpacked than the limit. MissingExtra: the package mcap is not installed.
@@ -119,7 +119,7 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
 
     try:
         with open(path, "rb") as file:
-            # no record is longer than the file, so that a damaged length cannot ask for all memory
+            # no record is longer than the file, so that a damaged length cannot request all memory
             reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
             for outer in reader.records:
                 if isinstance(outer, Chunk):
@@ -142,7 +142,7 @@ def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
 
 
 def _unpacked(path: Path, chunk) -> bytes:
-    """A chunk's records. Its header says how long they are: no more than that is ever unpacked."""
+    """Unpacks a chunk's records, up to the length that its header states."""
     size = chunk.uncompressed_size
     if size > min(CHUNK, most_bytes()):
         raise LogError(f"{path}: a chunk that says it unpacks to {size / 1e9:.3g} GB; recorders write megabytes. Is it damaged?")

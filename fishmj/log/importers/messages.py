@@ -1,4 +1,4 @@
-"""Recordings of messages (MCAP, rosbag2): topics become tables as a mapping says (`topics.py`), or sheets to be guessed at."""
+"""Recordings of messages (MCAP, rosbag2): a mapping turns topics into tables (`topics.py`); without one they become sheets."""
 
 import math
 import re
@@ -44,14 +44,14 @@ KEPT = {  # types that are spread over sheets without a mapping; any other stand
 
 # ---------------------------------------------------------------------------------------------------- with a mapping
 def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, notes: Sequence[str] = ()) -> dict[str, Trial]:
-    """One trial, named after the file.
+    """Reads one trial, named after the file.
 
     Args:
         own: meta data that the file carries as an export of ours: its stamps are on the trial's own clock.
-        notes: what the reader of the file has to say.
+        notes: remarks of the file's reader.
 
     Raises:
-        LogError: a topic, field or value is not as the mapping says; file:topic[message]:field.
+        LogError: a topic, field or value does not match the mapping; file:topic[message]:field.
     """
     stamps, columns, told = {}, {}, []
     for name, entry in wanted.tables.items():
@@ -71,13 +71,14 @@ def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, no
 
 
 def named_like_tables(found: Found) -> Topics:
-    """The mapping of JSON topics that are named like tables and whose first message has columns of that table."""
+    """Mapping of JSON topics that are named like tables and whose first message has columns of that table."""
     wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json" and channel.messages})
     first = {topic: read_json(topic, found[topic].messages[0][2]) for topic in {entry.topic for entry in wanted.tables.values()}}
     return Topics({n: e for n, e in wanted.tables.items() if any(is_column(table_spec(n), key) for key in first[e.topic])})
 
 
 def listed(found: Found) -> str:
+    """Names of the topics for a message, sorted and shortened; `none` without any."""
     return ", ".join(map(repr, sorted(found)))[:300] or "none"
 
 
@@ -86,7 +87,7 @@ def _place(path: Path, topic: str, order: np.ndarray):
 
 
 def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int], Table, list[str]]:
-    """Stamps [ns], columns and notes of one topic. A message that names other joints only is left out."""
+    """Stamps [ns], columns and notes of one topic. A message that names only other joints is left out."""
     if not channel.messages:
         raise LogError(f"{path}: topic {entry.topic!r} has no message; leave its table out")
     decode = decoder(path, entry.topic, channel)
@@ -125,9 +126,9 @@ def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int]
 
 
 def _dig(where: str, content, wanted: Field) -> tuple[Any, str]:
-    """The value at a path, and the joint that the message names for it; (ABSENT, joint) where the message lacks that joint.
+    """Value at a path, and the joint that the message names for it; (ABSENT, joint) if the message lacks that joint.
 
-    `position.tail_joint` is the value whose place in the message's own list of names is that of `tail_joint`.
+    `position.tail_joint` is the value at the place of `tail_joint` in the message's own list of names.
     """
     value, names, joint = content, None, ""
     for k, part in enumerate(wanted.path):
@@ -162,7 +163,7 @@ def _yaw(where: str, value: dict) -> float:
 
 
 def _names(value: dict) -> list[str] | None:
-    """Names of joints that a message carries beside lists of their values; None where it carries none."""
+    """Joint names in a message beside lists of their values; None without any."""
     for key in NAMES:
         names = value.get(key)
         if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
@@ -177,7 +178,7 @@ def _number(where: str, value) -> float:
 
 
 def _stamp(where: str, clock: Field, value) -> int:
-    """A field's time in ns: a number in the clock's unit (s unless said), or an object {sec, nanosec}."""
+    """Time of a field in ns: a number in the clock's unit (s by default), or an object {sec, nanosec}."""
     if isinstance(value, dict):
         if (whole := _sec_nanosec(value)) is not None:
             return whole
@@ -213,7 +214,7 @@ def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[
 
 # -------------------------------------------------------------------------------------------------------- as sheets
 def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
-    """Every topic whose messages hold numbers, spread over columns: `pose.position.x`; stamps as s since 1970.
+    """Sheets of all topics whose messages hold numbers, spread over columns: `pose.position.x`; stamps as s since 1970.
 
     Raises:
         LogError: no such topic, or a message that does not decode.
@@ -260,7 +261,7 @@ class _Rows:
         return float(np.median([receipt - stamp for receipt, stamp in zip(self.receipts, self.stamps, strict=True)]))
 
     def sheet(self, path: Path, topic: str, kind: str) -> Sheet:
-        """The rows as columns; messages of one instant that tell different things are one row."""
+        """The rows as columns; messages of one instant with different fields form one row."""
         stamps: list[int] = []
         rows: list[dict[str, float]] = []
         for stamp, row in self._in_order():
@@ -288,7 +289,7 @@ class _Rows:
         return dict.fromkeys((key for key in columns if key.startswith("command.")), why) if self.notes[PLANS] else {}
 
     def _in_order(self) -> list[tuple[int, dict[str, float]]]:
-        """Stamps and values; sorted where publishers overtake one another, as left where the clock was set back once."""
+        """Stamps and values; sorted if publishers overtake one another, unchanged if the clock was set back once."""
         pairs = list(zip(self.stamps, self.values, strict=True))
         back = [a - b for a, b in pairwise(self.stamps) if a > b]
         if len(back) >= OVERTAKEN and max(back) < OVERTAKES:
@@ -298,7 +299,7 @@ class _Rows:
 
 
 def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
-    """The messages of a topic as rows; None where they hold no number."""
+    """Messages of a topic as rows; None if they hold no number."""
     decode = decoder(path, topic, channel)
     out, keys = _Rows([], [], [], Counter()), set()
     own = []
@@ -321,7 +322,7 @@ def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
 
 
 def _together(rows: dict[str, _Rows], kinds: dict[str, str]) -> dict[str, _Rows]:
-    """The topics; those of one number a joint (`/joint1/command`, `/joint2/command`), sent side by side, are put together."""
+    """The topics, with those of one number a joint (`/joint1/command`, `/joint2/command`), sent side by side, joined."""
     groups: dict[str, list[str]] = {}
     for topic, kind in kinds.items():
         said = header.words(topic)
@@ -355,7 +356,7 @@ def _joints_of(columns: Iterable[str]) -> list[str]:
 
 
 def _unnamed(columns: Iterable[str]) -> dict[str, str]:
-    """Doubts about joints by their place in the list where other messages of the topic name theirs."""
+    """Doubts about joints identified by position, in a topic whose other messages name theirs."""
     joints = _joints_of(columns)
     placed = [name for name in joints if name.isdecimal()]
     why = "messages without names beside messages that name their joints: which joint is it?"
@@ -363,13 +364,13 @@ def _unnamed(columns: Iterable[str]) -> dict[str, str]:
 
 
 def _own_stamp(content: dict) -> int | None:
-    """Of its header, where that is set."""
+    """Stamp of a message's header in ns, None if it is not set."""
     stamp = content.get("header", {}).get("stamp") if isinstance(content.get("header"), dict) else content.get("stamp")
     return _sec_nanosec(stamp) if isinstance(stamp, dict) else None
 
 
 def _flat(value, prefix: str = "", depth: int = 0, names: list[str] | None = None) -> dict[str, float]:
-    """Numbers by their path; a list beside a list of as many names by these names."""
+    """Numbers by their path; a list beside a list of equally many names by these names."""
     out: dict[str, float] = {}
     if depth > DEPTH:
         return out
@@ -389,7 +390,7 @@ def _flat(value, prefix: str = "", depth: int = 0, names: list[str] | None = Non
 
 
 def _names_of(items: list) -> list[str]:
-    """Names of the objects in a list, where each has one of its own; else none."""
+    """Names of the objects in a list, if all have different names; else none."""
     for key in NAMED:
         named = [item[key] for item in items if isinstance(item, dict) and type(item.get(key)) in (str, int)]
         names = list(map(str, named))
@@ -399,12 +400,12 @@ def _names_of(items: list) -> list[str]:
 
 
 def _is_joint_state(content: dict) -> bool:
-    """True for a message of names beside positions, velocities or efforts, in whatever encoding."""
+    """Returns True for a message of names beside positions, velocities or efforts, in any encoding."""
     return isinstance(content.get("name"), list) and any(isinstance(content.get(key), list) for key in STATE)
 
 
 def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
-    """Columns `joint.NAME`, `joint.NAME.velocity`, `joint.NAME.effort` by the message's own names, by place where it has none.
+    """Columns `joint.NAME`, `joint.NAME.velocity`, `joint.NAME.effort` by the message's own names, by position if it has none.
 
     Raises:
         LogError: a name appears twice, or there are positions for some of the names only.
@@ -443,7 +444,7 @@ def _trajectory(where: str, content: dict, notes: Counter) -> dict[str, float]:
 
 
 def _battery(content: dict) -> dict[str, float]:
-    """ROS counts current into the battery; the log's current is what the robot draws."""
+    """Battery values with the current that the robot draws, as in the log; ROS counts current into the battery."""
     voltage, current = (content.get(key) for key in ("voltage", "current"))
     out = {"voltage": float(voltage)} if isinstance(voltage, int | float) else {}
     return out | ({"current_drawn": -float(current)} if isinstance(current, int | float) and math.isfinite(current) else {})

@@ -1,6 +1,6 @@
 """CSV exports of Motive (OptiTrack): one line of settings, rows of types, names, ids, quantities and axes, then the frames.
 
-Motive's Y axis points up. The motion tells whether that was changed: a fish turns about the axis that is up.
+Motive's Y axis points up by default. The motion shows if that was changed: a fish turns about the upward axis.
 With Y up the plane's axes are x = X, y = -Z, with Z up x = X, y = Y. The heading is that of the rigid body's own x axis.
 """
 
@@ -20,17 +20,17 @@ _PLACE, _TURN = ("Position X", "Position Y", "Position Z"), ("Rotation X", "Rota
 
 
 def settings(first: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Pairs of the first line; empty where the file is no export of Motive."""
+    """Pairs of the first line; empty if the file is no export of Motive."""
     if not first or first[0] != "Format Version" or "Take Name" not in first:
         return ()
     return tuple(zip(first[::2], first[1::2], strict=False))
 
 
 def names(path, line: int, rows: Sequence[Sequence[str]]) -> list[str]:
-    """`body Position X`, ..: what a column belongs to, its quantity and its axis; `rows` are those between settings and frames.
+    """Column names `body Position X`, ..: object, quantity and axis; `rows` are those between settings and frames.
 
     Raises:
-        LogError: the rows of titles are not there.
+        LogError: the rows of titles are missing.
     """
     rows = [row for row in rows if any(row)]
     types = next((k for k, row in enumerate(rows) if any("Rigid Body" in c or "Marker" in c or "Bone" in c for c in row[2:])), -1)
@@ -48,10 +48,10 @@ def names(path, line: int, rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def in_plane(sheet: Sheet, told: Sequence[tuple[str, str]]) -> Sheet:
-    """The sheet with x, y [and yaw] of every body and marker in the horizontal plane in place of its columns in space.
+    """Sheet with x, y [and yaw] of every body and marker in the horizontal plane in place of its columns in space.
 
     Raises:
-        LogError: rotations are no quaternions, or the motion does not tell which axis is up.
+        LogError: rotations are no quaternions, or the motion does not show the upward axis.
     """
     said = dict(told)
     columns = sheet.columns
@@ -83,7 +83,7 @@ def in_plane(sheet: Sheet, told: Sequence[tuple[str, str]]) -> Sheet:
 
 
 def _up(sheet: Sheet, places: Sequence[str], turned: Sequence[str]) -> str:
-    """The axis that points up, Y or Z."""
+    """The upward axis, Y or Z."""
     spread = np.zeros(3)
     turn = np.zeros(3)
     for body in places:

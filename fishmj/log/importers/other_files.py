@@ -1,4 +1,4 @@
-"""Files of a laboratory that are not read: what each is, and how its numbers become a file that is."""
+"""Unreadable files of a laboratory: the kind of each, and the way to convert it to a readable one."""
 
 import zipfile
 from pathlib import Path
@@ -59,10 +59,10 @@ _ENDS = {
 
 
 def kind_of(path: Path, *, text: bool = False) -> str:
-    """The name in KINDS of what a file is, by its first bytes, else by the end of its name; "" for none that is known.
+    """Name in KINDS of a file's kind, by its first bytes, else by the end of its name; "" for none that is known.
 
     Args:
-        text: its name says that it is a table of text, so that the first bytes alone decide.
+        text: its name marks it as a table of text, so that only the first bytes decide.
     """
     try:
         with open(path, "rb") as file:
@@ -77,7 +77,7 @@ def kind_of(path: Path, *, text: bool = False) -> str:
 
 
 def holds_tables(path: Path) -> bool:
-    """True for an archive of recordings: `camera.csv.gz`, or a zip file with one inside."""
+    """Returns True for an archive of recordings: `camera.csv.gz`, or a zip file with one inside."""
     if any(suffix in _TABLES for suffix in map(str.lower, path.suffixes[-2:-1])):
         return True
     try:
@@ -88,13 +88,13 @@ def holds_tables(path: Path) -> bool:
 
 
 def _is_workbook(path: Path) -> bool:
-    """True for a zip archive whose first pages name the parts of a workbook."""
+    """Returns True for a zip archive whose first pages name the parts of a workbook."""
     with open(path, "rb") as file:
         start = file.read(4096)
     return b"[Content_Types].xml" in start or b"xl/" in start or b"opendocument.spreadsheet" in start
 
 
 def advice(path: Path, kind: str) -> str:
-    """One clause: what a file is, and what to do."""
+    """One clause: the kind of a file, and what to do."""
     what, remedy = KINDS[kind]
     return f"{what}, which is not read; {remedy.format(name=path.name, stem=path.stem)}"

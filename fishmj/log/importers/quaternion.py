@@ -1,6 +1,6 @@
-"""Headings of unit quaternions: four columns x, y, z, w of one prefix become one heading [rad], whatever file they stand in.
+"""Headings of unit quaternions: four columns x, y, z, w of one prefix become one heading [rad], in any file.
 
-Their names say which of the four is w. The heading is that of the body's x axis in the frame's xy plane:
+Their names tell which of the four is w. The heading is that of the body's x axis in the frame's xy plane:
 yaw = atan2(2 (w z + x y), 1 - 2 (y^2 + z^2)).
 """
 
@@ -22,10 +22,10 @@ _NUMBERED = re.compile(r"(.*?)\[?([0-4])\]?", re.DOTALL)
 
 
 def with_headings(sheet: Sheet) -> Sheet:
-    """The sheet with a column `<prefix>yaw` [rad] in place of each quaternion's four; rows without a rotation are blank.
+    """Sheet with a column `<prefix>yaw` [rad] in place of each quaternion's four; rows without a rotation are blank.
 
     Raises:
-        LogError: four numbered columns are a quaternion, and nothing says which of them is w; or a norm is not 1.
+        LogError: four numbered columns form a quaternion with an unknown place of w; or a norm is not 1.
     """
     for column in list(sheet.columns):
         for pattern in (_LAST, _FIRST):
@@ -41,7 +41,7 @@ def with_headings(sheet: Sheet) -> Sheet:
 
 
 def heading(q: np.ndarray, where: str) -> tuple[np.ndarray, str]:
-    """Headings [rad] of quaternions (T, 4) in the order x, y, z, w, NaN where all four are 0 or one is blank; and a doubt or "".
+    """Headings [rad] of quaternions (T, 4) in the order x, y, z, w, NaN if all four are 0 or one is blank; and a doubt or "".
 
     Raises:
         LogError: a norm is neither 0 nor 1.
@@ -67,7 +67,7 @@ def heading(q: np.ndarray, where: str) -> tuple[np.ndarray, str]:
 
 
 def _is_unit(sheet: Sheet, parts: list[str]) -> bool:
-    """True where every row that is complete has the norm 1, and one has."""
+    """Returns True if there are complete rows and all of them have the norm 1."""
     with np.errstate(over="ignore", invalid="ignore"):
         norm = np.sqrt(sum(sheet.columns[part] ** 2 for part in parts))
     norm = norm[np.isfinite(norm)]
@@ -92,7 +92,7 @@ def _replaced(sheet: Sheet, parts: list[str], name: str) -> Sheet:
 
 
 def _refuse_numbered(sheet: Sheet) -> None:
-    """Refuse `q0..q3`: w is the first of them in some programs and the last in others."""
+    """Refuses `q0..q3`: w is the first of them in some programs and the last in others."""
     groups: dict[str, list[str]] = {}
     for column in sheet.columns:
         if found := _NUMBERED.fullmatch(column):

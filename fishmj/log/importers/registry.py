@@ -1,4 +1,4 @@
-"""The formats by name, the one `read` that finds out which it is, and `trial_of`, the checks with which every reader ends."""
+"""The formats by name, `read`, which detects the format, and `trial_of`, the final checks of every reader."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,10 +30,12 @@ class Importer:
 
     @property
     def sniff(self) -> Callable[[Path], bool]:
+        """The module's `sniff(path) -> bool`."""
         return import_module(self.module).sniff
 
     @property
     def read(self) -> Callable[..., dict[str, Trial]]:
+        """The module's `read(path) -> {name: Trial}`."""
         return import_module(self.module).read
 
 
@@ -56,7 +58,7 @@ PUBLISHED = tuple(
 
 
 def published(path: Path) -> str:
-    """Which published data set's layout a file or folder has; "" for none, so that it is read by its columns."""
+    """Name of the published data set whose layout a file or folder has; "" for none, so that it is read by its columns."""
     try:
         return next((name for name in PUBLISHED if FORMATS[name].sniff(path)), "")
     except OSError:
@@ -64,7 +66,7 @@ def published(path: Path) -> str:
 
 
 def each(path: Path, name: str) -> tuple[dict[str, Trial], dict[str, str]]:
-    """Trials of a folder in one format, its files read one by one: what reads, and why the others do not."""
+    """Trials of a folder in one format, its files read one by one, and the errors of the others."""
     trials: dict[str, Trial] = {}
     bad: dict[str, str] = {}
     for file in sorted(p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")):
@@ -103,9 +105,9 @@ def read(path: str | Path, format: Format = None, *, topics: str | Path | None =
     """Trials by name from a file or folder in a foreign format.
 
     Args:
-        format: one of `FORMATS`; one's own reader, `function(path)` or, as the user typed it, module:function, file.py:function
-            or an entry point of fishmj.importers (docs/simulate/your_own_code.md); found out when None.
-        topics: for "mcap" and "rosbag2": the TOML that says which topic is which table.
+        format: one of `FORMATS`; the user's own reader, `function(path)` or, as typed, module:function, file.py:function or an
+            entry point of fishmj.importers (docs/simulate/your_own_code.md); detected if None.
+        topics: for "mcap" and "rosbag2": the TOML that maps topics to tables.
 
     Raises:
         LogError: nothing there, unknown format, or a breach of it at file:line:column with the fix.
@@ -126,7 +128,7 @@ def read(path: str | Path, format: Format = None, *, topics: str | Path | None =
 
 
 def _own(path: Path, format: Any, topics) -> dict[str, Trial]:
-    """Trials of a reader of the user's own."""
+    """Trials from the user's own reader."""
     what = f"importer {format if isinstance(format, str) else getattr(format, '__name__', format)}"
     reader = plugins.load("importer", format, FORMATS) if isinstance(format, str) else format
     plugins.takes(what, reader, "read(path)", 1)
@@ -158,10 +160,11 @@ def _place(where: str, table: str) -> Callable[[int, str], str]:
 def trial_of(
     name: str, meta: dict, tables: Mapping[str, tuple[Table, Place]], notes: Sequence[str] = (), advised: Advised | None = None
 ) -> Trial:
-    """Check every table and put them together; `meta` gets `origin = "measured"` unless it says otherwise.
+    """Checks every table and makes a trial of them; `meta` gets `origin = "measured"` unless it has another.
 
     Args:
-        advised: what to say of a table's implausible value where the source's own columns can be mended.
+        advised: advice for an implausible value of a table whose source columns can be corrected.
+
     Raises:
         LogError: a table breaks the schema; the message begins with the place in the source file.
     """
@@ -179,11 +182,11 @@ def trial_of(
 
 
 def _kept(columns: Table, place: Place, rows: np.ndarray) -> tuple[Table, Place]:
-    """Some rows of a table, which keep their places in the source."""
+    """Selected rows of a table, with their places in the source."""
     at = np.flatnonzero(rows)
     return {name: values[rows] for name, values in columns.items()}, lambda row, column: place(int(at[row]), column)
 
 
 def renamed(place: Place, names: Mapping[str, str]) -> Place:
-    """A place function that knows the schema's column names: schema column -> column of the source."""
+    """Place function for the schema's column names: schema column -> column of the source."""
     return lambda row, column: place(row, names.get(column, column))

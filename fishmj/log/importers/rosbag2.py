@@ -35,7 +35,7 @@ LOOKS = 500_000
 
 
 def sniff(path: Path) -> bool:
-    """A bag's folder, with or without metadata.yaml, or one of its files that is no plain MCAP file."""
+    """Returns True for a bag's folder, with or without metadata.yaml, or for one of its files that is no plain MCAP file."""
     if not path.is_dir():
         return path.is_file() and path.name.endswith(STORED) and path.suffix != mcap.SUFFIX
     files = _files(path)
@@ -43,10 +43,10 @@ def sniff(path: Path) -> bool:
 
 
 def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
-    """One trial, named after the bag, by a topic mapping or by topics named like tables.
+    """Reads one trial, named after the bag, by a topic mapping or by topics named like tables.
 
     Raises:
-        LogError: damaged, no such topic, or values that are not as the mapping says. MissingExtra: rosbags is absent.
+        LogError: damaged, no such topic, or values that do not match the mapping. MissingExtra: rosbags is absent.
     """
     wanted = read_topics(topics) if topics else None
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
@@ -59,7 +59,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
 
 
 def channels(path: Path, needed: set[str] | None = None) -> Found:
-    """The messages of every topic that is needed (all when None), in the order of their receipt.
+    """The messages of every topic in `needed` (all if None), in the order of their receipt.
 
     Raises:
         LogError: a part is absent, damaged or of another recording; or a topic changes its type.
@@ -88,7 +88,7 @@ def channels(path: Path, needed: set[str] | None = None) -> Found:
 
 
 def lost(path: Path, found: Found) -> list[str]:
-    """A note for each topic of which metadata.yaml counts more messages than were found, and for one part of several."""
+    """A note for each topic with fewer messages than metadata.yaml counts, and for one part of several."""
     out = []
     if path.is_file() and (path.parent / METADATA).is_file() and len(files := _files(path.parent)) > 1:
         out.append(f"{path.name}: one of {len(files)} files of a bag; import the folder {path.parent.name} for all of it")
@@ -101,7 +101,7 @@ def lost(path: Path, found: Found) -> list[str]:
 
 
 def _metadata(path: Path) -> dict:
-    """What metadata.yaml says of the bag; nothing where there is none.
+    """Contents of a bag's metadata.yaml; empty without one.
 
     Raises:
         LogError: it is no YAML of a bag. MissingExtra: the package rosbags is not installed.
@@ -133,7 +133,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _is_split(files: list[Path]) -> bool:
-    """True for two or more files of one name that are numbered from 0 on."""
+    """Returns True for two or more files of one name that are numbered from 0 on."""
     found = [m for file in files if (m := PART.fullmatch(file.name))]
     return len(found) == len(files) > 1 and [(m[1], int(m[2])) for m in found] == [(found[0][1], k) for k in range(len(files))]
 
@@ -142,7 +142,7 @@ def _parts(path: Path) -> list[Path]:
     """The files of a bag.
 
     Raises:
-        LogError: they are not those that its metadata.yaml lists.
+        LogError: they differ from the list in its metadata.yaml.
     """
     files = _files(path)
     listed = {str(name).replace("\\", "/").rpartition("/")[2].removesuffix(PACKED) for name in _listed(path)}
@@ -179,7 +179,7 @@ def _channels(path: Path, needed: set[str] | None) -> Found:
 
 @contextmanager
 def _whole(path: Path) -> Iterator[Path]:
-    """The file itself; or a copy that is unpacked, or that holds what its recorder had not yet moved into it.
+    """The file itself; or a copy that is unpacked, or completed from the recorder's write-ahead log.
 
     Raises:
         LogError: a file beside it, which holds a part of the database, is not finished or absent.
@@ -213,7 +213,7 @@ def _whole(path: Path) -> Iterator[Path]:
 
 
 def _first(path: Path) -> bytes:
-    """The first byte of a file; none where it is empty or absent."""
+    """The first byte of a file; empty if the file is empty or absent."""
     if not path.is_file():
         return b""
     with open(path, "rb") as file:
@@ -221,7 +221,7 @@ def _first(path: Path) -> bytes:
 
 
 def _complete(path: Path, copy: Path) -> None:
-    """Move the messages of the write-ahead log into the copy of the database."""
+    """Moves the messages of the write-ahead log into the copy of the database."""
     try:
         database = sqlite3.connect(copy)
         try:
@@ -236,7 +236,7 @@ def _complete(path: Path, copy: Path) -> None:
 
 
 def _unpack(path: Path, copy: Path) -> None:
-    """Unpack a file, up to the limit on size."""
+    """Unpacks a file, up to the limit on size."""
     regular(path)
     with open(path, "rb") as packed, open(copy, "wb") as plain:
         for block in _unpacked(str(path), packed):
@@ -245,7 +245,7 @@ def _unpack(path: Path, copy: Path) -> None:
 
 
 def _unpacked(where: str, packed: BinaryIO) -> Iterator[bytes]:
-    """Blocks of what zstd packed."""
+    """Blocks of data packed with zstd."""
     import zstandard
 
     try:

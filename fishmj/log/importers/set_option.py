@@ -1,4 +1,4 @@
-"""The option --set: places, units and scales of columns as the user states them."""
+"""The option --set: the user's statements of places, units and scales of columns."""
 
 from collections.abc import Iterable
 
@@ -11,7 +11,7 @@ from fishmj.log.trial import TABLES, table_spec
 
 
 def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
-    """`servo1=cmd.c1:deg`, `u=pose.x:px*0.0012`, `foo=skip` -> column: (place, unit, scale).
+    """Parses `servo1=cmd.c1:deg`, `u=pose.x:px*0.0012`, `foo=skip` to {column: (place, unit, scale)}.
 
     Raises:
         LogError: no such table, column or unit, with the nearest.

@@ -1,7 +1,7 @@
-"""What every reader of a foreign file gives: columns of numbers under the names that the lab chose.
+"""Common result of the readers of foreign files: columns of numbers under the lab's own names.
 
-Binary tables are read here: Parquet (extra `logs`) and `.npz` archives of one array a column. What they would unpack to is
-measured first.
+Binary tables are read here: Parquet (extra `logs`) and `.npz` archives of one array a column. Their unpacked size is checked
+first.
 """
 
 import json
@@ -21,7 +21,7 @@ EPOCH = 3e8  # s; stamps that begin beyond (nine years and a half) count from 19
 
 @dataclass(frozen=True)
 class Sheet:
-    """`columns`: name -> (T,) float64, NaN where a cell holds no number; the file stays as it is."""
+    """Columns of a file: name -> (T,) float64, NaN for a cell without a number. The file itself is never changed."""
 
     path: Path
     name: str  # of the file, or the topic of a recording
@@ -47,11 +47,12 @@ class Sheet:
         return str(self.path) if self.name == self.path.name else f"{self.path}:{self.name}"
 
     def noted(self, *notes: str) -> "Sheet":
+        """Copy of the sheet with further notes."""
         return replace(self, notes=(*self.notes, *notes))
 
 
 def checked(sheet: Sheet) -> Sheet:
-    """The sheet, infinite values blanked with a note.
+    """Sheet with infinite values blanked and noted.
 
     Raises:
         LogError: no rows, or no column of numbers.
@@ -74,10 +75,10 @@ NPZ = (".npz",)
 
 
 def read_parquet(path: Path) -> list[Sheet]:
-    """Every column of numbers, truth values, time stamps, or lists of one length of numbers; others are noted.
+    """Reads the columns of numbers, truth values, time stamps, or lists of numbers of one length; other columns are noted.
 
-    A list becomes a column for each of its elements, by the names that the meta/info.json of a LeRobot data set gives them. A
-    file with a column `episode_index` becomes a sheet for each episode.
+    A list becomes a column for each of its elements, named as in the meta/info.json of a LeRobot data set. A file with a column
+    `episode_index` becomes a sheet for each episode.
 
     Raises:
         LogError: damaged, no rows, too many columns, or larger unpacked than the limit. MissingExtra: pyarrow is absent.
@@ -148,7 +149,7 @@ def _episodes(sheet: Sheet) -> list[Sheet]:
 
 
 def _is_list(pa, kind) -> bool:
-    """True for lists of numbers."""
+    """Returns True for lists of numbers."""
     if not (pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)):
         return False
     return pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type)
@@ -183,7 +184,7 @@ def _element_names(path: Path, column: str, count: int) -> list[str]:
 
 
 def _names_in(info: Path, column: str) -> list[str]:
-    """Names that info.json gives the elements of a feature; none where it gives none."""
+    """Names in info.json for the elements of a feature; empty without any."""
     try:
         names = json.loads(info.read_text("utf-8"))["features"][column]["names"]
     except (*DAMAGE, RecursionError):
@@ -206,7 +207,9 @@ def _numbers(pa, values) -> np.ndarray:
 
 
 def read_tables(path: Path) -> list[Sheet]:
-    """An `.npz`: a sheet for each length of its arrays. (T,) become columns, (T, K) become name_1..name_K; others are noted.
+    """Reads an `.npz` as a sheet for each length of its arrays.
+
+    Arrays (T,) become columns, (T, K) become name_1..name_K; others are noted.
 
     Raises:
         StoreError: damaged or pickled. LogError: no columns.

@@ -1,4 +1,4 @@
-"""Which topic of a message recording is which table: a small TOML beside the recording.
+"""Maps the topics of a message recording to tables, by a small TOML beside the recording.
 
     [meta]
     origin = "measured"
@@ -14,7 +14,7 @@
     t = { field = "header.stamp", unit = "ns" }
     columns = { x = "pose.x", y = "pose.y", yaw = { field = "heading", unit = "deg" } }
 
-A field is a path of keys and list indices with dots between. Units are converted because they are said here.
+A field is a path of keys and list indices with dots between. Only units that are stated here are converted.
 """
 
 import re
@@ -41,6 +41,7 @@ class Field:
 
     @property
     def factor(self) -> float:
+        """Factor of the field's unit to SI."""
         return UNITS[self.unit]
 
     def __str__(self) -> str:
@@ -65,7 +66,7 @@ class Topics:
 
 
 def by_name(topics: set[str]) -> Topics:
-    """Without a TOML: a topic that ends in a table's name is that table, and its keys are the columns."""
+    """Mapping without a TOML: a topic that ends in a table's name is that table, and its keys are the columns."""
     return Topics({name: Topic(topic) for topic in sorted(topics) for name in [topic.rsplit("/", 1)[-1]] if name in TABLES})
 
 

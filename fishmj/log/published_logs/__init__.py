@@ -1,1 +1,1 @@
-"""Readers of four published data sets: rows of `fishmj.log.importers.registry` name them, `log import` opens them."""
+"""Readers of four published data sets: rows of `fishmj.log.importers.registry` name them, `log import` uses them."""

@@ -1,4 +1,4 @@
-"""Rows of numbers without a header, as other programs print them; every error names file, line and column."""
+"""Rows of numbers without a header, as printed by other programs; every error names file, line and column."""
 
 import re
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infin
 
 @dataclass(frozen=True)
 class Rows:
-    """`values` (T, K) float64 and where each of them stood: `lines` (T,) 1-based, `starts[row][k]` 1-based character."""
+    """`values` (T, K) float64 and their places: `lines` (T,) 1-based, `starts[row][k]` 1-based character."""
 
     path: Path
     names: tuple[str, ...]
@@ -24,7 +24,7 @@ class Rows:
     starts: tuple[tuple[int, ...], ...]
 
     def place(self, row: int, name: str = "") -> str:
-        """file:line:column of one value; the first row and column where there is no such."""
+        """file:line:column of one value; the first row and column for an unknown one."""
         row = row if 0 <= row < len(self.lines) else 0
         k = self.names.index(name) if name in self.names else 0
         return f"{self.path}:{self.lines[row]}:{self.starts[row][k]}"
@@ -34,14 +34,14 @@ class Rows:
         return self.values[:, self.names.index(name)].copy()
 
     def keep(self, rows: np.ndarray) -> "Rows":
-        """Only the rows of an index or a mask."""
+        """The rows of an index or a mask."""
         index = np.arange(len(self.lines))[rows]
         chosen = tuple(self.lines[i] for i in index), tuple(self.starts[i] for i in index)
         return Rows(self.path, self.names, self.values[index], *chosen)
 
 
 def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> Rows:
-    """Numbers in as many columns as one of `layouts` names, separated by `separator` ("" = blanks).
+    """Reads numbers in as many columns as one of `layouts` names, separated by `separator` ("" = blanks).
 
     Raises:
         LogError: at file:line:column: a number of columns that no layout has, text, a blank, a decimal comma, NaN.
@@ -68,7 +68,7 @@ def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> Row
 
 
 def without_strays(rows: Rows, stamp: str) -> tuple[Rows, list[str]]:
-    """Leave out single rows whose stamp falls behind the rows around them; a note says which.
+    """Rows without single strays whose stamp falls behind the rows around them, and a note on these.
 
     Raises:
         LogError: more than one row in a hundred (or the only ones) go back: the clock was set, or the rows are not in order.

@@ -31,7 +31,7 @@ _COLUMNS = {
 
 
 def sniff(path: Path) -> bool:
-    """A JSON file (or a folder with some) whose text names an entry's keys."""
+    """Returns True for a JSON file (or a folder with some) whose text names an entry's keys."""
     files = [path] if path.is_file() and path.suffix == ".json" else sorted(path.glob("*.json")) if path.is_dir() else []
     return any(_looks_right(file) for file in files)
 

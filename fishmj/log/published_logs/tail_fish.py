@@ -3,11 +3,11 @@
 STATES: video time [s], surge, sway [m/s], yaw rate [rad/s], yaw [rad], x, y [m]. control: time on the computer that steers [s],
 tail amplitude [deg], tail bias [deg]. The commanded beat is 1 Hz.
 
-Two clocks, and they disagree. The stamps of STATES are a frame count over 30 Hz; control has as many rows as the video has
-frames, on a real clock, every 62 or 78 ms. Neither is changed here; `clock_ratio` in the meta data tells how much too fast the
-video's clock runs if one frame was taken a control cycle.
+The two clocks disagree. The stamps of STATES are a frame count over 30 Hz. The control file has as many rows as the video has
+frames, on a real clock, every 62 or 78 ms. Neither is changed here. `clock_ratio` in the meta data is the factor by which the
+video's clock runs too fast if one frame was taken a control cycle.
 
-ASTATES files (five columns: the first four of STATES at other scales, and an angle) are not read: what was done to them is not
+ASTATES files (five columns: the first four of STATES at other scales, and an angle) are not read: their processing is not
 documented, and the authors' own scripts read STATES only.
 
 Source: github.com/giorgosmamakoukas/DerivativeBasedKoopman, Koopman_RoboticFish/AllData.zip, MIT.
@@ -32,7 +32,7 @@ _STATES_FILE = re.compile(r"STATES(\d+)\.txt")
 
 
 def sniff(path: Path) -> bool:
-    """A STATES file, a folder with some, or a folder of such folders."""
+    """Returns True for a STATES file, a folder with some, or a folder of such folders."""
     return bool(_STATES_FILE.fullmatch(path.name)) if path.is_file() else bool(_files(path))
 
 
@@ -105,7 +105,7 @@ def _gait(path: Path, amplitude: str, bias: str):
 
 
 def _clocks(video: np.ndarray, control: np.ndarray) -> tuple[float, list[str]]:
-    """Frames counted a second over control rows a second, and what that means; 0 where control has no rate."""
+    """Ratio of frames a second to control rows a second, and a note on its meaning; 0 if control has no rate."""
     rate = (len(control) - 1) / (control[-1] - control[0]) if len(control) > 1 else 0.0
     if not rate:
         return 0.0, []

@@ -31,12 +31,12 @@ _PIXELS = tuple(f"{axis}{i}" for i in range(MARKERS) for axis in "XY")
 
 
 def sniff(path: Path) -> bool:
-    """A marker file, or a folder with some."""
+    """Returns True for a marker file, or a folder with some."""
     return bool(_FILE.fullmatch(path.name)) if path.is_file() else any(_FILE.fullmatch(p.name) for p in path.glob("*.csv"))
 
 
 def read(path: Path) -> dict[str, Trial]:
-    """Trials by name: `f1_00`. Where both files of a frequency are there, one trial."""
+    """Trials by name: `f1_00`. Both files of a frequency make one trial."""
     files = [path] if path.is_file() else sorted(p for p in path.glob("*.csv") if _FILE.fullmatch(p.name))
     pairs: dict[str, dict[str, Path]] = {}
     for file in files:
@@ -127,7 +127,7 @@ def _rotated(path: Path) -> tuple[Rows, np.ndarray]:
 
 
 def _compare(points: np.ndarray, path: Path) -> None:
-    """The head-aligned file must be what the pixels give: same frames, same shape about marker 0."""
+    """Checks that the head-aligned file matches the pixels: same frames, same shape about marker 0."""
     rows, rotated = _rotated(path)
     if len(rotated) != len(points):
         raise LogError(f"{path}:1:1: {len(rotated)} frames, but the pixel file has {len(points)}; are they of one recording?")

@@ -6,7 +6,7 @@ imu bearing [deg], unix time [ms].
 
 Tank frame: x east, y north, yaw = pi/2 - bearing (bearings count clockwise from north). Positions start at zero.
 
-What to know before fitting anything: `speed` is no sensor. The source's filter takes position over time at each GPS fix and
+Before a fit, note that `speed` is no sensor. The source's filter takes position over time at each GPS fix and
 between fixes adds accelerometer readings that still hold gravity, so speed climbs by metres a second and falls back at the
 next fix. Its rows right after a fix are the measurement; `surge` holds the whole column as recorded. Northing is printed with
 six digits (steps of 10 m). The local x, y of the 12-column file come from a polar angle to which 360 was added in radians
@@ -35,7 +35,10 @@ _ROW = re.compile(rb"[^;\n]+(;[^;\n]+){5}((;[^;\n]+){6})?\r?\n")
 
 
 def sniff(path: Path) -> bool:
-    """A csv file (or a folder with some) whose first row has 6 or 12 numbers between semicolons, the last a unix time in ms."""
+    """Returns True for a csv file (or a folder with some) whose first row has 6 or 12 numbers between semicolons.
+
+    The last number must be a unix time in ms.
+    """
     return any(_looks_right(file) for file in _files(path))
 
 
@@ -92,7 +95,7 @@ def _trial(path: Path) -> Trial:
 
 
 def _remarks(rows: Rows, north: np.ndarray, east: np.ndarray) -> list[str]:
-    """What the numbers themselves show of the faults named above."""
+    """Notes on the faults named above, from the numbers themselves."""
     speed = rows.column("speed")
     out = []
     if count := int(np.sum(np.abs(np.diff(speed)) > RESET)):

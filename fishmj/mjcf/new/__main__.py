@@ -37,7 +37,7 @@ def options() -> console.Parser:
 
 
 def _answers(group) -> None:
-    """Options in the place of questions. One without a type is parsed later: its range depends on the answers before it."""
+    """Adds options for the answers. An option without a type is parsed later, because its range depends on earlier answers."""
     from fishmj.mjcf.new.answers import FIN, HEIGHT, LENGTH, TAIL, TALL, WIDE, WIDTH
     from fishmj.mjcf.new.fish_toml import SIDE_SPAN
     from fishmj.mjcf.new.quantity import quantity
@@ -94,6 +94,7 @@ def _data_sheet(group) -> None:
 
 
 def main(argv: list[str]) -> int:
+    """The verb `new`: asks, builds the fish, and writes and checks its description. Returns the exit code."""
     args = options().parse_args(argv)
     from fishmj.mjcf.new import answers
     from fishmj.mjcf.new.fish_toml import SIDE_SPAN, Fish
@@ -126,7 +127,7 @@ def main(argv: list[str]) -> int:
 
 
 def finish(args, files: dict[str, Path], fish, seen) -> int:
-    """Check the description as it reads back, write everything, say what was found."""
+    """Checks the description after reading it back, writes all files, and prints the findings. Returns the exit code."""
     from fishmj.base import store
     from fishmj.mjcf.description import robot_from_dict
     from fishmj.mjcf.new.fish_picture import picture
@@ -155,7 +156,7 @@ def finish(args, files: dict[str, Path], fish, seen) -> int:
 
 
 def next_steps(path: Path, name: str) -> list[str]:
-    """What to type next."""
+    """Lines with the next commands to type."""
     return [
         "next",
         f"  fishmj play --robot {path} --controller drift                                     look at it",
@@ -165,7 +166,7 @@ def next_steps(path: Path, name: str) -> list[str]:
 
 
 def paths(args, name: str) -> dict[str, Path]:
-    """Where everything goes."""
+    """Paths of the files to write: description, picture and, with a photo, outline."""
     out = args.out if args.out is not None else Path(f"{name}.toml")
     if out.suffix != ".toml":
         raise UsageError(f"new: --out {out}: a description's name ends in .toml; for example {out.with_suffix('.toml')}")
@@ -174,7 +175,7 @@ def paths(args, name: str) -> dict[str, Path]:
 
 
 def free(args, files: dict[str, Path]) -> None:
-    """Raise ConfigError where a file is there already."""
+    """Raises ConfigError if one of the files exists already."""
     there = [str(path) for path in files.values() if path.exists()]
     if there and not args.force:
         raise ConfigError(f"new: {', '.join(there)}: there already; add --force to overwrite, or choose another --out")
@@ -183,7 +184,7 @@ def free(args, files: dict[str, Path]) -> None:
 
 
 def given_answers(args) -> dict[str, str]:
-    """Answers on the command line, as text by question. Raises UsageError where two of them exclude each other."""
+    """Answers on the command line, as text by question. Raises UsageError if two of them exclude each other."""
     if args.links is not None and args.joints is not None:
         raise UsageError("new: --links and --joints: one of them, not both")
     if args.sections is not None and args.photo is not None:
@@ -206,7 +207,7 @@ def given_answers(args) -> dict[str, str]:
 
 
 def sheet_of(args):
-    """The servo of the data sheet options, or None where there are none. Raises UsageError where they are not whole."""
+    """The servo of the data sheet options, or None without any. Raises UsageError if they are incomplete."""
     from fishmj.mjcf.new.answers import NEEDED, SHEET
     from fishmj.mjcf.servos import DataSheet
 
@@ -222,7 +223,7 @@ def sheet_of(args):
 
 
 def read_side_view(args):
-    """What was seen in the photo; its length and width are answers, too."""
+    """Outline from the photo; the options for length and width serve as answers and as its scale."""
     from fishmj.mjcf.new.answers import LENGTH
     from fishmj.mjcf.new.photo import read_photo
     from fishmj.mjcf.new.quantity import quantity

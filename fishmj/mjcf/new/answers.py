@@ -1,4 +1,4 @@
-"""The eight questions about a fish: each with an option, a default and a plausible range, asked until the answer is valid."""
+"""The eight questions about a fish, each with an option, a default and a plausible range, repeated until the answer is valid."""
 
 import argparse
 import re
@@ -32,7 +32,7 @@ class Figure(NamedTuple):
 
     @property
     def parse(self) -> Callable[[str], float]:
-        """The `type=` of its option."""
+        """Parser of the option, its `type=`."""
         return quantity(self.kind, self.low, self.high)
 
 
@@ -48,7 +48,7 @@ Known = dict[str, Any]
 
 @dataclass(frozen=True)
 class Question:
-    """One of the eight. `parse` and `default` see the answers before it; parse raises argparse.ArgumentTypeError."""
+    """One of the eight questions. `parse` and `default` receive the earlier answers; parse raises argparse.ArgumentTypeError."""
 
     key: str
     option: str
@@ -59,7 +59,7 @@ class Question:
 
 
 def links(text: str, known: Known) -> list[float]:
-    """`5` or `0.2,0.3,0.4` as the joints' stations from the nose, m."""
+    """Stations of the joints from the nose, m, from `5` (links) or `0.2,0.3,0.4`."""
     length = known["length"]
     if "," not in text and re.fullmatch(r"\s*[0-9]{1,3}\s*", text):
         n = int(text)
@@ -70,7 +70,7 @@ def links(text: str, known: Known) -> list[float]:
 
 
 def joints(text: str, length: float) -> list[float]:
-    """`0.2,0.3,0.4` or `20 cm, 30 cm` as stations, m."""
+    """Stations from `0.2,0.3,0.4` or `20 cm, 30 cm`, m."""
     parse, parts = quantity("length", 0.0, length), text.split(",")
     if not LINKS[0] <= len(parts) + 1 <= LINKS[1]:
         raise argparse.ArgumentTypeError(f"got {len(parts)} joints, expected {LINKS[0] - 1} to {LINKS[1] - 1}")
@@ -83,7 +83,7 @@ def joints(text: str, length: float) -> list[float]:
 
 
 def servo(text: str, _known: Known) -> DataSheet:
-    """A servo of the shelf, or a TOML file with what its data sheet says."""
+    """A shipped servo by name, or one from a TOML file with its data sheet."""
     text = text.strip()
     if text.endswith(".toml"):
         return sheet_file(Path(text))
@@ -93,9 +93,10 @@ def servo(text: str, _known: Known) -> DataSheet:
 
 
 def sheet_file(path: Path) -> DataSheet:
-    """A data sheet as TOML: `stall_torque = "17 kg cm"`, `no_load_speed = "0.2 s/60deg"`, `voltage = 7.4`, `stall_current = 2.5`.
+    """Reads a servo's data sheet from a TOML file.
 
-    `bus`, one of servo_buses.BUSES, may be there as well.
+    Keys: `stall_torque = "17 kg cm"`, `no_load_speed = "0.2 s/60deg"`, `voltage = 7.4`, `stall_current = 2.5`. The key `bus`, one
+    of servo_buses.BUSES, is optional.
 
     Raises:
         ConfigError: a key is missing, unknown or no quantity of its kind. UnknownName: no such bus.
@@ -136,7 +137,7 @@ def _name(text: str, _known: Known) -> str:
 
 
 def _size(low: float, high: float) -> tuple[Callable[[str, Known], float], Callable[[Known], str]]:
-    """A length of the body, between shares of the fish's length."""
+    """Parser and default of a length of the body, between shares of the fish's length."""
     bounds = lambda known: (low * known["length"], high * known["length"])
     return (
         lambda text, known: quantity("length", *bounds(known))(text),
@@ -195,16 +196,16 @@ QUESTIONS = (
 def gather(
     known: Known, given: dict[str, str], ask: Callable[[str], str] | None, *, defaults: bool
 ) -> tuple[Known, dict[str, str]]:
-    """All answers, and where each comes from: "given", "asked" or "default".
+    """All answers, and the origin of each: "given", "asked" or "default".
 
     Args:
-        known: what a table or a photo already says: outline, length, head.
+        known: answers from a table or a photo: outline, length, head.
         given: answers on the command line, as text, by key.
-        ask: shows a line and returns what was typed; None without a terminal.
-        defaults: take the default of whatever is missing, and ask nothing.
+        ask: shows a line and returns the typed text; None without a terminal.
+        defaults: take the default of every missing answer, and ask nothing.
 
     Raises:
-        UsageError: an answer is not valid, or some are missing and nobody can be asked.
+        UsageError: an answer is not valid, or some are missing and there is no terminal to ask on.
     """
     known, origin = dict(known), {}
     wanted = [q for q in QUESTIONS if q.key not in known]

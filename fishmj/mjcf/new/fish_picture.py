@@ -86,7 +86,7 @@ def _fins(axes: Any, robot: Robot, g: Geometry, fronts: np.ndarray, level: float
 
 
 def _centres(axes: Any, robot: Robot, g: Geometry, fronts: np.ndarray) -> None:
-    """Of mass, of every link and of the fish; and of buoyancy."""
+    """Draws the centres of mass, of every link and of the fish, and the centre of buoyancy."""
     for i in range(len(robot.links)):
         lead = g.reference if i == 0 else 0.0
         axes.plot(fronts[i] + lead - g.com[i, 0], g.com[i, 2], "+", color="black", ms=7, zorder=6)

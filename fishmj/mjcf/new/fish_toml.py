@@ -1,4 +1,4 @@
-"""From answers to a description: a robot, and the TOML text with units and where each number comes from."""
+"""Builds the description from the answers: a robot, and the TOML text with the unit and origin of each number."""
 
 from dataclasses import dataclass, replace
 from math import degrees
@@ -22,7 +22,7 @@ YELLOW, RED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Fish:
-    """Everything that the answers say."""
+    """All answers about one fish."""
 
     name: str
     outline: Outline
@@ -34,7 +34,7 @@ class Fish:
 
 
 def robot_of(fish: Fish) -> Robot:
-    """The description in numbers. Raises ConfigError where the answers do not go together."""
+    """The robot in numbers. Raises ConfigError if the answers contradict each other."""
     links = balanced(cut(fish.outline, fish.joints), fish.mass)
     idle_power = round(RADIO + len(fish.joints) * fish.sheet.idle_power, 2)
     servo = servo_from_sheet(fish.sheet, idle_power=idle_power, where=f"new: servo {fish.sheet.name}")
@@ -46,7 +46,7 @@ def robot_of(fish: Fish) -> Robot:
 
 
 def rig_of(robot: Robot, bus: str) -> RigSpec:
-    """The rig as it is before anybody measured: servos 1, 2, ... that all turn one way, and paint as wide as the head."""
+    """Default rig before any measurement: servos 1, 2, ... with equal direction, and paint as wide as the head."""
     head, hinge = robot.links[0], float(geometry_of(robot).origin[1])
     stations, widths = np.array(head.sections)[:, [0, 2]].T
 
@@ -61,7 +61,7 @@ def rig_of(robot: Robot, bus: str) -> RigSpec:
 
 
 def side_fins(fish: Fish, links: tuple[Link, ...]) -> tuple[Fin, ...]:
-    """A pair on the head; the plates stand where a head that is long enough has them in the default fish."""
+    """A pair of fins on the head, at the same share of the length as in the default fish, but not behind the head."""
     if fish.side_span == 0:
         return ()
     front, rear = (

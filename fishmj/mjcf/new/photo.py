@@ -1,15 +1,15 @@
 """An outline from a side view in a photo: the fish stands out from its background, and the ruler gives the scale.
 
     background   a quadratic in x and y through the picture's margin, in each colour channel (CIE Lab): light falls off evenly
-    fish         the largest piece of what differs from it by more than Otsu's threshold (Otsu 1979), holes filled
+    fish         the largest piece that differs from it by more than Otsu's threshold (Otsu 1979), holes filled
     axis         the principal axis of its pixels without its fins; heights are top to bottom across it
     edges        upper and lower edge of the fish over its axis, one value a pixel, a median over a half of a hundredth of it
-    fins         what stands out of an edge in front of the tail fin and is shorter than a quarter of the fish: grey opening of
-                 the edge with that length (Serra 1982), where it stands out of the line from both sides by 0.08 of the height
-    head         the end without a tail fin; where neither or both flare, the end that the middle of the area lies nearer to
+    fins         bumps of an edge in front of the tail fin, shorter than a quarter of the fish: grey opening of the edge with that
+                 length (Serra 1982), if they rise from the line on both sides by 0.08 of the height
+    head         the end without a tail fin; if neither or both flare, the end nearer to the centroid of the area
     sections     Douglas and Peucker (1973) on the heights: they keep every extremum, to a pixel where 48 sections suffice
 
-A picture in which this is not clear is refused: an outline that is half right would be a fish that swims wrongly.
+An unclear picture is refused: a half-right outline would make a fish that swims wrongly.
 """
 
 from pathlib import Path
@@ -45,7 +45,7 @@ LEANS = 0.01  # of the length, between the middle of the area and that of the fi
 
 
 class Edges(NamedTuple):
-    """The fish over its axis, n stations a pixel apart, first the end that is called nose. Pixels."""
+    """Upper and lower edge of the fish over its axis, n stations a pixel apart, from the end called nose. Pixels."""
 
     x: np.ndarray  # (n,) from the nose
     top: np.ndarray  # (n,) across the axis, upwards
@@ -53,11 +53,11 @@ class Edges(NamedTuple):
 
     @property
     def height(self) -> np.ndarray:
-        """(n,), with both rims."""
+        """Heights (n,) in pixels, both rims included."""
         return self.top - self.bottom + 1
 
     def turned(self) -> "Edges":
-        """With the other end as the nose."""
+        """Copy with the other end as the nose."""
         return Edges(self.x, self.top[::-1], self.bottom[::-1])
 
 
@@ -71,7 +71,7 @@ class FinSeen(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What was found in a photo."""
+    """Result of reading a photo."""
 
     outline: Outline
     overlay: bytes  # a PNG to check by eye
@@ -138,7 +138,7 @@ def read_photo(
 
 
 def _notes(view: View, unit: float, asked: str | None) -> list[str]:
-    """What was taken for the head and for fins."""
+    """Notes on the detected head and fins."""
     other = "right" if view.nose == "left" else "left"
     if asked is None:
         lines = [f"nose: {view.nose}, because {view.why}; --nose {other} turns it"]
@@ -200,7 +200,7 @@ def _decoded(cv2, path: Path) -> np.ndarray:
 
 
 def _fish(cv2, picture: np.ndarray, path: Path) -> np.ndarray:
-    """Mask (H, W) bool of the fish. Raises ConfigError where it is not clear which pixels are fish."""
+    """Mask (H, W) bool of the fish. Raises ConfigError if its pixels are not clear."""
     high, wide = picture.shape[:2]
     fine = cv2.cvtColor(picture, cv2.COLOR_BGR2LAB).astype(np.float32)
     lab = cv2.GaussianBlur(fine, (0, 0), max(1.0, wide / 600))
@@ -255,7 +255,7 @@ def _fish(cv2, picture: np.ndarray, path: Path) -> np.ndarray:
 
 
 def _at_half(cv2, mask: np.ndarray, away: np.ndarray, size: int) -> np.ndarray:
-    """The mask with its rim, `size` px, where half of the contrast beside it is reached; gives fine tips back to it."""
+    """Mask with its rim, `size` px wide, moved to half of the contrast beside it; restores fine tips."""
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     beside = cv2.dilate(cv2.blur(away, (3, 3)), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1)))
     rim = cv2.dilate(mask, around) & (away > 0.5 * beside)
@@ -263,7 +263,7 @@ def _at_half(cv2, mask: np.ndarray, away: np.ndarray, size: int) -> np.ndarray:
 
 
 def _view(mask: np.ndarray, nose: str | None, path: Path) -> View:
-    """The fish of a mask. Raises ConfigError where it stands upright, or its ends look alike and `nose` does not say."""
+    """View of the fish in a mask. Raises ConfigError if it stands upright, or if its ends look alike and `nose` is not given."""
     points = np.stack(np.nonzero(mask)[::-1], -1).astype(float)
     body = np.ones(len(points), bool)
     for _ in range(2):  # the second time without the fins, which tilt the axis
@@ -289,7 +289,7 @@ def _view(mask: np.ndarray, nose: str | None, path: Path) -> View:
 
 
 def _overlay(cv2, picture, mask, view: View, sections) -> bytes:
-    """The picture with the hull, its sections, what was left out and both ends drawn on it, as PNG."""
+    """PNG of the picture with the hull, its sections, the omitted fins and both ends drawn on it."""
     point = lambda x, y: tuple(int(round(v)) for v in view.tip + x * view.axis + y * view.up)
     hull, orange, violet = view.hull, np.array([80.0, 200.0, 255.0]), np.array([220.0, 60.0, 200.0])
     top, bottom = ([point(*pair) for pair in zip(hull.x, edge, strict=True)] for edge in (hull.top, hull.bottom))
@@ -321,7 +321,7 @@ def _overlay(cv2, picture, mask, view: View, sections) -> bytes:
     return data.tobytes()
 
 
-# the silhouette: which end is the head, what of the outline is a fin, the few sections that keep its shape
+# the silhouette: its head end, its fins, and the few sections that keep its shape
 
 
 def edges_of(along: np.ndarray, across: np.ndarray) -> Edges:
@@ -340,7 +340,7 @@ def edges_of(along: np.ndarray, across: np.ndarray) -> Edges:
 
 
 def head(edges: Edges) -> tuple[bool | None, str]:
-    """Whether the nose is where these edges begin, and what says so; None where both ends look alike."""
+    """Returns (True if the nose is at the start of these edges, the reason); None in place of True if both ends look alike."""
     height = edges.height
     behind, before = flares(edges.x, height), flares(edges.x, height[::-1])
     if behind != before:
@@ -352,7 +352,7 @@ def head(edges: Edges) -> tuple[bool | None, str]:
 
 
 def flares(x: np.ndarray, height: np.ndarray) -> bool:
-    """Whether a tail fin stands at the end of heights (n,) over x."""
+    """Returns True if a tail fin stands at the end of heights (n,) over x."""
     root = root_of_fin(x, height)
     return root is not None and float(height[x <= root].max()) > 1.5 * float(np.interp(root, x, height))
 
@@ -370,7 +370,9 @@ def hull_of(edges: Edges) -> tuple[Edges, list[FinSeen]]:
 
 
 def _without_fins(edge: np.ndarray, n: int, least: float) -> tuple[np.ndarray, list[tuple[int, int, float]]]:
-    """An edge (N,) that counts outwards without what stands out of its first n values by `least`, and (start, end, reach)."""
+    """An edge (N,), counted outwards, without bumps of at least `least` in its first n values, and (start, end, reach) of
+    each.
+    """
     from scipy.ndimage import grey_opening, label
 
     made, found, total = edge.copy(), [], len(edge)
@@ -392,7 +394,7 @@ def _without_fins(edge: np.ndarray, n: int, least: float) -> tuple[np.ndarray, l
 
 
 def _continued(edge: np.ndarray, a: int, b: int, over: int) -> np.ndarray:
-    """Values at a..b of the cubic that leaves the edge at both ends with the slope that it has outside."""
+    """Values at a..b of the cubic that continues the edge at both ends with its outside slope."""
     from scipy.interpolate import CubicHermiteSpline
 
     before, after = slice(max(0, a - over), a + 1), slice(b, min(len(edge), b + over + 1))

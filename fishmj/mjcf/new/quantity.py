@@ -1,4 +1,4 @@
-"""Numbers with units as people and data sheets write them: `60 cm`, `17kgcm`, `0.2s/60deg`. SI without a unit."""
+"""Numbers with units in common notation: `60 cm`, `17kgcm`, `0.2s/60deg`. SI without a unit."""
 
 import argparse
 import math
@@ -46,7 +46,7 @@ def quantity(kind: str, low: float, high: float) -> Callable[[str], float]:
 
 
 def _value(text: str, kind: Quantity) -> float | None:
-    """In SI units; None where it is no number or the unit is not of this kind."""
+    """Value in SI units; None if it is no number or the unit is of another kind."""
     found = _NUMBER.match(text[:80])
     if found is None:
         return None

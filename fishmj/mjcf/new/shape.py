@@ -25,7 +25,7 @@ ROOM, LAST = 0.06, 0.97  # between joints behind a long head; where the last joi
 DEEPEST = 0.22  # share of the length at which the body is highest
 LINKS = (2, 10)  # of a fish that this verb makes
 SHORTEST = 0.02  # of a link, over the fish
-# share of the length, height over the greatest, width over the greatest; behind the nose, as the default fish has them
+# share of the length, height over the greatest, width over the greatest; behind the nose, from the default fish
 BODY = ((0.262, 1.0, 1.0), (0.331, 0.936, 0.903), (0.402, 0.83, 0.774), (0.533, 0.702, 0.58), (0.664, 0.553, 0.419))
 ROOT, ROOT_H, ROOT_W = 0.765, 0.383, 0.226  # where the tail fin begins
 FIN = ((0.843, 0.6, 0.113), (0.94, 1.0, 0.065), (1.0, 1.0, 0.016))  # share of the way from root height to fin height; width
@@ -79,19 +79,19 @@ def typical(length: float, height: float, width: float, tail_height: float) -> O
 
 
 def nose() -> list[tuple[float, float, float]]:
-    """An ellipse in seven rows up to the deepest station: d (1 - cos a), sin a, sin a; a small first section, not a point."""
+    """Rows of an elliptical nose up to the deepest station: d (1 - cos a), sin a, sin a; a small first section, not a point."""
     angles = np.radians(np.arange(15, 91, 15))
     return [(0.0, 0.1, 0.1), *((DEEPEST * (1 - np.cos(a)), float(np.sin(a)), float(np.sin(a))) for a in angles)]
 
 
 def typical_width(x: np.ndarray) -> np.ndarray:
-    """Width over the greatest width at shares x (..) of the length: of the default fish."""
+    """Width over the greatest width of the default fish, at shares x (..) of the length."""
     rows = np.array([*nose(), *BODY, (ROOT, ROOT_H, ROOT_W), *FIN])
     return np.interp(x, rows[:, 0], rows[:, 2])
 
 
 def root_of_fin(x: np.ndarray, height: np.ndarray) -> float | None:
-    """Where the tail fin begins: the lowest station of the rear half, where the outline rises by a sixth behind it."""
+    """Station at which the tail fin begins: the lowest of the rear half, if the outline rises by a sixth behind it; else None."""
     rear = (x > 0.5 * x[-1]) & (x < 0.97 * x[-1])
     if not rear.any():
         return None
@@ -100,10 +100,10 @@ def root_of_fin(x: np.ndarray, height: np.ndarray) -> float | None:
 
 
 def joints_of(length: float, links: int, head: float | None = None) -> list[float]:
-    """Stations (links - 1,) of the joints, m: the head, bodies of one length, a tail of a third or of what is left.
+    """Stations (links - 1,) of the joints, m: the head, bodies of one length, a tail of a third or of the remaining length.
 
     Args:
-        head: its share of the length; by default 0.4, and 0.6 of a fish that has only a head and a tail.
+        head: its share of the length; by default 0.4, and 0.6 for a fish with only a head and a tail.
     """
     if links == 2:
         return [(ALONE if head is None else head) * length]
@@ -142,10 +142,10 @@ def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
 
 
 def read_sections(path: Path, unit: str | None = None) -> Outline:
-    """The outline in a CSV file.
+    """Reads an outline from a CSV file.
 
     Args:
-        unit: of all columns, m, cm, mm or in; where the header does not say (`x [mm]`, `x_mm`, `x (mm)`). Metres by default.
+        unit: of all columns, m, cm, mm or in, unless the header states it (`x [mm]`, `x_mm`, `x (mm)`). Metres by default.
 
     Raises:
         ConfigError: with file and line: not a table, a column is missing, a cell is no number, x does not rise from 0, a

@@ -1,4 +1,4 @@
-"""Is the description of a fish that can be? Its weight, trim and servos, and five seconds of swimming in its prior water."""
+"""Checks that a described fish is possible: weight, trim and servos, and five seconds of swimming in its prior water."""
 
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ OK, LOOK, FALSE = "ok", "look", "wrong"
 
 
 class SwimCheck(NamedTuple):
-    """One line of the table."""
+    """One line of the table of checks."""
 
     what: str
     found: str
@@ -74,7 +74,7 @@ def checks(robot: Robot, swim: StillWaterSwim) -> list[SwimCheck]:
 
 
 def _line(what: str, found: str, expected: str, verdict: str, advice: str = "") -> SwimCheck:
-    """A line of the table; advice only where something is not as expected."""
+    """A line of the table; advice only for an unexpected value."""
     return SwimCheck(what, found, expected, verdict, "" if verdict == OK else advice)
 
 

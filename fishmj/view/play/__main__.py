@@ -42,7 +42,7 @@ EXAMPLES = f"""examples:
 
 
 def swim(session: LiveSession, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
-    """The live loop: in real time, or as fast as it goes for `seconds` of simulated time."""
+    """Runs the live loop: in real time, or as fast as possible for `seconds` of simulated time."""
     names = (*control.shipped_policies(), *control.NAMES)
     listed: list[control.Controller | str] = [session.controller]
     listed += [name for name in names if name != session.controller.name and session.can_steer(name)]
@@ -126,7 +126,7 @@ def options() -> console.Parser:
 
 
 def controller_of(args, robot: Robot) -> control.Controller:
-    """The controller asked for; where none was, the best shipped one that can steer this robot."""
+    """The requested controller; by default the best shipped one that can steer this robot."""
     if args.controller is not None:
         return control.chosen(args.controller, robot, anyway=args.anyway)
     try:
@@ -138,7 +138,7 @@ def controller_of(args, robot: Robot) -> control.Controller:
 
 
 def say_notes(controller: control.Controller) -> None:
-    """What is worth a line about a policy: where it was trained, where that is not here."""
+    """Prints the warnings about a policy, for example that it was trained for another robot."""
     for note in getattr(controller, "notes", ()):
         console.warn(note)
 

@@ -73,12 +73,12 @@ class LiveSession:
         self.reset()
 
     def choose(self, controller: "Controller | str") -> None:
-        """Hand the fish to another controller, made or by name."""
+        """Hands the fish to another controller, given as an object or by name."""
         self.controller = control.make(controller, self.robot) if isinstance(controller, str) else controller
         self.controller.reset(1)
 
     def can_steer(self, name: str) -> bool:
-        """Whether a controller by name can steer this fish."""
+        """Returns True if the controller of this name can steer this fish."""
         try:
             control.make(name, self.robot)
         except FishmjError:
@@ -86,7 +86,7 @@ class LiveSession:
         return True
 
     def reset(self) -> None:
-        """Back to the start: at rest 0.7 m from the target, heading upstream. What was recorded is dropped."""
+        """Goes back to the start: at rest 0.7 m from the target, heading upstream. The recording is dropped."""
         start = np.array([[-0.7, 0.0, wrap(np, np.pi + self.flow.direction)]])
         self.target = np.array([0.7, 0.0])
         self._start = start[0]
@@ -96,7 +96,7 @@ class LiveSession:
         self.chunks: list[Chunk] = []
 
     def set_flow(self, speed: float, direction: float) -> None:
-        """Change the mean current [m/s, rad]; the eddies around the fish stay where they are."""
+        """Changes the mean current [m/s, rad]; the eddies around the fish stay where they are."""
         before = self.loop.scenario.current
         self.flow = Flow(**{**vars(self.flow), "speed": float(np.clip(speed, 0, FASTEST)), "direction": direction % (2 * np.pi)})
         now = self.flow.current()
@@ -141,7 +141,7 @@ class LiveSession:
         return chunk
 
     def trial(self) -> Trial:
-        """Everything since the start, in the log's schema: what a robot in a tank would have logged, and the truth."""
+        """The recording since the start, in the log's schema: the log of a robot in a tank, and the truth."""
         if not self.chunks:
             raise ConfigError("play: nothing recorded yet; swim for a moment before saving")
         t, q, v, flow, power, command = (np.concatenate([getattr(c, name) for c in self.chunks]) for name in Chunk._fields[:6])
@@ -163,7 +163,7 @@ class LiveSession:
         return Trial(self._meta(tables), tables)
 
     def _meta(self, tables: dict) -> dict:
-        """What a reader must know about the swim."""
+        """Meta data of the swim for its readers."""
         names, hybrid = list(dict.fromkeys(c.controller for c in self.chunks)), getattr(self.loop.engine, "hybrid", None)
         steady = len({c.current for c in self.chunks}) == 1
         notes = [NOTE]
@@ -200,7 +200,10 @@ class LiveSession:
 
 
 class Keyboard:
-    """Reads keys, without Enter, in its `with` block; then the terminal is as it was. Without a handle there are never keys."""
+    """Context manager that reads keys without Enter and restores the terminal afterwards.
+
+    Without a handle there are never keys.
+    """
 
     def __init__(self, handle: int | None = None):
         self.handle = handle
@@ -238,7 +241,7 @@ class Keyboard:
 
 
 def press(session: LiveSession, key: str, choices: Iterator[Controller | str]) -> None:
-    """What a key does: arrows change the current, w a s d the target, c the controller, r starts again; others do nothing."""
+    """Carries out a key: arrows change the current, w a s d the target, c the controller, r starts again; others do nothing."""
     flow = session.flow
     if key in ("up", "down"):
         session.set_flow(flow.speed + (SPEED_STEP if key == "up" else -SPEED_STEP), flow.direction)

@@ -70,7 +70,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def drawn_as(trial: Trial, robot: str | None) -> str:
-    """What to know of the robot that a trial is drawn as: not its own. Raises ConfigError where its structure is another."""
+    """Remark on a trial that is drawn as a robot other than its own. Raises ConfigError if their structures differ."""
     if robot is not None:
         return unlike(trial, load_robot(robot))
     own = str(trial.value("robot") or "")[:64]
@@ -81,7 +81,7 @@ def drawn_as(trial: Trial, robot: str | None) -> str:
 
 
 def report(trials: list[Trial], written: list[Path], *, as_json: bool) -> None:
-    """Say what was read and written."""
+    """Prints what was read and written."""
     for trial in trials:
         for note in trial.notes:
             console.warn(f"{trial.name}: {note}")

@@ -1,6 +1,6 @@
 """The verb `fishmj log export`: a trial or a data set for Foxglove, spreadsheets and data frames.
 
-It lies here and not in `log` because it knows robots: Foxglove draws the links of the one that a trial or `--robot` names.
+It belongs here and not in `log` because it needs robots: Foxglove draws the links of the one that a trial or `--robot` names.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ SOON = 2.0  # s; what is done by then needs no progress
 
 
 def _place(text: str) -> Path:
-    """A file or a folder that can be written."""
+    """Path of a file or a folder that can be written."""
     return console.out_folder(text) if Path(text).is_dir() else console.out_file(text)
 
 
@@ -42,7 +42,7 @@ def options() -> console.Parser:
 
 
 def shape_of(trial: Trial, robot: Robot | None = None) -> tuple[Solid, ...]:
-    """The links of `robot`, or of the shipped one that a trial names; () where it names none.
+    """Links of `robot`, or of the shipped robot that a trial names; () if it names none.
 
     Raises:
         ConfigError: the trial has another number of joints than `robot`.
@@ -56,7 +56,7 @@ def shape_of(trial: Trial, robot: Robot | None = None) -> tuple[Solid, ...]:
 
 
 def main(argv: list[str]) -> int:
-    """The command `log export`: exports, and says what went out. Returns the exit code."""
+    """The command `log export`: exports, and prints what was written. Returns the exit code."""
     args = options().parse_args(argv)
     if args.robot and args.to != "mcap":
         raise ConfigError(f"log export: --robot is for --to mcap, where the fish is drawn; leave it out for {args.to}")

@@ -61,7 +61,7 @@ class Server:
 
 
 def check_host(host: str) -> None:
-    """Whether this machine can listen on `host`. Raises ConfigError: it cannot."""
+    """Checks that this machine can listen on `host`. Raises ConfigError if it cannot."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:
@@ -71,7 +71,7 @@ def check_host(host: str) -> None:
 
 
 class LiveView:
-    """A MeshCat scene of one fish, its target and the current. `url` is the page to open, `host` who may reach it.
+    """A MeshCat scene of one fish, its target and the current. `url` is the page to open, `host` the address that it listens on.
 
     Raises:
         MissingExtra: meshcat is not installed. ConfigError: `host` is no address of this machine.
@@ -134,12 +134,12 @@ class LiveView:
             self._vis["trail"].set_object(self._shapes.Line(path, self._shapes.LineBasicMaterial(color=0xFF5A4D)))
 
     def clear_trail(self) -> None:
-        """Forget the path."""
+        """Removes the drawn path."""
         self._trail = []
         self._vis["trail"].delete()
 
     def page(self) -> str:
-        """The scene as it stands, as static HTML."""
+        """The present scene as static HTML."""
         return self._vis.static_html()
 
     def close(self) -> None:

@@ -1,10 +1,11 @@
-"""What a replay shows of a trial: the fish, its target, the flow and the power on one uniform clock.
+"""Data that a replay shows of a trial: the fish, its target, the flow and the power on one uniform clock.
 
-The pose comes from `truth`, else from `pose`; joints from `truth`, else `joint`, else `cmd`. Everything is brought to
-frames of equal length for drawing only; no log is ever written back.
+The pose comes from `truth`, else from `pose`; joints from `truth`, else `joint`, else `cmd`. Everything is resampled to frames of
+equal length for drawing only; no log is ever changed.
 
-The water of a flow-solver run is its vorticity slices, one byte a cell, 128 + 127 omega_z / strong, as grey PNGs: most of the
-water is at rest and packs away. The page turns bytes into colours by the table that is made here, the film by the same one.
+The water of a flow-solver run is drawn from its vorticity slices: one byte a cell, 128 + 127 omega_z / strong, as grey PNGs. Most
+of the water is at rest, so they compress well. The page turns bytes into colours by the table that is made here, the film by the
+same one.
 """
 
 import base64
@@ -42,7 +43,7 @@ TONES = (  # value, red, green, blue, opacity: dark water at rest, so that eddie
 
 @dataclass(frozen=True)
 class Track:
-    """One trial on a uniform clock: F frames, N links. NaN where the log says nothing."""
+    """One trial on a uniform clock: F frames, N links. NaN where the log has no value."""
 
     label: str
     origin: str  # measured, synthetic or unknown
@@ -70,7 +71,7 @@ def robot_of(trial: Trial, robot: "Robot | str | None" = None) -> Robot:
 
 
 def named_robot(trial: Trial) -> Robot | None:
-    """The shipped description that the trial's meta names; None where there is none. A log's text is never a path."""
+    """The shipped description that the trial's meta names; None if there is none. A log's text is never used as a path."""
     wanted = trial.value("robot")
     for name in shipped():
         if name == "paper":
@@ -85,7 +86,7 @@ def named_robot(trial: Trial) -> Robot | None:
 
 
 def unlike(trial: Trial, robot: Robot) -> str:
-    """What to know of drawing a trial as `robot`; "" where the trial is of it, or does not say whose it is.
+    """Remark on drawing a trial as `robot`; "" if the trial is of that robot, or does not name one.
 
     Raises:
         ConfigError: the trial is of a robot of another structure.
@@ -146,7 +147,7 @@ def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
 
 
 def _too_long(name: str, table: str, t: np.ndarray) -> str:
-    """What a log of more than an hour has, and where to cut it."""
+    """Error message for a log of more than an hour, with the place to cut it."""
     row = int(np.argmax(np.diff(t)))
     pause = t[row + 1] - t[row]
     told = f"{name}: table {table!r} spans {t[-1] - t[0]:.6g} s, a replay shows at most {LONGEST:g} s; "
@@ -217,7 +218,7 @@ def _power(trial: Trial, t: np.ndarray) -> np.ndarray:
 
 
 def _speed(t: np.ndarray, q: np.ndarray, fps: float) -> np.ndarray:
-    """Displacement over a centred second (one beat) divided by its length: the beat itself does not show."""
+    """Displacement over a centred second (one beat) divided by its length, so that the beat itself does not show."""
     reach = max(1, min(int(fps / 2), (len(t) - 1) // 2))
     back, ahead = np.clip(np.arange(len(t)) - reach, 0, None), np.clip(np.arange(len(t)) + reach, None, len(t) - 1)
     return np.hypot(*(q[ahead, :2] - q[back, :2]).T) / (t[ahead] - t[back])
@@ -234,7 +235,7 @@ class Wake:
     values: tuple[np.ndarray, ...]
 
     def between(self, time: float) -> tuple[int, float]:
-        """Number of the slice before `time` s, and the share of the one after it."""
+        """Number of the slice before `time` s, and the weight of the one after it."""
         i = int(np.clip(np.searchsorted(self.t, time, side="right") - 1, 0, max(len(self.t) - 2, 0)))
         if len(self.t) == 1:
             return 0, 0.0
@@ -261,7 +262,7 @@ def read_wake(folder: str | Path, trial: Trial, track: Track) -> Wake:
 
 
 def strongest(omega: np.ndarray) -> float:
-    """A round scale for vorticity [1/s]: 1, 2 or 5 times a power of ten, above nine tenths of what is there."""
+    """Round colour scale for vorticity [1/s]: 1, 2 or 5 times a power of ten, above nine tenths of the values."""
     size = np.abs(omega[np.isfinite(omega)])
     moving = size[size > 0.02 * size.max(initial=0.0)]
     high = max(float(np.percentile(moving, 90)) if len(moving) else 0.0, 1e-3)
@@ -270,7 +271,7 @@ def strongest(omega: np.ndarray) -> float:
 
 
 def page_data(wake: Wake) -> dict:
-    """What the page needs; where the pictures would be too large, cells are averaged two by two."""
+    """Data of the page; if the pictures would be too large, cells are averaged two by two."""
     images = list(wake.values)
     while sum(map(len, packed := [_png(image) for image in images])) > BUDGET and min(images[0].shape) >= 16:
         images = [_halved(image) for image in images]

@@ -112,7 +112,7 @@ class TopView:
         return image
 
     def _vorticity(self, image, time: float, wake: Wake) -> None:
-        """The slices before and after, mixed, over the water; the scale in the corner."""
+        """Draws the slices before and after `time`, mixed, over the water, and the colour scale in the corner."""
         size = (self.size[0], self.size[1] - CHART)
         a, share = wake.between(time)
         value, there = 0.0, 0.0
@@ -158,7 +158,7 @@ class TopView:
         self.cv2.arrowedLine(image, a, b, (255, 240, 126), 3, self.cv2.LINE_AA, tipLength=0.35)
 
     def _chart(self, image, time: float) -> None:
-        """Distance over time in the strip below; speed over ground where no log has a target."""
+        """Draws distance over time in the strip below; speed over ground if no log has a target."""
         w, top, h = self.size[0], self.size[1] - CHART, CHART
         image[top:] = (image[top:] * 0.1 + np.array([38, 26, 8])).astype(np.uint8)
         aimed = any(np.isfinite(t.distance).any() for t in self.tracks)
