@@ -41,7 +41,7 @@ _HERE = Path(__file__).resolve().parent
 
 
 def present() -> dict[str, str]:
-    """The verbs with one line each."""
+    """One line for each verb."""
     return {verb: _summary(_HERE / f"{module.replace('.', '/')}.py") for verb, module in VERBS.items()}
 
 
@@ -53,7 +53,7 @@ def _summary(path: Path) -> str:
 
 
 def load(verb: str) -> console.Main:
-    """Import the verb's module and return its `main`.
+    """Imports the verb's module and returns its `main`.
 
     Raises:
         UnknownName: there is no such verb.
@@ -64,7 +64,7 @@ def load(verb: str) -> console.Main:
 
 
 def usage() -> str:
-    """Every verb by section, the exit codes, the environment."""
+    """Help text: every verb by section, the exit codes, the environment."""
     verbs = present()
     wide = max(map(len, verbs))
     lines = ["usage: fishmj VERB [options]     fishmj VERB --help"]
@@ -87,7 +87,7 @@ def usage() -> str:
 
 
 def dispatch(argv: list[str]) -> int | None:
-    """Print the help or the version, or hand over to the verb."""
+    """Prints the help or the version, or runs the verb."""
     if argv[1:] and argv[0] in console.HELP:
         return load(argv[1])([*argv[2:], "--help"])
     if not argv or argv[0] in console.HELP:

@@ -2,13 +2,13 @@
 
     command -> clamp, quantise -> bus (latency) -> [ servo target -> remember -> water.step ] x 5 -> record
 
-The water stands behind one interface (`engines.single.Water`): strips and learnt residual in MuJoCo's callback or as a wrench on
-every link, the closed form with effects, or MuJoCo alone.
+All waters have one interface (`engines.single.Water`): strips and learnt residual in MuJoCo's callback or as a wrench on every
+link, the closed form with effects, or MuJoCo alone.
 
     sim = Sim("fish", flow=Flow(speed=0.2, direction=np.pi))
     trial = sim.run(lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3)), seconds=4.0)
 
-Batches of fish are the business of `fishmj.engines`; a test holds both equal.
+`fishmj.engines` simulates batches of fish; a test holds both equal.
 """
 
 from collections import deque
@@ -43,25 +43,25 @@ class Sim:
 
     Args:
         robot: description, TOML path or shipped name.
-        water: as `fishmj.water.choice` names them: by default "fitted" where this body has a fitted one; "structured", "none", a
-            fitted one by name or TOML, "#2" behind it for member 2 of its ensemble; "hybrid", which the flow solver corrects
-            while the fish swims; or "ellipsoid" (MuJoCo's own fluid). `water_name` says which it became.
+        water: as named in `fishmj.water.choice`: by default "fitted" if this body has a fitted water; "structured", "none", a
+            fitted one by name or TOML, with "#2" for member 2 of its ensemble; "hybrid", which the flow solver corrects while
+            the fish swims; or "ellipsoid" (MuJoCo's own fluid). `water_name` is the resulting name.
         flow: background flow; still water by default.
         root: "planar" or "free".
         pose: (x, y, yaw) at t = 0, m and rad; at rest over ground, straight.
         swimmer: this fish's own constants; the nominal ones by default.
         latency: of commands, s; the robot's nominal one by default.
-        injection: how the water gets into MuJoCo: "callback" (mjcb_passive; one thread a process), "xfrc" (a wrench on every
+        injection: coupling of the water to MuJoCo: "callback" (mjcb_passive; one thread a process), "xfrc" (a wrench on every
             link in `xfrc_applied`; any thread) or "qfrc" (the closed form in `qfrc_applied`; planar root). The swim is the same
             to round-off. Default "qfrc" for a robot with effects, else "callback".
-        rescue_folder: where the last states of a diverged run go; default, a private folder in the temporary directory.
-        hybrid: of the water "hybrid", `fishmj.engines.hybrid.HybridOptions`, or a `fishmj.engines.hybrid.Hybrid` of one's own.
+        rescue_folder: folder for the last states of a diverged run; default, a private folder in the temporary directory.
+        hybrid: for the water "hybrid", `fishmj.engines.hybrid.HybridOptions`, or your own `fishmj.engines.hybrid.Hybrid`.
 
     Attributes:
-        hybrid: what corrects the water (`fishmj.engines.hybrid.Hybrid`, its `report` says what it did), None in any other.
+        hybrid: the `fishmj.engines.hybrid.Hybrid` that corrects the water (see its `report`), None in any other water.
 
     Raises:
-        UnknownName, ConfigError: a name or a time step that cannot be; a hybrid with a free root.
+        UnknownName, ConfigError: an invalid name or time step; a hybrid with a free root.
     """
 
     def __init__(
@@ -120,11 +120,11 @@ class Sim:
         self.hybrid: Any = self._hybrid(hybrid) if corrected else None
 
     def step(self, command) -> None:
-        """Advance one bus tick (20 ms) after sending `command`, (J,) joint angles in rad.
+        """Advances one bus tick (20 ms) after sending `command`, (J,) joint angles in rad.
 
         Raises:
             ConfigError: the command is not finite, or for another number of joints.
-            SimDiverged: the fish left the finite numbers; the last 100 states are saved and named in the message.
+            SimDiverged: the state of the fish is not finite; the last 100 states are saved and named in the message.
         """
         current = self._current if self.hybrid is None else self._correct()
         sent = self._send(command)
@@ -142,7 +142,7 @@ class Sim:
         self.recorder.add(sent, flow, power)
 
     def run(self, commands, seconds: float) -> Trial:
-        """Swim for `seconds` and return everything recorded so far.
+        """Swims for `seconds` and returns all records so far.
 
         Args:
             commands: a function of time [s] -> (J,) rad, called every bus tick, or an array (T, J) of bus commands.
@@ -159,11 +159,11 @@ class Sim:
         return self.trial()
 
     def trial(self) -> Trial:
-        """What was recorded so far, in the log's schema; origin "synthetic"."""
+        """Records so far, in the log's schema; origin "synthetic"."""
         return self.recorder.trial()
 
     def arrived(self, step: int) -> np.ndarray:
-        """What the servo aims at in physics step `step`, (J,) rad: the newest command that is `delay` steps old.
+        """Servo target (J,) rad in physics step `step`: the newest command that is `delay` steps old.
 
         With the path "move_time" the servo moves linearly from one command to the next in one tick.
         """
@@ -175,14 +175,14 @@ class Sim:
         return np.array([self.data.site(f"{link.name}_centre").xpos for link in self.robot.links])
 
     def _send(self, command) -> np.ndarray:
-        """Put a command on the bus, (J,) rad, as the servos will take it."""
+        """Puts a command on the bus; returns it, (J,) rad, as the servos get it."""
         what = f"Sim.step: command, rad ({self.robot.name} has {self.robot.n_joints} joints),"
         sent = on_the_bus(self.robot.servo, checked_array(what, command, (self.robot.n_joints,)))
         self.commands.append(sent)
         return sent
 
     def _hybrid(self, given):
-        """The hybrid of this fish."""
+        """Hybrid of this fish."""
         from fishmj import engines
         from fishmj.engines.hybrid import Hybrid
 
@@ -194,7 +194,7 @@ class Sim:
         return given if isinstance(given, Hybrid) else Hybrid(self.robot, given, kind=self.flow)
 
     def _correct(self) -> Current:
-        """The flow of this tick as a hybrid knows it; the water gets its coefficients."""
+        """Flow of this tick with the hybrid's correction; also sets the water's coefficients."""
         from fishmj.engines import FishState
 
         water: Any = self.water
@@ -207,16 +207,16 @@ class Sim:
         return current
 
     def _sample_flow(self, current: Current) -> np.ndarray:
-        """The flow at every link, (N, 2) m/s, for this tick; the water takes it from here."""
+        """Samples the flow at every link, (N, 2) m/s, for this tick, and passes it to the water."""
         flow, ambient = sample(np, current, self.links()[None, :, :2], np.array([self.tick]))
         self.water.set_flow(flow[0], ambient[0])
         return flow[0]
 
     def _remember(self) -> None:
-        """Keep the state for the log of a run that diverges."""
+        """Keeps the state for the log of a run that diverges."""
         self.recent.append((self.data.time, self.data.qpos.copy(), self.data.qvel.copy(), self.data.ctrl.copy()))
 
     @property
     def pose(self) -> np.ndarray:
-        """(x, y, yaw, x', y', yaw') of the reference point, tank frame."""
+        """Pose and rates (x, y, yaw, x', y', yaw') of the reference point, tank frame."""
         return reference_pose(self.model, self.data)

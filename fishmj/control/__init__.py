@@ -4,12 +4,12 @@
     controller.reset(n)
     commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
 
-A controller sees the 11 observations only, noisy and late: no flow, no pose. What they know of the fish is
-data/calib/controllers.toml; how their gains were found is docs/train/controllers.md.
+A controller sees the 11 observations only, noisy and late: no flow, no pose. Their constants of the fish are in
+data/calib/controllers.toml; docs/train/controllers.md describes how their gains were found.
 
 A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS`.
 
-`chosen` also takes one's own, as `module:Name` (docs/simulate/your_own_code.md): for what a user typed, never for a name
+`chosen` also takes your own, as `module:Name` (docs/simulate/your_own_code.md): for text that a user typed, never for a name
 from a file.
 """
 
@@ -31,7 +31,7 @@ from fishmj.water.choice import in_water
 
 
 class Controller(Protocol):
-    """What `make` returns."""
+    """Interface of the object that `make` returns."""
 
     name: str
 
@@ -39,7 +39,7 @@ class Controller(Protocol):
         """Start n trials."""
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """obs (B, 5 + 2 J) -> the control step's bus commands (B, T, J), rad."""
+        """Returns the control step's bus commands (B, T, J), rad, for obs (B, 5 + 2 J)."""
 
 
 class Entry(NamedTuple):
@@ -67,7 +67,7 @@ NAMES = tuple(CONTROLLERS)
 
 
 class _FormerOption(argparse.Action):
-    """`--any-command-path`: does what `--anyway` does, and says so."""
+    """`--any-command-path`: acts as `--anyway`, with a warning."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         console.warn(f"{option_string} is now --anyway; the old option goes with the release after this one")
@@ -75,7 +75,7 @@ class _FormerOption(argparse.Action):
 
 
 def anyway_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--anyway`, and its former name without help."""
+    """Adds `--anyway`, and its former name without help."""
     about = "let policies steer on another command path than they were trained on; another structure is refused all the same"
     parser.add_argument("--anyway", action="store_true", help=about)
     hidden = argparse.SUPPRESS
@@ -83,14 +83,14 @@ def anyway_option(parser: argparse.ArgumentParser) -> None:
 
 
 def shipped_lines() -> str:
-    """Every shipped policy with one line, for the help of a verb."""
+    """List of the shipped policies, one line each, for the help of a verb."""
     wide = max(map(len, SHIPPED))
     rows = [f"  {name:<{wide}}  {about}" for name, about in SHIPPED.items()]
     return "\n".join(["shipped policies (figures: docs/train/controllers.md):", *rows])
 
 
 def _swimming(robot: "Robot | str") -> Robot:
-    """A robot as it is handed over; one by name or file in its default water."""
+    """Robot unchanged; a robot by name or file in its default water."""
     return robot if isinstance(robot, Robot) else in_water(load_robot(robot))
 
 
@@ -102,15 +102,16 @@ def make(
     any_command_path: bool | None = None,
     **options: Any,
 ) -> Controller:
-    """A controller by name, or a policy by name, file or folder. It runs no code but fishmj's, so the name may come from a file.
+    """Makes a controller by name, or from a policy by name, file or folder. It runs only fishmj's code: the name may be from a
+    file.
 
     Args:
         anyway: a policy may steer on another command path than it was trained on; `any_command_path` is its former name.
         options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
 
     Raises:
-        UnknownName: no such controller, policy or gain. ConfigError: the robot has not the joints that the gains are for, or
-            is not the one that the policy is for.
+        UnknownName: no such controller, policy or gain.
+        ConfigError: the robot's joints are not those of the gains, or it is not the robot of the policy.
     """
     robot, name = _swimming(robot), str(name)
     entry = CONTROLLERS.get(name)
@@ -129,12 +130,12 @@ def make(
 
 
 def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> Controller:
-    """A controller that the user named: as `make`, or one's own by `module:Name`, `file.py:Name` or entry point. Runs that code.
+    """Makes a controller that the user named: as `make`, or by `module:Name`, `file.py:Name` or entry point. Runs that code.
 
     Args:
         policy: `anyway` of `make`.
     Raises:
-        OwnCodeError: it is not there, fails, or is no controller. As `make` besides.
+        OwnCodeError: the user's own code is missing, fails, or is not a controller. Other errors as `make`.
     """
     robot, text = _swimming(robot), str(text)
     own = plugins.is_reference(text) or text in plugins.listed("controller")
@@ -150,7 +151,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
 
 
 def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Controller]:
-    """`chosen` for a list, `policy` as there; of two with one name (two best.safetensors) the second gets `-2`."""
+    """Makes controllers by `chosen` for a list; of two with one name (two best.safetensors) the second gets `-2`."""
     made = [chosen(text, robot, **policy) for text in texts]
     names: list[str] = []
     for controller in made:
@@ -181,10 +182,10 @@ def gains_of(section: str, changes: dict | None = None) -> dict:
 
 
 def gait_of(robot: Robot, name: str) -> dict:
-    """The section `gait`, for the controller `name` of this robot; `lag` is in rad.
+    """Section `gait` for the controller `name` of this robot; `lag` is in rad.
 
     Raises:
-        ConfigError: the robot has not the joints that the gait is for.
+        ConfigError: the robot's joints are not those of the gait.
     """
     gait = gains_of("gait")
     lag = np.radians(gait["lag_deg"])

@@ -36,19 +36,19 @@ class Observer:
             self.l = np.array([1 - beta**2, (1 - beta) ** 2 / dt])
 
     def start(self, first) -> None:
-        """Begin at the measurement `first` (B,), at rest."""
+        """Starts at the measurement `first` (B,), at rest."""
         self.z = np.zeros((len(first), len(self.b)))
         self.z[:, 0] = first
 
     def __call__(self, measured, u) -> np.ndarray:
-        """The estimate (B, order) after a step with input u (B,) and then the measurement (B,)."""
+        """Estimate (B, order) after a step with input u (B,) and then the measurement (B,)."""
         self.z = self.z @ self.a.T + np.asarray(u)[:, None] * self.b
         self.z = self.z + (measured - self.z[:, 0])[:, None] * self.l
         return self.z
 
 
 class Adrc:
-    """PNL + ADRC over the shared CPG."""
+    """Proportional navigation and ADRC over the shared CPG."""
 
     def __init__(self, name: str, cpg: Cpg, throttle: SpeedToGait, navigator: StateEstimator, gains):
         self.name, self.cpg, self.throttle, self.navigator, self.k = name, cpg, throttle, navigator, gains
@@ -57,7 +57,7 @@ class Adrc:
         self.distance = Observer(2, k["distance_wo"], -k["distance_b0"], self.dt)
 
     def reset(self, n: int) -> None:
-        """n fish; the first observation sets the observers."""
+        """Starts n fish; the first observation sets the observers."""
         self.cpg.reset(n)
         self.navigator.reset(n)
         self.bias, self.speed = np.zeros(n), np.zeros(n)
@@ -89,5 +89,6 @@ class Adrc:
 
 
 def build(robot: Robot, name: str, gains: dict) -> Adrc:
+    """Makes the controller for a robot, from its gains in controllers.toml."""
     gait = gait_of(robot, name)
     return Adrc(name, cpg_of(robot, gait), throttle_of(gait, gains), StateEstimator(robot, gait["wobble"], gait["sway"]), gains)

@@ -17,7 +17,7 @@ from fishmj.mjcf.description import Robot
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """How fast the goals are followed."""
+    """Limits on the speed with which the goals are followed."""
 
     frequency: float  # Hz/s
     amplitude: float  # rad/s
@@ -30,7 +30,7 @@ class Cpg:
     Args:
         robot: gives bus ticks and the command path; under `hold` a chunk repeats the wave's value at its middle.
         lag: (J,) rad behind the phase.
-        rates: limits on how fast f, A and bias may move.
+        rates: limits on the rates of f, A and bias.
     """
 
     def __init__(self, robot: Robot, lag, rates: Rates):
@@ -41,7 +41,7 @@ class Cpg:
         self.reset(0)
 
     def reset(self, n: int) -> None:
-        """n oscillators at rest: no amplitude, no bias, phase zero."""
+        """Starts n oscillators at rest: no amplitude, no bias, phase zero."""
         self.phase, self.frequency, self.amplitude, self.bias = (np.zeros(n) for _ in range(4))
 
     def __call__(self, frequency, amplitude, bias) -> np.ndarray:
@@ -55,7 +55,10 @@ class Cpg:
         return np.repeat(wave[:, [self.ticks // 2 - 1]], self.ticks, 1) if self.hold else wave
 
     def _towards(self, now, goal, rate: float):
-        """A straight line (B, T) from `now` to what of `goal` can be reached in the control step; values at the ticks' ends."""
+        """Straight line (B, T) from `now` towards `goal`, as far as `rate` allows in the control step.
+
+        Values at the ticks' ends.
+        """
         most = rate * self.ticks * self.dt
         share = (np.arange(self.ticks) + 1) / self.ticks
         return now[:, None] + np.clip(goal - now, -most, most)[:, None] * share

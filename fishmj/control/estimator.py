@@ -1,14 +1,14 @@
-"""What a controller makes of the 11 numbers: a fix of target, velocity and heading in axes that do not turn with the fish.
+"""State estimate from the 11 observations: target, velocity and heading in axes that do not turn with the fish.
 
-In each beat the head yaws by up to 40 deg and the reference point sways by up to 4 cm, both nearly in proportion to the
-joints (`gait.measure`: nine tenths of them). So the joints take the beat out, without a filter's delay:
+In each beat the head yaws by up to 40 deg and the reference point sways by up to 4 cm, both nearly in proportion to the joints
+(`gait.measure`: nine tenths of them). The joint angles therefore remove the beat, without a filter's delay:
 
     omega = w + c . K,     psi = integral of omega           heading of the swimming direction and its rate
     r + n s . J,           v - n s . K                       target from, and velocity of, the path's centre; n = left of psi
 
-The observations are late: the pose by the camera, the tracker's rates by half its window more. Joints are prompt, so they
-are read back to those moments by cubic Hermite interpolation between the last two control steps.
-The axes are those of the fish at reset; they drift with the noise of w (some 0.2 rad in a minute), slowly enough not to matter.
+The observations are late: the pose by the camera, the tracker's rates by half its window more. Joint angles are prompt, so they
+are interpolated back to those times by cubic Hermite interpolation between the last two control steps. The axes are those of the
+fish at reset; they drift with the noise of w (some 0.2 rad in a minute), too slowly to matter.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from fishmj.mjcf.description import Robot
 
 
 class StateEstimate(NamedTuple):
-    """Where the fish is, in axes fixed at reset."""
+    """Target, velocity and heading of the fish, in axes fixed at reset."""
 
     target: np.ndarray  # (B, 2) m, from the centre of the fish's path to the target
     velocity: np.ndarray  # (B, 2) m/s over ground, without the beat
@@ -28,7 +28,7 @@ class StateEstimate(NamedTuple):
 
 
 class StateEstimator:
-    """Turns observations (B, 5 + 2 J) into fixes, one call a control step.
+    """Turns observations (B, 5 + 2 J) into state estimates, one call in each control step.
 
     Args:
         robot: gives the nominal latencies and the control step.
@@ -44,13 +44,13 @@ class StateEstimator:
         self.reset(0)
 
     def reset(self, n: int) -> None:
-        """Forget everything; the next observation defines the axes."""
+        """Clears the memory; the next observation defines the axes."""
         self.heading = np.zeros(n)  # at the time of the rates
         self.turn: np.ndarray | None = None
         self.before: tuple | None = None
 
     def __call__(self, obs) -> StateEstimate:
-        """The fix that an observation gives."""
+        """State estimate from an observation."""
         j = len(self.wobble)
         target, velocity, rate, joint, joint_rate = obs[:, :2], obs[:, 2:4], obs[:, 4], obs[:, 5 : 5 + j], obs[:, 5 + j :]
         old, old_rate = self.before or (joint, joint_rate)

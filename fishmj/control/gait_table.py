@@ -1,4 +1,4 @@
-"""Steady gaits of the structured water: what the flow observer knows about its own fish.
+"""Steady gaits of the structured water: the flow observer's model of its own fish.
 
 `measure` swims the nominal fish in still water over a grid of frequency and amplitude, and with bias; the numbers that the
 controllers read are in data/calib/controllers.toml [gait]. Remake them with
@@ -41,7 +41,7 @@ def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=S
 
 
 def measure(robot: "Robot | str" = "fish", lag_deg=(0.0, 60.0, 120.0), engine: str = "batch") -> dict:
-    """Steady speed over the grid, head yaw and sway a joint angle, turning rate a bias, gliding length.
+    """Measures steady speed over the grid, head yaw and sway a joint angle, turning rate a bias, gliding length.
 
     Returns:
         speed (F, A) m/s; power (F, A) W, servos; wobble (J,) rad/rad; sway (J,) m/rad; turn rad/s a rad of bias and m/s of
@@ -68,7 +68,7 @@ def measure(robot: "Robot | str" = "fish", lag_deg=(0.0, 60.0, 120.0), engine: s
 
 
 def _beat(pose, joint):
-    """c and s in psi_head = psi - c . J and y = s . J, by least squares over gaits, with a little ridge; and what is left."""
+    """c and s in psi_head = psi - c . J and y = s . J, by least squares over gaits with a small ridge; and the residuals."""
     t = np.linspace(-1, 1, pose.shape[1])
     line = np.stack([np.ones_like(t), t], 1)
     level = lambda x: x - line @ np.linalg.lstsq(line, x, rcond=None)[0]
@@ -82,7 +82,7 @@ def _beat(pose, joint):
 
 
 def _turn(robot: Robot, lag, engine) -> float:
-    """Median of yaw rate over (bias x steady speed), rad/s a rad and m/s: how strongly a bias turns a swimming fish."""
+    """Median of yaw rate over (bias x steady speed), rad/s a rad and m/s: the effect of a bias on a swimming fish."""
     f, a, b = (g.ravel() for g in np.meshgrid((0.6, 1.0, 1.4), np.radians([15, 20, 25]), np.radians([15, 30, 60]), indexing="ij"))
     pose, _, _ = swim(robot, lag, f, a, b, engine=engine)
     late, dt = round(SETTLE / robot.timing.bus_dt), robot.timing.bus_dt
@@ -92,7 +92,7 @@ def _turn(robot: Robot, lag, engine) -> float:
 
 
 def _glide(robot: Robot, lag, engine) -> float:
-    """l in v' = -v^2 / l for a straight fish: the distance over which a glide loses the factor e of its speed, m."""
+    """Length l in v' = -v^2 / l for a straight fish: the distance over which a glide loses the factor e of its speed, m."""
     start = 0.3
     pose, _, _ = swim(robot, lag, np.zeros(1), np.zeros(1), np.zeros(1), np.full(1, start), seconds=3.0, engine=engine)
     speed = np.diff(pose[0, :, 0]) / robot.timing.bus_dt
@@ -146,6 +146,7 @@ def _cell(axis, x):
 
 
 def main(argv: list[str]) -> int:
+    """Measures the gaits and prints the block for controllers.toml; returns the exit code."""
     parser = console.parser("controllers.gait", "Measure the steady gaits of the structured water.", json=False)
     parser.add_argument("--robot", default="fish")
     parser.add_argument("--engine", default="batch")

@@ -20,11 +20,11 @@ OTHERS = "the controller drift serves any robot, and fishmj train --robot FILE m
 
 
 class LearnedController:
-    """Wraps `fishmj.control.policy.Policy`; `action` is its last answer, `sha256` the file's, `notes` what is worth a line.
+    """Wraps `fishmj.control.policy.Policy`; `action` is its last output, `sha256` the file's, `notes` the remarks for the user.
 
     Args:
         source: path of a policy file or of a training's folder, or the name of a shipped one.
-        anyway: it may steer on another command path than it was trained on.
+        anyway: allow another command path than that of training.
 
     Raises:
         UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot or command path.
@@ -50,12 +50,12 @@ class LearnedController:
         self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
 
     def trained(self, robot: Robot | None = None) -> dict:
-        """How it was trained and what is different here, in plain types for results and logs.
+        """Training of the policy and differences here, in plain types for results and logs.
 
         Args:
-            robot: in the water that it swims in; by default as the policy was made for it.
+            robot: in its water; by default the robot for which the policy was made.
         Returns:
-            what the header says of TOLD, "differs": {what: [there, here]}, "said": that in one clause, "lacks": [what]
+            the header's values of TOLD, "differs": {what: [there, here]}, "said": that in one clause, "lacks": [what]
         """
         found = self._fit(robot or self.robot)
         told = {key: self.policy.meta[key] for key in TOLD if self.policy.meta.get(key) is not None}
@@ -66,7 +66,7 @@ class LearnedController:
         return fit(self.policy.meta, body_of(robot), anyway=self.anyway, known=shipped_structures())
 
     def reset(self, n: int) -> None:
-        """n episodes: the policy's memory is empty, the last command zero."""
+        """Starts n episodes: the policy's memory is empty, the last command zero."""
         self.policy.reset(n)
         self.command = np.zeros((n, self.robot.n_joints))
 
@@ -79,7 +79,7 @@ class LearnedController:
 
 
 def body_of(robot: Robot) -> PolicyBody:
-    """What the header of a policy is compared with."""
+    """Properties of a robot with which the header of a policy is compared."""
     return PolicyBody(
         name=robot.name,
         structure=structure_of(robot),
@@ -93,5 +93,5 @@ def body_of(robot: Robot) -> PolicyBody:
 
 @cache
 def shipped_structures() -> dict[str, dict]:
-    """Structures of the robots that come with fishmj, by name: for policies whose header only names one of them."""
+    """Structures of the robots that come with fishmj, by name: for policies whose header has only the name."""
     return {robot.name: structure_of(robot) for robot in map(load_robot, SHIPPED_ROBOTS)}

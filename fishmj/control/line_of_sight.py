@@ -1,4 +1,4 @@
-"""PD on the line of sight, and PI on the position vector. Neither knows of the flow; the PI's integral learns it.
+"""PD on the line of sight, and PI on the position vector. Neither observes the flow; the PI's integral compensates for it.
 
     pd   W = k_p r - k_d v                      r to the target, v over ground, all in axes fixed at reset
     pi   W = k_p r - k_d v + I,   I' = k_i r    |I| <= integral_max; near the target it can only be minus the flow
@@ -18,7 +18,7 @@ from fishmj.mjcf.description import Robot
 
 
 class HeadingSpeedController:
-    """Course and speed of B fish to bias and throttle: what PD, PI and DOB share. Gains are named in controllers.toml.
+    """Converts course and speed of B fish to bias and throttle, for PD, PI and DOB. Gains are named in controllers.toml.
 
         bias = -(k_heading wrap(psi_d - psi) - k_turn psi') / (g max(s, s_floor)),   |bias| <= bias_max
         s_d  = speed max(cos(psi_d - psi), 0)                                         no thrust into a wrong direction
@@ -33,11 +33,12 @@ class HeadingSpeedController:
         self.authority = -gait["turn"]
 
     def reset(self, n: int) -> None:
+        """Starts n oscillators at rest."""
         self.cpg.reset(n)
 
     @property
     def steady(self):
-        """Speed (B,) m/s that the present gait would settle at in still water."""
+        """Steady speed (B,) m/s of the present gait in still water."""
         return self.throttle.speed(self.cpg.frequency, self.cpg.amplitude)
 
     def __call__(self, fix: StateEstimate, course, speed) -> np.ndarray:
@@ -61,14 +62,14 @@ def capped(vectors, most):
 
 
 class LineOfSight:
-    """CPG with line-of-sight PD; with `integral` > 0 vector PI."""
+    """Line-of-sight PD over the CPG; with `integral` > 0 vector PI."""
 
     def __init__(self, name: str, steering: HeadingSpeedController, navigator: StateEstimator, gains):
         self.name, self.steering, self.navigator, self.k = name, steering, navigator, gains
         self.dt = navigator.dt
 
     def reset(self, n: int) -> None:
-        """n fish, integral empty."""
+        """Starts n fish, integral empty."""
         self.steering.reset(n)
         self.navigator.reset(n)
         self.integral = np.zeros((n, 2))
@@ -84,6 +85,7 @@ class LineOfSight:
 
 
 def build(robot: Robot, name: str, gains: dict) -> LineOfSight:
+    """Makes the controller for a robot, from its gains in controllers.toml."""
     gait = gait_of(robot, name)
     steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
     return LineOfSight(name, steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains)

@@ -1,13 +1,13 @@
-"""CPG with a flow observer ("dob"): the classical controller that learning has to beat.
+"""CPG with a flow observer ("dob"): the classical baseline for learning.
 
     v_w' = (s(f, A)^2 - v_w^2) / l               speed through the water; l the glide length, s the steady gait
-    U^  <- U^ + dt / tau (v - v_w e(psi) - U^)   flow = what is left of the velocity over ground; tau grows from 0 to its value
+    U^  <- U^ + dt / tau (v - v_w e(psi) - U^)   flow = rest of the velocity over ground; tau grows from 0 to its value
     W    = v_d + I - U^,   v_d = k (r - v t_a),  I' = k_i r
 
-r - v t_a is where the target will be when a command given now acts; |v_d| <= approach. Within `hold` of the target (until
-beyond `release`) the fish holds: k differs along and across the stream, I (small) takes up what a wrong gait map leaves,
-and W stays within `cone` of upstream, so that the fish never turns its tail to the current but lets itself drift back.
-Course = direction of W, speed = the part of W along it.
+r - v t_a is the position of the target when a present command acts; |v_d| <= approach. Within `hold` of the target (until beyond
+`release`) the fish holds. k then differs along and across the stream, the small I corrects errors of the gait map, and W stays
+within `cone` of upstream, so that the fish drifts back instead of turning its tail to the current. Course = direction of W,
+speed = the part of W along it.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from fishmj.mjcf.description import Robot
 
 
 class FlowObserver:
-    """CPG + disturbance observer. Egocentric: flow and target live in axes fixed at reset."""
+    """Disturbance observer over the CPG. Egocentric: flow and target are in axes fixed at reset."""
 
     name = "dob"
 
@@ -30,7 +30,7 @@ class FlowObserver:
         self.dt = navigator.dt
 
     def reset(self, n: int) -> None:
-        """n fish that know nothing of the flow."""
+        """Starts n fish with a flow estimate of zero."""
         self.steering.reset(n)
         self.navigator.reset(n)
         self.surge = np.zeros(n)  # v_w, m/s
@@ -71,6 +71,7 @@ class FlowObserver:
 
 
 def build(robot: Robot, name: str, gains: dict) -> FlowObserver:
+    """Makes the controller for a robot, from its gains in controllers.toml."""
     gait = gait_of(robot, name)
     steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
     return FlowObserver(steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains, gait["glide"])

@@ -1,4 +1,4 @@
-"""A controller of the user's own behind the common interface: asked with a copy, and its answer looked at in every step."""
+"""A controller of the user's own behind the common interface: it gets a copy, and its output is checked in every step."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,10 +18,10 @@ class Own:
     """Wraps `factory(robot)`. taken: names that it may not have.
 
     Attributes:
-        name: the object's own `name` as far as it can stand in a path, else made from the reference. sha256: of its source file.
+        name: the object's own `name` if it is valid in a path, else made from the reference. sha256: of its source file.
 
     Raises:
-        OwnCodeError: the factory fails, or what it gives has no `reset(n)` and `__call__(obs)`.
+        OwnCodeError: the factory fails, or its result has no `reset(n)` and `__call__(obs)`.
     """
 
     def __init__(self, robot: Robot, factory: Any, text: str, taken: Sequence[str] = ()):
@@ -40,7 +40,10 @@ class Own:
         plugins.call(f"{self.what}: reset({n})", self.controller.reset, n)
 
     def __call__(self, obs) -> np.ndarray:
-        """Commands (B, T, J) rad. Raises OwnCodeError: it fails, or gives another shape, no finite numbers, or degrees."""
+        """Commands (B, T, J) rad.
+
+        Raises OwnCodeError if it fails, or returns another shape, numbers that are not finite, or degrees.
+        """
         answer = plugins.call(f"{self.what}, control step {self.count}", self.controller, np.array(obs, float))
         shape = (len(obs), ticks_per(self.robot)[1], self.robot.n_joints)
         expected = f"bus commands {shape}, (trials, ticks, joints) in rad"

@@ -7,7 +7,7 @@ from fishmj.mjcf.description import Robot
 
 
 class Passive:
-    """Does nothing, for any robot."""
+    """Controller with all joints at zero, for any robot."""
 
     name = "drift"
 
@@ -15,7 +15,7 @@ class Passive:
         self.shape = (ticks_per(robot)[1], robot.n_joints)
 
     def reset(self, n: int) -> None:
-        """Nothing to forget."""
+        """Does nothing: there is no memory."""
 
     def __call__(self, obs) -> np.ndarray:
         """Zeros, (B, T, J)."""
@@ -23,4 +23,5 @@ class Passive:
 
 
 def build(robot: Robot, name: str, gains: dict) -> Passive:
+    """Makes the controller for a robot; it has no gains."""
     return Passive(robot)

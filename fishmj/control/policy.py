@@ -1,21 +1,21 @@
-"""A trained policy as plain NumPy: what the robot's host runs. No JAX, no MuJoCo.
+"""A trained policy as plain NumPy, for the robot's host. No JAX, no MuJoCo.
 
     h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
 
-A file is safetensors (w0, b0, w1, ...) with a JSON header: which robot of which structure, which observations, scale,
-activation, memory, command path (`check_header`), how it was trained. With memory m > 1 the input is the newest observation
-followed by m - 1 pairs (action, observation) back in time; the policy keeps that window itself. The header's keys:
+A file is safetensors (w0, b0, w1, ...) with a JSON header: the robot and its structure, the observations, scale, activation,
+memory, command path (`check_header`), and the training. With memory m > 1 the input is the newest observation followed by m - 1
+pairs (action, observation) back in time; the policy keeps that window itself. The header's keys:
 
     structure         {links, lengths, joints, servo_range, reference_point}, and its `structure_sha256`: another count, order or
-                      range is refused, a length or reference point that is off by more than 10 %, too
+                      range is refused, and a length or reference point that is off by more than 10 %
     observation       [{name, unit}, ..] in order, with the divisors `scale`: another one is refused
     control_dt        s between two decisions: another one is refused
-    command_path      how commands travel between two decisions: another one is refused, unless a user says to go on anyway
-    constants_sha256  of the rest of the description but its water, water {name, kind, sha256}, robot, a name: others are said
-    seed, command     of the training; the command as it was typed, null where Python called it
+    command_path      path of commands between two decisions: another one is refused, unless the user sets `--anyway`
+    constants_sha256  of the rest of the description without its water, water {name, kind, sha256}, robot, a name: warning
+    seed, command     of the training; the command as it was typed, null if called from Python
 
-What an older file does not say is not compared, and that is said; its servo range and joint count are read from `action` and
-`joints`. For the shipped files that keep their bytes, headers.json beside them says it.
+Keys that an older file lacks are not compared, with a note; its servo range and joint count are read from `action` and `joints`.
+For the shipped files, whose bytes do not change, headers.json beside them has the keys.
 """
 
 import json
@@ -62,11 +62,11 @@ HASHED = {  # what differs by its hash -> what that may be
 
 
 class PolicyFit(NamedTuple):
-    """Whether a policy may steer a robot.
+    """Result of the comparison of a policy with a robot.
 
     Attributes:
-        refused: reasons to refuse it. differs: what is not as in training -> (there, here), short words each.
-        lacks: what its header does not say.
+        refused: reasons to refuse it. differs: differences from training -> (there, here), short words each.
+        lacks: keys that its header does not have.
     """
 
     refused: tuple[str, ...]
@@ -75,19 +75,19 @@ class PolicyFit(NamedTuple):
 
     @property
     def said(self) -> str:
-        """What differs in one clause, "" where nothing does."""
+        """Differences in one clause, "" if there are none."""
         return "; ".join(HASHED.get(key, f"{key} {there}, here {here}") for key, (there, here) in self.differs.items())
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """One line for what differs and one for what the header does not say, where there is something."""
+        """One line for the differences and one for the missing keys of the header, each only if there are any."""
         differs = (f"not as trained: {self.said}",) if self.differs else ()
         lacks = (f"its header does not say {', '.join(self.lacks)}; that is not compared",) if self.lacks else ()
         return differs + lacks
 
 
 def check_header(meta: Any, where: str) -> None:
-    """Whether every key of a header that is there can be used. Raises ConfigError, one line."""
+    """Checks that every key of a header can be used. Raises ConfigError, one line."""
     if not isinstance(meta, dict):
         raise ConfigError(f"{where}: the header is {shown(meta)}; expected a table of keys: this is not a policy file")
     for key in ("robot", "name", "command_path", "algorithm"):
@@ -115,19 +115,19 @@ def check_header(meta: Any, where: str) -> None:
 
 
 def is_label(value: Any, key: str) -> bool:
-    """A name; an algorithm of one's own is module:Name."""
+    """Returns True for a name; an algorithm of the user's own is module:Name."""
     if not isinstance(value, str):
         return False
     return is_name(value) or (key == "algorithm" and re.fullmatch(r"[A-Za-z0-9_./:-]{1,200}", value) is not None)
 
 
 def is_number(value: Any) -> bool:
-    """A finite number, and no bool."""
+    """Returns True for a finite number that is not a bool."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and math.isfinite(value)
 
 
 def shown(value: Any) -> str:
-    """A value of a foreign file for one line of an error."""
+    """Value from a foreign file, shortened for one line of an error."""
     try:
         text = repr(value) if not isinstance(value, list) or len(value) <= 20 else f"a list of {len(value)}"
     except (ValueError, RecursionError):  # an integer of thousands of digits; a table nested without end
@@ -136,7 +136,7 @@ def shown(value: Any) -> str:
 
 
 class PolicyBody(NamedTuple):
-    """What a policy must find again on a robot (mjcf.identity)."""
+    """Properties that a policy requires of a robot (mjcf.identity)."""
 
     name: str
     structure: dict
@@ -148,21 +148,21 @@ class PolicyBody(NamedTuple):
 
 
 def structure_sha256(structure: dict) -> str:
-    """Hex digest of a structure as a header holds it."""
+    """Hex digest of a structure in the form of a header."""
     return sha256(json.dumps(structure, sort_keys=True).encode()).hexdigest()
 
 
 def one_line(command: str) -> str:
-    """A typed command as a header can hold it: printable, and not too long."""
+    """Typed command in the form of a header: printable, and not too long."""
     return "".join(c if c.isprintable() else "?" for c in command)[:LONGEST]
 
 
 def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFit:
-    """Whether the policy with this header, which was checked, may steer a robot.
+    """Compares the policy with this checked header to a robot.
 
     Args:
-        anyway: another command path than it was trained on is no reason to refuse it. known: structures by robot name, for
-            headers that name a robot and do not say what it is.
+        anyway: accept another command path than that of training.
+        known: structures by robot name, for headers that have the name of a robot without its structure.
     """
     refused: list[str] = []
     differs: dict[str, tuple[str, str]] = {}
@@ -203,7 +203,7 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
 
 
 def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
-    """Two waters in short words where they are not the same; without a hash on both sides the name decides."""
+    """Short names of two waters if they differ, else None; without a hash on both sides the names decide."""
     a, b = theirs.get("sha256"), ours.get("sha256")
     named = theirs["name"] == ours["name"]
     if theirs["kind"] == ours["kind"] and (a == b if a and b else named):
@@ -213,7 +213,7 @@ def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
 
 
 def structure_in(meta: dict) -> dict:
-    """What a checked header says of the structure; of an older file the joint count as names, and the servo range."""
+    """Structure in a checked header; for an older file the joint count as names, and the servo range."""
     if meta.get("structure") is not None:
         return dict(meta["structure"])
     found: dict[str, Any] = {}
@@ -226,7 +226,7 @@ def structure_in(meta: dict) -> dict:
 
 
 def _differences(theirs: dict, ours: dict) -> list[str]:
-    """What is another structure, each as one clause with both."""
+    """Differences between two structures, each as one clause with both."""
     found = []
     for key in ("joints", "links"):
         if key in theirs and list(theirs[key]) != list(ours[key]):
@@ -295,18 +295,18 @@ def shipped() -> list[str]:
 
 
 def is_policy(text: "str | Path") -> bool:
-    """Whether `text` names a policy: a shipped one, a file *.safetensors, or a folder, as of a training."""
+    """Returns True if `text` names a policy: a shipped one, a file *.safetensors, or a folder, such as that of a training."""
     return str(text).endswith(".safetensors") or str(text) in (*shipped(), *FORMER) or os.path.isdir(text)
 
 
 @cache
 def _renamed(old: str) -> None:
-    """Say once what a shipped policy is called now."""
+    """Warns once that a shipped policy has a new name."""
     console.warn(f"policy {old} is now called {FORMER[old]}; the old name goes with the release after this one")
 
 
 def file_of(source: "str | Path") -> Path:
-    """The file of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
+    """File of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
 
     Raises:
         UnknownName: no such file or name. StoreError: not a plain file, or a folder without a policy.
@@ -334,7 +334,7 @@ def file_of(source: "str | Path") -> Path:
 
 @dataclass
 class Policy:
-    """weights: list of (W (out, in), b (out,)); meta: the file's header."""
+    """Network of a policy. weights: list of (W (out, in), b (out,)); meta: the file's header."""
 
     weights: list[tuple[np.ndarray, np.ndarray]]
     meta: dict
@@ -370,7 +370,7 @@ class Policy:
         return write_tensors(path, arrays, {**self.meta, "schema": SCHEMA})
 
     def check(self, where: str) -> None:
-        """Shapes, scale, memory, activation and header fit together; otherwise one ConfigError."""
+        """Checks that shapes, scale, memory, activation and header fit together; raises one ConfigError."""
         scale, memory, activation = (self.meta.get(k) for k in ("scale", "memory", "activation"))
         if not (isinstance(activation, str) and activation in _ACTIVATIONS):
             raise ConfigError(f"{where}: activation {shown(activation)}; known: {', '.join(_ACTIVATIONS)}")
@@ -395,18 +395,21 @@ class Policy:
 
     @property
     def n_obs(self) -> int:
+        """Number of observations."""
         return len(self.meta["scale"])
 
     @property
     def n_act(self) -> int:
+        """Number of actions, one for each joint."""
         return self.weights[-1][1].shape[0]
 
     @property
     def memory(self) -> int:
+        """Number of observations in the input, 1 without memory."""
         return self.meta.get("memory") or 1
 
     def reset(self, n: int = 1) -> None:
-        """Forget the past of n fish."""
+        """Clears the memory of n fish."""
         self._window = None
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
@@ -430,7 +433,7 @@ class Policy:
         return action
 
     def _recall(self, sight: np.ndarray) -> np.ndarray:
-        """The network's input: what is seen now, then the window; at the start as if the fish had rested here."""
+        """Input of the network: the present observation, then the window; at the start as if the fish had rested here."""
         if self.memory == 1:
             return sight
         if self._window is None or len(self._window) != len(sight):

@@ -40,7 +40,7 @@ class FishState(NamedTuple):
 
 
 class FishParams(NamedTuple):
-    """What differs from fish to fish."""
+    """Parameters that differ from fish to fish."""
 
     mass: Any  # (B, N) factors
     kp: Any  # (B, J) N m/rad
@@ -53,7 +53,7 @@ class FishParams(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """What happened at the end of each of T bus ticks."""
+    """States at the end of each of T bus ticks."""
 
     pose: Any  # (B, T, 3) x, y, yaw of the reference point, m, rad
     joint: Any  # (B, T, J) encoder angles, rad
@@ -63,10 +63,10 @@ class Trace(NamedTuple):
 
 
 class Copied:
-    """An engine that keeps nothing of a swim: a deep copy of its environment shares it, a pickle makes it anew.
+    """An engine without state of a swim: a deep copy of its environment shares it, a pickle makes it anew.
 
     Attributes:
-        arguments: what it was made from.
+        arguments: its constructor's arguments.
     """
 
     arguments: tuple
@@ -79,7 +79,7 @@ class Copied:
 
 
 def drained(steps: Steps[T]) -> T:
-    """The value of what nobody takes turns with."""
+    """Runs a generator to its end, without other work at its pauses, and returns its value."""
     while True:
         try:
             next(steps)
@@ -88,7 +88,7 @@ def drained(steps: Steps[T]) -> T:
 
 
 def make(name: str, robot: "Robot | str" = "fish", **options):
-    """An engine by name. Raises UnknownName, MissingExtra."""
+    """Makes an engine by name. Raises UnknownName, MissingExtra."""
     from importlib import import_module
 
     if name not in NAMES:
@@ -108,7 +108,7 @@ def fastest() -> str:
 
 
 def of(engine: Any, robot: Robot):
-    """The engine that a caller means: one as it is, one by name for this robot, None the fastest one.
+    """Engine that a caller means: an engine itself, a name for this robot, or None for the fastest one.
 
     Raises:
         UnknownName, MissingExtra: as `make`. ConfigError: it has no `advance`.
@@ -121,12 +121,12 @@ def of(engine: Any, robot: Robot):
 
 
 def name_of(engine: Any) -> str:
-    """What tables and logs call an engine: its own name, or that of its module."""
+    """Name of an engine in tables and logs: its own name, or that of its module."""
     return getattr(engine, "name", type(engine).__module__.rpartition(".")[2])
 
 
 def nominal_params(robot: Robot, batch: int) -> FishParams:
-    """The calibrated fish, `batch` times, without randomisation (NumPy)."""
+    """Calibrated fish, `batch` times, without randomisation (NumPy)."""
     s, added = planar_chain.nominal(robot), Extensions.of(robot)
     rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))
     delay = round(command_latency(robot) / robot.timing.physics_dt)
@@ -143,7 +143,7 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
 
 
 def command_latency(robot: Robot) -> float:
-    """s until a command acts: nominal, and what the effects of the description add."""
+    """Time [s] until a command acts: nominal latency plus that of the description's effects."""
     added = Extensions.of(robot) if robot.effects else None
     return robot.timing.command_latency + (float(added.late(np, added.row, "command")) if added is not None else 0.0)
 
@@ -165,19 +165,22 @@ def at_rest(robot: Robot, pose) -> FishState:
 
 
 def rows_of(robot: Robot) -> int:
-    """Bus commands that the engines remember of this robot: its own latency or a randomised one, two more for ramps, effects."""
+    """Number of bus commands that the engines remember of this robot: latency, nominal or randomised, plus two for ramps.
+
+    Effects.
+    """
     longest = max(robot.timing.command_latency, constant("randomisation", "command_latency")[1])
     return bus_rows(robot, max(BUFFER, ceil(longest / robot.timing.bus_dt - 1e-9) + 2))
 
 
 def ticks_per(robot: Robot) -> tuple[int, int]:
-    """(physics steps in a bus tick, bus ticks in a control step)."""
+    """Number of physics steps in a bus tick, and of bus ticks in a control step."""
     t = robot.timing
     return round(t.bus_dt / t.physics_dt), round(t.control_dt / t.bus_dt)
 
 
 def check_commands(commands, joints: int) -> None:
-    """Commands are (B, T, J) rad; anything else is one clear error."""
+    """Raises ConfigError unless `commands` is (B, T, J) rad."""
     if commands.ndim != 3 or commands.shape[-1] != joints:
         raise ConfigError(f"commands: got shape {commands.shape}, expected (fish, ticks, {joints}) joint angles in rad")
 

@@ -1,7 +1,7 @@
 """Many fish in MuJoCo's C engine: a persistent `mujoco.batch.Batch`, the water through `qfrc_applied`.
 
-Each physics step the closed form solves (M + M_a + h D) a = f and hands MuJoCo the water's share Q_water - M_a a; MuJoCo
-applies its own servo, solves its own M + h D and integrates. So MuJoCo moves the fish, and the added mass is never lagged.
+In each physics step the closed form solves (M + M_a + h D) a = f and hands MuJoCo the water's share Q_water - M_a a. MuJoCo
+applies its own servo, solves its own M + h D and integrates. MuJoCo therefore moves the fish, and the added mass is never lagged.
 The closed form is evaluated in float64 by the compiled evaluator (extra `fast`), or by JAX without it.
 
 Masses, inertias and servo gains differ from fish to fish inside MuJoCo's models as well (`expand`).
@@ -29,7 +29,7 @@ SMALLEST = 16  # fish below which a second thread does not pay
 class Engine(Copied):
     """MuJoCo C, batched. NumPy in, NumPy out; not jit-able.
 
-    The fish are shared out to one `ThreadedBatch` a thread; MuJoCo, the evaluator and large NumPy operations hold no lock.
+    Each thread has one `ThreadedBatch` with a part of the fish; MuJoCo, the evaluator and large NumPy operations hold no lock.
 
     Args:
         robot: description or name.
@@ -48,7 +48,7 @@ class Engine(Copied):
         self._start(threads or usable_cores())
 
     def _start(self, threads: int) -> None:
-        """Memory and threads, which no two users may share."""
+        """Allocates memory and threads, which two users must not share."""
         self.shoals = [ThreadedBatch(self.robot, *self._parts) for _ in range(threads)]
         self._table: tuple = (None, None)  # as it was given, and in float64
         self._pool = ThreadPoolExecutor(threads, "fishmj-batch")
@@ -60,7 +60,7 @@ class Engine(Copied):
         return twin
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
-        """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
+        """Advances B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
 
         Returns:
             (FishState, Trace with T ticks), float64 NumPy.
@@ -98,7 +98,7 @@ class Engine(Copied):
 
 
 class ThreadedBatch:
-    """The fish of one thread and their persistent MuJoCo batch."""
+    """Fish of one thread and their persistent MuJoCo batch."""
 
     def __init__(self, robot: Robot, model, evaluate, look):
         self.model, self.evaluate, self.look = model, evaluate, look
@@ -108,7 +108,10 @@ class ThreadedBatch:
         self._params: FishParams | None = None
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
-        """As `Engine.advance`, for quantised commands; returns (FishState, Trace, numbers of the fish that diverged)."""
+        """Advances like `Engine.advance`, for quantised commands.
+
+        Returns (FishState, Trace, indices of the fish that diverged).
+        """
         count, length, joints = commands.shape
         params = FishParams(*(np.ascontiguousarray(a, float) for a in params))._replace(delay=np.asarray(params.delay, int))
         batch = self._models(count, params)
@@ -133,7 +136,7 @@ class ThreadedBatch:
         return FishState(q.copy(), v.copy(), attached, buffer, memory), out, np.flatnonzero(lost)
 
     def _models(self, count: int, params: FishParams):
-        """The batch of `count` fish with these masses and gains."""
+        """Batch of `count` fish with these masses and gains."""
         if self._batch is None or self._batch.nsim != count:
             self._batch, self._params = Batch(self.model, count, 1), None
         known = self._params
@@ -151,7 +154,7 @@ class ThreadedBatch:
 
 
 def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None) -> tuple:
-    """What the water does, in float64, and where it flows; of the compiled engine both hold no lock of the interpreter.
+    """Functions that evaluate water and flow in float64; those of the compiled engine hold no lock of the interpreter.
 
     Returns:
         f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), and

@@ -47,7 +47,7 @@ class Graph:
 
     def add(self, *node) -> int:
         """The number of `node` = (operation, arguments...)."""
-        # a + b and b + a round alike: with sorted operands they are found as one value
+        # a + b and b + a round alike: with sorted operands they are one value
         if node[0] in COMMUTES and node[1] > node[2]:
             node = (node[0], node[2], node[1])
         if node not in self.number:
@@ -56,6 +56,7 @@ class Graph:
         return self.number[node]
 
     def constant(self, value: float) -> int:
+        """Number of the constant `value` in the graph."""
         return self.add("const", float(value))
 
     def value(self, number: int):
@@ -68,7 +69,7 @@ class Graph:
         known = [self.value(a) for a in args]
         if op in FOLD and None not in known:
             return self.constant(FOLD[op](*known))
-        # 0 x = 0 is false for inf and nan; here it is meant: a coefficient of zero takes its term out
+        # 0 x = 0 is false for inf and nan; here it is intended: a coefficient of zero removes its term
         if op == "mul":
             for value, other in zip(known, args[::-1], strict=True):
                 if value == 0.0:
@@ -85,7 +86,7 @@ class Graph:
             return args[0]
         if op == "sub" and known[0] == 0.0:
             return self.apply("neg", args[1])
-        # a product is quicker than a quotient; the reciprocal is taken in float64, before constants become float32
+        # a product is faster than a quotient; the reciprocal is computed in float64, before constants become float32
         if op == "div" and known[1] is not None:
             return self.apply("mul", args[0], self.constant(1.0 / known[1]))
         if op == "neg" and self.nodes[args[0]][0] == "neg":
@@ -118,7 +119,7 @@ class Graph:
                 results = [self.power(inputs[0], 2)]
             elif op in ("convert_element_type", "copy", "stop_gradient"):
                 results = inputs
-            # select_n(p, no, yes) against where(p, yes, no)
+            # select_n(p, no, yes) is where(p, yes, no)
             elif op == "select_n" and len(inputs) == 3:
                 results = [self.apply("select", inputs[0], inputs[2], inputs[1])]
             elif op in BINARY or op in CALLS or op in COMPARE or op == "neg":
@@ -131,8 +132,8 @@ class Graph:
 
     def program(self, inputs: list, outputs: list, prefix: str) -> Program:
         """Text of everything that `outputs` (numbers) need; constants are named prefix0, prefix1, ..."""
-        # backwards from the outputs: what nothing needs is never written. Numbers rise from arguments to results, so sorting them
-        # is an order in which every value stands before its use
+        # backwards from the outputs: unused values are never written. Numbers rise from arguments to results, so sorting them
+        # gives an order in which every value stands before its use
         needed, stack = set(), list(outputs)
         while stack:
             number = stack.pop()

@@ -1,9 +1,9 @@
 """The closed-form fish as machine code: the fastest engine on a CPU (extra `fast`).
 
-The physics is `planar_chain.step`, translated and compiled (numba_build.py), 16 fish to a vector loop; the network of a learnt
-residual is a loop of its own, whose weights are given at the call (residual_lanes.py). Blocks of fish are
-shared between threads that hold no lock. `advance` does what `planar.Engine.advance` does, to round-off; a fish moves the
-same, to the bit, in any batch and with any number of threads.
+The physics is `planar_chain.step`, translated and compiled (numba_build.py), 16 fish in a vector loop. The network of a learnt
+residual is a loop of its own, which takes the weights as an argument (residual_lanes.py). Threads share blocks of fish and hold
+no lock. `advance` equals `planar.Engine.advance` to round-off; a fish moves the same, to the bit, in any batch and with any
+number of threads.
 
     from NumPy          state, trace = engine.advance(state, commands, params, current, tick)
     inside jax.jit      the same call, on the CPU: one call of the host by name (`host_call`), so that JAX keeps the program
@@ -53,7 +53,7 @@ _BOUND: dict[str, Any] = {}  # name -> its C function, which must outlive every 
 
 
 class Applied(NamedTuple):
-    """What the water and the servos do in one physics step."""
+    """Forces and memory after one physics step of water and servos."""
 
     force: np.ndarray  # (B, nv) generalised force that makes MuJoCo take the same step, N and N m
     attached: np.ndarray  # (B,) attachment after the step
@@ -90,7 +90,7 @@ class Engine(Copied):
         self._owner = 0  # process of the pool
 
     def _numbers(self, dtype: np.dtype) -> np.ndarray:
-        """The learnt residual as one flat array, empty where there is none."""
+        """Learnt residual as one flat array, empty if there is none."""
         learnt, of = self.added.learnt, self._packed
         if dtype not in of:
             dt = self.robot.timing.physics_dt
@@ -110,7 +110,7 @@ class Engine(Copied):
         return numba_build.load(self.robot, "look", fast_math.DOUBLE).look
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
-        """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
+        """Advances B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
 
         Returns:
             (FishState, Trace with T ticks), new arrays of the engine's dtype.
@@ -147,7 +147,7 @@ class Engine(Copied):
         Args:
             q, v: (B, nv). attached: (B,). target: (B, J) encoder angles that the servos follow now, rad.
             flow: (B, N, 2) water velocity at the links, m/s. ambient: (B, 2) DU/Dt, m/s2. World frame.
-            memory: (B, M) of `FishState`; not needed by a robot to which nothing is added.
+            memory: (B, M) of `FishState`; not needed for a robot without effects and residual.
         """
         batch, joints = len(q), self.robot.n_joints
         read = _reader(batch, np.dtype(np.float64))
@@ -175,7 +175,7 @@ class Engine(Copied):
         return tuple(read(f"params.{name}", getattr(params, name), size) for name, size in sizes.items())
 
     def _share(self, batch: int, kernel, arguments: tuple) -> None:
-        """Run `kernel(first, stop, *arguments)` over all fish, whole blocks to each thread."""
+        """Runs `kernel(first, stop, *arguments)` over all fish, whole blocks to each thread."""
         blocks = -(-batch // numba_build.LANES)
         workers = max(1, min(self.threads, blocks // CHUNK))
         edges = [numba_build.LANES * (blocks * i // workers) for i in range(workers)] + [batch]
@@ -185,13 +185,13 @@ class Engine(Copied):
             other.result()
 
     def _threads(self) -> ThreadPoolExecutor:
-        """The pool of this process; a fork starts its own."""
+        """Thread pool of this process; a fork starts its own."""
         if self._pool is None or self._owner != os.getpid():
             self._pool, self._owner = ThreadPoolExecutor(max(1, self.threads - 1), "fishmj"), os.getpid()
         return self._pool
 
     def _advance_traced(self, state, commands, params, current, tick):
-        """One call of the host with one array each way and the flow table: every further array would cost some 20 us."""
+        """Calls the host once with one array each way and the flow table: every further array would cost some 20 us."""
         import jax
         import jax.numpy as jnp
 
@@ -213,7 +213,7 @@ class Engine(Copied):
         shape, given = jax.ShapeDtypeStruct((batch, width), real), (_pack(jnp, leaves, batch, real), current.table.astype(real))
         if jax.default_backend() == "cpu":
             does = f"{sizes} {results} {tree} {given[0].shape} {given[1].shape}"  # the kernel's module is named by its text
-            # and its numbers by themselves: fitted waters of one shape share the module
+            # and its numbers separately: fitted waters of one shape share the module
             digest = hashlib.sha256(does.encode() + self._numbers(real).tobytes()).hexdigest()
             name = f"{self._advance.py_func.__module__}_{digest[:24]}"
             out = host_call(name, host, shape, *given)
@@ -224,7 +224,7 @@ class Engine(Copied):
 
 
 def _reader(batch: int, dtype: np.dtype):
-    """read(name, value, *sizes): `value` as a contiguous (batch, *sizes) array of dtype, or one clear error."""
+    """Returns read(name, value, *sizes): `value` as a contiguous (batch, *sizes) array of dtype; it raises ConfigError."""
 
     def read(name: str, value, *sizes: int) -> np.ndarray:
         array = np.asarray(value, dtype, order="C")
@@ -236,7 +236,7 @@ def _reader(batch: int, dtype: np.dtype):
 
 
 def _background(read, current: Current, real: np.dtype) -> tuple[tuple, tuple]:
-    """The flow as the loops take it: what differs from fish to fish, and the table with its cells."""
+    """Flow in the form that the loops take: the numbers of each fish, and the table with its cells."""
     table = np.ascontiguousarray(current.table, real)
     water = (
         read("current.mean", current.mean, 2),
@@ -249,7 +249,7 @@ def _background(read, current: Current, real: np.dtype) -> tuple[tuple, tuple]:
 
 
 def _rows(row: np.ndarray, table: tuple) -> np.ndarray:
-    """Flow rows (B,), checked against the table's shape: the compiled loop reads memory unguarded."""
+    """Flow rows (B,), checked against the table's shape: the compiled loop does not check memory bounds."""
     square = len(table) == 4 and table[1] == table[2]
     if not (square or len(table) == 3) or table[-1] != 2 or 0 in table:
         raise ConfigError(f"current.table: got shape {table}, expected (S, n, n, 2) for turbulence or (S, T, 2) for gusts")
@@ -268,7 +268,7 @@ def _pack(xp, arrays: list, batch: int, dtype):
 
 
 def _unpack(packed, sizes: list) -> list:
-    """The inverse of `_pack`; sizes without the batch axis."""
+    """Inverse of `_pack`; sizes without the batch axis."""
     edges = np.cumsum([0, *(int(np.prod(size)) for size in sizes)])
     return [packed[:, a:b].reshape(len(packed), *size) for a, b, size in zip(edges[:-1], edges[1:], sizes, strict=True)]
 
@@ -299,15 +299,15 @@ _CreateError = ctypes.CFUNCTYPE(c_void_p, POINTER(_Error))
 
 
 def host_call(name: str, function: Callable, shape, *arguments):
-    """As `jax.pure_callback(function, shape, *arguments, vmap_method="sequential")`, on the CPU, called by name.
+    """Calls the host like `jax.pure_callback(function, shape, *arguments, vmap_method="sequential")`, on the CPU, by name.
 
     `pure_callback` puts the address of a Python object into the program, so JAX keeps none of its machine code and compiles it
     again in every process. Here the program holds a name alone, which each process binds to its own function. The frame of a
     call is that of XLA's FFI (xla/ffi/api/c_api.h in jaxlib/include; its layout holds for major version 0).
 
     Args:
-        name: says what `function` does, shapes included, in any process: the first function of a name is the one that is called.
-        function: takes NumPy arrays that it must not change or keep, gives the result. Runs no JAX code.
+        name: identifies `function`, shapes included, in any process: the first function of a name is the one that is called.
+        function: takes NumPy arrays that it must not change or keep, returns the result. Runs no JAX code.
         shape: jax.ShapeDtypeStruct of the result, float32 or float64, as the arguments.
     """
     import jax
@@ -321,7 +321,7 @@ def host_call(name: str, function: Callable, shape, *arguments):
 
 
 def _answer(frame, function: Callable) -> int | None:
-    """Serve one call; None, or the address of an XLA_FFI_Error."""
+    """Serves one call; returns None, or the address of an XLA_FFI_Error."""
     if frame.extension:
         asked = ctypes.cast(frame.extension, POINTER(_Extension)).contents
         if asked.type == METADATA:
@@ -339,7 +339,7 @@ def _answer(frame, function: Callable) -> int | None:
 
 
 def _array(buffer) -> np.ndarray:
-    """A view of XLA's memory."""
+    """View of XLA's memory."""
     dtype, dims = DTYPES[buffer.dtype], buffer.dims[: buffer.rank]
     size = int(np.prod(dims)) * dtype.itemsize
     if not size:  # no address then

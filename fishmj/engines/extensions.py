@@ -1,10 +1,10 @@
-"""What a robot is given beyond its nominal swimmer, the same in every engine: the effects of its description, a learnt water.
+"""Additions to a robot's nominal swimmer, the same in every engine: the effects of its description, a learnt water.
 
     added = Extensions.of(robot)
     s = planar_chain.step(xp, ch, sw, q, v, attached, target, flow, ambient, added.hooks(xp, parameters, memory))
 
 `parameters` and `memory` are flat lists of scalars or arrays of one batch shape: the columns of `FishParams.effects` (B, P) and
-of `FishState.memory` (B, M), the effects' memory first. Where nothing is added both have no columns and the hooks are None.
+of `FishState.memory` (B, M), the effects' memory first. Without additions both have no columns and the hooks are None.
 """
 
 import warnings
@@ -25,9 +25,10 @@ from fishmj.water.dynamics.hooks import Effects
 
 
 class Commanded(Effects):
-    """Effects with the site `command` before the servos: the target that `planar_chain.step` gets is what the bus delivered."""
+    """Effects with the site `command` before the servos: the target given to `planar_chain.step` is the one from the bus."""
 
     def servos(self, ch: chain.Chain, sw: chain.Swimmer, q, v, target):
+        """Drive torque (N m) and damping (N m s/rad) of each joint, after the effects on the command."""
         return super().servos(ch, sw, q, v, [self.session.command(j, target[j], ch.dt) for j in range(ch.n - 1)])
 
 
@@ -36,7 +37,7 @@ class Extensions:
     """Effects and learnt water of one robot.
 
     Attributes:
-        active: the effects, or None. row: (P,) their calibrated values. memory: (M,) what a fish remembers at its start.
+        active: the effects, or None. row: (P,) their calibrated values. memory: (M,) initial memory of a fish.
         learnt: the learnt residual force, or None, and the chain that it acts on.
     """
 
@@ -48,7 +49,7 @@ class Extensions:
 
     @classmethod
     def of(cls, robot: Robot) -> "Extensions":
-        """Everything that `robot.effects` and `robot.water["model"]` name. Raises ConfigError, UnknownName, StoreError."""
+        """Additions that `robot.effects` and `robot.water["model"]` name. Raises ConfigError, UnknownName, StoreError."""
         active, row = (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints)
         if active is not None and (idle := [e.name for e in active.effects if e.stochastic]):
             warnings.warn(f"{robot.name}: no simulator draws {', '.join(idle)}; generators of data do", stacklevel=2)
@@ -61,7 +62,7 @@ class Extensions:
         return cls(active, row, np.array(memory, float), learnt, ch)
 
     def hooks(self, xp, parameters, memory, *, wet: float = 1.0) -> Any:
-        """Hooks for one `planar_chain.step`, None where nothing is added."""
+        """Hooks for one `planar_chain.step`, or None without additions."""
         parameters, memory = list(parameters), list(memory)
         inner = None
         if self.active is not None:
@@ -73,7 +74,7 @@ class Extensions:
         return LearnedResidual(xp, self.chain, self.learnt, memory, inner)
 
     def late(self, xp, rows, clock: str, t=0.0):
-        """Transport delay of a clock for parameter rows (B, P): (B,) s, or 0.0 where no effect delays it."""
+        """Transport delay of a clock for parameter rows (B, P): (B,) s, or 0.0 if no effect delays it."""
         if self.active is None:
             return 0.0
         return self.active.delay(xp, [rows[..., i] for i in range(rows.shape[-1])], clock, t)
@@ -93,15 +94,15 @@ def stacked(xp, values, like):
 
 
 def bus_rows(robot: Robot, least: int) -> int:
-    """Bus commands to remember so that every command delay within the effects' bounds fits: `least`, or more."""
+    """Number of bus commands to remember, `least` or more, so that every command delay within the effects' bounds fits."""
     return least + ceil(Extensions.of(robot).latest("command") / robot.timing.bus_dt - 1e-9) if robot.effects else least
 
 
 def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
-    """The robot with these effects in its list; those that it does not have yet are there at their null.
+    """Robot with these effects in its list; new ones are added at their null.
 
     Raises:
-        UnknownName: not in the catalogue. ConfigError: a stochastic effect, which no site of the physics holds.
+        UnknownName: not in the catalogue. ConfigError: a stochastic effect, for which the physics has no site.
     """
     have, more = {fitted.name for fitted in robot.effects}, []
     for name in dict.fromkeys(names):

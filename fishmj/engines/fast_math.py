@@ -6,12 +6,12 @@
     exp2       x = z + n,  |z| <= 1/2, |x| held at `held`;   2^x = 2^n T(z)
     tanh_two   tanh x, tanh y from a = e^2x, b = e^2y:  (a - 1) / (a + 1), one quotient for both
     tanh_pair  half the sum and difference of tanh(p + q), tanh(p - q):  (a b - 1, a - b) / ((a + 1) (b + 1))
-The arguments of the last two are in units of ln 2 / 2: what multiplies them beforehand is in the weights of a network.
+The arguments of the last two are in units of ln 2 / 2; the weights of a network include the factor.
 
-S, C, E, A, T interpolate the functions at Chebyshev points (near minimax), so there is no table of coefficients to trust:
-they are computed here for the precision asked for. pi and ln 2 are split in parts whose products with n are exact
-(Cody & Waite 1980), which holds for |n| < 2^`spare`. Errors up to |x| = 10^4 rad, float32 (float64): 2e-7 (4e-15) for sin
-and cos, 4e-7 (4e-15) for atan2, and relative for exp, 3e-7 (1e-15) for the hyperbolic tangents; held by tests/test_codegen.py.
+S, C, E, A, T interpolate the functions at Chebyshev points (near minimax). No table of coefficients is needed: they are computed
+here for each precision. pi and ln 2 are split in parts whose products with n are exact (Cody & Waite 1980), which holds for
+|n| < 2^`spare`. Errors up to |x| = 10^4 rad, float32 (float64): 2e-7 (4e-15) for sin and cos, 4e-7 (4e-15) for atan2, and
+relative for exp, 3e-7 (1e-15) for the hyperbolic tangents; tested by tests/test_codegen.py.
 """
 
 from math import log, pi
@@ -22,7 +22,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 
 class Precision(NamedTuple):
-    """How one float type is treated: polynomial degrees and the bits of its format."""
+    """Polynomial degrees and bit format of one float type."""
 
     name: str
     integer: str
@@ -143,13 +143,13 @@ def source(precision: Precision) -> str:
     )
 
 
-# pi and ln 2 as the nearest double and what it leaves, from their decimal expansions
+# pi and ln 2 as the nearest double and the remainder, from their decimal expansions
 PI_HIGH, PI_LOW = 3.141592653589793, 1.2246467991473532e-16
 LN2_HIGH, LN2_LOW = 0.6931471805599453, 2.3190468138462996e-17
 
 
 def _parts(high: float, low: float, precision: Precision) -> list[float]:
-    """`high + low` as two parts short enough that n times a part is exact, and a remainder."""
+    """Splits `high + low` into two parts short enough that n times a part is exact, and a remainder."""
     keep = precision.mantissa + 1 - precision.spare
     parts, rest = [], high
     for _ in range(2):

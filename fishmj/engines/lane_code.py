@@ -1,16 +1,26 @@
 """Straight-line loops over the lanes of a workspace, written as LLVM's instructions without numba's own front end.
 
-numba finds the type of every statement and lowers it by itself, some 2 ms each, of thousands. The bodies of these loops need none
-of it: every value is `real`, a whole number or a truth value. A function with the decorator `lanes` is read from the text of its
-module (`TEXT`) and written as the instructions that numba would give, elementary functions (fast_math.py) as functions of LLVM's
-own: optimised, both are one, and so are the bits. Around it stands a function of numba's, so that others call it as any; its
-symbol carries the name of the generated module: two modules of one process must not share one.
+numba infers the type of every statement and lowers it alone: some 2 ms for each of thousands of statements. The bodies of these
+loops do not need that: every value is `real`, a whole number or a truth value. A function with the decorator `lanes` is read from
+the text of its module (`TEXT`) and written as the instructions that numba would emit. Elementary functions (fast_math.py) become
+functions of LLVM's own. After optimisation both ways give the same code and the same bits. A numba function wraps the result, so
+that other functions call it like any other. Its symbol contains the name of the generated module, because two modules of one
+process must not share a symbol.
 
     names = expressions                  numbers of the array `c`, read before the loop
     for i in range(LANES): ...           assignments to names and to w[row * LANES + i]
 
-What a function may hold: the calls `wide()`, `real`, `whole`, `absolute`, `sqrt`, `floor` and functions of the module that are
-themselves assignments and a return; + - * / & <<, comparisons, `a if b else c`, `x.view(real)`, tuples, items of arrays.
+Example with 16 lanes and `real` float32, input text -> output IR (getelementptr shortened to gep):
+
+    a = c[3]                          %5 = gep float, float* %c, i64 3;  %6 = load float, float* %5
+    for i in range(LANES):            a loop over i64 %i from 0 to 15
+        x = w[32 + i]                 %7 = add i64 32, %i;  %8 = gep float, float* %w, i64 %7;  %9 = load float, float* %8
+        y = a * x                     %10 = fmul float %6, %9
+        y = y + absolute(x)           %11 = call float @llvm.fabs.f32(float %9);  %12 = fadd float %10, %11
+        w[80 + i] = y                 %13 = add i64 80, %i;  %14 = gep float, float* %w, i64 %13;  store float %12, float* %14
+
+A function may contain the calls `wide()`, `real`, `whole`, `absolute`, `sqrt`, `floor`, and functions of the module that consist
+of assignments and a return; + - * / & <<, comparisons, `a if b else c`, `x.view(real)`, tuples, items of arrays.
 """
 
 import ast
@@ -26,12 +36,12 @@ WHOLE = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.BitAnd: "and_", as
 
 @cache
 def functions_of(text: str) -> dict[str, ast.FunctionDef]:
-    """The functions of a module, by name."""
+    """Functions of a module, by name."""
     return {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
 
 
 def lanes(function: Callable) -> Any:
-    """A function of a generated module, compiled as above; the module's globals hold its `TEXT`, INNER, LANES and `real`."""
+    """Compiles a function of a generated module as above; the module's globals hold its `TEXT`, INNER, LANES and `real`."""
     from numba import njit, void
     from numba.extending import intrinsic
 
@@ -51,7 +61,7 @@ def lanes(function: Callable) -> Any:
 
 
 class Writer:
-    """Writes the instructions of one function where `builder` stands. scope: globals of the generated module."""
+    """Writes the instructions of one function at the position of `builder`. scope: globals of the generated module."""
 
     def __init__(self, context, builder, scope: dict):
         from llvmlite import ir
@@ -63,7 +73,7 @@ class Writer:
         self.index = ir.IntType(64)
 
     def function(self, made: ast.FunctionDef, types, values) -> None:
-        """The whole function. types, values: numba's types and LLVM's values of its arguments."""
+        """Writes the whole function. types, values: numba's types and LLVM's values of its arguments."""
         from numba.core import cgutils
         from numba.core import types as kinds
 
@@ -83,7 +93,7 @@ class Writer:
                 self.lines([line], env)
 
     def lines(self, body: list[Any], env: dict) -> Any:
-        """Assignments, into `env` or into memory; the value of a return."""
+        """Writes assignments, into `env` or into memory; returns the value of a return statement."""
         for line in body:
             if isinstance(line, ast.Return):
                 return self.value(line.value, env)
@@ -97,6 +107,7 @@ class Writer:
         return None
 
     def assign(self, target, found, env: dict) -> None:
+        """Binds a value to a name, each part of a tuple to its target, or stores it in an item of an array."""
         if isinstance(target, ast.Tuple):
             for part, value in zip(target.elts, found, strict=True):
                 self.assign(part, value, env)
@@ -116,11 +127,11 @@ class Writer:
         return self.builder.gep(data, [at])
 
     def number(self, value) -> Any:
-        """An index: what is known now is a Python int."""
+        """Index as an LLVM value; a value that is known now is a Python int."""
         return self.index(value) if isinstance(value, int) else value
 
     def value(self, node: Any, env: dict) -> Any:
-        """The value of an expression: LLVM's, a Python number where it is known, or a tuple."""
+        """Value of an expression: LLVM's, a Python number if it is known, or a tuple."""
         b = self.builder
         match node:
             case ast.Constant():
@@ -149,6 +160,7 @@ class Writer:
         raise TypeError(f"lanes: cannot write {ast.unparse(node)}")
 
     def binary(self, op, left, right) -> Any:
+        """Value of a binary operation: a Python int of two ints, else one LLVM instruction for floats or whole numbers."""
         if isinstance(left, int) and isinstance(right, int):
             return {ast.Add: left + right, ast.Mult: left * right, ast.Sub: left - right}[type(op)]
         left, right = (self.number(side) for side in (left, right))
@@ -156,7 +168,7 @@ class Writer:
         return getattr(self.builder, names[type(op)])(left, right)
 
     def call(self, name: str, given: list) -> Any:
-        """A conversion, an instruction of LLVM, or a function of the module."""
+        """Value of a call: a conversion, an instruction of LLVM, or a function of the module."""
         b, first = self.builder, given[0]
         if name in ("real", "whole"):
             kind = getattr(self, name)
@@ -173,7 +185,7 @@ class Writer:
         return found
 
     def helper(self, name: str, types: list) -> Any:
-        """A function of the module as one of LLVM's, written once."""
+        """LLVM function for a function of the module, written once."""
         module, ir = self.builder.module, self.ir
         known = f"lanes.{name}"
         if known in module.globals:

@@ -19,7 +19,7 @@ def workspace():
 
 
 def load(w, base, values, block):
-    """Columns of values (B, n) into rows base.. of w; spare lanes of the last block repeat the last fish."""
+    """Copies columns of values (B, n) into rows base.. of w; spare lanes of the last block repeat the last fish."""
     last = values.shape[0] - 1
     for j in range(values.shape[1]):
         for i in range(LANES):
@@ -27,14 +27,14 @@ def load(w, base, values, block):
 
 
 def store(values, w, base, block):
-    """Rows base.. of w into the columns of values (B, n)."""
+    """Copies rows base.. of w into the columns of values (B, n)."""
     for i in range(min(LANES, values.shape[0] - block)):
         for j in range(values.shape[1]):
             values[block + i, j] = w[(base + j) * LANES + i]
 
 
 def load_fish(w, state, swimmer, block):
-    """The block's fish: what changes as they swim, and what each of them is."""
+    """Loads the block's fish: states that change as they swim, and the constants of each."""
     q, v, attached, memory = state
     mass, kp, kv, kb, zero, water, effects = swimmer
     load(w, Q, q, block)
@@ -51,7 +51,7 @@ def load_fish(w, state, swimmer, block):
 
 
 def load_current(w, current, clock, block):
-    """The background flow of the block's fish, and the bus tick that they are at."""
+    """Loads the background flow of the block's fish, and their bus tick."""
     mean, rms, row, offset, turn = current
     load(w, MEAN, mean, block)
     load(w, RMS, rms, block)
@@ -62,7 +62,8 @@ def load_current(w, current, clock, block):
 
 
 def load_delay(w, places, delay, block):
-    """Command latency: the physics steps beyond whole bus ticks, and where in the line of commands the newest three lie.
+    """Computes the command latency: physics steps beyond whole bus ticks, and the places of the newest three commands in the
+    line.
 
     At tick k a lane sees line[places + k JOINTS LANES]: the command that arrives now, the one before, and one more.
     """
@@ -75,7 +76,7 @@ def load_delay(w, places, delay, block):
 
 
 def load_commands(line, buffer, commands, block):
-    """Bus commands in order of time, remembered then new, as the servo sees them: clamped and quantised."""
+    """Writes bus commands in order of time, remembered then new, as the servo sees them: clamped and quantised."""
     ticks = commands.shape[1]
     for i in range(LANES):
         b = min(block + i, buffer.shape[0] - 1)
@@ -89,7 +90,7 @@ def load_commands(line, buffer, commands, block):
 
 
 def store_commands(buffer, line, ticks, block):
-    """The newest BUFFER commands."""
+    """Stores the newest BUFFER commands."""
     for i in range(min(LANES, buffer.shape[0] - block)):
         for k in range(BUFFER):
             for j in range(JOINTS):
@@ -97,7 +98,7 @@ def store_commands(buffer, line, ticks, block):
 
 
 def pick_commands(w, line, places, k):
-    """The three commands that matter in tick k, newest first, for each lane's latency."""
+    """Picks the three commands that matter in tick k, newest first, for each lane's latency."""
     for age in range(3):
         for j in range(JOINTS):
             for i in range(LANES):
@@ -105,7 +106,7 @@ def pick_commands(w, line, places, k):
 
 
 def aim(w, step):
-    """Servo targets at one physics step of a tick; with RAMP the servo moves from command to command in one tick."""
+    """Computes servo targets at one physics step of a tick; with RAMP the servo moves from command to command in one tick."""
     for j in range(JOINTS):
         for i in range(LANES):
             newest, previous = w[(RECENT + j) * LANES + i], w[(RECENT + JOINTS + j) * LANES + i]
@@ -121,7 +122,7 @@ def aim(w, step):
 
 
 def grid(w, cells, cell):
-    """Cell (0..cells-1, 0 for what is not a number) and place within it of every link centre in the drifting table."""
+    """Computes cell (0..cells-1, 0 for NaN) and position within it of every link centre in the drifting table."""
     size = real(cells)
     for link in range(LINKS):
         for i in range(LANES):
@@ -132,7 +133,7 @@ def grid(w, cells, cell):
             gx = (cos * x + sin * y) / cell + w[OFFSET * LANES + i]
             gy = (cos * y - sin * x) / cell + w[(OFFSET + 1) * LANES + i]
             fx, fy = floor(gx), floor(gy)
-            # by floor and not %: an integer remainder has no vector instruction
+            # floor instead of %: an integer remainder has no vector instruction
             ix, iy = fx - size * floor(fx / size), fy - size * floor(fy / size)
             w[(PLACE + 4 * link) * LANES + i] = where(ix < size, maximum(ix, real(0.0)), real(0.0))
             w[(PLACE + 4 * link + 1) * LANES + i] = where(iy < size, maximum(iy, real(0.0)), real(0.0))
@@ -153,7 +154,7 @@ def spatial_flow(w, table, cells):
             u, v = table[a] + ay * (table[b] - table[a]), table[a + 1] + ay * (table[b + 1] - table[a + 1])
             w[flow + i] = u + ax * (table[c] + ay * (table[d] - table[c]) - u)
             w[flow + LANES + i] = v + ax * (table[c + 1] + ay * (table[d + 1] - table[c + 1]) - v)
-    # a loop of its own: the one before gathers from the table, which stops vector instructions; this one has only arithmetic
+    # a loop of its own: the one before gathers from the table, which prevents vector instructions; this one has only arithmetic
     for link in range(LINKS):
         flow = (FLOW + 2 * link) * LANES
         for i in range(LANES):
@@ -182,7 +183,7 @@ def gust_flow(w, table, cells):
 
 
 def find_flow(w, table, cells, cell, gust):
-    """Water velocity at every link, and DU/Dt, at this tick."""
+    """Computes the water velocity at every link, and DU/Dt, at this tick."""
     if gust:
         gust_flow(w, table, cells)
     else:
@@ -192,7 +193,7 @@ def find_flow(w, table, cells, cell, gust):
 
 
 def record(w, k, block, pose, joint, rate, velocity, power):
-    """Tick k of the trace."""
+    """Records tick k of the trace."""
     for i in range(min(LANES, pose.shape[0] - block)):
         b = block + i
         for j in range(3):
@@ -205,8 +206,8 @@ def record(w, k, block, pose, joint, rate, velocity, power):
 
 
 def advance(first, stop, c, state, buffer, commands, swimmer, delay, current, clock, table, cells, cell, gust, trace):
-    """Advance fish first..stop (first a multiple of LANES) by commands.shape[1] bus ticks, in place."""
-    # one small workspace, used again for every block: it stays in the cache for all ticks of a block
+    """Advances fish first..stop (first a multiple of LANES) by commands.shape[1] bus ticks, in place."""
+    # one small workspace, reused for every block: it stays in the cache for all ticks of a block
     w, ticks = workspace(), commands.shape[1]
     line = np.empty((BUFFER + ticks) * JOINTS * LANES, real)
     places = np.empty(3 * LANES, np.int64)
@@ -236,7 +237,7 @@ def advance(first, stop, c, state, buffer, commands, swimmer, delay, current, cl
 
 
 def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
-    """Applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
+    """Computes applied force, new attachment and power of one physics step of fish first..stop, into `out`."""
     w = workspace()
     applied, attached_new, power, memory_new = out
     for block in range(first, stop, LANES):
@@ -253,7 +254,7 @@ def evaluate(first, stop, c, state, swimmer, target, flow, ambient, out):
 
 
 def look(first, stop, q, current, clock, table, cells, cell, gust, out):
-    """Water velocity at the links of fish first..stop and DU/Dt at one bus tick, into `out`."""
+    """Computes the water velocity at the links of fish first..stop and DU/Dt at one bus tick, into `out`."""
     w = workspace()
     flow, ambient = out
     for block in range(first, stop, LANES):

@@ -1,11 +1,11 @@
 """The flow solver behind the engines' interface: one tank of water a fish, all tanks side by side on one device.
 
-`advance` has the shape that the judge expects, so every controller runs in the solver unchanged. Unlike the other engines
-a tank remembers its water: it is filled at the first call, from the poses, parameters and flows of the trials.
-A fish that comes too close to a wall, or whose water leaves the finite numbers, stays where it was; `stopped` says why.
+`advance` has the interface that the judge expects, so every controller runs in the solver unchanged. Unlike the other engines a
+tank remembers its water: it is filled at the first call, from the poses, parameters and flows of the trials. A fish that comes
+too close to a wall, or whose water is no longer finite, stays at its last pose; `stopped` has the reason.
 
-In a stream every fish is held for `HELD` s before the trial begins, the water's clock running up to 0. A fish that is put at rest
-into moving water and let go at once is carried along within 0.1 s, because all water around it is stopped by it alone.
+In a stream every fish is held for `HELD` s before the trial begins, while the water's clock runs up to 0. A fish that is put at
+rest into moving water and released at once is carried along within 0.1 s, because it alone has to stop all the water around it.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,13 +37,14 @@ class Engine:
     """Tanks for the given flows, in their order.
 
     Args:
-        robot: its effects act as `tank_effects` says.
+        robot: description; its effects act as described in `tank_effects`.
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm, `paper_refined` the same with 1 cm round the fish.
         slip: ratio at the paper's grid. device: auto, cpu or cuda.
-        finer: time steps in one of the domain's. width, passes, sharpness: of the immersed boundary. storage: of the water.
+        finer: number of time steps in one of the domain's. width, passes, sharpness: of the immersed boundary.
+        storage: type of the populations.
 
     Raises:
-        ConfigError: an effect that has no place in a tank.
+        ConfigError: an effect that cannot act in a tank.
     """
 
     jittable = False
@@ -66,20 +67,20 @@ class Engine:
 
     @property
     def stopped(self) -> list[str]:
-        """Why each tank stopped; empty where it did not."""
+        """Reason for the stop of each tank; empty for a tank that did not stop."""
         return [] if self.tanks is None else [run.stopped for run in self.tanks.runs]
 
     @property
     def ticks(self) -> list[int]:
-        """Bus ticks that each tank has done."""
+        """Numbers of bus ticks that each tank has done."""
         return [] if self.tanks is None else [run.ticks for run in self.tanks.runs]
 
     def advance(self, state: FishState, commands, params: FishParams, current, tick) -> tuple[FishState, Trace]:
-        """Send the bus commands (B, T, J) [rad] to the B tanks; `current` is not used, the tanks have their flows."""
+        """Sends the bus commands (B, T, J) [rad] to the B tanks; `current` is not used, the tanks have their own flows."""
         return drained(self.advancing(state, commands, params, current, tick))
 
     def advancing(self, state: FishState, commands, params: FishParams, current, tick) -> Steps[tuple[FishState, Trace]]:
-        """The same, pausing whenever the device has work and the host could look after other tanks."""
+        """Does the work of `advance`, pausing whenever the device has work and the host could serve other tanks."""
         check_commands(commands, self.robot.n_joints)
         if self.tanks is None:
             self.tanks = yield from self._fill(state, params)
@@ -124,7 +125,7 @@ class Engine:
         return tanks
 
     def tank(self, i: int, q: np.ndarray, params: FishParams, memory: np.ndarray | None = None) -> Run:
-        """Tank i with its own fish, at rest in undisturbed flow; `memory` (M,) of its effects, as at their start by default."""
+        """Tank i with its own fish, at rest in undisturbed flow; `memory` (M,) of its effects, the initial one by default."""
         own = {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")}
         flow, added = self.flows[i], None
         if self.active is not None:
@@ -153,7 +154,7 @@ class Engine:
 
 
 def set_clock(run: Run, time: float) -> None:
-    """Fish and water at `time` s, the undisturbed flow of that time everywhere."""
+    """Sets the clock of fish and water to `time` s, and the undisturbed flow of that time everywhere."""
     coupled = run.coupled
     fluid = coupled.fluid
     with coupled.scope():

@@ -40,7 +40,7 @@ class Engine(Copied):
 
     @partial(jax.jit, static_argnums=0)
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
-        """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
+        """Advances B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
 
         Returns:
             (FishState, Trace with T ticks).
@@ -93,7 +93,7 @@ class Engine(Copied):
         }
 
     def _step(self, fields, q, v, target, applied):
-        """One `mjx.step` of every fish: (q, v)."""
+        """Does one `mjx.step` of every fish; returns (q, v)."""
 
         def one(fields, q, v, target, applied):
             data = self.blank.replace(qpos=q, qvel=v, ctrl=target, qfrc_applied=applied)

@@ -1,13 +1,12 @@
 """Machine code for one robot: generated text, compiled by numba, cached on disk.
 
-The text holds numbers of the description and never a word of it: a name that came from a file must not become code.
+The text holds numbers of the description and never a word of it: a name from a file must not become code.
 
 The text of a module holds its numbers, the elementary functions (fast_math.py), the physics (codegen.py, from
-`planar_chain.step`) and the loops (lane_kernels.py). numba compiles it, but for the physics, which lane_code.py writes. Its
-file name is the hash of that text and of the versions, and it is written by renaming a complete temporary file, so several
-processes may start at once and a stale or torn file is never run. Where the cache folder (`machine_code`) cannot be written
-the module lives in memory and is compiled in every
-process.
+`planar_chain.step`) and the loops (lane_kernels.py). numba compiles it, except the physics, which lane_code.py writes. Its file
+name is the hash of that text and of the versions, and it is written by renaming a complete temporary file. Several processes may
+therefore start at once, and a stale or incomplete file is never run. If the cache folder (`machine_code`) cannot be written, the
+module lives in memory and every process compiles it.
 """
 
 import hashlib
@@ -73,14 +72,14 @@ EVALUATE = void(int64, int64, given(1), STATE, SWIMMER, given(2), given(2), give
 
 
 def flat(tree) -> list:
-    """The leaves of a nest of lists and tuples, in order."""
+    """Leaves of a nest of lists and tuples, in order."""
     return [leaf for item in tree for leaf in flat(item)] if isinstance(tree, list | tuple) else [tree]
 
 
 def names_of(n: int, parameters: int = 0, memory: int = 0, learnt: "residual_lanes.Shape | None" = None) -> dict:
-    """Every row of the workspace for N links, in order: the arguments of `planar_chain.step`, then what the loops need.
+    """Names of all rows of the workspace for N links, in order: the arguments of `planar_chain.step`, then those of the loops.
 
-    parameters, memory: of the effects and the learnt water. learnt: the residual.
+    parameters, memory: numbers of the effects' and the learnt water's. learnt: shape of the residual.
     """
     line = lambda name, count: [f"{name}{i}" for i in range(count)]
     pairs = lambda name, count: [(f"{name}{i}x", f"{name}{i}y") for i in range(count)]
@@ -113,10 +112,10 @@ def names_of(n: int, parameters: int = 0, memory: int = 0, learnt: "residual_lan
 
 
 def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
-    """One straight-line function of `robot` and the rows that its outputs go to.
+    """Straight-line function of `robot`, and the rows that its outputs go to.
 
-    physics: a step in place, power added up; forces: `Step.applied`; centres: link centres from q; features: what a learnt
-    residual sees, whose answer `physics` and `forces` take as given.
+    physics: a step in place, power summed; forces: `Step.applied`; centres: link centres from q; features: input of a learnt
+    residual, whose output `physics` and `forces` take as given.
     """
     import jax.numpy as jnp
 
@@ -165,14 +164,14 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
 def lane_loop(
     name: str, program: codegen.Program, results: list[str], rows: dict[str, int], places: dict | None = None, wide: bool = False
 ) -> str:
-    """`program` as a function over the lanes of the workspace, in place.
+    """Text of `program` as a function over the lanes of the workspace, in place.
 
-    places: of inputs that are no row, in the flat array `c`; None: the function takes no array. wide: in the widest registers.
+    places: index in the flat array `c` of inputs that are not a row; None: no such array. wide: use the widest registers.
     """
     pad, once, given = " " * 8, " " * 4, places or {}
     text = f"{program.numbers()}\n\n@lanes\ndef {name}(w{'' if places is None else ', c'}):\n"
     text += f"{once}wide()\n" * wide
-    # before the loop: then the compiler sees no store that may change them
+    # before the loop: there the compiler sees no store that may change them
     text += "".join(f"{once}{key} = c[{given[key]}]\n" for key in program.inputs if key in given)
     text += f"{once}for i in range(LANES):\n"
     text += "".join(f"{pad}{key} = w[{rows[key] * LANES} + i]\n" for key in program.inputs if key not in given)
@@ -182,9 +181,9 @@ def lane_loop(
 
 
 def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
-    """The text of the module whose entry point is `advance`, `evaluate` or `look`; `CACHE` is left to the loader.
+    """Text of the module whose entry point is `advance`, `evaluate` or `look`; the loader sets `CACHE`.
 
-    Of a learnt residual it holds the shape alone: its numbers are the argument `c` of the entry points.
+    For a learnt residual it holds only the shape: its numbers are the argument `c` of the entry points.
     """
     servo, added = robot.servo, Extensions.of(robot)
     learnt = None if added.learnt is None else residual_lanes.Shape.of(added.learnt)
@@ -198,7 +197,7 @@ def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
         numbers |= bus
         reals |= {"RANGE": servo.range, "RESOLUTION": servo.resolution}
     parts = [HEADER.format(real=precision.name, whole=precision.integer)]
-    # rows are no literals for numba: it would compile what takes one anew for each
+    # rows are not literals for numba: it would compile each function again for every row
     parts += [f"{name} = {f'np.int64({value})' if name.lower() in names else int(value)}\n" for name, value in numbers.items()]
     parts += [f"{name} = real({float(v)!r})\n" for name, v in reals.items()]
     parts.append(fast_math.source(precision))
@@ -218,7 +217,7 @@ def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
 
 
 def load(robot: Robot, entry: str, precision: fast_math.Precision) -> ModuleType:
-    """The compiled module; seconds the first time, a fraction of one when cached.
+    """Compiled module; seconds the first time, a fraction of a second when cached.
 
     Raises:
         MissingExtra: numba is not installed.
@@ -228,7 +227,7 @@ def load(robot: Robot, entry: str, precision: fast_math.Precision) -> ModuleType
 
 
 def compiled(text: str) -> ModuleType:
-    """The module that `text` makes; `CACHE` in it says whether numba may keep its machine code on disk."""
+    """Module made of `text`; its `CACHE` is True if numba may keep machine code on disk."""
     numba = require_numba()
     writer = Path(__file__).with_name("lane_code.py").read_text(encoding="utf-8")  # what the text becomes hangs on it, too
     name = "fishmj_" + hashlib.sha256(f"{numba.__version__} {sys.version} {writer} {text}".encode()).hexdigest()[:24]
@@ -248,7 +247,7 @@ def compiled(text: str) -> ModuleType:
 
 
 def require_numba() -> ModuleType:
-    """numba, or MissingExtra."""
+    """Returns numba, or raises MissingExtra."""
     try:
         import numba
     except ImportError as error:
@@ -257,7 +256,7 @@ def require_numba() -> ModuleType:
 
 
 def keep(path: Path, text: str) -> Path | None:
-    """Make sure that `path` holds `text`, whole; None where the folder cannot be written."""
+    """Makes sure that `path` holds `text` completely; returns None if the folder cannot be written."""
     try:
         if path.exists() and path.read_bytes() == text.encode():
             return path

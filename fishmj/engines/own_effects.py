@@ -1,9 +1,9 @@
-"""Effects of the user's own: loaded by what the user typed, held to the rules of the catalogue, and put into it.
+"""Effects of the user's own: loaded by reference, checked against the rules of the catalogue, and added to it.
 
     effect = join(["./my_effects.py:WEED"])[0]          from now on a name like any other, in this process
 
-The rules (`check`): at its null an effect changes no bit of a step, in water and in air, nor of commands, delays and readings;
-at typical sizes and at its bounds everything stays finite, and something changes; JAX and the code generator can follow it.
+The rules (`check`): at its null an effect changes no bit of a step, in water and in air, nor of commands, delays and readings.
+At typical sizes and at its bounds everything stays finite, and something changes. JAX and the code generator can trace it.
 """
 
 import math
@@ -34,7 +34,7 @@ FIELDS = ("q", "v", "attached", "power")
 
 
 def option(parser) -> None:
-    """Add `--effects` to a command line; pass what comes to `join`."""
+    """Adds `--effects` to a command line; pass its value to `join`."""
     parser.add_argument(
         "--effects", action="append", default=[], metavar="MODULE:EFFECT",
         help="an effect of your own to put into the catalogue, module:EFFECT or file.py:EFFECT; again for more (default none)",
@@ -42,7 +42,7 @@ def option(parser) -> None:
 
 
 def join(texts: Iterable[str]) -> list[Effect]:
-    """Load, check and add effects that the user named. Raises UnknownName, OwnCodeError, ConfigError."""
+    """Loads, checks and adds effects that the user named. Raises UnknownName, OwnCodeError, ConfigError."""
     made = []
     for text in texts:
         effect, what = plugins.load("effect", text, effects.catalogue()), f"effect {text}"
@@ -56,7 +56,7 @@ def join(texts: Iterable[str]) -> list[Effect]:
 
 
 def check(effect: Effect, what: str = "") -> None:
-    """Hold an effect to the rules of the catalogue. Raises OwnCodeError, which says which one is broken and by how much."""
+    """Checks an effect against the rules of the catalogue. Raises OwnCodeError, which names the broken rule and the amount."""
     what = what or f"effect {effect.name}"
     _declared(effect, what)
     for site in effect.sites:
@@ -103,7 +103,7 @@ def _fish() -> tuple:
 
 
 def _step(active: EffectStack, what: str, given, row, memory, wet: float = 1.0):
-    """One step of all fish with the effect. Raises OwnCodeError where its code does."""
+    """Does one step of all fish with the effect. Raises OwnCodeError if its code fails."""
     ch, sw, _ = _fish()
 
     def take():
@@ -115,7 +115,7 @@ def _step(active: EffectStack, what: str, given, row, memory, wet: float = 1.0):
 
 
 def _identity(active: EffectStack, what: str) -> None:
-    """At the null no bit changes, for any value of its shapes' null."""
+    """Checks that at the null no bit changes, for any value of its shapes' null."""
     ch, sw, first = _fish()
     for wet in (1.0, 0.0):
         given, memory = first, active.memory
@@ -146,7 +146,7 @@ def _identity(active: EffectStack, what: str) -> None:
 
 
 def _finite(active: EffectStack, what: str) -> None:
-    """At typical sizes and at both bounds a step stays finite, and at the larger typical size something changes."""
+    """Checks that at typical sizes and at both bounds a step stays finite, and that the larger typical size changes something."""
     ch, sw, given = _fish()
     (effect,), memory = active.effects, list(active.memory)
     memory[:2] = 3.0, 600.0  # A that the servos draw; s, ten minutes into a session
@@ -164,7 +164,7 @@ def _finite(active: EffectStack, what: str) -> None:
 
 
 def _sizes(parameters: tuple[Parameter, ...]) -> list[tuple[str, list[float]]]:
-    """Rows at which an effect is tried."""
+    """Parameter rows at which an effect is tried."""
     row = lambda pick: [float(pick(p)) for p in parameters]
     typical = [
         ("its smaller typical size", row(lambda p: p.typical[0])),
@@ -174,7 +174,7 @@ def _sizes(parameters: tuple[Parameter, ...]) -> list[tuple[str, list[float]]]:
 
 
 def _traced(active: EffectStack, what: str) -> None:
-    """JAX can follow a step, and the code generator knows all that it does."""
+    """Checks that JAX can trace a step, and that the code generator knows all its operations."""
     import jax.numpy as jnp
 
     from fishmj.engines import codegen

@@ -1,7 +1,7 @@
 """The closed-form planar fish in JAX: batched, jit-able, on CPU and GPU.
 
-One bus tick: remember the command, look the flow up at every link, then five physics steps of `planar_chain.step`, each
-with the command that has arrived by then.
+One bus tick: remember the command, look up the flow at every link, then five physics steps of `planar_chain.step`, each with the
+newest command that has arrived.
 """
 
 from functools import partial
@@ -24,7 +24,7 @@ kernel = True  # False: in a learnt water on an NVIDIA GPU the learnt force alon
 
 
 def quantise(xp, robot: Robot, commands):
-    """What the servo makes of a bus command: clamped to its range, rounded to its resolution [rad]."""
+    """Bus commands as the servo follows them: clamped to its range, rounded to its resolution [rad]."""
     s = robot.servo
     return xp.round(xp.minimum(xp.maximum(commands, -s.range), s.range) / s.resolution) * s.resolution
 
@@ -73,7 +73,7 @@ class Engine(Copied):
 
     @partial(jax.jit, static_argnums=0)
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
-        """Advance B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
+        """Advances B fish by the T bus commands (B, T, J) [rad]; tick (B,) int counts bus ticks since t = 0.
 
         Returns:
             (FishState, Trace with T ticks).
@@ -96,7 +96,7 @@ class Engine(Copied):
         return state, Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
 
     def _physics_of(self, state: FishState, *given):
-        """`physics`, or, for many fish with a learnt force and no effects on an NVIDIA GPU, the kernel that is the same."""
+        """Computes `physics`; for many fish with a learnt force and no effects on an NVIDIA GPU, by the equivalent kernel."""
         if not kernel or self.added.learnt is None or self.added.active is not None or not takes_kernel(state.attached):
             return self.physics
         if np.dtype(float) in {a.dtype for a in jax.tree.leaves((state, *given))}:
@@ -106,7 +106,7 @@ class Engine(Copied):
         return partial(planar_kernel.tick, self)
 
     def physics(self, state: FishState, params: FishParams, targets, flow, ambient):
-        """The physics steps of one bus tick.
+        """Does the physics steps of one bus tick.
 
         Args:
             state: without the buffer. targets: (steps, B, J) servo targets, rad. flow: (B, N, 2) m/s. ambient: (B, 2) m/s2.
@@ -115,13 +115,13 @@ class Engine(Copied):
             (state, sum of the steps' power (B,) W).
         """
         step = partial(self.step, self.added, swimmer(params), columns(params.effects), pairs(flow), columns(ambient))
-        # in columns, which a physics step reads and writes whole; in rows once a tick
+        # in columns, which a physics step reads and writes whole; converted to rows once a tick
         carry, _ = lax.scan(lambda carry, target: (step(carry, columns(target)), None), begun(state), targets, unroll=self.unroll)
         q, v, attached, memory, power = carry
         return FishState(jnp.stack(q, -1), jnp.stack(v, -1), attached, (), stacked(jnp, memory, state.memory)), power
 
     def step(self, added: Extensions, sw: planar_chain.Swimmer, effects, flow, ambient, carry, target):
-        """One physics step in columns; carry: what `begun` gives."""
+        """Does one physics step in columns; carry: as from `begun`."""
         q, v, attached, memory, power = carry
         s = planar_chain.step(jnp, self.chain, sw, q, v, attached, target, flow, ambient, added.hooks(jnp, effects, memory))
         like = zip(s.memory, memory, strict=True)

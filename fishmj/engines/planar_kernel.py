@@ -2,9 +2,9 @@
 
     state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.Engine.physics`, float32
 
-`Engine.step` is traced as it stands on a block of fish: the physics is not written here. What a fish is and what a step leaves
-for the next one stay in registers; the weights of the learnt force, the same for all, come from cache. A gradient is that of
-the same steps in XLA: the kernel is forward alone.
+`Engine.step` is traced unchanged on a block of fish: the physics is not written here. Parameters and state of a fish stay in
+registers; the weights of the learnt force, the same for all, come from cache. The kernel computes the forward pass only;
+gradients use the same steps in XLA.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ UNITS = 8  # hidden units that a round of the loop holds
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def tick(engine, *given):
-    """`engine.physics` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
+    """Computes `engine.physics` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
     return lax.platform_dependent(*given, cuda=partial(physics, engine), default=engine.physics)
 
 
@@ -35,9 +35,9 @@ tick.defvjp(lambda engine, *given: jax.vjp(engine.physics, *given), lambda engin
 
 
 def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = False):
-    """`engine.physics` by the kernel; interpret: in plain JAX, anywhere."""
+    """Computes `engine.physics` by the kernel; interpret: in plain JAX, on any machine."""
     count, learnt = len(state.attached), engine.added.learnt
-    # two tables: parameters stay from tick to tick, so theirs can be made once
+    # two tables: parameters do not change from tick to tick, so their table can be made once
     given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=(), effects=())
     tables, places = zip(*map(_side_by_side, given), strict=True)
     weights = residual_kernel.tables_of(residual_network.halves(np, learnt.net))
@@ -62,7 +62,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
         carry, _ = lax.fori_loop(0, steps, step, (begun(state), commands))
         out[...] = _joined(jax.tree.leaves(carry))
 
-    # the last fish fills up the last block: numbers that every division bears
+    # copies of the last fish fill up the last block: their numbers are valid in every division
     rows = [jnp.pad(table, ((0, -count % BLOCK), (0, 0)), mode="edge") for table in tables]
     ends = np.cumsum([state.q.shape[1], state.v.shape[1], 1, state.memory.shape[1]])  # of what comes out, power the last
     block = lambda width: pl.BlockSpec((BLOCK, width), lambda i: (i, 0))
@@ -80,12 +80,12 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
 
 
 def _power(count: int) -> int:
-    """The next power of two: Triton has no other shapes, and is slow to compile many loads and stores."""
+    """Next power of two: Triton supports no other shapes, and is slow to compile many loads and stores."""
     return 1 << (int(count) - 1).bit_length()
 
 
 def _side_by_side(tree):
-    """Arrays (B, ..) as columns of one, filled up to a power of two, and the numbers of their columns, (1, ..) each."""
+    """Arrays (B, ..) as columns of one, filled up to a power of two; and the indices of their columns, (1, ..) each."""
     leaves, shape = jax.tree.flatten(tree)
     ends = np.cumsum([a.size // len(a) for a in leaves])
     numbers = [np.arange(end - a.size // len(a), end).reshape(1, *a.shape[1:]) for a, end in zip(leaves, ends, strict=True)]
@@ -104,13 +104,13 @@ class _Held:
 
 
 def _held(rows, numbers):
-    """What `_side_by_side` was given, out of a block of rows."""
+    """Inverse of `_side_by_side` for a block of rows."""
     values = [jnp.reshape(column, len(rows)) for column in jnp.split(rows, rows.shape[1], 1)]
     return jax.tree.map(lambda place: _Held(place, values), numbers)
 
 
 def _joined(values: list):
-    """Values, one a fish, as columns of a block of rows, filled up to a power of two: Triton joins pairs."""
+    """Joins values, one for each fish, to columns of a block of rows, filled up to a power of two: Triton joins pairs."""
     values = [*values, *[jnp.zeros_like(values[0])] * (_power(len(values)) - len(values))]
     while half := len(values) // 2:
         values = [jnp.reshape(jnp.stack(pair, -1), (len(pair[0]), -1)) for pair in zip(values[:half], values[half:], strict=True)]

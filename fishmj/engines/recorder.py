@@ -1,4 +1,4 @@
-"""What `Sim` writes down: one row a bus tick in the log's schema, and the last states of a run that diverged."""
+"""Recorder of `Sim`: one row for each bus tick in the log's schema, and the last states of a run that diverged."""
 
 import tempfile
 from dataclasses import asdict
@@ -25,7 +25,7 @@ class Recorder:
         self.rows: list[tuple] = []
 
     def add(self, command, flow, power: float) -> None:
-        """After a tick: command (J,) sent at its start, flow (N, 2) met at its start, mean servo power over it [W]."""
+        """Adds a tick: command (J,) sent at its start, flow (N, 2) met at its start, mean servo power over it [W]."""
         sim = self.sim
         joints = sim.data.qpos[-sim.model.nu :] - sim.swimmer.zero
         start = (sim.tick - 1) * sim.robot.timing.bus_dt
@@ -33,7 +33,7 @@ class Recorder:
         self.rows.append(row)
 
     def trial(self) -> Trial:
-        """The rows as tables: cmd and flow at the start of each tick, the others at its end."""
+        """Trial of the rows: cmd and flow at the start of each tick, the others at its end."""
         if not self.rows:
             raise LogError("Sim.trial: nothing recorded yet; call Sim.step or Sim.run first")
         start, t, cmd, pose, joint, rate, flow, power = (np.array(column) for column in zip(*self.rows, strict=True))
@@ -51,9 +51,9 @@ class Recorder:
 
 
 def reported(added: Extensions, t, pose, joint, rate, power):
-    """What the sensors say at the times t (T,) of what happened: (pose (T, 6), joint (T, J), rate (T, J), power (T,)).
+    """Sensor readings at the times t (T,): pose (T, 6), joint (T, J), rate (T, J), power (T,), from the true values.
 
-    Delays read the cubic through the samples and their rates (power: the straight line), held before the first sample.
+    Delays read the cubic through the samples and their rates (power: linearly), held before the first sample.
     """
     if added.active is None:
         return pose, joint, rate, power
@@ -66,7 +66,7 @@ def reported(added: Extensions, t, pose, joint, rate, power):
 
 
 def cubic(t, values, rates, at):
-    """Hermite's cubic through evenly spaced samples (T, C) with their rates, at the times `at`."""
+    """Hermite cubic through evenly spaced samples (T, C) with their rates, evaluated at the times `at`."""
     if len(t) < 2:
         return values
     h = (t[-1] - t[0]) / (len(t) - 1)
@@ -78,13 +78,13 @@ def cubic(t, values, rates, at):
 
 
 def truth(t, pose, joint, rate) -> dict:
-    """The exact state as a table: pose (T, 6), joint and rate (T, J)."""
+    """Exact state as a table: pose (T, 6), joint and rate (T, J)."""
     names = ("x", "y", "yaw", "vx", "vy", "wz")
     return {"t": t, **dict(zip(names, pose.T, strict=True)), **numbered("j#", joint), **numbered("k#", rate)}
 
 
 def meta_of(sim) -> dict:
-    """Meta data of a simulated trial."""
+    """Metadata of a simulated trial."""
     flow, listed = sim.flow, [fitted.name for fitted in sim.robot.effects]
     sensors = "joint and pose are exact"
     if listed:
@@ -114,12 +114,12 @@ def meta_of(sim) -> dict:
 
 
 def rescue(sim, error: SimDiverged) -> SimDiverged:
-    """The same error, now with the last states and the folder that holds them as a trial."""
+    """The same error, with the last states and the folder that holds them as a trial."""
     states = [(t, q, v, c) for t, q, v, c in sim.recent if np.isfinite(q).all() and np.isfinite(v).all()]
     sane = [s for s in states if np.abs(s[2][:2]).max() < SANE_SPEED and np.abs(s[2][2:]).max() < SANE_SPIN]
     where = ""
     if sane:
-        # mkdtemp: a folder that nobody else can read, or has put in our way
+        # mkdtemp: a new folder that no other user can read or could have placed there
         folder = sim.rescue_folder or Path(tempfile.mkdtemp(prefix="fishmj-diverged-")) / "trial"
         t, q, v, ctrl = (np.array(column) for column in zip(*sane, strict=True))
         n = sim.model.nu

@@ -1,15 +1,15 @@
 """The learnt residual in the compiled engine: its network as vector code, its weights as numbers given at the call.
 
 One physics step with a residual is three functions of the workspace, in this order:
-    features   generated from `residual_network.motion`: what the network sees
+    features   generated from `residual_network.motion`: inputs of the network
     network    written here: force coefficients, the members' spread, the wake a step later
     physics    generated from `planar_chain.step` with `Told` hooks, which do the rest of `residual_hooks.LearnedResidual`
 
 The text depends on shapes alone (links, members, hidden units), so all fitted waters of a robot share one machine code; weights,
-range and lengths come as one flat array. With the input split into what a mirror leaves alone, e, and what it turns, o,
+range and lengths come as one flat array. With the input split into e, unchanged by a mirror, and o, whose sign it changes,
     p = a + A_e e,   q = A_o o,   (tanh(p + q) +- tanh(p - q)) / 2 = (sinh 2p, sinh 2q) / (cosh 2p + cosh 2q)
-both branches of the mirror cost as one: half the multiply-adds, and the symmetry holds exactly. Weights are kept times 2 / ln 2,
-so that each e^2x is a power of two. A block of units shares every input that is loaded.
+both branches of the mirror cost as much as one: half the multiply-adds, and the symmetry holds exactly. Weights are stored times
+2 / ln 2, so that each e^2x is a power of two. A block of units shares every input that is loaded.
 """
 
 import re
@@ -28,7 +28,7 @@ POWER = 2 / log(2)  # tanh x = (2^(POWER x) - 1) / (2^(POWER x) + 1)
 
 
 class Shape(NamedTuple):
-    """What the text of the network depends on."""
+    """Sizes on which the text of the network depends."""
 
     links: int
     members: int
@@ -37,25 +37,25 @@ class Shape(NamedTuple):
 
     @classmethod
     def of(cls, learnt: residual_hooks.Residual) -> "Shape":
-        """The shape of a residual."""
+        """Shape of a residual."""
         members, hidden, _ = np.shape(learnt.net.inner)
         return cls(len(learnt.net.even), members, hidden, learnt.reach is not None)
 
     @property
     def inputs(self) -> tuple[list[int], list[int]]:
-        """Numbers of the inputs [x, z] that a mirror leaves alone, and of those that it turns."""
+        """Indices of the inputs [x, z] that a mirror does not change, and of those whose sign it changes."""
         even, features = self.links + 1, 3 * self.links + 1
         wakes = range(features, features + WAKES)
         return [*range(even), *wakes[: WAKES // 2]], [*range(even, features), *wakes[WAKES // 2 :]]
 
     @property
     def block(self) -> int:
-        """Numbers of a block of units."""
+        """Number of weights of a block of units."""
         return BLOCK * (1 + sum(map(len, self.inputs)))
 
     @property
     def blocks(self) -> int:
-        """Blocks of hidden units a member; the last one may be filled up with units that do nothing."""
+        """Number of blocks of hidden units of a member; units without effect may fill up the last one."""
         return -(-self.hidden // BLOCK)
 
     def rows(self) -> dict:
@@ -74,7 +74,7 @@ class Shape(NamedTuple):
         }
 
     def sizes(self) -> dict[str, int]:
-        """Numbers of each part of the flat array, in order."""
+        """Sizes of each part of the flat array, in order."""
         forces = 3 * self.links
         even, odd = (len(pairs[0]) for pairs in residual_network.products(self.links))
         return {
@@ -87,18 +87,18 @@ class Shape(NamedTuple):
         }
 
     def starts(self) -> dict[str, int]:
-        """Where each part begins."""
+        """First index of each part."""
         sizes = self.sizes()
         return dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
 
     def range_places(self) -> dict[str, int]:
-        """Names of the numbers of a range, and where they lie in the flat array."""
+        """Names of the numbers of a range, and their indices in the flat array."""
         first = self.starts()["range"]
         return {f"range{i}": first + i for i in range(self.sizes()["range"])}
 
 
 def flat_weights(learnt: residual_hooks.Residual, dt: float, dtype) -> np.ndarray:
-    """Everything that the text leaves open, as `Shape.sizes` says; `dt` of a physics step, s."""
+    """All numbers that the text does not contain, in the order of `Shape.sizes`; `dt` of a physics step, s."""
     shape, net = Shape.of(learnt), residual_network.Net(*(np.asarray(a, float) for a in learnt.net))
     columns = [number for half in shape.inputs for number in half]
 
@@ -120,7 +120,7 @@ def flat_weights(learnt: residual_hooks.Residual, dt: float, dtype) -> np.ndarra
 
 
 class Told(residual_hooks.LearnedResidual):
-    """A residual whose network was asked before: mean coefficients, spread and the next wake are given, (3 N), (), (WAKES)."""
+    """Residual with the output of its network given: mean coefficients (3 N), spread () and the next wake (WAKES)."""
 
     def __init__(self, xp, ch, learnt, memory, inner, coefficients, spread, wake):
         super().__init__(xp, ch, learnt, memory, inner)
@@ -128,11 +128,12 @@ class Told(residual_hooks.LearnedResidual):
         self.answer = [coefficients[i * n : (i + 1) * n] for i in range(3)], spread, wake
 
     def network(self, m, z, dt):
+        """Given output of the network."""
         return self.answer
 
 
 def told(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> Told:
-    """The hooks of the generated step; `a` holds its arguments by name of `Shape.rows`, and the flat `range`."""
+    """Hooks of the generated step; `a` holds its arguments by name of `Shape.rows`, and the flat `range`."""
     reach = None
     if shape.ranged:
         n, seen, given = shape.links, residual_hooks.SEEN, iter(a["range"])
@@ -144,7 +145,7 @@ def told(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> Told:
 
 
 def features(xp, ch: planar_chain.Chain, sw, inner: Any, q, v, flow) -> list:
-    """What the network sees of one step, `feature` and `pace`; the sites before the water act as in `planar_chain.step`."""
+    """Inputs of the network in one step, `feature` and `pace`; the sites before the water act as in `planar_chain.step`."""
     panels = residual_network.panels(ch)
     if inner is not None:
         ch, sw = inner.fish(ch, sw)
@@ -175,14 +176,14 @@ def network(shape: Shape, rows: dict[str, int], wake: int) -> str:
     pairs += [f"{at('product', k)} = g{k}" for k in each]
     pairs += [f"{at('coefficient', k)} = real(0.0)" for k in each] + [f"{one('spread')} = real(0.0)"]
 
-    # all stores at the end: a number is read where it is used only if no store stands between
+    # all stores at the end: the compiler reads a number where it is used only if no store stands between
     gathered = [f"u{k} = {at('unit', k)}" for k in range(2 * BLOCK)]
     for k in each:
         parts = (f"c[{forces * u + k}] * u{u + BLOCK * (k >= n)}" for u in range(BLOCK))
         gathered.append(f"g{k} = {at('sum', k)} + {' + '.join(parts)}")
     gathered += [f"{at('sum', k)} = g{k}" for k in each]
 
-    # Welford's mean and variance over the members: none needs to be kept
+    # Welford's mean and variance over the members: no member needs to be kept
     joined = [f"g{k} = {at('sum', k)}" for k in each] + [f"spread = {one('spread')}"]
     joined += [f"g{k}, g{(k + 1) % forces} = tanh_two(g{k}, g{(k + 1) % forces})" for k in range(0, forces - 1, 2)]
     joined += [f"g{forces - 1}, _ = tanh_two(g{forces - 1}, real(0.0))"] * (forces % 2)
@@ -230,9 +231,9 @@ def network(w, c):
 
 
 def _loop(lines: list[str], row: bool) -> str:
-    """`lines` for every lane, their numbers loaded before: then the compiler sees no store that may change one.
+    """Loop of `lines` over the lanes, with their numbers loaded before: there the compiler sees no store that may change one.
 
-    row: they are of one row of a table `c`.
+    row: the numbers are those of one row of a table `c`.
     """
     names: dict[str, str] = {}
     name = lambda found: names.setdefault(f"c[row, {found[1]}]" if row else found[0], f"c{len(names)}")
@@ -241,7 +242,7 @@ def _loop(lines: list[str], row: bool) -> str:
 
 
 def _dense(out: str, inputs: list[int], at: int, bias: bool) -> list[str]:
-    """out0.. = bias + weights . e for a block of units, their weights of one input side by side from `at`."""
+    """Lines for out0.. = bias + weights . e for a block of units, their weights of one input side by side from `at`."""
     lines = [f"{out}{k} = c[{at + k}]" for k in range(BLOCK)] if bias else []
     for place, j in enumerate(inputs):
         sign = "+=" if bias or place else "="

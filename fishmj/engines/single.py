@@ -1,12 +1,12 @@
-"""One fish in MuJoCo, and what it swims in, behind one interface.
+"""One fish in MuJoCo and its water, behind one interface.
 
 StripWater    strips and learnt residual through `mjcb_passive` (water.injection): MuJoCo itself solves with M + M_a
 WrenchWater   the same as a wrench on every link through `xfrc_applied` (water.link_wrench), without a callback
-HookedWater   the closed form with everything that is added to it, effects too, through `qfrc_applied`; planar root:
-              (M + h D) qacc = servo + applied     MuJoCo moves the fish, the closed form says how, as in the engine `batch`
+HookedWater   the closed form with all additions, effects included, through `qfrc_applied`; planar root:
+              (M + h D) qacc = servo + applied     MuJoCo moves the fish by forces of the closed form, as in the engine `batch`
 MujocoWater   MuJoCo's own fluid, or air
 
-The first three hold `swimmer`, whose `water` may be replaced between steps, and what the water remembers: `attached`, `memory`.
+The first three hold `swimmer`, whose `water` may be replaced between steps, and the water's memory: `attached`, `memory`.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ DRY = dict(cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)  # coefficients of n
 
 
 class Water(Protocol):
-    """What `Sim` asks of the water around its fish.
+    """Interface of the water around the fish of `Sim`.
 
     Attributes:
         power: electrical power of the servos in the last step, W.
@@ -38,10 +38,10 @@ class Water(Protocol):
     power: float
 
     def set_flow(self, flow, ambient) -> None:
-        """Water velocity at the links (N, 2) m/s and DU/Dt (2,) m/s2, world frame; constant until the next call."""
+        """Sets the water velocity at the links (N, 2) m/s and DU/Dt (2,) m/s2, world frame; constant until the next call."""
 
     def step(self, data: mujoco.MjData) -> None:
-        """One physics step. Raises SimDiverged, and what the water itself raises."""
+        """Does one physics step. Raises SimDiverged, and the errors of the water itself."""
 
 
 def _of_strips(name: str) -> Any:
@@ -52,10 +52,10 @@ class InjectedWater:
     """Strips, and a learnt residual if there is one, put into MuJoCo.
 
     Args:
-        strips: the water itself. advance: one physics step of MuJoCo's data in it.
+        strips: the water itself. advance: function that does one physics step of MuJoCo's data in it.
 
     Attributes:
-        swimmer, attached, memory: of `strips`, to read and to replace between steps.
+        swimmer, attached, memory: those of `strips`; may be read and replaced between steps.
     """
 
     swimmer, attached, memory = _of_strips("swimmer"), _of_strips("attached"), _of_strips("memory")
@@ -64,16 +64,18 @@ class InjectedWater:
         self.strips, self.power, self._advance = strips, 0.0, advance
 
     def set_flow(self, flow, ambient) -> None:
+        """Sets the water velocity at the links (N, 2) m/s and DU/Dt (2,) m/s2."""
         self.strips.set_flow(flow, ambient)
 
     def step(self, data: mujoco.MjData) -> None:
+        """Does one physics step and computes the servo power. Raises SimDiverged, and the errors of the water itself."""
         rates = data.qvel[-data.ctrl.size :].copy()
         self._advance(data)
         self.power = drive_power(self.strips.swimmer, rates, data)
 
 
 class StripWater(InjectedWater):
-    """Through the passive callback, which is installed during each step only."""
+    """Strips through the passive callback, which is installed during each step only."""
 
     def __init__(self, model: mujoco.MjModel, strips: PlanarWater):
         handle = Handle(model, strips)
@@ -86,30 +88,32 @@ class StripWater(InjectedWater):
 
 
 class WrenchWater(InjectedWater):
-    """Through a wrench on every link; any thread."""
+    """Strips through a wrench on every link; works in any thread."""
 
     def __init__(self, model: mujoco.MjModel, strips: PlanarWater):
         super().__init__(strips, LinkWrench(model, strips).step)
 
 
 class MujocoWater:
-    """Nothing besides what MuJoCo does: air, or its own fluid, which knows one uniform wind."""
+    """MuJoCo alone: air, or its own fluid, which has one uniform wind."""
 
     def __init__(self, model: mujoco.MjModel, swimmer: planar_chain.Swimmer, wind: bool):
         self.model, self.swimmer, self.wind, self.power = model, swimmer, wind, 0.0
 
     def set_flow(self, flow, ambient) -> None:
+        """Sets the wind of MuJoCo's fluid to the velocity at the head, m/s; air has none."""
         if self.wind:
             self.model.opt.wind[:2] = flow[0]
 
     def step(self, data: mujoco.MjData) -> None:
+        """Does one physics step and computes the servo power. Raises SimDiverged."""
         rates = data.qvel[-data.ctrl.size :].copy()
         checked_step(self.model, data)
         self.power = drive_power(self.swimmer, rates, data)
 
 
 class SingleFish:
-    """One fish in the closed form, in NumPy, and what it remembers from step to step.
+    """One fish in the closed form, in NumPy, with its memory from step to step.
 
     Args:
         make_hooks: memory -> the hooks of one `planar_chain.step`; None adds nothing.
@@ -124,7 +128,7 @@ class SingleFish:
         self.memory = list(memory)
 
     def advance(self, q, v, target, flow, ambient) -> planar_chain.Step:
-        """One physics step from q and v; arguments as `planar_chain.step`. Attachment and memory move on."""
+        """Does one physics step from q and v; arguments as `planar_chain.step`. Attachment and memory advance."""
         hooks = None if self.make_hooks is None else self.make_hooks(self.memory)
         s = planar_chain.step(np, self.chain, self.swimmer, q, v, self.attached, target, flow, ambient, hooks)
         self.attached, self.memory = s.attached, list(s.memory)
@@ -132,7 +136,7 @@ class SingleFish:
 
 
 class HookedWater(SingleFish):
-    """The water of one planar fish with everything that is added to it, wet or on a bench in air."""
+    """Water of one planar fish with all additions, wet or on a bench in air."""
 
     def __init__(self, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer, wet: bool = True):
         ch, parameters = planar_chain.chain_of(robot), added.row.tolist()
@@ -143,10 +147,12 @@ class HookedWater(SingleFish):
         self.set_flow(np.zeros((ch.n, 2)), np.zeros(2))
 
     def set_flow(self, flow, ambient) -> None:
+        """Sets the water velocity at the links (N, 2) m/s and DU/Dt (2,) m/s2; zero in air."""
         share = 1.0 if self.wet else 0.0
         self.flow, self.ambient = (share * np.asarray(flow)).tolist(), (share * np.asarray(ambient)).tolist()
 
     def step(self, data: mujoco.MjData) -> None:
+        """Does one physics step with the forces of the closed form. Raises SimDiverged."""
         s = self.advance(data.qpos.tolist(), data.qvel.tolist(), data.ctrl.tolist(), self.flow, self.ambient)
         data.qfrc_applied[:] = s.applied
         checked_step(data.model, data)
@@ -162,13 +168,14 @@ def water_of(
     added: Extensions,
     injection: str | None = None,
 ) -> Water:
-    """The water `name`: "ellipsoid", "none", else the strips and the learnt force that the robot's water has.
+    """Water `name`: "ellipsoid", "none", else the strips and the learnt force of the robot's water.
 
     Args:
         injection: one of `INJECTIONS`; None: "qfrc" for a robot with effects, else "callback".
 
     Raises:
-        UnknownName: no such way in. ConfigError: one that cannot be; effects with a free root or in MuJoCo's own fluid.
+        UnknownName: no such injection.
+        ConfigError: an injection that does not fit; effects with a free root or in MuJoCo's own fluid.
     """
     wet = name not in ("none", "ellipsoid")
     if injection is not None and injection not in INJECTIONS:
@@ -194,5 +201,5 @@ def water_of(
 
 
 def drive_power(swimmer: planar_chain.Swimmer, rates, data: mujoco.MjData) -> float:
-    """Servo power of the step just taken, W, from the drive torque that MuJoCo applied and the rates (J,) before it."""
+    """Servo power of the last step, W, from the drive torque that MuJoCo applied and the rates (J,) before it."""
     return float(planar_chain.electrical_power(np, swimmer, [0.0, 0.0, 0.0, *rates], data.actuator_force))

@@ -1,13 +1,13 @@
-"""Effects of a description in the flow solver's tanks: which can act there (`tank_run` has how).
+"""Effects of a description in the flow solver's tanks: those that can act there (`tank_run` applies them).
 
     servo, gear, command    drive, torque and damping of each joint, in place of MuJoCo's servo
     fish                    masses of the links; gains and limits of the servos
     body                    forces and masses that are not the water's, such as a tether
-    flow                    a velocity that is the same everywhere and at all times joins the tank's stream
-    delays, measure         by whoever sends commands and reads sensors, as for every engine
+    flow                    a velocity that is uniform and steady is added to the tank's stream
+    delays, measure         by the caller that sends commands and reads sensors, as for every engine
 
-The solver is the water. What an effect does to strips, to added mass or to forces of the water has no place in it: `in_tank` says
-so, from what the effect's own functions do at their sites. It holds for the catalogue and for an effect of one's own.
+The solver is the water. An effect on strips, on added mass or on forces of the water cannot act in it. `in_tank` finds this by
+calling the effect's own functions at their sites, for the catalogue and for the user's own effects.
 """
 
 from collections.abc import Callable, Iterable
@@ -31,7 +31,7 @@ STATES = 50  # random ones at which an effect is asked
 
 
 def in_tank(effect: Effect) -> str:
-    """Why an effect has no place in the flow solver's tanks; "" where it acts."""
+    """Reason that an effect cannot act in the flow solver's tanks; "" if it can."""
     if effect.stochastic:
         return "it is drawn when data are made, no simulator holds it"
     if effect.water is not None:
@@ -47,13 +47,13 @@ def in_tank(effect: Effect) -> str:
 
 
 def refused(robot: Robot) -> dict[str, str]:
-    """{name: reason} of the robot's effects that have no place in a tank."""
+    """Reasons by name, {name: reason}, of the robot's effects that cannot act in a tank."""
     found = {fitted.name: in_tank(effects.get(fitted.name)) for fitted in robot.effects}
     return {name: why for name, why in found.items() if why}
 
 
 def without(robot: Robot, names: Iterable[str]) -> Robot:
-    """The robot without some of its effects. Raises UnknownName: it has no such effect."""
+    """Robot without some of its effects. Raises UnknownName if it has no such effect."""
     have, names = [fitted.name for fitted in robot.effects], tuple(names)
     if wrong := [name for name in names if name not in have]:
         raise UnknownName(f"effect of {robot.name} to leave out", wrong[0], have)
@@ -61,7 +61,7 @@ def without(robot: Robot, names: Iterable[str]) -> Robot:
 
 
 def check_effects(robot: Robot) -> None:
-    """Raises ConfigError: some of the robot's effects have no place in a tank; names each, says why and what to do."""
+    """Raises ConfigError if some of the robot's effects cannot act in a tank; names each, with the reason and a remedy."""
     if found := refused(robot):
         each = "; ".join(f"{name}: {why}" for name, why in found.items())
         raise ConfigError(
@@ -71,7 +71,7 @@ def check_effects(robot: Robot) -> None:
 
 
 def _sizes(effect: Effect) -> list[SimpleNamespace]:
-    """Parameters to ask an effect at: both typical sizes, both bounds."""
+    """Parameters at which an effect is tested: both typical sizes, both bounds."""
     picks = (lambda p: p.typical[0], lambda p: p.typical[1], lambda p: p.low, lambda p: p.high)
     return [SimpleNamespace(**{p.name: float(pick(p)) for p in effect.parameters}, joint=0) for pick in picks]
 
@@ -91,7 +91,7 @@ def _fish(act: Callable, memory: tuple, p) -> str:
 
 
 def _body(act: Callable, memory: tuple, p) -> str:
-    """Whether what it does is the same whatever the water does."""
+    """Reason if the effect at the site `body` depends on the water or changes added mass; "" otherwise."""
     rng = np.random.default_rng(0)
     state = {name: rng.normal(size=STATES) for name in BodyMotion._fields} | dict.fromkeys((*FORCES, "added"), 0.0)
     ask = lambda **water: act(np, p, BodyMotion(**{**state, **water}), memory, 0.004)[0]
@@ -114,7 +114,7 @@ def _gear(act: Callable, memory: tuple, p) -> str:
 
 
 def _flow(act: Callable, memory: tuple, p) -> str:
-    """Whether it adds one velocity, whatever the place, the time and the water's own."""
+    """Reason if the effect adds more than one velocity, independent of place, time and water; "" otherwise."""
     rng = np.random.default_rng(0)
     place = FlowAt(*rng.normal(size=(5, STATES)))
     found = act(np, p, place)
@@ -124,7 +124,7 @@ def _flow(act: Callable, memory: tuple, p) -> str:
 
 
 def _same(a, b) -> bool:
-    """Equal numbers, in lists or arrays of any depth."""
+    """True for equal numbers, in lists or arrays of any depth."""
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):
         return len(a) == len(b) and all(map(_same, a, b))
     return bool(np.all(np.equal(a, b)))

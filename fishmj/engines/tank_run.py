@@ -1,8 +1,8 @@
-"""How effects act on a fish in a tank of the flow solver, in place of MuJoCo's own servos.
+"""Runs of a fish with effects in a tank of the flow solver; the effects replace MuJoCo's own servos.
 
-Each step of the water the hooks of the closed form (`dynamics.hooks`) are asked as on a bench in air, and what they give is the
-body's drive (`lbm_oracle.immersed.driven_body`): torques and forces explicitly, dampings and masses in the matrix that finds fish
-and water together. The effects' memory moves on by the water's step, and back with a tick that is done again.
+In each step of the water the hooks of the closed form (`dynamics.hooks`) are called as on a bench in air. Their results drive the
+body (`lbm_oracle.immersed.driven_body`): torques and forces explicitly, dampings and masses in the matrix of the coupled solve.
+The effects' memory advances with the water's step, and is restored if a tick is repeated.
 """
 
 from typing import cast
@@ -28,11 +28,11 @@ class TankEffects:
     """The effects of one fish in its tank.
 
     Args:
-        active: those of the description. row: (P,) this fish's parameters. memory: (M,) what they remember at its start.
+        active: effects of the description. row: (P,) this fish's parameters. memory: (M,) their initial memory.
         swimmer: its own constants, lists of floats.
 
     Attributes:
-        memory: flat list, as it is now.
+        memory: present memory, flat list.
     """
 
     def __init__(self, robot: Robot, active: EffectStack, row, memory, swimmer: planar_chain.Swimmer):
@@ -44,7 +44,7 @@ class TankEffects:
         self._begun, self._tick, self._kept = self.memory[CLOCK], -1, list(self.memory)
 
     def stream(self, flow: Flow) -> Flow:
-        """The tank's flow with what the effects add to its mean."""
+        """Flow of the tank with the velocity that the effects add to its mean."""
         given = FlowAt(0.0, 0.0, 0.0, 0.0, 0.0)
         found = self.active.begin(np, self.row, self.memory).flow(given)
         if (found.u, found.v) == (0.0, 0.0):
@@ -53,24 +53,24 @@ class TankEffects:
         return DrawnFlow.of(drawn._replace(mean=drawn.mean + np.array([found.u, found.v])), flow)
 
     def body(self, dt: float) -> DrivenBody:
-        """A new body with this fish's masses, for steps of dt [s]."""
+        """New body with this fish's masses, for steps of dt [s]."""
         made = DrivenBody(build(self.robot, bare=True), DisplacedWater.of(self.robot), dt)
         mass = np.asarray(self.swimmer.mass, float)
         made.set_masses(mass * self.chain.mass, self.chain.com, mass * self.chain.inertia)
         return made
 
     def restart(self) -> None:
-        """A session begins: its clock stands at its start, joints and gears are as they are."""
+        """Begins a session: its clock restarts, joints and gears keep their state."""
         self.memory[CLOCK], self._tick = self._begun, -1
 
     def begin_tick(self, tick: int) -> None:
-        """Called at the start of every attempt at a tick: a second one remembers what the first did then."""
+        """Restores the memory at the start of every attempt at a tick: a repetition starts from the memory of the first."""
         if tick == self._tick:
             self.memory = list(self._kept)
         self._tick, self._kept = tick, list(self.memory)
 
     def push(self, body: DrivenBody, target) -> float:
-        """Set what acts in the next step of the body, for what the bus delivered, (J,) rad; the servos' power in it, W."""
+        """Sets the drive of the next step of the body for the bus targets (J,) rad; returns the servos' power in it, W."""
         q, v = body.data.qpos.tolist(), body.data.qvel.tolist()
         ch, sw = self.chain._replace(dt=body.dt), self.swimmer
         hooks = Commanded(np, self.active, self.row, self.memory, 0.0)
@@ -90,13 +90,14 @@ class TankEffects:
 
 
 class EffectRun(Run):
-    """A `Run` whose joints are moved by a fish's effects and servos; arguments as there."""
+    """A `Run` whose joints are moved by a fish's effects and servos; same arguments."""
 
     def __init__(self, added: TankEffects, *args, **options):
         self.added = added
         super().__init__(*args, **options)
 
     def begin(self) -> None:
+        """Starts a run from the present state, and the effects' clock; as `Run.begin`."""
         super().begin()
         self.added.restart()
 
@@ -105,7 +106,7 @@ class EffectRun(Run):
 
 
 class EffectServos:
-    """The servos with the effects on their way, for one attempt at a tick."""
+    """Servos with the effects of the fish, for one attempt at a tick."""
 
     def __init__(self, run: EffectRun, coupled: FluidStructure, factor: int):
         self.run, self.body, self.factor = run, cast(DrivenBody, coupled.body), factor
@@ -113,18 +114,20 @@ class EffectServos:
         run.added.begin_tick(run.ticks)
 
     def actuate(self, step: int) -> tuple:
+        """Sets the drive of this step; returns `fixed` and `value` of prescribed joints."""
         run = self.run
         self.watts.append(run.added.push(self.body, run.servo_target(run.ticks * run.steps + step // self.factor)))
         return run.prescribed_velocity(self.body.dt)
 
     def record(self) -> None:
-        """Their power is known already."""
+        """Does nothing: the power is known already."""
 
     def follow(self) -> None:
-        """Nothing to follow."""
+        """Does nothing."""
 
     @property
     def power(self) -> float:
+        """Mean power of the servos, W."""
         return sum(self.watts) / len(self.watts)
 
 

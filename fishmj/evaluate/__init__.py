@@ -1,4 +1,4 @@
-"""Judgement: the decided 72 trials, one figure a trial for each key, intervals, paired comparisons, pictures.
+"""Judgement: the standard 72 trials, one figure a trial for each key, intervals, paired comparisons, pictures.
 
     result = evaluate.run("dob", trials=evaluate.trials(turbulence="gust", intensity=0.10))
     evaluate.summary(result)["overall"]["rmse_last20"]

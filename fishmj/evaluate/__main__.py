@@ -51,7 +51,7 @@ EXAMPLES = f"""examples:
 
 
 def options() -> console.Parser:
-    """The arguments of `evaluate`."""
+    """Parser of the verb `evaluate`."""
     parser = console.parser("evaluate", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
     brains = f"{', '.join(control.NAMES)}; a shipped policy ({', '.join(control.shipped_policies())}); a policy file, the"
@@ -109,7 +109,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The verb `evaluate`. Returns the exit code."""
+    """Runs the verb `evaluate`; returns the exit code."""
     args = options().parse_args(argv)
     args.again = shlex.join(["fishmj", "evaluate", *argv, *([] if args.log else ["--log"])])
     given = [o for o in (*SOLVER, *REFERENCE, EVERY) if any(word == o or word.startswith(f"{o}=") for word in argv)]
@@ -181,10 +181,10 @@ def main(argv: list[str]) -> int:
 
 
 def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
-    """The trials in the turbulence that was measured in a tank; says what of it a simulated flow has not.
+    """Trials in the turbulence that was measured in a tank; prints the properties that a simulated flow lacks.
 
     Raises:
-        ConfigError: the map has not all the speeds, or an option says something else of the turbulence.
+        ConfigError: the map lacks a speed, or an option contradicts its turbulence.
     """
     from fishmj.water.flow_map.flow_map import FlowMap, preset_for
 
@@ -198,14 +198,14 @@ def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
 
 
 def begin(water: choice.Choice, brains, more: str = "") -> None:
-    """Say what is judged in, and what the policies were not trained for."""
+    """Prints the water of the judgement, and the differences from the policies' training."""
     console.say(f"water: {water.said}{more}")
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
 
 
 def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
-    """All controllers; those that an interrupted judgement had finished are taken from --out."""
+    """Results of all controllers; those that an interrupted judgement had finished come from --out."""
     results: list[Result] = []
     engine = None
     for brain in brains:
@@ -227,7 +227,7 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
 
 
 def hybrid_options(args, robot, trials, brains: int):
-    """When and by what the water is corrected.
+    """Schedule and solver options of the water's correction.
 
     Raises:
         TooMuch: the solver would take a CPU too long. ConfigError: several devices.
@@ -249,14 +249,14 @@ def hybrid_options(args, robot, trials, brains: int):
 
 
 def tanks_words(folder: Path | None) -> str:
-    """What an interrupted judgement in the flow solver says."""
+    """Text of an interrupted judgement in the flow solver."""
     if folder is None:
         return "nothing was kept: with --out DIR every finished trial is"
     return f"{folder / KEPT} holds {len(list((folder / KEPT).glob('*.npz')))} trials; {interrupt.again()}"
 
 
 def affordable(robot, trials, brains: int) -> None:
-    """Refuse what this machine cannot hold. Raises TooMuch: with the estimate."""
+    """Checks that this machine can hold the judgement. Raises TooMuch with the estimate."""
     ticks = trials.duration / robot.timing.bus_dt * len(trials)
     need = ticks * (brains * HELD + WORK) * (robot.n_joints + 3)
     what, less = f"{len(trials)} trials of {trials.duration:g} s by {brains} controllers", "take fewer --repeats, or a part by"
@@ -264,7 +264,7 @@ def affordable(robot, trials, brains: int) -> None:
 
 
 def choose_engine(name: str, robot):
-    """The engine asked for; without batched MuJoCo the next one that is installed, with a note."""
+    """Engine by name; without batched MuJoCo the next one that is installed, with a note."""
     for option in (name, *FALLBACKS) if name == "batch" else (name,):
         try:
             made = engines.make(option, robot)
@@ -278,7 +278,7 @@ def choose_engine(name: str, robot):
 
 
 def judge(brain, robot, trials, engine) -> Result:
-    """One controller over all trials, with a progress line in simulated seconds."""
+    """Result of one controller over all trials, with a progress line in simulated seconds."""
     with console.Progress(trials.duration * len(trials), f"judge {brain.name}", unit="sim s") as bar:
         done = robot.timing.control_dt * len(trials)
         bar.stage("first step; engines compile in it")
@@ -286,7 +286,7 @@ def judge(brain, robot, trials, engine) -> Result:
 
 
 def judge_in_tanks(brain, robot, trials, args) -> Result:
-    """One controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
+    """Result of one controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
 
     total = trials.duration * len(trials)
     with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
@@ -296,7 +296,7 @@ def judge_in_tanks(brain, robot, trials, args) -> Result:
 
 
 def findings(results: list[Result]) -> dict:
-    """What results.json holds."""
+    """Content of results.json."""
     a = results[0]
     return {
         "condition": condition(a),
@@ -308,7 +308,7 @@ def findings(results: list[Result]) -> dict:
 
 
 def report(results: list[Result], args) -> int:
-    """Files where asked, then tables to the terminal, also of a report that could not be written whole."""
+    """Writes the requested files, then prints the tables, also if a part of the report could not be written."""
     from fishmj.view.replay import write_html
 
     found, replay = findings(results), write_html if args.log else None
@@ -324,7 +324,7 @@ def report(results: list[Result], args) -> int:
 
 
 def say_tables(results: list[Result], summaries: list[dict]) -> None:
-    """Print the figures of all controllers."""
+    """Prints the figures of all controllers."""
     console.say("", condition(results[0]), *not_as_trained(summaries), "value (95 % bootstrap interval over trials)", "")
     console.say(console.table(overall(summaries)), "")
     console.say(console.table(overall(summaries, ("arrival", *REST))), *unbounded(summaries))

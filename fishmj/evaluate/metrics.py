@@ -1,4 +1,4 @@
-"""What a judgement yields: the time series of every trial, one figure a trial for each key, and the statements made of them.
+"""Results of a judgement: the time series of every trial, one figure a trial for each key, and their statistics.
 
     arrival             1 if the fish enters 0.1 m within 30 s
     approach_time       s, of the first entry
@@ -8,16 +8,16 @@
     energy_per_metre    J/m of way through the water;  cost_of_transport = that / (m g)
     rheotactic_index    mean of cos(psi - upstream) over 30 to 60 s; rheotactic_index_linear = 1 - mean |psi - upstream| / 90 deg
 
-A figure is NaN where a trial has none. psi and the speed through the water are averaged over 1 s, so that the beat does not
-count as turning or as way. A trial that leaves the domain keeps its distance from there on; power, way and heading count until
-it leaves. Means stand with bootstrap intervals, by condition, and in paired comparisons:
+A figure is NaN if a trial has none. psi and the speed through the water are averaged over 1 s, so that the beat does not count as
+turning or as way. A trial that leaves the domain keeps its distance from then on; power, way and heading count until it leaves.
+Means have bootstrap intervals, by condition, and in paired comparisons:
 
     interval      percentile bootstrap over trials, 95 %, fixed seed (Efron & Tibshirani 1993)
     difference    mean of b_i - a_i over the trials that both have, its bootstrap interval, and Welch's t-test of a against b
-    too few       of fewer than `ENOUGH` trials there is neither interval nor test (NaN): a bootstrap of so few draws the same
-                  values again and again, and its interval is far too narrow (one trial: none wide at all)
-    told apart    the interval excludes 0, of `APART` pairs or more: of fewer even two equal controllers give all differences
-                  the same sign in 2^(1 - n) > 5 % of the draws, so that no 95 % interval can tell
+    too few       fewer than `ENOUGH` trials have neither interval nor test (NaN): a bootstrap of so few draws the same values
+                  again and again, and its interval is far too narrow (one trial: width zero)
+    told apart    the interval excludes 0, for `APART` pairs or more: with fewer pairs even two equal controllers give all
+                  differences the same sign in 2^(1 - n) > 5 % of the draws, so that no 95 % interval can decide
 
 Approach time is a median over the trials that arrive; every other key is a mean over the trials that have it.
 """
@@ -52,7 +52,7 @@ UNITS = {
 
 
 class Result(NamedTuple):
-    """What n trials did; T bus ticks of 20 ms, row 0 is the start; K control steps."""
+    """Records of n trials; T bus ticks of 20 ms, row 0 is the start; K control steps."""
 
     controller: str
     policy_sha256: str  # of a policy's file, else ""
@@ -84,7 +84,7 @@ class Result(NamedTuple):
 
 
 def arrival_tick(result: Result) -> np.ndarray:
-    """(n,) tick of the first entry into the arrival radius within the arrival time; -1 where there is none."""
+    """Tick (n,) of the first entry into the arrival radius within the arrival time; -1 without an entry."""
     limit = round(constant("protocol", "arrival_time") / result.robot.timing.bus_dt)
     inside = (result.distance <= constant("protocol", "arrival_radius"))[:, : limit + 1]
     inside &= np.arange(inside.shape[1]) < result.left[:, None]
@@ -92,7 +92,7 @@ def arrival_tick(result: Result) -> np.ndarray:
 
 
 def figures(r: Result) -> dict[str, np.ndarray]:
-    """Key -> (n,) one figure a trial."""
+    """Figures (n,), one for each trial, by key."""
     if r.known is not None:
         return r.known
     window = lambda key: constant("protocol", key)
@@ -118,7 +118,7 @@ def figures(r: Result) -> dict[str, np.ndarray]:
 
 
 def rms(r: Result, start, end: float) -> np.ndarray:
-    """Root mean square distance from `start` ((n,) or one number) to `end` [s]; NaN where the run is shorter than that."""
+    """Root mean square distance from `start` ((n,) or one number) to `end` [s]; NaN if the run is shorter."""
     start = np.broadcast_to(start, (len(r.trials),))[:, None]
     inside = (r.t >= start - 1e-9) & (r.t <= end + 1e-9)
     mean = np.sum(r.distance**2 * inside, 1) / np.maximum(inside.sum(1), 1)
@@ -126,7 +126,7 @@ def rms(r: Result, start, end: float) -> np.ndarray:
 
 
 def rheotaxis(r: Result) -> tuple[np.ndarray, np.ndarray]:
-    """(RI_cos, RI_lin) over the hold phase, each (n,)."""
+    """Rheotactic indices (RI_cos, RI_lin) over the hold phase, each (n,)."""
     start, end = constant("protocol", "rheotaxis_window")
     heading = beat_mean(r.pose[:, :, 2], r.robot.timing.bus_dt)
     off = wrap(np, heading - r.trials.upstream)
@@ -155,12 +155,12 @@ def _way(r: Result) -> np.ndarray:
 
 
 def _until_left(r: Result, x) -> np.ndarray:
-    """x (n, T) with zeros after the trial has left the domain."""
+    """Values x (n, T) with zeros after the trial has left the domain."""
     return x * (np.arange(x.shape[1]) < r.left[:, None])
 
 
 class IntervalEstimate(NamedTuple):
-    """A figure with its interval over n trials; `why` there is none, where low and high are NaN."""
+    """A figure with its interval over n trials; `why`: reason for a missing interval, with low and high NaN."""
 
     value: float
     low: float
@@ -183,17 +183,17 @@ class PairedDifference(NamedTuple):
 
     @property
     def apart(self) -> bool:
-        """Whether the difference is one: its interval excludes 0, of `APART` pairs or more."""
+        """Returns True if the two differ: the interval excludes 0, with `APART` pairs or more."""
         return self.n >= APART and (self.low > 0 or self.high < 0)
 
 
 def too_few(n: int) -> str:
-    """Why n trials have no interval; "" where they have one."""
+    """Reason that n trials have no interval; "" if they have one."""
     return f"too few trials for an interval: {n} of {ENOUGH}" if n < ENOUGH else ""
 
 
 def estimate(key: str, values) -> IntervalEstimate:
-    """Gather (n,) figures, NaN left out, with a bootstrap interval over trials."""
+    """Mean or median of (n,) figures without NaN, with a bootstrap interval over trials."""
     x = np.asarray(values, float)
     x = x[np.isfinite(x)]
     middle = np.median if key in MEDIANS else np.mean
@@ -233,7 +233,7 @@ def _interval(draws) -> tuple[float, float]:
 
 
 def summary(result: Result) -> dict:
-    """Every key over all trials, by speed and by direction; plain numbers, ready for JSON.
+    """Summary of every key over all trials, by speed and by direction; plain numbers, ready for JSON.
 
     Returns:
         {"controller", "policy", "n", "overall": {key: {value, low, high, n, why, unit}}, "by_speed": {"0.1": ..},
@@ -254,12 +254,12 @@ def summary(result: Result) -> dict:
 
 
 def gather(found: dict, rows=slice(None)) -> dict:
-    """{key: {value, low, high, n, why, unit}} of some trials."""
+    """Estimates {key: {value, low, high, n, why, unit}} of some trials."""
     return {key: {**estimate(key, x[rows])._asdict(), "unit": UNITS[key]} for key, x in found.items()}
 
 
 def compare(first: Result, second: Result) -> list[PairedDifference]:
-    """second minus first for every key, over the same trials. Raises ConfigError: the two were not judged on the same trials."""
+    """Differences second minus first for every key, over the same trials. Raises ConfigError if the trials are not the same."""
     if [t.seed for t in first.trials.items] != [t.seed for t in second.trials.items]:
         raise ConfigError(f"compare: {first.controller} and {second.controller} were judged on different trials")
     a, b = figures(first), figures(second)

@@ -37,7 +37,7 @@ STYLE: Any = {
 
 
 def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
-    """Draw everything into `folder`: (file, caption)."""
+    """Draws all pictures into `folder`: (file, caption)."""
     panels = (
         (distance, "Distance to the target: median and the middle half of the trials, by flow speed."),
         (radar, "Means over repeats, by direction of the target; upstream is up."),
@@ -61,7 +61,7 @@ def canvas(rows: int, columns: int, size: tuple[float, float], **options):
 
 
 def save(figure, path: Path) -> Path:
-    """Write a PNG and forget the figure."""
+    """Writes a PNG and closes the figure."""
     from matplotlib import pyplot
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -71,12 +71,12 @@ def save(figure, path: Path) -> Path:
 
 
 def looks(results: list[Result]):
-    """(result, colour, dash) for each controller."""
+    """Yields (result, colour, dash) for each controller."""
     return [(r, c, d) for r, c, d in zip(results, cycle(COLOURS), cycle(DASHES), strict=False)]
 
 
 def legend(figure, results: list[Result], **options) -> None:
-    """One legend for the whole figure, under the panels."""
+    """Draws one legend for the whole figure, under the panels."""
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], color=c, linestyle=d, linewidth=2.2, label=drawn(r.controller)) for r, c, d in looks(results)]
@@ -84,11 +84,12 @@ def legend(figure, results: list[Result], **options) -> None:
 
 
 def speeds_of(results: list[Result]) -> list[float]:
+    """Speeds of the trials, m/s, rising."""
     return sorted(set(results[0].trials.speed))
 
 
 def distance(results: list[Result], path: Path) -> Path:
-    """Distance over time, a panel a speed."""
+    """Draws distance over time, one panel for each speed."""
     speeds = speeds_of(results)
     figure, axes = canvas(1, len(speeds), (4.4 * len(speeds), 4.0), sharey=True)
     radius = constant("protocol", "arrival_radius")
@@ -110,7 +111,7 @@ def distance(results: list[Result], path: Path) -> Path:
 
 
 def radar(results: list[Result], path: Path) -> Path:
-    """Approach time, RMSE and power over the directions: rows speeds, columns figures, lines controllers."""
+    """Draws approach time, RMSE and power over the directions: rows speeds, columns figures, lines controllers."""
     speeds = speeds_of(results)
     figure, axes = canvas(len(speeds), 3, (12, 3.9 * len(speeds) + 0.5), subplot_kw={"projection": "polar"})
     found = [(figures(r), r, c, d) for r, c, d in looks(results)]
@@ -136,7 +137,7 @@ def radar(results: list[Result], path: Path) -> Path:
 
 
 def _means(values, r: Result, speed: float) -> np.ndarray:
-    """Means of a figure (n,) over the trials that have it, at one speed, in each direction; NaN where there are none."""
+    """Means of a figure (n,) over the trials that have it, at one speed, in each direction; NaN if there are none."""
     some = [values[(r.trials.speed == speed) & (r.trials.los == b)] for b in np.unique(r.trials.los)]
     return np.array([np.mean(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan for x in some])
 
@@ -148,7 +149,7 @@ def _ceiling(found, key: str, results) -> float:
 
 
 def polar(axis):
-    """Upstream up, angles as LOS."""
+    """Sets the axis: upstream up, angles as LOS."""
     axis.set_theta_zero_location("N")
     axis.set_thetagrids(range(0, 360, 45), ["upstream", *(f"{b}°" for b in range(45, 360, 45))], fontsize=9)
     axis.tick_params(axis="x", pad=2)
@@ -160,7 +161,7 @@ def polar(axis):
 
 
 def headings(results: list[Result], path: Path) -> Path:
-    """Where the fish points in the hold phase, for targets upstream and downstream of the start."""
+    """Draws histograms of the heading in the hold phase, for targets upstream and downstream of the start."""
     sides = (("target upstream", 1), ("target downstream", -1))
     figure, axes = canvas(2, len(results), (3.3 * len(results) + 0.4, 7.8), subplot_kw={"projection": "polar"})
     start, end = constant("protocol", "rheotaxis_window")
@@ -189,7 +190,7 @@ def headings(results: list[Result], path: Path) -> Path:
 
 
 def tracks(results: list[Result], path: Path) -> Path:
-    """Tracks relative to the target: rows controllers, columns speeds, colour by direction."""
+    """Draws tracks relative to the target: rows controllers, columns speeds, colour by direction."""
     from matplotlib.patches import Circle
 
     speeds = speeds_of(results)

@@ -1,9 +1,9 @@
 """The 72 trials: 3 speeds x 8 directions x 3 repeats, each drawn from its own seed, the same for every controller.
 
     target - start = distance (cos, sin)(upstream + los),   their midpoint at the tank's centre
-los = 0: target straight upstream; positive: to the left of a fish that faces upstream. The water moves to tank +x (where the
-axes point is a matter of convention: all figures are relative to the stream), so upstream is -x.
-A trial's draws depend on (seed, box, speed, los, repeat) only: a subset of the trials is made of the very same trials.
+los = 0: target straight upstream; positive: to the left of a fish that faces upstream. The water moves to tank +x, so upstream is
+-x; the direction of the axes is a convention, because all figures are relative to the stream. A trial's draws depend on (seed,
+box, speed, los, repeat) only: a subset has exactly the same trials.
 """
 
 from collections.abc import Mapping
@@ -33,13 +33,13 @@ class TrialSpec(NamedTuple):
     seed: tuple[int, ...]  # (seed, box, speed in 0.1 mm/s, los in 0.01 deg, repeat)
 
     def draw(self, stream: int) -> np.random.Generator:
-        """A fresh generator of one of this trial's streams: 0 fish, 1 flow, 2 heading, 3 sensor noise, 4 noise of its log."""
+        """Fresh generator of one of this trial's streams: 0 fish, 1 flow, 2 heading, 3 sensor noise, 4 noise of its log."""
         return np.random.default_rng([*self.seed, stream])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trials:
-    """What is judged: a list of trials and what they have in common."""
+    """Trials of a judgement, and their common settings."""
 
     items: tuple[TrialSpec, ...]
     turbulence: str
@@ -56,12 +56,12 @@ class Trials:
 
     @property
     def speed(self) -> np.ndarray:
-        """(n,) m/s."""
+        """Speed of the stream in each trial, (n,) m/s."""
         return np.array([t.speed for t in self.items])
 
     @property
     def los(self) -> np.ndarray:
-        """(n,) rad."""
+        """Direction of the target in each trial, (n,) rad."""
         return np.array([t.los for t in self.items])
 
     @property
@@ -79,7 +79,7 @@ class Trials:
         return np.concatenate([-target, heading[:, None]], 1), target
 
     def flows(self) -> list[Flow]:
-        """The background flow of each trial."""
+        """Background flow of each trial."""
         return [
             Flow(
                 speed=t.speed,
@@ -94,12 +94,12 @@ class Trials:
 
     @property
     def flow_seeds(self) -> list:
-        """Seed of each trial's flow; "" where nobody drew it."""
+        """Seed of each trial's flow; "" if it was not drawn."""
         return [flow.seed for flow in self.flows()]
 
     @property
     def turbulence_said(self) -> str:
-        """Its kind and strength, for people."""
+        """Kind and strength of the turbulence, for people."""
         return "no turbulence" if self.turbulence == "none" else f"{self.turbulence} turbulence {100 * self.intensity:g} %"
 
     def fish(self, robot: Robot):
@@ -117,27 +117,27 @@ class Trials:
 class MeasuredTrials(Trials):
     """Trials in the water of a tank, whose turbulence was measured at every speed; `intensity` is their mean.
 
-    intensities: (speed m/s, TI) for each speed of `items`, none where nobody measured it. seen: the water itself, in which nobody
-    drew the flow.
+    intensities: (speed m/s, TI) for each speed of `items`, without those not measured. seen: the water is that of the tank, so
+    that no flow was drawn.
     """
 
     intensities: tuple[tuple[float, float], ...]
     seen: bool = False
 
     def flows(self) -> list[Flow]:
-        """The background flow of each trial, as strong as at its speed."""
+        """Background flow of each trial, with the intensity measured at its speed."""
         strong = dict(self.intensities)
         flows = zip(self.items, super().flows(), strict=True)
         return [replace(flow, intensity=strong.get(t.speed, flow.intensity)) for t, flow in flows]
 
     @property
     def flow_seeds(self) -> list:
-        """See `Trials`."""
+        """Seed of each trial's flow; "" if it was not drawn."""
         return [""] * len(self) if self.seen else super().flow_seeds
 
     @property
     def turbulence_said(self) -> str:
-        """See `Trials`."""
+        """Kind and strength of the turbulence, for people."""
         if not self.intensities:
             return "turbulence not measured"
         measured = "/".join(f"{100 * strong:.3g}" for _, strong in self.intensities)
@@ -167,16 +167,16 @@ def trials(
     noise: float = 1.0,
     duration: float | None = None,
 ) -> Trials:
-    """The decided 72 trials, or a part of them.
+    """The standard 72 trials, or a part of them.
 
     Args:
-        speeds: some of 0.1, 0.2, 0.3 m/s (others are possible and said so in the tables).
+        speeds: some of 0.1, 0.2, 0.3 m/s (others are possible; the tables mark them).
         los_deg: some of 0, 45, .. 315. repeats: 1 to 3 (more are possible).
         heading: of the start, "upstream" or "uniform".
         randomisation, noise: 0 switches them off.
 
     Raises:
-        ConfigError, UnknownName: a setting that cannot be.
+        ConfigError, UnknownName: an invalid setting.
     """
     get = lambda key: constant("protocol", key)
     speeds = tuple(get("speeds") if speeds is None else speeds)

@@ -1,6 +1,6 @@
 """Tables of a judgement and its files: results.json, trials.csv, pictures, trial folders, one self-contained report.html.
 
-Rows of tables are the same in the terminal and on the page: with units and intervals, every condition named.
+Tables have the same rows in the terminal and on the page: with units and intervals, every condition named.
 """
 
 import csv
@@ -48,7 +48,7 @@ MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_t
 REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
 ReplayWriter = Callable[[list[Trial], Path, Robot, str], Path]  # (trials, page, robot, title) -> page
 WORST = "worst.html"  # the replay of the first controller's worst trial, beside the report
-# parts of an older report that a new one may lack
+# parts of an older report that may be missing in a new one
 EARLIER = ("report.html", WORST, *PICTURES, "logs/manifest.json", "logs/*_u*_los[0-9][0-9][0-9]_r*")
 BASELINE = "drift"  # the controller that does nothing
 FORMULA = tuple("=+-@\t\r")  # what a spreadsheet takes for the start of one
@@ -67,8 +67,8 @@ BLOCK = 200  # ticks whose flow is looked up at once
 def trial_of(r: Result, i: int) -> Trial:
     """Trial i of a result in the log's schema, origin "synthetic".
 
-    `joint` and `pose` are what encoders and tracker report (`tasks.sensing`), `truth` is the exact state. A fish whose
-    tank stopped is logged up to there.
+    `joint` and `pose` are the readings of encoders and tracker (`tasks.sensing`), `truth` is the exact state. A fish whose
+    tank stopped is logged up to that time.
     """
     ticks = ended(r, i)
     t, start, step = r.t[1 : ticks + 1], r.t[:ticks], r.robot.timing.control_dt
@@ -120,14 +120,14 @@ def name_of(r: Result, i: int) -> str:
 
 
 def write_logs(r: Result, folder: Path) -> list[Path]:
-    """Every trial as a folder under `folder`, which with its manifest is a data set."""
+    """Writes every trial as a folder under `folder`, which with its manifest is a data set."""
     written = [write_trial(folder / name_of(r, i), trial_of(r, i), overwrite=True) for i in range(len(r.trials))]
     Manifest.of(folder, {"source": "fishmj.evaluate", "licence": "Apache-2.0"}).write(folder)
     return written
 
 
 def ended(r: Result, i: int) -> int:
-    """Bus ticks of trial i that were swum: all, or in the flow solver those before its tank stopped and the fish stood still."""
+    """Number of bus ticks swum in trial i: all, or in the flow solver those before its tank stopped."""
     last = len(r.t) - 1
     if r.water != "lbm" or r.left[i] > last:
         return last
@@ -155,7 +155,7 @@ def _flow_at_links(r: Result, i: int, ticks: int) -> dict:
 
 
 def condition(result: Result) -> str:
-    """One line that names everything that a figure depends on."""
+    """Line that names everything on which a figure depends."""
     t = result.trials
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     switch = lambda on: "on" if on else "off"
@@ -170,7 +170,7 @@ def condition(result: Result) -> str:
 
 
 def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
-    """One row a controller: value and 95 % interval over trials; what is not as in training where that holds of a policy."""
+    """Rows, one for each controller: value and 95 % interval over trials; for a policy also the differences from training."""
     rows: list[dict] = [{"controller": s["controller"]} for s in summaries]
     if not_as_trained(summaries):
         for row, s in zip(rows, summaries, strict=True):
@@ -179,13 +179,13 @@ def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
 
 
 def not_as_trained(summaries: list[dict]) -> list[str]:
-    """A line for each policy that is judged with another robot, other constants, another water or another command path."""
+    """Lines, one for each policy judged with another robot, other constants, another water or another command path."""
     told = [(s["controller"], s["policy"]["said"]) for s in summaries if s["policy"]]
     return [f"{name} is not judged as trained: {said}" for name, said in told if said]
 
 
 def cell(key: str, e: dict, interval: bool = True) -> str:
-    """`0.052 (0.048 0.057)`; the median over arrivals says their number."""
+    """Text of an estimate, `0.052 (0.048 0.057)`; a median over arrivals includes their number."""
     digits = SHORT[key][1]
     if e["n"] == 0:
         return "-"
@@ -196,7 +196,7 @@ def cell(key: str, e: dict, interval: bool = True) -> str:
 
 
 def unbounded(summaries: list[dict]) -> list[str]:
-    """Which figures of which controller stand there without an interval, and why: a line a reason."""
+    """Controllers' figures without an interval, with the reason: one line for each reason."""
     found: dict[tuple[str, str], list[str]] = {}
     for s in summaries:
         for key, e in s["overall"].items():
@@ -206,7 +206,7 @@ def unbounded(summaries: list[dict]) -> list[str]:
 
 
 def number(x: float, form: str) -> str:
-    """A number, or `-` where there is none."""
+    """Text of a number, or `-` for NaN."""
     return format(x, form) if isfinite(x) else "-"
 
 
@@ -218,12 +218,12 @@ def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
 
 
 def corrections(r: Result) -> list[dict]:
-    """What the solver corrected in each trial (`fishmj.engines.hybrid.Hybrid.report`); none in another water than hybrid."""
+    """Corrections by the solver in each trial (`fishmj.engines.hybrid.Hybrid.report`); empty for waters other than hybrid."""
     return [] if r.corrections is None else [json.loads(str(text)) for text in r.corrections]
 
 
 def corrected(r: Result) -> list[dict]:
-    """One row a trial of the water hybrid: what its segments moved, and what is known at its end."""
+    """Rows, one for each trial of the water hybrid: the changes by its segments, and the uncertainty at its end."""
     rows = []
     for i, told in enumerate(corrections(r)):
         segments = told["segments"]
@@ -241,7 +241,7 @@ def corrected(r: Result) -> list[dict]:
 
 
 def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
-    """second minus first, trial by trial: mean difference, its interval or why there is none, Welch's t-test."""
+    """Rows second minus first, trial by trial: mean difference, its interval or the reason for its absence, Welch's t-test."""
     rows = []
     for d in compare(first, second):
         if d.key not in keys:
@@ -265,13 +265,13 @@ def write(
     replay: ReplayWriter | None = None,
     again: str = "",
 ) -> Path:
-    """Write everything into `folder`, the figures first, in place of an older report; returns the path of report.html.
+    """Writes the report into `folder`, the figures first, in place of an older one; returns the path of report.html.
 
     replay: writes the page that plays the worst trial; None: no such page.
-    again: the command that does it all again with trial folders and the replay of the worst trial, for a page without them.
+    again: command that repeats the judgement with trial folders and the replay of the worst trial, for a page without them.
 
     Raises:
-        StoreError: some of it could not be written or drawn; names each part and why. Every other part was.
+        StoreError: some parts could not be written or drawn; names each with the reason. All other parts were written.
     """
     shown: list[tuple[Path, str]] = []
     failed: dict[str, Exception] = {}
@@ -304,7 +304,7 @@ def write(
 
 
 def save(folder: Path, results: list[Result], found: dict) -> None:
-    """The figures alone: results.json and trials.csv, each in one step; parts of an older report, which show others, are gone."""
+    """Writes the figures alone, results.json and trials.csv, each atomically; removes parts of an older report."""
     folder.mkdir(parents=True, exist_ok=True)
     clear(folder, *EARLIER)
     write_text(folder / "results.json", json.dumps(console.plain(found), indent=1) + "\n")
@@ -312,7 +312,7 @@ def save(folder: Path, results: list[Result], found: dict) -> None:
 
 
 def trials_csv(results: list[Result]) -> str:
-    """One row a trial and controller: condition, seed, every figure."""
+    """CSV text, one row for each trial and controller: condition, seed, every figure."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *UNITS])
@@ -327,19 +327,19 @@ def trials_csv(results: list[Result]) -> str:
 
 
 def worst(r: Result) -> int:
-    """Trial with the largest RMS distance after arrival; of a judgement too short for that, over all of it."""
+    """Index of the trial with the largest RMS distance after arrival; in a shorter judgement, over all of it."""
     after = figures(r)["rmse_after_arrival"]
     return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
 
 
 def replay_of_worst(r: Result, out: Path, write_page: ReplayWriter) -> Path:
-    """The page that plays `worst`."""
+    """Writes the page that plays `worst`."""
     i = worst(r)
     return write_page([trial_of(r, i)], out, r.robot, f"worst of {len(r.trials)} trials: {name_of(r, i)}")
 
 
 def headline(results: list[Result]) -> str:
-    """The result in one sentence: how many trials the first controller holds, how closely, and against the `baseline`."""
+    """Result in one sentence: number of trials held by the first controller, its distance, and the comparison with `baseline`."""
     first, radius = results[0], constant("protocol", "arrival_radius")
     found = figures(first)
     after, n = found["rmse_after_arrival"], len(first.trials)
@@ -353,12 +353,12 @@ def headline(results: list[Result]) -> str:
 
 
 def baseline(results: list[Result]) -> Result | None:
-    """What the first controller is measured against: the one without control where it was judged, else the second."""
+    """Result with which the first controller is compared: the one without control if it was judged, else the second."""
     return next((r for r in results[1:] if r.controller == BASELINE), results[1] if results[1:] else None)
 
 
 def against(first: Result, other: Result) -> str:
-    """How much nearer to its target one controller stays than another, or that these trials do not tell."""
+    """Clause on the difference in distance to the target between two controllers, or on its absence."""
     d = next(d for d in compare(first, other) if d.key == "rmse_after_arrival")
     if not d.apart:
         return f"these trials do not tell it from {other.controller}"
@@ -374,9 +374,9 @@ ALONE = f"Name {BASELINE} (no control) or another controller behind it, and it i
 def page(
     results: list[Result], found: dict, shown: list[tuple[Path, str]], replay: str = "", again: str = "", alone: str = ALONE
 ) -> str:
-    """The report as one HTML text; its one reference is `replay`, the page of the worst trial beside it, where there is one.
+    """Report as one HTML text; its only reference is `replay`, the page of the worst trial beside it, if there is one.
 
-    alone: how to get something to compare with, where there is nothing.
+    alone: hint on how to add a comparison, if there is only one controller.
     """
     first, summaries, told = results[0], found["results"], baseline(results)
     named = f"{', '.join(s['controller'] for s in summaries)}: station holding"

@@ -1,7 +1,7 @@
 """Run a controller over all trials at once: observe -> controller -> engine -> record.
 
-`run` is the whole judge's loop. The engine is batched MuJoCo unless another is asked for; all engines give the same swim.
-`judge_in_solver` runs the same trials in the flow solver, a tank each. What is finished is kept for an interrupted judgement.
+`run` is the judge's whole loop. The engine is batched MuJoCo by default; all engines give the same swim. `judge_in_solver` runs
+the same trials in the flow solver, one tank each. Finished trials are kept for an interrupted judgement.
 """
 
 import gc
@@ -59,7 +59,7 @@ def run(
         controller: name, policy file, or an object with `reset` and `__call__` (see `fishmj.control`).
         trials: default, the 72 trials with `seed`.
         engine: name or engine.
-        shift: m, by which every fish is let go beside where its trial says; its camera has not seen it yet.
+        shift: offset in m of every fish from the start of its trial; its camera has not seen it yet.
         progress: called with the number of control steps done.
 
     Raises:
@@ -72,7 +72,7 @@ def run(
 
 
 def running(controller, robot: Robot, trials: Trials, engine, shift, progress: Callable[[int], None]) -> engines.Steps[Result]:
-    """The same, pausing whenever the engine waits for a device and other trials could go on."""
+    """Does the work of `run`, pausing whenever the engine waits for a device and other trials could continue."""
     loop = ControlLoop(robot, engine)
     n, steps = len(trials), task.control_steps(trials.duration, robot)
     params, camera = trials.fish(robot)
@@ -94,7 +94,7 @@ def running(controller, robot: Robot, trials: Trials, engine, shift, progress: C
 
 
 def _result(controller, robot, trials, engine, start, target, rows) -> Result:
-    """Rows of control steps as arrays; the start is tick 0."""
+    """Result from rows of control steps; the start is tick 0."""
     join = lambda i: np.concatenate([row[i] for row in rows], 1)
     first = lambda x, like: np.concatenate([np.broadcast_to(x, (len(start), like.shape[2]))[:, None], like], 1)
     pose, joint, rate, velocity = first(start, join(0)), first(0.0, join(1)), first(0.0, join(2)), first(0.0, join(3))
@@ -132,7 +132,7 @@ def _action(controller):
 
 
 def _checked(controller, command, shape) -> np.ndarray:
-    """The controller's answer, or one clear error; it belongs to somebody else."""
+    """Checked output of the controller, which may be the user's own. Raises one clear error."""
     command = np.asarray(command, float)
     if command.shape != shape or not np.isfinite(command).all():
         what = "" if np.isfinite(command).all() else " with values that are not finite"
@@ -152,10 +152,10 @@ def _named(error: SimDiverged, trials: Trials, time: float) -> SimDiverged:
 
 
 class FinishedTrials:
-    """Controllers that a judgement has finished, kept until it has finished all: the same command then goes on with the next one.
+    """Finished controllers of a judgement, kept until all are finished: the same command then continues with the next one.
 
-    A file is taken only by a judgement under the same conditions: controller, robot, water, trials, engine, and the code and
-    constants of this package, all in its name by hash. A judgement that comes to its end removes what it kept.
+    A file is used only by a judgement under the same conditions: controller, robot, water, trials, engine, and the code and
+    constants of this package, all in its name by hash. A judgement that ends removes its kept files.
     folder: --out; None keeps nothing. engine: its name.
     """
 
@@ -165,7 +165,7 @@ class FinishedTrials:
         self.done: list[str] = []
 
     def find(self, brain) -> Result | None:
-        """The finished judgement of a controller, if there is one; says so."""
+        """Finished judgement of a controller, if there is one; prints a note."""
         path = self._path(brain)
         if path is None or not path.is_file():
             return None
@@ -179,7 +179,7 @@ class FinishedTrials:
         return Result(robot=self.robot, trials=self.trials, policy=trained(brain, self.robot), **known, **given)
 
     def keep(self, brain, result: Result) -> Result:
-        """Add a finished controller: its arrays."""
+        """Keeps the arrays of a finished controller, and returns its result."""
         self.done.append(brain.name)
         path = self._path(brain)
         if path is not None and len(self.names) > 1 and not path.is_file():
@@ -192,13 +192,13 @@ class FinishedTrials:
         return self.names[len(self.done) :]
 
     def words(self) -> str:
-        """What is kept, and how to go on."""
+        """Text of an interrupted judgement: the kept controllers, and the command that continues."""
         if self.folder is None:
             return "nothing was kept: with --out DIR every finished controller is"
         return f"{self.folder} holds {len(self.done)} of {len(self.names)} controllers; {interrupt.again()}"
 
     def end(self) -> None:
-        """All are finished and reported."""
+        """Removes the kept files; call it when all controllers are reported."""
         if self.folder is not None:
             shutil.rmtree(self.folder / "judged", ignore_errors=True)
 
@@ -218,18 +218,19 @@ class FinishedTrials:
 
 
 def trained(controller, robot: Robot) -> dict | None:
-    """How a policy was trained, and what is different here; None for what is no policy."""
+    """Training of a policy and the differences here; None for a controller that is not a policy."""
     return controller.trained(robot) if isinstance(controller, LearnedController) else None
 
 
 def solved(robot: Robot) -> Robot:
-    """The robot in the flow solver."""
+    """Robot in the flow solver."""
     return in_water(robot, LBM, can=(LBM,))
 
 
 class Variation(NamedTuple):
-    """How trials are run that ought to come out the same: every fish shifted by so many cells, and time steps in one of the
-    domain's."""
+    """Variation of trials that should give the same result: a shift of every fish by so many cells, and a number of time steps in
+    one of the domain's.
+    """
 
     name: str = ""
     nudge: tuple[float, float] = (0.0, 0.0)
@@ -255,12 +256,12 @@ def judge_in_solver(
 ) -> Result:
     """Judge one controller in the flow solver: the same trials and figures, `tanks` trials at a time on each device.
 
-    Every trial is kept in <folder>/lbm as one npz as soon as it ends, and its tank begins the next one: a judgement that is
-    interrupted goes on with those that had not ended. A file made with another controller, robot or box of water is not used.
+    Every trial is kept in <folder>/lbm as one npz as soon as it ends, and its tank starts the next one. An interrupted judgement
+    continues with the trials that had not ended. A file made with another controller, robot or box of water is not used.
 
     Args:
-        folder: where finished trials are kept and looked for; None keeps nothing. variation: the trials are run so.
-        water: what they are solved in, by default the plain one. domain, slip: in place of the water's.
+        folder: folder of finished trials; None keeps nothing. variation: variation of all trials.
+        water: water of the solver, by default the plain one. domain, slip: in place of the water's.
         progress: called with the number of control steps done, summed over trials.
 
     Raises:
@@ -296,9 +297,9 @@ def judge_in_solver(
 def in_tanks(
     waiting: "Waiting", device: str, go_on: "GoOn", *, brain, robot: Robot, trials: Trials, box: dict[str, Any], tanks: int, nudge
 ) -> Iterator[tuple[int, dict]]:
-    """Trials by their numbers, `tanks` at a time on one device; the number and arrays of each as it ends (`spread`).
+    """Runs trials by their numbers, `tanks` at a time on one device; yields number and arrays of each as it ends (`spread`).
 
-    Every trial has a tank and a controller of its own: a copy, and where one cannot be copied a trial at a time.
+    Every trial has a tank and a copy of the controller; a controller that cannot be copied has one trial at a time.
 
     Args:
         box: options of `engines.lbm.Engine`. nudge: cells by which every fish is shifted.
@@ -329,7 +330,7 @@ def in_tanks(
                 yield i, _arrays(end.value, engine)
                 emptied += 1
                 del engine, steps
-        # captured launches and their tank hold each other: without this a GPU fills up with old water
+        # captured launches and their tank refer to each other: without this a GPU fills up with old water
         if emptied >= tanks and not device.startswith("cpu"):
             gc.collect()
             emptied = 0
@@ -340,24 +341,24 @@ def in_tanks(
 
 
 def _alone(brain, tanks: int, error: Exception) -> int:
-    """One tank; says why."""
+    """Returns one tank, and prints the reason."""
     if tanks > 1:
         console.warn(f"{brain.name}: cannot be copied ({error!r}), so that its trials run one after another")
     return 1
 
 
 def _arrays(result: Result, engine) -> dict:
-    """What is kept of one trial."""
+    """Arrays of one trial that are kept."""
     row = {key: getattr(result, key)[0] for key in OF_A_TRIAL if getattr(result, key) is not None}
     row |= {"t": result.t, "target": result.target[0]}
     return ended(row, engine.stopped[0], engine.ticks[0]) if engine.stopped[0] else row
 
 
 def ended(row: dict, why: str, ticks: int) -> dict:
-    """The arrays of a trial whose tank stopped after `ticks` bus ticks; the fish was left where it was.
+    """Arrays of a trial whose tank stopped after `ticks` bus ticks; the fish stays at its last pose.
 
-    It counts as one that left the domain at the next tick. Where its water or its motion failed, nobody knows how far from the
-    target it would have been: NaN, so that no figure over that time looks better than it is.
+    It counts as one that left the domain at the next tick. If its water or its motion failed, its later distance from the target
+    is not known: NaN, so that no figure over that time looks better than it is.
     """
     left, distance = min(int(row["left"]), ticks + 1), row["distance"].copy()
     if not why.startswith("left_domain"):
@@ -388,7 +389,7 @@ def name_of(brain, item) -> str:
 
 
 def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> str:
-    """Eight characters that change with anything that would change a trial's outcome."""
+    """Eight characters that change with everything that would change a trial's result."""
     from fishmj.engines.lbm import HELD
     from fishmj.lbm_oracle.run.solver_water import PLAIN
 

@@ -32,7 +32,7 @@ MEMORY = 1000  # observations that a policy may see at most
 
 @dataclass(frozen=True, kw_only=True)
 class Options(DrawOptions):
-    """What a training run may change about the task."""
+    """Options of the task in a training run."""
 
     memory: int = 1  # observations (with the actions between them) that the policy sees
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
@@ -46,7 +46,7 @@ class Options(DrawOptions):
 
 
 class EnvState(NamedTuple):
-    """Everything about B running episodes."""
+    """State of B running episodes."""
 
     fish: FishState
     params: FishParams
@@ -76,13 +76,13 @@ class StationHold:
 
     Args:
         robot: a description, a TOML path or a shipped name.
-        engine: "compiled" (extra `fast`, CPU), "planar" (gradients, GPU), "mjx", or an engine of this very robot. None takes
-            "compiled" on a CPU where numba is installed, else "planar"; `fishmj.engines.name_of(env.engine)` says which it is.
+        engine: "compiled" (extra `fast`, CPU), "planar" (gradients, GPU), "mjx", or an engine of this same robot. None takes
+            "compiled" on a CPU with numba, else "planar"; `fishmj.engines.name_of(env.engine)` is its name.
         water: for an engine by name, as `fishmj.water.choice` names it.
         reward: weights of the paper's reward, wG, wD [1/m], wS [s2/rad2].
 
     Raises:
-        ConfigError, UnknownName: an argument that cannot be. MissingExtra: "compiled" without numba.
+        ConfigError, UnknownName: an invalid argument. MissingExtra: "compiled" without numba.
     """
 
     def __init__(
@@ -131,12 +131,16 @@ class StationHold:
 
     @property
     def n_privileged(self) -> int:
-        """Width of what a privileged critic sees besides the policy's input."""
+        """Width of a privileged critic's input besides the policy's input."""
         return self.n_obs + 5
 
     def reset(self, key, n: int, stagger: bool = False) -> EnvState:
-        """n fresh episodes from a key of `jax.random`; with `stagger` their clocks start anywhere in the episode, so that they do
-        not end together. Raises ConfigError: no key, or no whole n of 1 at least."""
+        """Starts n fresh episodes from a key of `jax.random`.
+
+        Raises ConfigError if `key` is not a key, or n not a whole number >= 1.
+
+        With `stagger` their clocks start at random times of the episode, so that they do not end together.
+        """
         n = checked("reset: n", n, 1, whole=True)
         kind, shape = getattr(key, "dtype", float), getattr(key, "shape", None)
         if not (shape == () and jnp.issubdtype(kind, jax.dtypes.prng_key)) and not (shape == (2,) and kind == jnp.uint32):
@@ -154,8 +158,8 @@ class StationHold:
     def step(self, state: EnvState, action) -> EnvState:
         """One control step of 0.2 s with action (B, J), clipped to [-1, 1].
 
-        An episode whose action is not finite is dropped as one whose physics diverges: `diverged`, and a fresh one begins.
-        Raises ConfigError: no state of `reset` or `step`, or an action that is no array of numbers of this shape.
+        An episode with an action that is not finite is dropped like one whose physics diverges: `diverged`, and a fresh one
+        begins. Raises ConfigError if `state` is not from `reset` or `step`, or `action` is not an array of numbers of this shape.
         """
         n = len(checked_kind("task: state", state, EnvState, needed=True).count)
         kind = getattr(action, "dtype", None)
@@ -209,7 +213,7 @@ class StationHold:
         return jnp.asarray(self.course.target(jnp, launch, tick * self.robot.timing.bus_dt), jnp.float32)
 
     def _gain(self, trace, target, distance, action, tick):
-        """Reward (B,)."""
+        """Reward (B,) of a control step."""
         if self.own_reward is None:
             return task.reward(jnp, distance, trace.rate, **self.weights)
         return self.own_reward(jnp, StepTruth(trace, target, distance, action, tick * self.robot.timing.bus_dt))

@@ -5,11 +5,11 @@
     episodes = Episodes(rules, engine="batch", n=4)
     episodes.begin(scenario);  obs = episodes.observation(normals);  result = episodes.step(action)
 
-`ControlLoop` is the sense-and-act loop, written once for whoever swims on an engine:
+`ControlLoop` is the sense-and-act loop for all callers that swim on an engine:
 
     loop = ControlLoop(robot, "batch")
     loop.start(pose, scenario)
-    obs = loop.observe(target, noise)          late and noisy, as camera and encoders give it
+    obs = loop.observe(target, noise)          late and noisy, as from camera and encoders
     trace = loop.act(commands)                 one control step of bus commands (B, T, J) rad
 
 `SensorWindow` alone serves dm_control's physics and the flow solver, which advance the fish themselves.
@@ -34,34 +34,34 @@ from fishmj.water import flow
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
 from fishmj.water.flow import Current
 
-# beyond these it is a slip of the pen
+# values beyond these are taken for typing errors
 LARGEST = {"intensity": 1, "flow_speed": 5, "randomisation": 10, "noise": 100, "seconds": 1e6}
 
 
 class SensorWindow(NamedTuple):
-    """The last bus ticks of B fish, newest last: as far back as latency, the velocity filter and late encoders reach."""
+    """Last bus ticks of B fish, newest last: as many as latency, the velocity filter and late encoders need."""
 
     pose: np.ndarray  # (B, H, 3) m, rad
     joint: np.ndarray  # (B, K + 1, 2 J) angles and rates, rad, rad/s
 
     @classmethod
     def at_rest(cls, robot: Robot, sensors: Sensors, pose) -> "SensorWindow":
-        """Straight fish that have always been at poses (B, 3)."""
+        """Window of straight fish that have always been at poses (B, 3)."""
         poses = np.repeat(pose[:, None], task.history_length(robot), 1)
         return cls(poses, np.zeros((len(pose), sensors.behind + 1, 2 * robot.n_joints)))
 
     def after(self, pose, joint, rate) -> "SensorWindow":
-        """T bus ticks later: pose (B, T, 3), joint and rate (B, T, J)."""
+        """Window T bus ticks later: pose (B, T, 3), joint and rate (B, T, J)."""
         return SensorWindow(slide(np, self.pose, pose), slide(np, self.joint, readings(np, joint, rate)))
 
 
 def slide(xp, window, rows):
-    """A window (B, W, C) moved on by new rows (B, T, C)."""
+    """Window (B, W, C) moved on by new rows (B, T, C)."""
     return xp.concatenate([window, rows], 1)[:, -window.shape[1] :]
 
 
 class Scenario(NamedTuple):
-    """What B fish are and meet, settled before the first step."""
+    """Constants and flow of B fish, drawn before the first step."""
 
     params: FishParams
     camera: np.ndarray  # (B,) int, camera latency in bus ticks
@@ -69,10 +69,10 @@ class Scenario(NamedTuple):
 
 
 class ControlLoop:
-    """B fish on an engine, which is given by name or as one; None is the fastest one here (`engines.fastest`).
+    """B fish on an engine, given as an engine or by name; None is the fastest one here (`engines.fastest`).
 
     Attributes:
-        scenario: as given to `start`. fish: their state. window: what the sensors remember. count: (B,) control steps so far.
+        scenario: as given to `start`. fish: their state. window: memory of the sensors. count: (B,) control steps so far.
     """
 
     scenario: Any
@@ -109,7 +109,7 @@ class ControlLoop:
         return self._seen(trace)
 
     def acting(self, commands) -> Steps[Trace]:
-        """The same, pausing whenever the engine waits for a device and another loop could go on."""
+        """Does the work of `act`, pausing whenever the engine waits for a device and another loop could continue."""
         advancing = getattr(self.engine, "advancing", None)
         if advancing is None:
             return self.act(commands)
@@ -118,13 +118,13 @@ class ControlLoop:
         return self._seen(Trace(*(np.asarray(a, float) for a in trace)))
 
     def _seen(self, trace: Trace) -> Trace:
-        """The sensors remember a control step."""
+        """Adds a control step to the sensors' memory."""
         self.window = self.window.after(trace.pose, trace.joint, trace.rate)
         self.count = self.count + 1
         return trace
 
     def advance(self, fish: FishState, commands) -> tuple[FishState, Trace]:
-        """The engine's step from `fish`, its trace as float64 NumPy; remembers nothing."""
+        """Does the engine's step from `fish`; returns its trace as float64 NumPy and remembers nothing."""
         now = self.scenario
         fish, trace = self.engine.advance(fish, commands, now.params, now.current, self.count * self.ticks)
         return fish, Trace(*(np.asarray(a, float) for a in trace))
@@ -132,7 +132,7 @@ class ControlLoop:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawOptions:
-    """How the episodes of a task differ; of `TaskOptions` and of the options of the environment in JAX (`tasks.env`)."""
+    """Ranges of the random draws of episodes; base of `TaskOptions` and of the options of the JAX environment (`tasks.env`)."""
 
     turbulence: str = "default"
     intensity: Any = (0.0, 0.10)  # TI, a number or the bounds of a draw for each episode
@@ -155,18 +155,18 @@ class DrawOptions:
 
     @property
     def intensity_bounds(self) -> tuple[float, float]:
-        """Turbulence intensity: bounds of its draw."""
+        """Bounds of the draw of the turbulence intensity."""
         return checked_bounds("task: intensity", self.intensity, 0, LARGEST["intensity"])
 
     @property
     def flow_bounds(self) -> tuple[float, float] | None:
-        """Speed of the stream: bounds of its draw, m/s; None: the task's own."""
+        """Bounds of the draw of the stream's speed, m/s; None: the task's own."""
         return None if self.flow_speed is None else checked_bounds("task: flow_speed", self.flow_speed, 0, LARGEST["flow_speed"])
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions(DrawOptions):
-    """What a user may change about a task; None keeps the robot's or the task's own value."""
+    """Options of a task; None keeps the robot's or the task's own value."""
 
     robot: Any = "fish"  # Robot, TOML path or shipped name
     water: Any = None  # of fishmj.water.choice; None: fitted where the robot has one
@@ -197,13 +197,13 @@ class TaskOptions(DrawOptions):
 
 
 def options_for(task: Any, given: dict, also: Iterable[str] = ()) -> tuple[TaskOptions, dict]:
-    """`TaskOptions`, and the options of the task's course, from keyword arguments.
+    """Splits keyword arguments into `TaskOptions` and the options of the task's course.
 
     Args:
-        task: as `course_of` takes it. also: options that somebody else takes, for the message.
+        task: as `course_of` takes it. also: options of other objects, for the message.
 
     Raises:
-        ConfigError, UnknownName: an option that does not exist or cannot be.
+        ConfigError, UnknownName: an option that does not exist or is invalid.
     """
     general = {f.name for f in fields(TaskOptions)}
     special = options_of(task) - general
@@ -223,7 +223,7 @@ class Draws(NamedTuple):
 
 
 class EpisodeDraw(NamedTuple):
-    """Everything about B episodes that is settled before the first step."""
+    """Everything about B episodes that is fixed before the first step."""
 
     launch: EpisodeStart
     current: Current
@@ -232,7 +232,7 @@ class EpisodeDraw(NamedTuple):
 
 
 class TaskSpec:
-    """One task with its setting. name: of COURSES, or one's own. Raises UnknownName, ConfigError, OwnCodeError."""
+    """One task with its setting. name: of COURSES, or the user's own. Raises UnknownName, ConfigError, OwnCodeError."""
 
     def __init__(self, name: Any, setting: TaskOptions, **course):
         self.course = course_of(name, **course)
@@ -257,7 +257,7 @@ class TaskSpec:
         return Draws(*(rng.random((n, k)) for k in sizes))
 
     def scenario(self, draws: Draws, **fixed) -> EpisodeDraw:
-        """What these draws mean; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
+        """Episodes of these draws; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
         s = self.setting
         launch = self.course.launch(np, draws.start)
         start = launch.start
@@ -291,7 +291,7 @@ class TaskSpec:
 
 
 class StepResult(NamedTuple):
-    """One control step of B episodes."""
+    """Result of one control step of B episodes."""
 
     reward: np.ndarray  # (B,)
     terminated: np.ndarray  # (B,) bool, left the domain
@@ -302,7 +302,7 @@ class StepResult(NamedTuple):
 
 
 class Episodes(ControlLoop):
-    """n running episodes on a batched engine. Ends are reported, never acted on: call `begin` with the rows to restart.
+    """n running episodes on a batched engine. Ends are only reported: call `begin` with the rows to restart.
 
     Attributes:
         diverged: (n,) bool, the physics of these fish failed in the last step. command: (n, J) last bus command, rad.
@@ -324,7 +324,10 @@ class Episodes(ControlLoop):
             self.scenario, self.fish, self.window, self.command, self.count = merged
 
     def step(self, action) -> StepResult:
-        """One control step with action (n, J), clipped to [-1, 1]. Raises ConfigError: of another shape, or not finite."""
+        """Does one control step with action (n, J), clipped to [-1, 1].
+
+        Raises ConfigError for another shape, or if not finite.
+        """
         rules = self.rules
         action = task.acting(action, (self.n, rules.n_act), rules.name)
         commands = task.chunk(np, rules.robot, self.command, action)
@@ -348,11 +351,11 @@ class Episodes(ControlLoop):
 
     @property
     def target(self) -> np.ndarray:
-        """Targets (n, 2) m, now."""
+        """Present targets (n, 2) m."""
         return self.rules.target(self.scenario, self.count)
 
     def advance(self, fish: FishState, commands) -> tuple[FishState, engines.Trace]:
-        """The engine's step; fish that diverge are frozen at rest where they were, and flagged."""
+        """Does the engine's step; fish that diverge are frozen at rest at their last pose, and flagged."""
         diverged = np.zeros(self.n, bool)
         try:
             after, trace = super().advance(fish, commands)
@@ -386,7 +389,7 @@ def _pick(rows, new, old):
 
 
 def _merged(old, new, rows):
-    """Trees of arrays (n, ...) with `rows` replaced; what the batch shares (flow table, cell) stays."""
+    """Trees of arrays (n, ...) with `rows` replaced; arrays that the batch shares (flow table, cell) stay."""
     if isinstance(old, Current):
         parts = [_merged(a, b, rows) for a, b in zip(old[:5], new[:5], strict=True)]
         return Current(*parts, *old[5:])

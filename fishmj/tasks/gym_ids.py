@@ -1,10 +1,10 @@
-"""The names of our environments in Gymnasium: there as soon as both packages are imported, in either order.
+"""The names of our environments in Gymnasium, registered as soon as both packages are imported, in either order.
 
     import fishmj, gymnasium
     env = gymnasium.make("fishmj/StationHold-v0")
 
-Gymnasium 1.x loads no entry points of other packages. So `import fishmj` registers the names at once where Gymnasium is loaded,
-and otherwise waits for its import: it costs nothing where nobody imports Gymnasium, and imports nothing by itself.
+Gymnasium 1.x loads no entry points of other packages. `import fishmj` therefore registers the names at once if Gymnasium is
+loaded, and otherwise waits for its import. It imports nothing by itself.
 """
 
 import sys
@@ -42,7 +42,7 @@ def announce() -> None:
 
 
 class _Wait(MetaPathFinder):
-    """Finds nothing itself: lets the import of Gymnasium go on as ever, and registers behind it."""
+    """Import hook that finds nothing itself: it lets the import of Gymnasium continue, and registers after it."""
 
     def find_spec(self, fullname, path=None, target=None):
         if fullname != "gymnasium":

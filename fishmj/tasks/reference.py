@@ -1,11 +1,11 @@
-"""Courses: where a fish starts and where its target goes, fishmj's and the user's own. Pure functions, one small class a task.
+"""Courses: start of a fish and path of its target, fishmj's and the user's own. Pure functions, one small class for each task.
 
     station_hold      paper, Initial State Distribution: fish, target, heading and flow drawn; the target stays
     figure_eight      x = sin p cos p, y = sin p, followed at a constant speed: p(s) by arc length s
     angle_of_attack   the fish starts on its target, turned by a given angle from upstream
 
-The paper quotes the figure eight with "constant speed", which its own parameter p is not (0.66 to 1.41 per unit of p);
-arc length makes it so.
+The paper states "constant speed" for the figure eight. Its parameter p does not give that (0.66 to 1.41 per unit of p), but arc
+length does.
 """
 
 import inspect
@@ -33,14 +33,14 @@ SHAPES = ((3,), (2,), (), (), ())  # of pose, target, speed, direction, phase, w
 
 
 class EpisodeStart(NamedTuple):
-    """How B episodes begin."""
+    """Start of B episodes."""
 
     start: Start
     phase: Any  # (B,) m, arc length of the target's path already behind it; 0 where the target stays
 
 
 class StepTruth(NamedTuple):
-    """What a reward may look at: one control step of B episodes, T bus ticks. The truth, which no policy sees."""
+    """Input of a reward: one control step of B episodes, T bus ticks. True values, which no policy observes."""
 
     trace: Trace  # pose (B, T, 3) m, rad; joint, rate (B, T, J) rad, rad/s; velocity (B, T, 3) over ground; power (B, T) W
     target: Any  # (B, 2) m, at the end of the step
@@ -51,7 +51,7 @@ class StepTruth(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class StationHoldReference:
-    """Swim to a target and keep it."""
+    """Course: swim to a target and keep it."""
 
     seconds: float = constant("task", "episode_time")
 
@@ -66,7 +66,7 @@ class StationHoldReference:
 
 @dataclass(frozen=True, kw_only=True)
 class AngleOfAttackReference(StationHoldReference):
-    """Start on the target, turned from upstream. angle in rad; None draws one of the paper's four."""
+    """Course: start on the target, turned from upstream. angle in rad; None draws one of the paper's four."""
 
     decides = ("pose", "target")  # what no caller may fix of a start
     heads_by_flow = True  # the start's heading is given against the flow
@@ -91,7 +91,7 @@ class AngleOfAttackReference(StationHoldReference):
 
 @dataclass(frozen=True, kw_only=True)
 class FigureEightReference:
-    """Follow a point on a figure eight. phase: m along the path at t = 0; None draws it."""
+    """Course: follow a point on a figure eight. phase: m along the path at t = 0; None draws it."""
 
     decides = ("target",)
 
@@ -111,7 +111,7 @@ class FigureEightReference:
         return self.cycles * path_length() / self.speed
 
     def launch(self, xp, uniforms) -> EpisodeStart:
-        """At rest on the path, heading along it; uniforms (B, 7) give phase and flow."""
+        """Starts at rest on the path, heading along it; uniforms (B, 7) give phase and flow."""
         start = draw_start(xp, uniforms)
         phase = path_length() * uniforms[:, 2] if self.phase is None else self.phase + 0.0 * uniforms[:, 2]
         point, heading = eight(xp, phase)
@@ -148,9 +148,9 @@ COURSES = {"station_hold": StationHoldReference, "figure_eight": FigureEightRefe
 
 
 def named(task: Any) -> Any:
-    """What a caller gave as a task: a name of COURSES as it is, `module:Name` loaded, a class or object as it is.
+    """Task that a caller gave: a name of COURSES unchanged, `module:Name` loaded, a class or object unchanged.
 
-    For a word that the user typed or an argument of a Python call; runs the code. Raises UnknownName, OwnCodeError.
+    For an option of the user or an argument of a Python call; runs the code. Raises UnknownName, OwnCodeError.
     """
     if not isinstance(task, str) or task in COURSES:
         return task
@@ -158,10 +158,10 @@ def named(task: Any) -> Any:
 
 
 def course_of(task: Any, **options: Any) -> Any:
-    """A course. task: name of COURSES, text of one that the user loaded in this process, class or object.
+    """Course of a task. task: name of COURSES, text of one that the user loaded in this process, class or object.
 
     Raises:
-        UnknownName: no such task; text that was not loaded is never run. OwnCodeError: it is no task.
+        UnknownName: no such task; text that was not loaded is never run. OwnCodeError: it is not a task.
     """
     if isinstance(task, str) and task in COURSES:
         return COURSES[task](**options)
@@ -180,7 +180,7 @@ def options_of(task: Any) -> set[str]:
 
 
 class OwnReference:
-    """A task of the user's own with the interface of a course; every answer is looked at.
+    """A task of the user's own with the interface of a course; every result is checked.
 
         class LineFollow:
             seconds = 20.0                          length of an episode
@@ -190,7 +190,7 @@ class OwnReference:
             def outside(self, xp, pose): ..         (B,) bool from poses (B, 3); optional, |x|, |y| > 2 m without it
 
     `xp` is NumPy or jax.numpy: the same functions serve Gymnasium, dm_control and the trainer. Fields of a dataclass are options.
-    The policy sees fishmj's observations; a task that brings its own is refused, since nothing would ever call them.
+    The policy sees fishmj's observations; a task with observations of its own is refused, because nothing would call them.
 
     Attributes:
         name: for reports. seconds: length of an episode. reward: None for the paper's.
@@ -254,7 +254,7 @@ class OwnReference:
         return found
 
     def _checked(self, value, where: str, shape: tuple):
-        """The value, when it has the shape and, where that can be seen, is finite."""
+        """Returns the value if it has the shape and, as far as that is known, is finite. Raises OwnCodeError."""
         got = getattr(value, "shape", None)
         if got != shape:
             raise OwnCodeError(f"{self.what}: {where} has shape {got}, expected {shape}, batch axis first")
@@ -263,7 +263,7 @@ class OwnReference:
         return value
 
     def _try(self) -> None:
-        """One start, both ends of the target's path and one reward in NumPy, before anything is built on it."""
+        """Tries one start, both ends of the target's path and one reward in NumPy, before the task is used."""
         launch = self.launch(np, np.random.default_rng(0).random((TRIED, N_START)))
         for t in (0.0, float(self.seconds)):
             target = self.target(np, launch, np.full(TRIED, t))

@@ -1,10 +1,10 @@
-"""What the sensors of one robot make of the truth, and what they write down of it: measurement effects, delays, noise.
+"""Sensors of one robot, and the logs of their readings: measurement effects, delays, noise.
 
-    poses     frames of the camera as the tracker finds them: camera_scale, marker_offset, ..
+    poses     frames of the camera as the tracker reports them: camera_scale, marker_offset, ..
     joints    encoder readings: offset, and the delay of the clock `joint`, linear between bus ticks
     ticks     delays of the clocks `pose` and `velocity`, s, in whole bus ticks, rounded up as the camera's latency is
 
-Without such effects every function returns what it was given. Rewards, ends of episodes and logs of the truth never pass here.
+Without such effects every function returns its input. Rewards, ends of episodes and logs of the truth do not use this module.
 """
 
 from math import ceil, radians
@@ -25,7 +25,7 @@ NOTE = (
 
 
 def slope_weights(window: int, dt: float) -> np.ndarray:
-    """(W,) weights, 1/s, oldest first, that turn W equally spaced samples into the slope of their line fit."""
+    """Weights (W,), 1/s, oldest first, that turn W equally spaced samples into the slope of their line fit."""
     t = (np.arange(window) - (window - 1) / 2) * dt
     return t / np.sum(t * t)
 
@@ -55,7 +55,8 @@ class Sensors:
     """The sensors of `robot`.
 
     Attributes:
-        behind: bus ticks of encoder readings to keep besides the newest. frames: camera frames to keep besides the nominal ones.
+        behind: number of bus ticks of encoder readings to keep besides the newest.
+        frames: number of camera frames to keep besides the nominal ones.
     """
 
     def __init__(self, robot: Robot):
@@ -68,7 +69,7 @@ class Sensors:
         self.measured = active if active is not None and any(e.measure for e in active.effects) else None
 
     def ticks(self, xp, seconds, rows, clock: str):
-        """A latency (B,) s and what the effects with parameters `rows` (B, P) add to it, in whole ticks, 0 at least."""
+        """Latency (B,) s plus the delay of the effects with parameters `rows` (B, P), in whole ticks, 0 at least."""
         return xp.maximum(xp.ceil((seconds + self.added.late(xp, rows, clock)) / self.tick - 1e-6), 0.0).astype("int32")
 
     def poses(self, xp, rows, history):
@@ -100,7 +101,7 @@ class Sensors:
 
 
 def measure(active: EffectStack, xp, rows, seen: Measured) -> Measured:
-    """What the effects with parameters `rows` (B, P) make of records (B, T)."""
+    """Records (B, T) after the measurement effects with parameters `rows` (B, P)."""
     return active.measure(xp, [rows[:, i : i + 1] for i in range(rows.shape[1])], seen)
 
 
@@ -123,12 +124,12 @@ def sensed(
     """Tables `joint` and `pose` of one swim, as late and as noisy as the task's own observations.
 
     joint: encoders at the end of every bus tick. pose: the tracker's frame that arrives then, which is that of `camera` ticks
-    before; before the first frame arrives the fish is seen at its start. An observation holds other draws of the same noise: it
-    is made of a frame in the body's axes, once a control step.
+    before; until the first frame arrives it is the start pose. An observation has other draws of the same noise: it comes from a
+    frame in the body's axes, once a control step.
 
     Args:
         t: (T,) s, ends of the bus ticks. pose: (T, 3) m, rad; joint, rate: (T, J) rad, rad/s, then.
-        start: (3,) where the fish was before the first tick, straight and at rest. camera: its latency in bus ticks.
+        start: (3,) pose of the fish before the first tick, straight and at rest. camera: its latency in bus ticks.
         effects: (P,) parameters of the robot's effects. random: draws the noise. strength: factor on the task's noise.
     """
     sensors, count, joints = Sensors(robot), len(t), robot.n_joints
@@ -170,7 +171,7 @@ def logged(robot: Robot, begun, t, command, pose, velocity, joint, rate, power, 
 
 
 def logged_meta(robot: Robot, tables, fish, camera, start, strength: float) -> dict:
-    """What a log says of a swim from rest at `start` (3,): noise, clocks and latencies; `fish` and `camera` as of `logged`."""
+    """Metadata in the log of a swim from rest at `start` (3,): noise, clocks, latencies; `fish` and `camera` as in `logged`."""
     received = {"pose": "simulation, frame received"}  # one clock, the simulation's; the tracker stamps a frame when it arrives
     pose, command = float(camera[0]) * robot.timing.bus_dt, float(np.asarray(fish.delay)[0]) * robot.timing.physics_dt
     return {

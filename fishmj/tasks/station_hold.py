@@ -2,8 +2,8 @@
 
     s = [q, v, w, J, K]                 11 numbers in the body frame: target, velocity over ground, yaw rate, joints, rates
     a in [-1, 1]^3 -> +-60 deg          desired joint angles every 0.2 s, no central pattern generator
-    r = wG / (1 + wD d) - wS |K|^2      d distance to the target; |K|^2 averaged over the step's bus ticks, so that a gait
-                                        cannot hide between the samples
+    r = wG / (1 + wD d) - wS |K|^2      d distance to the target; |K|^2 averaged over the step's bus ticks, so that no motion
+                                        between the samples is missed
 Nothing here draws random numbers: draws come in as arrays, so NumPy, JAX and every engine share one definition.
 """
 
@@ -37,7 +37,7 @@ class Start(NamedTuple):
 
 
 def draw_start(xp, uniforms) -> Start:
-    """The paper's initial distribution from uniforms (B, 7): fish and target in the arena, heading and flow direction free."""
+    """Initial distribution of the paper from uniforms (B, 7): fish and target in the arena, heading and flow direction free."""
     arena, (slow, fast) = constant("task", "arena"), constant("task", "flow_speed")
     u = uniforms
     return Start(
@@ -49,7 +49,7 @@ def draw_start(xp, uniforms) -> Start:
 
 
 def n_fish(robot: Robot, effects=()) -> int:
-    """How many uniforms `draw_fish` needs."""
+    """Number of uniforms that `draw_fish` needs."""
     plain = len(robot.links) + 3 * robot.n_joints + 2
     active = Extensions.of(robot).active
     return plain + (randomise.width(active, effects) if active is not None else 0)
@@ -104,7 +104,7 @@ def spans(joints: int) -> dict[str, int]:
 
 
 def privileged_spans(joints: int) -> dict[str, int]:
-    """Name and width of each group that a critic sees in simulation only (`tasks.env`), in order; no noise, no latency."""
+    """Name and width of each group of the privileged critic's input (`tasks.env`), in order; no noise, no latency."""
     return {**spans(joints), "flow": 2, "time_left": 1, "near": 2}
 
 
@@ -116,7 +116,7 @@ def noise_scale(robot: Robot):
 
 
 def visible(joints: int, hide=()) -> list[bool]:
-    """For each of the 5 + 2 J observations, whether it is left when the groups `hide` are set to zero.
+    """Mask of the 5 + 2 J observations that remain when the groups `hide` are set to zero.
 
     Raises:
         UnknownName: a group that does not exist.
@@ -128,12 +128,12 @@ def visible(joints: int, hide=()) -> list[bool]:
 
 
 def history_length(robot: Robot) -> int:
-    """How many past poses the camera and its filter need, bus ticks."""
+    """Number of past poses that the camera and its filter need, bus ticks."""
     return robot.timing.velocity_window + camera_ticks(robot) + Sensors(robot).frames
 
 
 def camera_ticks(robot: Robot) -> int:
-    """The longest camera latency of this robot in bus ticks, its own or a randomised one, without what effects add."""
+    """Longest camera latency of this robot in bus ticks, its own or a randomised one, without effects."""
     longest = max(robot.timing.camera_latency, constant("randomisation", "camera_latency")[1])
     return max(LEAST_CAMERA_TICKS, ceil(longest / robot.timing.bus_dt - 1e-6))
 
@@ -179,16 +179,16 @@ def reward(xp, distance, rates, wG=None, wD=None, wS=None):  # noqa: N803  (the 
 
 
 def outside(xp, pose):
-    """True where the reference point has left |x|, |y| <= bound."""
+    """True if the reference point has left |x|, |y| <= bound."""
     bound = constant("task", "bound")
     return (xp.abs(pose[..., 0]) > bound) | (xp.abs(pose[..., 1]) > bound)
 
 
 def acting(action, shape: tuple, who: str) -> np.ndarray:
-    """Returns the action that acts, which the bus and the reward see: float64, clipped to [-1, 1].
+    """Returns the action for the bus and the reward: float64, clipped to [-1, 1].
 
     Raises:
-        ConfigError: another shape, no numbers, or not finite.
+        ConfigError: another shape, not numbers, or not finite.
     """
     return np.clip(checked_array(f"{who}: action", action, shape), -1.0, 1.0)
 
@@ -211,12 +211,12 @@ def chunk(xp, robot: Robot, previous, action):
 
 
 def episode_steps(seconds: float, robot: Robot) -> int:
-    """Control steps of an episode. Raises ConfigError: it is shorter than one."""
+    """Number of control steps of an episode. Raises ConfigError if it is shorter than one."""
     if seconds < robot.timing.control_dt - 1e-9:
         raise ConfigError(f"task: seconds = {seconds:g} is less than one control step of {robot.timing.control_dt:g} s")
     return control_steps(seconds, robot)
 
 
 def control_steps(seconds: float, robot: Robot) -> int:
-    """Control steps that cover `seconds`."""
+    """Number of control steps that cover `seconds`."""
     return ceil(seconds / robot.timing.control_dt - 1e-9)

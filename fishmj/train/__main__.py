@@ -28,7 +28,7 @@ EXAMPLES = """examples:
 
 
 def options() -> console.Parser:
-    """The arguments of `train`."""
+    """Parser of the verb `train`."""
     from fishmj.engines import NAMES, own_effects
     from fishmj.mjcf.description import COMMAND_PATHS
     from fishmj.tasks.reference import COURSES
@@ -96,7 +96,7 @@ def options() -> console.Parser:
 
 
 def hyperparameter_options(parser: console.Parser) -> None:
-    """Add an option for every hyperparameter that an algorithm declares."""
+    """Adds an option for every hyperparameter that an algorithm declares."""
     from fishmj.train.settings import hyperparameters, told
 
     about = "of the algorithm; one that it has not is refused. Without an option: the preset's value, else the algorithm's"
@@ -112,14 +112,17 @@ def hyperparameter_options(parser: console.Parser) -> None:
 
 
 def task_speeds() -> str:
-    """The stream speeds of the tasks, `0.1,0.3`."""
+    """Stream speeds of the tasks as text, `0.1,0.3`."""
     from fishmj.base.calib import constant
 
     return ",".join(map(str, constant("task", "flow_speed")))
 
 
 def weight(text: str) -> tuple[str, float]:
-    """`wG=0.5` -> ("wG", 0.5). Raises ArgumentTypeError: no such weight, or no finite number."""
+    """Parses a weight: `wG=0.5` -> ("wG", 0.5).
+
+    Raises ArgumentTypeError for an unknown weight, or a number that is not finite.
+    """
     from fishmj.train.settings import REWARD
 
     key, equals, value = text.partition("=")
@@ -129,10 +132,10 @@ def weight(text: str) -> tuple[str, float]:
 
 
 def settings_from(args, run=None):
-    """The preset, or the settings of a run that goes on, with everything that was asked for on the command line.
+    """Preset, or settings of a run to resume, with all options of the command line.
 
     Raises:
-        ConfigError, UnknownName: what cannot be, or own code of the run that nobody named again.
+        ConfigError, UnknownName: invalid options, or own code of the run that the command line does not name again.
     """
     from fishmj.base import plugins
     from fishmj.engines import own_effects
@@ -184,7 +187,7 @@ def settings_from(args, run=None):
 
 
 def _asked_of(args) -> dict:
-    """Of the options that a policy decides, those that were given."""
+    """Options given by the user among those that a policy decides."""
     given = {"--hidden": args.hidden and tuple(args.hidden), "--memory": args.memory, "--command-path": args.command_path}
     given |= {"--control-dt": args.control_dt, "--activation": args.activation, "--sigma": args.sigma}
     return {option: value for option, value in given.items() if value}
@@ -197,10 +200,10 @@ def _by_device() -> str:
 
 
 def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
-    """The folder of every seed's run, looked at before the first one starts.
+    """Folders of every seed's run, checked before the first one starts.
 
     Raises:
-        ConfigError: one holds a run that nobody asked to go on with or to remove, or something else that is not to be removed.
+        ConfigError: one holds a run and neither --resume nor removal was asked for, or something that must not be removed.
         ArgumentTypeError: one cannot be written.
     """
     from fishmj.base import plugins
@@ -243,7 +246,7 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
 
 
 def main(argv: list[str]) -> int:
-    """The verb `train`. Returns the exit code."""
+    """Runs the verb `train`; returns the exit code."""
     args = options().parse_args(argv)
     from fishmj.base.store import Checkpoints
     from fishmj.control.policy import one_line

@@ -1,7 +1,7 @@
-"""A training that begins with a policy's network in place of chance: `fishmj train --begin POLICY`.
+"""A training that starts from a policy's network instead of random weights: `fishmj train --begin POLICY`.
 
-The actor is the policy's; the critic, which no policy file holds, begins anew. Exploration begins at SIGMA: at the usual
-deviation of u a fish that can swim would be pushed off its course before the critic knows what that costs.
+The actor is the policy's; the critic, which no policy file holds, starts fresh. Exploration starts at SIGMA: the usual deviation
+of u would push a fish that can swim off its course before the critic has learnt the cost of that.
 """
 
 from collections.abc import Mapping
@@ -21,14 +21,14 @@ SIGMA = 0.2  # initial standard deviation of u
 
 
 def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tuple[Policy, Settings]:
-    """The policy, and the settings with its widths, activation, memory, command path and control step.
+    """Policy, and the settings with its widths, activation, memory, command path and control step.
 
     Args:
-        source: shipped name, policy file or folder of a training. asked: of the options
-            --hidden, --activation, --memory, --command-path, --control-dt and --sigma, those that were given.
+        source: shipped name, policy file or folder of a training.
+        asked: the given ones of the options --hidden, --activation, --memory, --command-path, --control-dt and --sigma.
 
     Raises:
-        ConfigError: another algorithm than PPO, a policy for another structure, or one that is not as asked.
+        ConfigError: another algorithm than PPO, a policy for another structure, or one that contradicts an option.
         UnknownName, StoreError: no such policy, or a damaged one.
     """
     if settings.algo != "ppo":
@@ -50,7 +50,7 @@ def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tup
 
 
 def begun(training, policy: Policy):
-    """A fresh train state whose actor is the policy's."""
+    """Fresh train state whose actor is the policy's."""
     layers = [(jnp.asarray(w.T, jnp.float32), jnp.asarray(b, jnp.float32)) for w, b in policy.weights]
     shapes = lambda actor: [(w.shape, b.shape) for w, b in actor]
     if shapes(layers) != shapes(training.actor):

@@ -1,4 +1,4 @@
-"""From settings to the pieces of a run: robot, engine, environment, algorithm, and the policy that comes out."""
+"""Builds the parts of a run from its settings: robot, engine, environment, algorithm, and the final policy."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -25,7 +25,7 @@ CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
 
 def pick_engine(settings: Settings) -> str:
-    """The engine asked for; `auto`: MJX on a GPU, else compiled, or planar without numba."""
+    """Name of the engine; `auto`: MJX on a GPU, else compiled, or planar without numba."""
     if settings.engine != "auto":
         return settings.engine
     import jax
@@ -36,7 +36,7 @@ def pick_engine(settings: Settings) -> str:
 
 
 def robot_for(settings: Settings):
-    """The robot in the run's water, with its command path, control step and the effects that it draws.
+    """Robot in the run's water, with its command path, control step and the effects that it draws.
 
     Raises:
         UnknownName, ConfigError: no such command path, or a control step that does not fit the bus.
@@ -52,18 +52,18 @@ def robot_for(settings: Settings):
 
 
 def water_for(settings: Settings) -> Choice:
-    """The water of a run. Raises ConfigError: one that needs the flow solver; and as `choice.chosen`."""
+    """Water of a run. Raises ConfigError for one that needs the flow solver; further errors as `choice.chosen`."""
     water = None if settings.water == "auto" else settings.water
     return chosen(load_robot(settings.robot), water).within(SELF_MADE, "training")
 
 
 def settled(settings: Settings) -> Settings:
-    """The settings with all that they leave open: water by name, control step, hyperparameters, the task's options and reward.
+    """Settings with all open values filled in: water by name, control step, hyperparameters, the task's options and reward.
 
-    A run keeps these, so that it goes on under them whatever becomes the default later.
+    A run keeps these, so that it continues with them even if a default changes later.
 
     Raises:
-        UnknownName, ConfigError: a setting that cannot be. OwnCodeError: of an algorithm or task of one's own.
+        UnknownName, ConfigError: an invalid setting. OwnCodeError: of an algorithm or task of the user's own.
     """
     from fishmj.tasks.env import Options
 
@@ -90,13 +90,13 @@ def settled(settings: Settings) -> Settings:
 
 
 def _written(made: Any) -> dict:
-    """The fields of a dataclass that a file of settings can hold."""
+    """Fields of a dataclass that a file of settings can hold."""
     table = {one.name: getattr(made, one.name) for one in fields(made)}
     return {key: value for key, value in table.items() if value is None or isinstance(value, bool | int | float | str | tuple)}
 
 
 def environment(settings: Settings, box: str = "train"):
-    """The training environment, or with box="tune" the one that picks the best policy."""
+    """Training environment, or with box="tune" the one that picks the best policy."""
     from fishmj.engines import make
     from fishmj.tasks.env import Options, StationHold
 
@@ -110,7 +110,7 @@ def environment(settings: Settings, box: str = "train"):
 
 
 def algorithm(settings: Settings, env) -> Learner:
-    """The learner named by settings.algo. Raises ConfigError, UnknownName, OwnCodeError."""
+    """Learner named by settings.algo. Raises ConfigError, UnknownName, OwnCodeError."""
     config = config_of(settings)
     if settings.algo in ALGORITHMS:
         return referred(ALGORITHMS[settings.algo].learner)(env, config, settings.steps)
@@ -118,7 +118,7 @@ def algorithm(settings: Settings, env) -> Learner:
 
 
 def config_of(settings: Settings) -> Any:
-    """The algorithm's hyperparameters. Raises UnknownName (no such algorithm, no such key), ConfigError, OwnCodeError."""
+    """Hyperparameters of the algorithm. Raises UnknownName (no such algorithm, no such key), ConfigError, OwnCodeError."""
     if settings.algo in ALGORITHMS:
         kind = referred(ALGORITHMS[settings.algo].config)
     elif settings.algo in plugins.loaded("algorithm"):  # of the user's own: only what this process has loaded
@@ -132,7 +132,7 @@ def config_of(settings: Settings) -> Any:
 
 
 def from_table(what: str, kind, table: dict):
-    """A frozen dataclass from a table. Raises UnknownName for a key that it does not have."""
+    """Frozen dataclass from a table. Raises UnknownName for a key that it does not have."""
     known = [f.name for f in fields(kind)]
     for key in table:
         if key not in known:
@@ -141,7 +141,7 @@ def from_table(what: str, kind, table: dict):
 
 
 def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
-    """The NumPy policy for what `Learner.policy_layers` gives of a trained actor."""
+    """NumPy policy from `Learner.policy_layers` of a trained actor."""
     robot = robot_for(settings)
     joints, memory = robot.n_joints, settings.task.get("memory", 1)
     layers = [(np.asarray(w, np.float32).T, np.asarray(b, np.float32)) for w, b in network.layers]
@@ -173,7 +173,7 @@ def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
 
 
 class OwnAlgorithm:
-    """A learning algorithm of the user's own behind the interface of ppo.py and sac.py, every answer looked at.
+    """A learning algorithm of the user's own behind the interface of ppo.py and sac.py, with every result checked.
 
         class Mine:
             Config                                      frozen dataclass of its settings, all with defaults
@@ -184,10 +184,10 @@ class OwnAlgorithm:
             def act(self, actor, obs): ..               -> actions (B, J) in [-1, 1] for raw observations, in JAX
             def policy_layers(self, actor): ..          -> learner.PolicyLayers; left out: all of actor, Config.activation or tanh
 
-    What is trained must be what is written: a policy file holds tanh(MLP(observation / scale)), and `act` is compared with it.
+    The trained actor must equal the written policy: a file holds tanh(MLP(observation / scale)), and `act` is compared with it.
 
     Raises:
-        OwnCodeError: it fails, or gives something else.
+        OwnCodeError: it fails, or returns something else.
     """
 
     def __init__(self, text: str, env, config: Any, steps: int, settings: Settings):
@@ -206,13 +206,13 @@ class OwnAlgorithm:
             )
 
     def init(self, key):
-        """A fresh training; its actor and `act` are checked."""
+        """Fresh train state; its actor and `act` are checked."""
         training = plugins.call(f"{self.what}: init", self.mine.init, key)
         self._check(training)
         return training
 
     def iterate(self, state):
-        """(train state, metrics)."""
+        """Does one iteration; returns (train state, metrics)."""
         answer = plugins.call(f"{self.what}: iterate", self.mine.iterate, state)
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], Mapping)):
             raise OwnCodeError(f"{self.what}: iterate gave {type(answer).__name__}; expected (training, figures as a dict)")
@@ -224,11 +224,11 @@ class OwnAlgorithm:
         return answer
 
     def act(self, actor, obs):
-        """Actions for raw observations."""
+        """Actions (B, J) for raw observations."""
         return plugins.call(f"{self.what}: act", self.mine.act, actor, obs)
 
     def policy_layers(self, actor) -> PolicyLayers:
-        """What a policy file holds."""
+        """Layers and activation of the actor in the form of a policy file."""
         if mine := getattr(self.mine, "policy_layers", None):
             return PolicyLayers(*plugins.call(f"{self.what}: policy_layers", mine, actor))
         return PolicyLayers(actor, getattr(self.config, "activation", "tanh"))

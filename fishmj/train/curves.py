@@ -1,4 +1,4 @@
-"""`python -m fishmj.train.curves RUN [RUN ...] --out curves.png`: reward and distance over training, runs of a kind together.
+"""`python -m fishmj.train.curves RUN [RUN ...] --out curves.png`: reward and distance over training, runs of one label together.
 
 A RUN is a run's folder or a metrics.jsonl; `label=RUN` names it. Runs with one label are drawn as their mean and range.
 """
@@ -33,7 +33,7 @@ def smooth(y: np.ndarray, share: float = 0.02) -> np.ndarray:
 
 
 def draw(groups: dict[str, list[dict]], out: Path) -> Path:
-    """One picture: reward and distance in the second half of the episodes, against control steps."""
+    """Draws one picture: reward, and distance in the second half of the episodes, against control steps."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -59,6 +59,7 @@ def draw(groups: dict[str, list[dict]], out: Path) -> Path:
 
 
 def main(argv: list[str]) -> int:
+    """Draws the learning curves of the given runs; returns the exit code."""
     p = console.parser("train.curves", "Draw the learning curves of training runs.")
     p.add_argument("runs", nargs="+", metavar="[LABEL=]RUN")
     p.add_argument("--out", type=Path, default=Path("curves.png"))

@@ -1,7 +1,7 @@
 """Hyperparameters of the learning algorithms, each declared once with its default, range and meaning.
 
 The options of `fishmj train`, the checks, the run folder, the policy header and the table of docs/train/training.md follow from
-these dataclasses. An algorithm of its own derives from `Hyperparameters` and declares its fields by `setting`.
+these dataclasses. A new algorithm derives from `Hyperparameters` and declares its fields by `setting`.
 """
 
 from dataclasses import Field, dataclass, field, fields
@@ -18,13 +18,13 @@ ACTIVATIONS = ("relu", "tanh")  # of networks.ACTIVATIONS, which needs JAX
 
 @dataclass(frozen=True)
 class Switch(OneOf):
-    """The kind of a truth value that an option names: `known` is (false, true)."""
+    """Kind of a truth value that an option names: `known` is (false, true)."""
 
     def __call__(self, text: str) -> Any:
         return super().__call__(text) == self.known[1]
 
     def holds(self, value: Any) -> bool:
-        """True for a truth value."""
+        """Returns True for a truth value."""
         return isinstance(value, bool)
 
 
@@ -32,23 +32,23 @@ Kind = Number | Listed | OneOf
 
 
 def setting(default: Any, kind: Kind, about: str, option: str = "") -> Any:
-    """A field of a dataclass of hyperparameters; option: its name on the command line where that is not the field's."""
+    """Field of a dataclass of hyperparameters; option: its name on the command line if that is not the field's."""
     return field(default=default, metadata={"kind": kind, "about": about, "option": option})
 
 
 def option_of(one: Field) -> str:
-    """The command-line option of a field, `--learning-rate`."""
+    """Command-line option of a field, `--learning-rate`."""
     return one.metadata["option"] or f"--{one.name.replace('_', '-')}"
 
 
 def declared(config: type) -> dict[str, Field]:
-    """The fields of a dataclass that `setting` declared, by name."""
+    """Fields of a dataclass that `setting` declared, by name."""
     return {one.name: one for one in fields(config) if "kind" in one.metadata}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
-    """Base of the settings of every algorithm. Raises ConfigError: a value out of its range."""
+    """Base of the settings of every algorithm. Raises ConfigError for a value out of its range."""
 
     algo: ClassVar[str] = "algorithm"  # in messages
 
@@ -101,12 +101,12 @@ class PPOConfig(Hyperparameters):
             )
 
     def operations(self, width) -> float:
-        """Of the networks for one control step; `width` of training_cost.widths."""
+        """Number of operations of the networks for one control step; `width` as from training_cost.widths."""
         actor, critic = self._networks(width)
         return 2 * (actor + 2 * critic) + 6 * self.epochs * (actor + critic)
 
     def bytes(self, width, steps: float) -> float:
-        """Of the arrays of one iteration."""
+        """Size of the arrays of one iteration, bytes."""
         seen, inputs, joints = width
         batch = self.envs * self.horizon
         rollout = batch * (inputs + seen + 5 + joints + 4)
@@ -120,7 +120,7 @@ class PPOConfig(Hyperparameters):
 
 @dataclass(frozen=True, kw_only=True)
 class OffPolicyConfig(Hyperparameters):
-    """Hyperparameters of the loop of off_policy.py and of two critics with targets; the paper's where it says them."""
+    """Hyperparameters of the loop of off_policy.py and of two critics with targets; the paper's if it states them."""
 
     algo: ClassVar[str] = "off-policy"
 
@@ -136,12 +136,12 @@ class OffPolicyConfig(Hyperparameters):
     tau: float = setting(0.005, number(0, 1, above=True), "share by which the target critics follow in a gradient step")
 
     def operations(self, width) -> float:
-        """Of `utd` gradient steps: both critics and their targets, the actor twice, the gradients of all."""
+        """Number of operations of `utd` gradient steps: both critics and their targets, the actor twice, all gradients."""
         actor, critic = self._networks(width)
         return self.utd * self.batch * (8 * actor + 2 * (2 + 6 + 6) * critic)
 
     def bytes(self, width, steps: float) -> float:
-        """Of buffer, environment and networks; `width` of training_cost.widths."""
+        """Size of buffer, environment and networks, bytes; `width` as from training_cost.widths."""
         _, inputs, joints = width
         replay = max(self.envs, min(self.buffer, steps)) * (2 * inputs + joints + 2)
         actor, critic = self._networks(width)
@@ -163,5 +163,5 @@ class SACConfig(OffPolicyConfig):
 
 
 def weights(*layers: int) -> int:
-    """Of a network with layers of these widths."""
+    """Number of weights of a network with layers of these widths."""
     return sum(a * b for a, b in zip(layers, layers[1:], strict=False))

@@ -1,7 +1,7 @@
-"""What a learning algorithm is to a run. To add one: a file beside ppo.py and sac.py, and its line in `settings.ALGORITHMS`.
+"""Interface of a learning algorithm. To add one: a file beside ppo.py and sac.py, and its line in `settings.ALGORITHMS`.
 
 The file holds two classes: a frozen dataclass of settings, all with defaults, and a `Learner` that is made by
-`Class(env, config, steps)`. CONTRIBUTING.md has the recipe, `off_policy.py` what algorithms with a replay buffer share.
+`Class(env, config, steps)`. CONTRIBUTING.md has the recipe, `off_policy.py` the common part of algorithms with a replay buffer.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -17,20 +17,20 @@ NEEDED = ("reward", "late_distance", "episodes", "diverged")  # for the progress
 
 
 class PolicyLayers(NamedTuple):
-    """The network of a policy file: action = tanh(MLP(observation / scale))."""
+    """Network of a policy file: action = tanh(MLP(observation / scale))."""
 
     layers: list  # [(weights (in, out), bias (out,)), ..]; the last gives one number a joint
     activation: str  # of the hidden layers, of networks.ACTIVATIONS
 
 
 class Learner(Protocol):
-    """Made by `Class(env, config, steps)`: the environment, its settings, control steps of the whole run, all fish together.
+    """Learner, made by `Class(env, config, steps)`: environment, settings, control steps of the whole run, all fish together.
 
-    A train state is a NamedTuple of arrays and holds `actor`. A checkpoint keeps its leaves, a resumed run goes on from them
-    alone: what is drawn must follow from a key in it, and nothing that learns may live in `self`. `--together` maps `init` and
-    `iterate` over seeds (jax.vmap). Settings that another algorithm declares too get its options, such as --envs and --gamma.
+    A train state is a NamedTuple of arrays and holds `actor`. A checkpoint keeps its leaves, and a resumed run continues from
+    them alone: random draws must follow from a key in it, and `self` must hold no learnt state. `--together` maps `init` and
+    `iterate` over seeds (jax.vmap). Settings that another algorithm also declares get its options, such as --envs and --gamma.
 
-    The environment (tasks/env.py) starts anew by itself: its state has `final_obs`, before the restart, beside `obs` after it;
+    The environment (tasks/env.py) restarts by itself: its state has `final_obs` from before the restart, and `obs` from after it.
     `terminated` is the end of an episode, `truncated` its time limit, from which one bootstraps; `diverged` rows are left out.
     """
 
@@ -38,16 +38,19 @@ class Learner(Protocol):
     steps_per_iteration: int  # control steps that one `iterate` takes, all fish together
 
     def init(self, key) -> Any:
-        """A fresh train state."""
+        """Fresh train state."""
 
     def iterate(self, state) -> tuple[Any, dict]:
-        """(train state, metrics as scalars): `METRICS` and what it adds, such as `EPISODIC`. May use up the state it is given."""
+        """Does one iteration; returns (train state, metrics as scalars): `METRICS` and others, such as `EPISODIC`.
+
+        May consume `state`.
+        """
 
     def act(self, actor, obs):
         """Deterministic actions (B, J) in [-1, 1] for raw observations (B, n_input), in JAX."""
 
     def policy_layers(self, actor) -> PolicyLayers:
-        """The actor as a policy file holds it; gives the actions of `act`."""
+        """Actor in the form of a policy file; it gives the actions of `act`."""
 
 
 class StepRecord(NamedTuple):
@@ -70,12 +73,12 @@ class EpisodeTally(NamedTuple):
 
     @classmethod
     def start(cls, xp, n: int) -> "EpisodeTally":
-        """Of n fish whose clocks begin anywhere (`reset` with stagger): their first episodes are not counted."""
+        """Tally of n fish whose clocks start at random times (`reset` with stagger): their first episodes are not counted."""
         return cls(xp.zeros(n), xp.zeros(n), xp.zeros(n, bool))
 
 
 def episode_metrics(tally: EpisodeTally, r: StepRecord) -> tuple[EpisodeTally, dict]:
-    """Mean return and length [control steps] of the episodes that ended in a rollout (T, B), NaN where none did; in JAX.
+    """Mean return and length [control steps] of the episodes that ended in a rollout (T, B), NaN if none did; in JAX.
 
     Episodes that diverged, and those not counted from their first step, are left out.
     """
@@ -93,13 +96,13 @@ def episode_metrics(tally: EpisodeTally, r: StepRecord) -> tuple[EpisodeTally, d
 
 
 def reported(figures) -> dict[str, float]:
-    """Metrics as numbers, without those of episodes where none ended."""
+    """Metrics as numbers, without those of episodes if none ended."""
     found = {name: float(value) for name, value in figures.items()}
     return {name: value for name, value in found.items() if name not in EPISODIC or value == value}
 
 
 def record_of(after, limit: int) -> StepRecord:
-    """Of the environment's state after a step; `limit` control steps are an episode's time."""
+    """Record of a step from the environment's state after it; `limit` is the length of an episode in control steps."""
     done = after.terminated | after.truncated | after.diverged
     late = (after.count > limit // 2) & ~done
     return StepRecord(after.reward, after.distance, late, done, after.terminated, after.diverged)

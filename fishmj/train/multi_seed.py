@@ -1,6 +1,6 @@
 """Several seeds in one program: one compilation, one set of kernels, and on a GPU hardly slower than one run.
 
-Not resumable; for a run that must survive, train seed by seed.
+Not resumable; for a resumable run, train seed by seed.
 """
 
 import time
@@ -29,7 +29,7 @@ from fishmj.train.training_run import (
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path, command: str | None = None) -> list[dict]:
-    """Train one policy a seed side by side; returns the summaries that `TrainingRun.go` would give; command as there."""
+    """Trains one policy for each seed side by side; returns the summaries of `TrainingRun.go`; command as there."""
     settings = settled(settings)
     env, learner, assess = learner_of(settings)
     start = time.monotonic()
@@ -80,7 +80,7 @@ class Lane:
         write_settings(settings, folder)
 
     def judge(self, figures: dict, actors, i: int, done: int, own_reward: bool) -> None:
-        """Note an assessment; keep the actor, number i of the stacked ones, if it is the best so far."""
+        """Records an assessment; keeps the actor, number i of the stacked ones, if it is the best so far."""
         self.board.write(done, {f"tune_{k}": v for k, v in figures.items()})
         if is_better(figures, self.best, own_reward):
             self.best = figures

@@ -1,4 +1,4 @@
-"""What algorithms that learn from a replay buffer share: buffer, loop, metrics. SAC is in sac.py, its kin are alike.
+"""Common part of algorithms with a replay buffer: buffer, loop, metrics. SAC is in sac.py; similar algorithms look alike.
 
     class TD3(OffPolicy):
         name = "td3"
@@ -6,7 +6,7 @@
         def explore(self, agent, obs, key): ..          -> actions (B, J) in [-1, 1] for scaled observations
         def update(self, replay, agent, key): ..        -> (agent after one gradient step, loss)
 
-One environment step brings `utd` gradient steps a fish, after `warmup` control steps of random actions.
+Each environment step is followed by `utd` gradient steps for each fish, after `warmup` control steps of random actions.
 """
 
 from collections.abc import Callable
@@ -41,25 +41,25 @@ class ReplayBuffer(NamedTuple):
 
     @classmethod
     def empty(cls, capacity: int, n_obs: int, n_act: int) -> "ReplayBuffer":
-        """Room for `capacity` transitions."""
+        """Buffer with room for `capacity` transitions."""
         shapes = Transition((capacity, n_obs), (capacity, n_act), capacity, (capacity, n_obs), capacity)
         return cls(Transition(*map(jnp.zeros, shapes)), jnp.int32(0), jnp.int32(0))
 
     def add(self, transition: Transition) -> "ReplayBuffer":
-        """With B more transitions, in place of the oldest; the capacity is a multiple of B."""
+        """Buffer with B more transitions, in place of the oldest; the capacity is a multiple of B."""
         put = lambda array, rows: jax.lax.dynamic_update_slice_in_dim(array, rows, self.head, 0)
         n, capacity = len(transition.reward), len(self.data.reward)
         data = jax.tree.map(put, self.data, transition)
         return ReplayBuffer(data, jnp.minimum(self.size + n, capacity), (self.head + n) % capacity)
 
     def sample(self, key, n: int) -> Transition:
-        """n transitions, each drawn from all that are there."""
+        """Draws n transitions, each from all in the buffer."""
         rows = jax.random.randint(key, (n,), 0, self.size)
         return jax.tree.map(lambda array: array[rows], self.data)
 
 
 class OffPolicyTrainState(NamedTuple):
-    """Everything that a run needs to go on."""
+    """Complete state of a run."""
 
     agent: Any  # the algorithm's own: networks and the state of their optimisers
     replay: ReplayBuffer
@@ -70,12 +70,12 @@ class OffPolicyTrainState(NamedTuple):
 
     @property
     def actor(self):
-        """What is judged and written."""
+        """Network that is judged and written."""
         return self.agent.actor
 
 
 class OffPolicy:
-    """The loop of a `learner.Learner` with a replay buffer: `block` environment steps an iteration, learning after each."""
+    """Loop of a `learner.Learner` with a replay buffer: `block` environment steps an iteration, learning after each."""
 
     name: str
     init_agent: Callable[..., Any]  # the three that an algorithm writes
@@ -91,11 +91,12 @@ class OffPolicy:
         self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
 
     def diagnostics(self, agent) -> dict:
-        """Metrics of the algorithm's own."""
+        """Additional metrics of the algorithm."""
         return {}
 
     @partial(jax.jit, static_argnums=0)
     def init(self, key) -> OffPolicyTrainState:
+        """Fresh train state: networks, empty buffer, environments at random times of their episodes."""
         k_actor, k_critics, k_env, key, _ = jax.random.split(key, 5)
         agent = self.init_agent(k_actor, k_critics)
         replay = ReplayBuffer.empty(self.capacity, self.env.n_input, self.env.n_act)
@@ -103,17 +104,17 @@ class OffPolicy:
         return OffPolicyTrainState(agent, replay, self.env.reset(k_env, n, True), key, jnp.int32(0), EpisodeTally.start(jnp, n))
 
     def act(self, actor, obs):
-        """Deterministic action for raw observations."""
+        """Deterministic actions (B, J) for raw observations."""
         layers, activation = self.policy_layers(actor)
         return jnp.tanh(forward(layers, obs / self.obs_scale, activation))
 
     def policy_layers(self, actor) -> PolicyLayers:
-        """All of the actor, where it gives one number a joint."""
+        """Layers of the whole actor, for an actor with one output for each joint."""
         return PolicyLayers(actor, self.config.activation)
 
     @partial(jax.jit, static_argnums=0, donate_argnums=1)
     def iterate(self, state: OffPolicyTrainState):
-        """`block` environment steps, learning after each. Returns (train state, metrics as scalars)."""
+        """Does `block` environment steps, learning after each. Returns (train state, metrics as scalars)."""
         state, (record, loss) = jax.lax.scan(self._step, state, None, self.config.block)
         tally, ended = episode_metrics(state.tally, record)
         return state._replace(tally=tally), {
@@ -125,14 +126,14 @@ class OffPolicy:
 
     def _step(self, state: OffPolicyTrainState, _):
         c = self.config
-        # keys follow from the count of steps alone: a resumed run draws what the uninterrupted one would have drawn
+        # keys follow from the count of steps alone: a resumed run has the random draws of an uninterrupted one
         k_explore, k_random, k_update = jax.random.split(jax.random.fold_in(state.key, state.env_steps), 3)
         obs = state.env_state.obs / self.obs_scale
         warming_up = state.replay.size < min(c.warmup, self.capacity)
         random = jax.random.uniform(k_random, (c.envs, self.env.n_act), minval=-1.0)
         action = jnp.where(warming_up, random, self.explore(state.agent, obs, k_explore))
         after = self.env.step(state.env_state, action)
-        # a step that the physics lost is not stored: a sound fish's transition takes its place, so that B rows are written always
+        # a step with diverged physics is not stored: a sound fish's transition replaces it, so that B rows are always written
         rows = jnp.where(after.diverged, jnp.argmin(after.diverged), jnp.arange(c.envs))
         terminated = after.terminated.astype(jnp.float32)  # a time limit is no end: it bootstraps (arXiv 1712.00378)
         transition = Transition(obs, action, after.reward, after.final_obs / self.obs_scale, terminated)

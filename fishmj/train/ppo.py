@@ -4,7 +4,7 @@
     A_t = sum_k (gamma lambda)^k delta_{t+k},   delta_t = r_t + gamma V(s'_t) - V(s_t),   R_t = A_t + V(s_t)
 
 The action is tanh(u) with u ~ N(mu(s), sigma); u is stored, so the ratio needs no correction for tanh. An episode that ends
-because its time is up bootstraps from the observation before the restart; one that leaves the tank does not.
+at its time limit bootstraps from the observation before the restart; one that leaves the tank does not.
 """
 
 from functools import partial
@@ -24,7 +24,7 @@ SHUFFLE = 1_000_000_000  # added to the iteration's number: the keys of its mini
 
 
 class PPOTrainState(NamedTuple):
-    """Everything that a run needs to go on."""
+    """Complete state of a run."""
 
     actor: Any
     log_sigma: Any
@@ -49,7 +49,7 @@ class Batch(NamedTuple):
 
 
 class PPO:
-    """A `learner.Learner`: `iterate` collects one rollout and updates the networks `epochs` times over it."""
+    """PPO as a `learner.Learner`: `iterate` collects one rollout and updates the networks `epochs` times over it."""
 
     name = "ppo"
 
@@ -65,6 +65,7 @@ class PPO:
 
     @partial(jax.jit, static_argnums=0)
     def init(self, key) -> PPOTrainState:
+        """Fresh train state: networks, optimiser, environments at random times of their episodes."""
         k_actor, k_critic, k_env, key = jax.random.split(key, 4)
         c, env = self.config, self.env
         actor = mlp(k_actor, [env.n_input, *c.hidden, env.n_act])
@@ -74,21 +75,21 @@ class PPO:
         return PPOTrainState(actor, log_sigma, critic, opt_state, env.reset(k_env, c.envs, True), key, jnp.int32(0), tally)
 
     def act(self, actor, obs):
-        """Deterministic action for raw observations."""
+        """Deterministic actions (B, J) for raw observations."""
         return jnp.tanh(forward(actor, obs / self.obs_scale, self.config.activation))
 
     def policy_layers(self, actor) -> PolicyLayers:
-        """The actor is the mean of u."""
+        """Layers of the actor, which is the mean of u."""
         return PolicyLayers(actor, self.config.activation)
 
     def value(self, critic, obs, privileged_obs):
-        """V of scaled inputs; a plain critic does not see `privileged_obs`."""
+        """Value V of scaled inputs; a plain critic does not use `privileged_obs`."""
         x = jnp.concatenate([obs, privileged_obs], -1) if self.config.privileged else obs
         return forward(critic, x, self.config.activation)[..., 0]
 
     @partial(jax.jit, static_argnums=0, donate_argnums=1)
     def iterate(self, state: PPOTrainState):
-        """Collect a rollout, update on it. Returns (train state, metrics as scalars)."""
+        """Collects a rollout and updates on it. Returns (train state, metrics as scalars)."""
         env_state, batch, record = self.collect(state)
         (actor, log_sigma, critic), opt_state, (loss, kl) = self.update(state, batch)
         tally, ended = episode_metrics(state.tally, record)
@@ -102,7 +103,7 @@ class PPO:
         }
 
     def collect(self, state: PPOTrainState):
-        """Roll the policy out for `horizon` steps. Returns (environment's state, Batch, StepRecord)."""
+        """Rolls the policy out for `horizon` steps. Returns (environment's state, Batch, StepRecord)."""
         c = self.config
         sigma = jnp.exp(state.log_sigma)
 
@@ -111,10 +112,10 @@ class PPO:
             mu = forward(state.actor, obs, c.activation)
             u = mu + sigma * jax.random.normal(key, mu.shape)
             after = self.env.step(env_state, jnp.tanh(u))
-            # the environment has restarted ended episodes by itself: V(s') needs what was seen before the restart
+            # the environment has restarted ended episodes by itself: V(s') needs the observation before the restart
             next_obs, next_privileged_obs = after.final_obs / self.obs_scale, after.final_privileged / self.privileged_scale
             next_value = self.value(state.critic, next_obs, next_privileged_obs)
-            # only leaving the tank ends the task; where the time is up, the fish would have gone on (arXiv 1712.00378)
+            # only leaving the tank ends the task; at the time limit the fish would have continued (arXiv 1712.00378)
             next_value = jnp.where(after.terminated, 0.0, next_value)
             log_prob = gaussian(u, mu, state.log_sigma)
             value = self.value(state.critic, obs, privileged_obs)
@@ -135,13 +136,13 @@ class PPO:
         return env_state, Batch(obs, privileged_obs, u, log_prob, value, advantages, advantages + value), record
 
     def loss(self, networks, b: Batch):
-        """(loss, KL divergence from the policy that collected the batch)."""
+        """Loss, and KL divergence from the policy that collected the batch."""
         c = self.config
         actor, log_sigma, critic = networks
         log_prob = gaussian(b.u, forward(actor, b.obs, c.activation), log_sigma)
         log_ratio = jnp.clip(log_prob - b.log_prob, -FAR, FAR)
         ratio = jnp.exp(log_ratio)
-        # normalised in each minibatch: the step's size does not hang on the scale of the reward
+        # normalised in each minibatch: the step size does not depend on the scale of the reward
         advantages = (b.advantages - b.advantages.mean()) / (b.advantages.std() + 1e-6)
         surrogate = jnp.minimum(ratio * advantages, jnp.clip(ratio, 1 - c.clip, 1 + c.clip) * advantages).mean()
         value_loss = jnp.square(self.value(critic, b.obs, b.privileged_obs) - b.returns).mean()
@@ -150,7 +151,7 @@ class PPO:
         return -surrogate + c.value_weight * value_loss - c.entropy * entropy, kl
 
     def update(self, state: PPOTrainState, batch: Batch):
-        """`epochs` passes over the batch. Returns ((actor, log_sigma, critic), optimiser's state, (losses, KL))."""
+        """Does `epochs` passes over the batch. Returns ((actor, log_sigma, critic), optimiser's state, (losses, KL))."""
         c = self.config
         batch = jax.tree.map(lambda a: a.reshape((-1,) + a.shape[2:]), batch)  # of (T, B) rows; none needs its neighbour now
         size = self.steps_per_iteration // c.minibatches
@@ -166,7 +167,7 @@ class PPO:
             order = jax.random.permutation(key, self.steps_per_iteration)
             return jax.lax.scan(minibatch, carry, order.reshape(c.minibatches, size))
 
-        # keys follow from the iteration's number alone: a resumed run draws what the uninterrupted one would have drawn
+        # keys follow from the iteration's number alone: a resumed run has the random draws of an uninterrupted one
         keys = jax.random.split(jax.random.fold_in(state.key, state.iteration + SHUFFLE), c.epochs)
         start = ((state.actor, state.log_sigma, state.critic), state.opt_state)
         (networks, opt_state), diagnostics = jax.lax.scan(epoch, start, keys)

@@ -1,9 +1,9 @@
 """Soft actor-critic by stable-baselines3 (extra `sb3`), with the paper's networks, on the same fish, into the same policy file.
 
-`StableSAC` gives SB3's learner the interface of our own (`init`, `iterate`, `act`), so that `TrainingRun` serves it too: progress
+`StableSAC` gives SB3's learner the interface of our own (`init`, `iterate`, `act`), so that `TrainingRun` also runs it: progress
 line, assessment on the tuning flows, export, Ctrl-C, a full disk. SB3's own checkpoints are pickles; here a checkpoint holds
 the tensors only: networks, optimisers, temperature. The replay buffer is NOT kept: a resumed run first refills `warmup` steps
-of it with the present policy, without learning, and so does not repeat the uninterrupted run to the bit.
+of it with the present policy, without learning. It therefore does not repeat the uninterrupted run to the bit.
 """
 
 from typing import Any, NamedTuple
@@ -39,11 +39,11 @@ UPDATES = 256  # gradient steps between two reports, about
 
 
 class FishVecEnv(VecEnv):
-    """n fish with the run's task, reward and engine (any engine, MuJoCo's `batch` too), seen as the trained policy sees them.
+    """n fish with the run's task, reward and engine (any engine, MuJoCo's `batch` too), with the policy's input as observation.
 
     Observations are scaled to order one (`networks.input_scale`), hidden groups are zero, and with memory m > 1 the newest is
-    followed by m - 1 pairs (action, observation) back in time. An episode whose time is up carries `TimeLimit.truncated`, so
-    that it bootstraps from `terminal_observation`; one that left the tank does not. `tally`: steps since the last `metrics`.
+    followed by m - 1 pairs (action, observation) back in time. An episode that ends at its time limit has `TimeLimit.truncated`,
+    so that it bootstraps from `terminal_observation`; one that left the tank does not. `tally`: steps since the last `metrics`.
     """
 
     def __init__(self, settings: Settings, n: int, box: str = "train", reward_scale: float = 1.0):
@@ -63,7 +63,7 @@ class FishVecEnv(VecEnv):
         self.ended: list[dict] = []  # infos of the episodes that ended
 
     def reset(self) -> np.ndarray:
-        """Start all episodes, with the seeds that `seed` set."""
+        """Starts all episodes, with the seeds that `seed` set."""
         seeds = None if self._seeds[0] is None else self._seeds
         raw, _ = self.fish.reset(seed=seeds)
         self._reset_seeds()
@@ -72,16 +72,16 @@ class FishVecEnv(VecEnv):
         return self.seen
 
     def seed(self, seed: int | None = None):
-        """Seeds of the fish at the next reset, unlike those of any other `seed` (SB3's own are seed, seed + 1, ...)."""
+        """Sets the seeds of the fish at the next reset, unlike those of any other `seed` (SB3's own are seed, seed + 1, ...)."""
         self._seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(self.num_envs)]
         return self._seeds
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the actions (n, J) in [-1, 1]."""
+        """Stores the actions (n, J) in [-1, 1] for `step_wait`."""
         self._actions = np.asarray(actions, np.float32)
 
     def step_wait(self):
-        """One control step of all fish: (observations, rewards, dones, infos)."""
+        """Does one control step of all fish: (observations, rewards, dones, infos)."""
         raw, reward, terminated, truncated, info = self.fish.step(self._actions)
         over = terminated | truncated
         last, ended = raw, info.get("final_info", info)  # of fish that restart, `info` is that of the new episode
@@ -110,7 +110,7 @@ class FishVecEnv(VecEnv):
         return seen.copy(), (self.reward_scale * reward).astype(np.float32), over, infos
 
     def metrics(self) -> dict[str, float]:
-        """Metrics of the steps since the last call, as the other learners report them."""
+        """Metrics of the steps since the last call, in the form of the other learners."""
         record = StepRecord(*(np.stack(a) for a in zip(*self.tally, strict=True)))
         ended = [one for one in self.ended if not one["diverged"]]
         self.tally, self.ended = [], []
@@ -120,34 +120,34 @@ class FishVecEnv(VecEnv):
         return {**metrics_of(np, record), **means}
 
     def _start(self, raw: np.ndarray) -> np.ndarray:
-        """The input at the start of an episode: as if the fish had always been here, at rest."""
+        """Input at the start of an episode, as if the fish had always rested here."""
         sight = raw * self.factor
         pair = np.concatenate([np.zeros((self.num_envs, self.joints), np.float32), sight], 1)
         return np.concatenate([sight] + [pair] * (self.memory - 1), 1)
 
     def close(self) -> None:
-        """Free the environment."""
+        """Frees the environment."""
         self.fish.close()
 
     def get_attr(self, attr_name: str, indices=None) -> list:
-        """The attribute of the shoal, once for each fish asked for."""
+        """Attribute of the whole environment, once for each requested fish."""
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value, indices=None) -> None:
-        """Set an attribute of the shoal: the fish have none of their own."""
+        """Sets an attribute of the whole environment: the fish have none of their own."""
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *method_args, indices=None, **method_kwargs) -> list:
-        """Call a method of the shoal once."""
+        """Calls a method of the whole environment once."""
         return [getattr(self, method_name)(*method_args, **method_kwargs)] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
-        """No: these are no gymnasium environments, but `infos` has the episodes as SB3's Monitor writes them."""
+        """Returns False for each fish: the fish are not gymnasium environments. `infos` has the episodes as SB3's Monitor."""
         return [False] * len(list(self._get_indices(indices)))
 
 
 def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool = False, command: str | None = None) -> dict:
-    """Train with stable-baselines3; returns the summary of `TrainingRun`. Arguments and errors as there."""
+    """Trains with stable-baselines3; returns the summary of `TrainingRun`. Arguments and errors as there."""
     config = config_of(settings)
     shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
     learner = StableSAC(shoal, config, settings.steps)
@@ -166,7 +166,7 @@ def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool =
 
 
 class SB3TrainState(NamedTuple):
-    """What a checkpoint keeps."""
+    """State that a checkpoint keeps."""
 
     actor: list  # (weights (in, out), bias) of the mean of u
     tensors: dict  # everything of SB3's, by name
@@ -187,7 +187,7 @@ class StableSAC:
         self._now: SB3TrainState | None = None
 
     def init(self, key) -> SB3TrainState:
-        """A fresh learner; the seed is the key's."""
+        """Fresh learner; its seed is the key's."""
         c = self.config
         activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[c.activation]
         self.seed = int(jax.random.key_data(key)[-1])
@@ -211,21 +211,21 @@ class StableSAC:
         return self._taken()
 
     def iterate(self, training: SB3TrainState) -> tuple[SB3TrainState, dict]:
-        """`block` steps of the shoal, learning after each. Returns (train state, metrics)."""
+        """Does `block` steps of all fish, learning after each. Returns (train state, metrics)."""
         if training is not self._now:
             self._put(training)
-        # SB3 adds the steps that are done to the total that it is asked for
+        # SB3 adds the steps already done to the requested total
         self.model.learn(self.steps_per_iteration, reset_num_timesteps=False, log_interval=None)
         said = self.model.logger.name_to_value
         alpha = float(torch.exp(self.model.log_ent_coef.detach()))
         return self._taken(), {**self.shoal.metrics(), "alpha": alpha, "loss": float(said.get("train/critic_loss", 0.0))}
 
     def act(self, actor, obs):
-        """Deterministic action for raw observations, in JAX."""
+        """Deterministic actions (B, J) for raw observations, in JAX."""
         return jnp.tanh(forward(actor, obs / jnp.asarray(self.scale, jnp.float32), self.config.activation))
 
     def policy_layers(self, actor) -> PolicyLayers:
-        """The actor is the mean of u."""
+        """Layers of the actor, which is the mean of u."""
         return PolicyLayers(actor, self.config.activation)
 
     def _optimisers(self) -> dict[str, Any]:
@@ -233,7 +233,7 @@ class StableSAC:
         return {"actor": m.actor.optimizer, "critic": m.critic.optimizer, "alpha": m.ent_coef_optimizer}
 
     def _taken(self) -> SB3TrainState:
-        """The learner as NumPy arrays (copies)."""
+        """State of the learner as NumPy arrays (copies)."""
         take = lambda t: t.detach().cpu().numpy().copy()
         m, actor = self.model, self.model.actor
         tensors = {f"policy.{k}": take(v) for k, v in m.policy.state_dict().items()}
@@ -248,7 +248,7 @@ class StableSAC:
         return self._now
 
     def _put(self, training: SB3TrainState) -> None:
-        """Go on from these tensors, with an empty replay buffer and fresh episodes."""
+        """Continues from these tensors, with an empty replay buffer and fresh episodes."""
         m = self.model
         tensor = {k: torch.tensor(np.asarray(v), device=m.device) for k, v in training.tensors.items()}
         m.policy.load_state_dict({k.removeprefix("policy."): v for k, v in tensor.items() if k.startswith("policy.")})
@@ -269,7 +269,7 @@ class RefillCallback(SAC):
     """SB3's SAC that learns only while its buffer holds `learning_starts` steps: a resumed one refills it first."""
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """As SAC's."""
+        """Trains as SB3's SAC, if the buffer holds enough steps."""
         if self.replay_buffer.size() * self.n_envs >= self.learning_starts:
             super().train(gradient_steps, batch_size)
 
@@ -278,7 +278,7 @@ class FiniteReplayBuffer(ReplayBuffer):
     """A replay buffer without dropped steps: the transition of a sound fish takes the place of one that diverged."""
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
-        """As ReplayBuffer's."""
+        """Adds transitions as SB3's ReplayBuffer, with those of diverged fish replaced."""
         bad = np.array([info.get("diverged", False) for info in infos])
         if bad.all():
             return

@@ -1,4 +1,4 @@
-"""What a training run is: presets, everything that can be changed, and how it is written to disk at the start."""
+"""Settings of a training run: presets, all options, and the file that is written at the start."""
 
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields, replace
 from importlib import import_module
@@ -18,7 +18,7 @@ REWARD = ("wG", "wD", "wS")
 
 
 class Registered(NamedTuple):
-    """Where a learning algorithm is found. `module:Class` each; nothing is imported before it is asked for."""
+    """Place of a learning algorithm, `module:Class` each; nothing is imported before it is used."""
 
     config: str  # dataclass of its hyperparameters
     learner: str  # a train.learner.Learner
@@ -36,13 +36,13 @@ ALGORITHMS = {  # an algorithm is its file and a line here
 
 
 def referred(text: str) -> Any:
-    """Returns what `module:Name` of the register names."""
+    """Returns the object that `module:Name` of the register names."""
     module, _, name = text.partition(":")
     return getattr(import_module(module), name)
 
 
 def told(value: Any, kind: Any) -> str:
-    """A value of a hyperparameter as its option takes it."""
+    """Value of a hyperparameter in the form of its option."""
     if isinstance(value, bool):
         return kind.known[value]
     return ",".join(map(str, value)) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
@@ -59,7 +59,7 @@ class Hyperparameter(NamedTuple):
 
 
 def hyperparameters() -> dict[str, Hyperparameter]:
-    """Every hyperparameter of the registered algorithms by the name of its field, as `setting` declares it."""
+    """Hyperparameters of the registered algorithms by the name of their field, as `setting` declares them."""
     found: dict[str, dict[str, Field]] = {}
     for algo, entry in ALGORITHMS.items():
         for name, one in declared(referred(entry.config)).items():
@@ -75,7 +75,7 @@ def hyperparameters() -> dict[str, Hyperparameter]:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """One run. `task` goes to tasks.env.Options, `algorithm` to the settings of the algorithm."""
+    """Settings of one run. `task` is passed to tasks.env.Options, `algorithm` to the settings of the algorithm."""
 
     preset: str = "quick"
     algo: str = "ppo"
@@ -123,14 +123,14 @@ ON_MJX = {"paper": {"envs": 16384}}  # of a preset: with 8,192 fish MJX trained 
 
 
 def preset(name: str) -> Settings:
-    """A preset by name. Raises UnknownName."""
+    """Settings of a preset by name. Raises UnknownName."""
     if name not in PRESETS:
         raise UnknownName("preset", name, PRESETS)
     return PRESETS[name]
 
 
 def change(settings: Settings, **changes) -> Settings:
-    """A copy with top-level fields replaced and `task`, `algorithm`, `reward` merged."""
+    """Copy of the settings with top-level fields replaced and `task`, `algorithm`, `reward` merged."""
     known = {f.name for f in fields(Settings)}
     for key in changes:
         if key not in known:
@@ -152,20 +152,20 @@ def change(settings: Settings, **changes) -> Settings:
 
 
 def as_dict(settings: Settings) -> dict:
-    """Plain types, for JSON."""
+    """Settings as plain types, for JSON."""
     listed = lambda v: list(v) if isinstance(v, tuple) else v
     return {k: {a: listed(b) for a, b in v.items()} if isinstance(v, dict) else v for k, v in asdict(settings).items()}
 
 
 def from_dict(table: dict) -> Settings:
-    """The inverse of `as_dict`."""
+    """Inverse of `as_dict`."""
     tupled = lambda v: tuple(v) if isinstance(v, list) else v
     values: dict[str, Any] = {k: {a: tupled(b) for a, b in v.items()} if isinstance(v, dict) else v for k, v in table.items()}
     return Settings(**values)
 
 
 def of_run(folder: Path) -> Settings | None:
-    """The settings that the run in a folder has written; None where there are none. Raises StoreError, ConfigError."""
+    """Settings that the run in a folder has written; None if there are none. Raises StoreError, ConfigError."""
     path = folder / FILE
     if not path.is_file():
         return None
@@ -183,14 +183,14 @@ def _is(value: Any, kind: type) -> bool:
 
 
 def own_code(settings: Settings) -> dict[str, str]:
-    """Option -> name of what is not fishmj's own code in a run."""
+    """Option -> name of the user's own code in a run."""
     course = settings.task.get("course", "station_hold")
     own = {"--algo": settings.algo if settings.algo not in ALGORITHMS else "", "--task": course if course not in COURSES else ""}
     return {option: name for option, name in own.items() if name}
 
 
 def same(folder: Path, mine: Settings, theirs: dict) -> None:
-    """Refuse to go on with a run under other settings than its own, `theirs` as in its files.
+    """Refuses to continue a run with settings other than its own, `theirs` as in its files.
 
     Raises:
         ConfigError: with both values of those that differ.
@@ -204,6 +204,6 @@ def same(folder: Path, mine: Settings, theirs: dict) -> None:
 
 
 def flat(table: dict) -> dict:
-    """`{"task": {"memory": 8}}` -> `{"task.memory": 8}`."""
+    """Flattened table: `{"task": {"memory": 8}}` -> `{"task.memory": 8}`."""
     nested = {f"{k}.{a}": b for k, v in table.items() if isinstance(v, dict) for a, b in v.items()}
     return {k: v for k, v in table.items() if not isinstance(v, dict)} | nested

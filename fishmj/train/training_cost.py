@@ -1,4 +1,4 @@
-"""What a training run takes, before anything is compiled: time from the rates of engine and arithmetic, memory from its arrays.
+"""Cost of a training run before compilation: time from the rates of engine and arithmetic, memory from its arrays.
 
     seconds = steps (1 / engine + operations a step / arithmetic)
 
@@ -25,10 +25,10 @@ ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of 
 
 
 def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
-    """Have a run agreed to that takes more than a week, or more memory than there is.
+    """Asks before a run of more than a week or more memory than there is; without a terminal it raises TooMuch.
 
     Raises:
-        TooMuch: nobody agreed. UnknownName, ConfigError: a setting that cannot be.
+        TooMuch: the user did not agree. UnknownName, ConfigError: an invalid setting.
     """
     config = config_of(settings)
     if not (hasattr(config, "operations") and hasattr(config, "bytes")):
@@ -42,7 +42,7 @@ def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
 
 
 def seconds(settings: Settings) -> float:
-    """Of one run, assessments left out, on this machine."""
+    """Time of one run on this machine, s, without assessments."""
     kind = _kind()
     cores = usable_cores() if kind == CPU else 1
     work = config_of(settings).operations(widths(settings))
@@ -51,7 +51,7 @@ def seconds(settings: Settings) -> float:
 
 
 def widths(settings: Settings) -> tuple[int, int, int]:
-    """Numbers in an observation, in the policy's input, and in an action."""
+    """Widths of an observation, of the policy's input, and of an action."""
     joints, memory = load_robot(settings.robot).n_joints, settings.task.get("memory", 1)
     seen = 5 + 2 * joints
     return seen, memory * seen + (memory - 1) * joints, joints
@@ -64,7 +64,7 @@ def _kind() -> str:
 
 
 def _memory() -> float | None:
-    """Bytes of the accelerator; None on a CPU: those of the machine."""
+    """Memory of the accelerator, bytes; None on a CPU, which has the machine's."""
     import jax
 
     stats = {} if _kind() == CPU else jax.devices()[0].memory_stats() or {}

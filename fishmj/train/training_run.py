@@ -1,7 +1,7 @@
-"""One training run: the loop, its checkpoints, and everything that can go wrong with it.
+"""One training run: the loop, its checkpoints, and the handling of all failures.
 
 A run is a folder: settings.json, metrics.jsonl (one line an iteration), checkpoints/, best.safetensors and last.safetensors.
-Killed at any point it goes on from the newest complete checkpoint, on the CPU to the same bits. A full disk pauses it.
+After a kill at any point it resumes from the newest complete checkpoint, on the CPU to the same bits. A full disk pauses it.
 """
 
 import errno
@@ -51,7 +51,7 @@ ADDED = ".tally"  # leaves that checkpoints of earlier versions lack; they begin
 
 
 def arrays_of(tree) -> dict[str, np.ndarray]:
-    """Every leaf of a pytree under its path; random keys as their bits."""
+    """Leaves of a pytree under their paths; random keys as their bits."""
     out = {}
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
@@ -61,7 +61,7 @@ def arrays_of(tree) -> dict[str, np.ndarray]:
 
 
 def stored_name(name: str, arrays: dict) -> str:
-    """The name of a leaf in a checkpoint, which may be from a version that called it otherwise."""
+    """Name of a leaf in a checkpoint, which may be from a version with another name."""
     if name in arrays:
         return name
     now, then = next(((now, then) for now, then in FORMER.items() if name.startswith(now)), ("", ""))
@@ -69,7 +69,7 @@ def stored_name(name: str, arrays: dict) -> str:
 
 
 def tree_of(arrays: dict[str, np.ndarray], like):
-    """The inverse of `arrays_of`. Raises ConfigError when the checkpoint belongs to another set-up."""
+    """Inverse of `arrays_of`. Raises ConfigError if the checkpoint belongs to another set-up."""
     paths, shape = jax.tree_util.tree_flatten_with_path(like)
     leaves = []
     for path, leaf in paths:
@@ -88,7 +88,7 @@ def tree_of(arrays: dict[str, np.ndarray], like):
 
 
 class Assessment:
-    """Whole episodes of 30 s without exploration, on flows that training never saw. One jitted function."""
+    """Whole episodes of 30 s without exploration, on flows not used in training. One jitted function."""
 
     def __init__(self, env: StationHold, act, episodes: int = 256):
         self.env, self.act, self.episodes = env, act, episodes
@@ -123,9 +123,9 @@ class Assessment:
 
 @contextmanager
 def stop_on_signal(words: interrupt.Words = str):
-    """A list that fills on Ctrl-C or SIGTERM instead of an exception in the middle of an update.
+    """Yields a list that fills on Ctrl-C or SIGTERM, instead of an exception in the middle of an update.
 
-    words: of `interrupt.finishing`, for an update that takes longer than an interrupt may.
+    words: text of `interrupt.finishing`, for an update that takes longer than an interrupt may.
     """
     asked: list[int] = []
     old = {}
@@ -143,10 +143,10 @@ def stop_on_signal(words: interrupt.Words = str):
 
 
 def when_there_is_room(write: Callable[[], object], asked: list) -> bool:
-    """Call `write()`; on a full disk say what it needs, wait and try again.
+    """Calls `write()`; on a full disk prints the space needed, waits and tries again.
 
     Returns:
-        True when it is written; False when a stop was asked for while there was no room. Any other failure is raised.
+        True when it is written; False when a stop was requested while there was no room. Any other failure is raised.
     """
     waiting = False
     while True:
@@ -171,11 +171,11 @@ def when_there_is_room(write: Callable[[], object], asked: list) -> bool:
 
 
 class MetricsLog:
-    """metrics.jsonl: one line of figures an iteration, whole or not at all; TensorBoard events where tensorboardX is installed.
+    """metrics.jsonl: one complete line of figures an iteration; TensorBoard events if tensorboardX is installed.
 
-    A run that goes on from step `after` drops the lines beyond it: it will write them again.
+    A run that resumes from step `after` drops the lines beyond it, and writes them again.
 
-    assessed: the step of the last assessment that the run goes on from; lines of later ones are dropped, too.
+    assessed: step of the last assessment before the resumed step; lines of later ones are also dropped.
     """
 
     def __init__(self, folder: Path, after: int = 0, assessed: int = 0):
@@ -191,7 +191,7 @@ class MetricsLog:
             self.events = SummaryWriter(str(folder / "events"))
 
     def write(self, step: int, figures: dict) -> None:
-        """Append one line. Raises OSError, with the file as it was, when there is no room for all of it."""
+        """Appends one line. Raises OSError, with the file unchanged, if there is no room for all of it."""
         line = (json.dumps({"step": step, **figures}) + "\n").encode()
         with open(self.path, "ab", buffering=0) as lines:
             size = os.fstat(lines.fileno()).st_size
@@ -207,7 +207,7 @@ class MetricsLog:
 
 
 def _until(step: int, assessed: int, text: str) -> list[str]:
-    """The lines up to `step`, those of assessments up to `assessed`; a last line that a kill cut short is none."""
+    """Lines up to `step`, those of assessments up to `assessed`; an incomplete last line is dropped."""
     whole = [line + "\n" for line in text.split("\n")[:-1]]
     rows = [json.loads(line) for line in whole]
     last = [assessed if any(key.startswith("tune_") for key in row) else step for row in rows]
@@ -215,10 +215,10 @@ def _until(step: int, assessed: int, text: str) -> list[str]:
 
 
 class TrainingRun:
-    """Train one policy. `TrainingRun(settings, folder).go()` returns the summary dict.
+    """Trains one policy. `TrainingRun(settings, folder).go()` returns the summary dict.
 
-    command: as it was typed, for the header of the policy; a run that goes on keeps its first one. None: called from Python.
-    begin: policy whose network a fresh run begins with, `settings` as `begin.begin_with` makes them.
+    command: as it was typed, for the header of the policy; a resumed run keeps its first one. None: called from Python.
+    begin: policy whose network is the start of a fresh run, with `settings` from `begin.begin_with`.
     stop_when: predicate on the figures of an `Assessment`; the run ends at the first best assessment that satisfies it.
     """
 
@@ -262,7 +262,7 @@ class TrainingRun:
         write_settings(self.settings, self.folder)
 
     def go(self) -> dict:
-        """Train to the end, until `stop_when` holds, or to Ctrl-C; the summary says whether Ctrl-C ended it."""
+        """Trains to the end, until `stop_when` holds, or to Ctrl-C; the summary states if Ctrl-C ended it."""
         s = self.settings
         start, saved = time.monotonic() - self.seconds, time.monotonic()
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
@@ -294,12 +294,15 @@ class TrainingRun:
         return self.best is not None and self.stop_when(self.best)
 
     def _assessment_is_due(self) -> bool:
-        """At the first iteration past a multiple of `assess_every`, and at the end; also where an interrupt came before it."""
+        """Returns True if an assessment is due.
+
+        That is the first iteration past a multiple of `assess_every`, and the end; also if an interrupt came before it.
+        """
         every = self.settings.assess_every
         return self.done > self.assessed and (self.done // every > self.assessed // every or self.done >= self.settings.steps)
 
     def _judge(self, board: MetricsLog, write: Callable) -> None:
-        """Assess, note it, keep the best policy; only then the run has it behind it."""
+        """Assesses, records, and keeps the best policy; only then the assessment counts as done."""
         began = time.monotonic()
         with self.bar.aside("" if self.quiet or self._looked else "compiling the assessment"):
             figures, better = self._look()
@@ -311,7 +314,7 @@ class TrainingRun:
         self.assessed = self.done
 
     def _iterate(self) -> dict[str, float]:
-        """One iteration; it takes the state apart, so a slow one has a copy held of where it began."""
+        """Does one iteration; it consumes the state, so a slow one keeps a copy of its start."""
         began = time.monotonic()
         if self._pace > SLOW:
             self._held = self._state()
@@ -322,7 +325,7 @@ class TrainingRun:
         return figures
 
     def _last_words(self) -> str:
-        """Called in another thread on an interrupt that an iteration keeps waiting: saves where that began."""
+        """Saves the start of a long iteration on an interrupt; called in another thread."""
         with self._saving:
             held = self._held or (None if self._under_way else self._state())
             newest = next((int(path.stem[5:]) for path in self.checkpoints.paths()), 0)
@@ -334,7 +337,7 @@ class TrainingRun:
         return go_on(self.folder, newest, self.settings)
 
     def _look(self) -> tuple[dict, bool]:
-        """Judge the present actor on the tuning flows: figures for the board, and whether it is the best so far."""
+        """Judges the present actor on the tuning flows: figures for the log, and True if it is the best so far."""
         self._looked = True
         figures = self.assess(self.training.actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
@@ -348,7 +351,7 @@ class TrainingRun:
         export(self.algorithm.policy_layers(self.training.actor), self.settings, meta, self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:
-        """Stop on non-finite learning or on too many dropped episodes; what was saved stays."""
+        """Stops on learning that is not finite or on too many dropped episodes; saved files stay."""
         self._finite(figures)
         self.episodes += int(figures["episodes"])
         self.dropped += int(figures["diverged"])
@@ -360,7 +363,7 @@ class TrainingRun:
             )
 
     def _finite(self, table: dict) -> None:
-        """Raise when one of the named figures or arrays is not finite."""
+        """Raises an error if one of the named figures or arrays is not finite."""
         if bad := [k for k, v in table.items() if not np.isfinite(v).all()]:
             raise SimDiverged(
                 f"training: {', '.join(bad[:3])} became non-finite at step {self.done:,}; the newest checkpoint in "
@@ -369,7 +372,7 @@ class TrainingRun:
             )
 
     def _state(self) -> tuple[dict, dict]:
-        """Arrays and meta of a checkpoint."""
+        """Arrays and metadata of a checkpoint."""
         arrays = arrays_of(self.training)
         self._finite(arrays)  # a last update can spoil the weights after the figures were taken
         return arrays, {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in PROGRESS}}
@@ -384,24 +387,24 @@ class TrainingRun:
             found = self.checkpoints.latest()
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
-        # the checkpoint's own settings, not those of settings.json: a resumed run may have written that anew already
+        # the checkpoint's own settings, not those of settings.json, which a resumed run may have rewritten already
         same(self.folder, self.settings, as_dict(settled(from_dict(found.meta["settings"]))))
-        # the fresh state says which leaves, shapes and dtypes there must be; the key among them makes all later draws the same
+        # the fresh state defines the leaves, shapes and dtypes; the key among them makes all later draws the same
         self.training = tree_of(found.arrays, self.training)
-        # counts of the run, not of the learner: without them a resumed run would assess, and stop, at other steps
+        # counts of the run, not of the learner: without them a resumed run would assess and stop at other steps
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
         self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
         if found.note:
             console.warn(found.note)
-            # newer than the one that was read, and damaged: kept for whoever wants to know, but never tried again
+            # newer than the one that was read, and damaged: kept for inspection, but never tried again
             for path in self.checkpoints.paths():
                 if path.name > found.path.name:
                     path.rename(path.with_suffix(".damaged"))
 
 
 def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) -> None:
-    """Write a policy file that says how it was trained."""
+    """Writes a policy file with a header about its training."""
     said = as_dict(settings)
     made = {"engine": pick_engine(settings), "preset": settings.preset, "task": said["task"], "reward": said["reward"]}
     made |= {"hyperparameters": said["algorithm"], MADE_BY: made_by(*PACKAGES)}
@@ -409,12 +412,12 @@ def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) ->
 
 
 def write_settings(settings: Settings, folder: Path) -> None:
-    """Write the run's file of settings: all of them, the seed, and the versions that made it."""
+    """Writes the run's file of settings: all of them, the seed, and the versions."""
     store.write_json(folder / FILE, as_dict(settings) | {MADE_BY: made_by(*PACKAGES)})
 
 
 def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best: dict | None, stopped: bool) -> dict:
-    """What a run, or one seed of several, tells at its end."""
+    """Summary of a run, or of one seed of several, at its end."""
     policies = [folder / f"{name}.safetensors" for name in ("best", "last")]
     return {
         "folder": str(folder),
@@ -431,21 +434,23 @@ def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best
 
 
 def go_on(folder: Path, done: int, settings: Settings) -> str:
-    """What an interrupted run says."""
+    """Text of an interrupted run: its state and the command that resumes it."""
     own = [word for pair in own_code(settings).items() for word in pair]  # which only a command line may name
     command = shlex.join(["fishmj", "train", "--resume", "--out", str(folder), *own])
     return f"{folder} holds the run up to step {done:,}; go on with: {command}"
 
 
 def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> bool:
-    """Whether an assessment beats the best so far: staying in the tank counts first (99 % will do), then holding close; under a
-    reward of the task's own its return alone."""
+    """Returns True if an assessment beats the best so far: first by staying in the tank (99 % is enough), then by distance.
+
+    Under a reward of the task's own only the return counts.
+    """
     rank = lambda f: (f["return"],) if own_reward else (min(0.99, f["stayed"]), -f["rmse_last10"])
     return best is None or rank(figures) >= rank(best)
 
 
 def learner_of(settings: Settings):
-    """(environment, algorithm, assessment), to be shared by runs that differ in their seed only."""
+    """Environment, algorithm and assessment, to be shared by runs that differ in their seed only."""
     env = environment(settings)
     learner = algorithm(settings, env)
     return env, learner, Assessment(environment(settings, "tune"), learner.act, settings.assess_episodes)

@@ -9,8 +9,8 @@
 
     choice = chosen(robot, None)      Choice(kind, robot in that water, one line that says which it is)
 
-A description may state its water, `[water] model`; then that one is the default. `robot.water["model"]` holds what was chosen: a
-kind, or the name of the fitted water; without it nothing was chosen yet.
+A description may state its water, `[water] model`; then that one is the default. `robot.water["model"]` holds the chosen water, a
+kind or the name of the fitted water; the key is absent until a water is chosen.
 """
 
 from collections.abc import Collection
@@ -55,12 +55,13 @@ class Choice(NamedTuple):
     said: str  # one line for people
 
     def within(self, can: Collection[str], who: str) -> "Choice":
-        """This choice, for whoever can honour these kinds.
+        """Returns this choice if the caller supports its kind.
 
         Args:
-            who: its name, for the message.
+            can: kinds that the caller supports.
+            who: name of the caller, for the message.
         Raises:
-            ConfigError: it cannot honour this one; says what would.
+            ConfigError: the caller does not support this water; lists those that it does.
         """
         if self.kind not in can:
             raise ConfigError(
@@ -70,7 +71,7 @@ class Choice(NamedTuple):
 
 
 def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
-    """The water asked for; None: what the description states, else the fitted water where this body has one.
+    """Water that the option selects; None: the one that the description states, else the fitted water if this body has one.
 
     Raises:
         UnknownName, StoreError: no such water. ConfigError: none is fitted for this body, or one for another body or time step.
@@ -93,7 +94,7 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
 
 
 def _with(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
-    """The robot with other coefficients; those of its description stay with it: it can be told from others, and put back."""
+    """Robot with other coefficients; it keeps those of its description, so that it can be recognised and restored."""
     described = robot.water.get(OWN, robot.water)
     kept = {key: described[key] for key in ("stations",) if key in described}
     return replace(robot, water={**coefficients, **kept, "model": name, OWN: described})
@@ -102,20 +103,20 @@ def _with(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
 def in_water(
     robot: Robot, water: "str | Path | None" = None, *, can: Collection[str] = SELF_MADE, who: str = "this engine"
 ) -> Robot:
-    """The robot in the water asked for, as `chosen`; arguments and errors besides as `Choice.within`."""
+    """Robot in the water that the option selects, as `chosen`; further arguments and errors as `Choice.within`."""
     return chosen(robot, water).within(can, who).robot
 
 
 def as_described(robot: Robot, water: "str | Path" = STRUCTURED) -> Robot:
-    """The robot in the water that its description states, else in its own strips; a fitted one only where it is asked for.
+    """Robot in the water that its description states, else in its own strips; a fitted water only if it is named.
 
-    For what questions a description: the search, the calibration, the second robot.
+    For work that questions a description: the search, the calibration, the second robot.
     """
     return robot if canonical(water) == STRUCTURED else in_water(robot, water, who="what questions a description")
 
 
 def canonical(water: "str | Path | None") -> str | None:
-    """The name as it is written today; an old one is said once."""
+    """Present name of a water; warns once about an old name."""
     if water is None:
         return None
     name, member = split_member(str(water))
@@ -136,7 +137,7 @@ _TOLD: set[str] = set()
 
 
 def model_of(robot: Robot) -> "HydroModel | None":
-    """The fitted water that the robot swims in, or None. Raises UnknownName, StoreError, ConfigError: it cannot be read."""
+    """Fitted water of the robot, or None. Raises UnknownName, StoreError, ConfigError if it cannot be read."""
     name = label(robot)
     if name in (STRUCTURED, LBM, NONE):
         return None
@@ -144,7 +145,7 @@ def model_of(robot: Robot) -> "HydroModel | None":
 
 
 def _own(robot: Robot, name: str) -> str:
-    """`fitted` as the fitted water that the description states, else as the one of the robot's name; other names as they are.
+    """Resolves `fitted`: the fitted water that the description states, else the one of the robot's name; other names unchanged.
 
     Raises:
         ConfigError: there is none.
@@ -163,17 +164,17 @@ def _own(robot: Robot, name: str) -> str:
 
 
 def label(robot: Robot) -> str:
-    """The water of a robot as tables and logs hold it: a kind, or the name of the fitted water."""
+    """Water of a robot for tables and logs: a kind, or the name of the fitted water."""
     return canonical(robot.water.get("model")) or STRUCTURED
 
 
 def fit_it(robot: Robot) -> str:
-    """The command that fits a water for a robot."""
+    """Command that fits a water for a robot."""
     return f"python -m fishmj.hydro_fit --fish {'FILE' if robot.name not in calib.robots().values() else robot.name}"
 
 
 def fitted_for(robot: Robot) -> str | None:
-    """Name of the fitted water that lies ready for this body, or None."""
+    """Name of the fitted water for this body, or None if there is none."""
     if robot.name not in calib.waters():
         return None
     try:
@@ -193,7 +194,7 @@ def _fitted(robot: Robot, name: str) -> Choice:
 
 
 def _dry(robot: Robot) -> dict[str, Any]:
-    """Coefficients of no water at all."""
+    """Coefficients of zero: no water."""
     table = strip_forces.coefficients(robot.water, len(robot.links))._asdict()
     return {
         key: ([0.0] * len(value) if isinstance(value, list) else 0.0) if key in DRY else value for key, value in table.items()
@@ -201,7 +202,7 @@ def _dry(robot: Robot) -> dict[str, Any]:
 
 
 def residual_of(robot: Robot):
-    """The learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
+    """Learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
     model = model_of(robot)
     if model is None:
         return None
@@ -215,7 +216,7 @@ def residual_of(robot: Robot):
 
 @lru_cache(8)
 def fitted_water(name: str) -> "HydroModel":
-    """A fitted water by name or file."""
+    """Loads a fitted water by name or file."""
     from fishmj.water.hydro_model import HydroModel, shipped
 
     plain, _ = split_member(name)

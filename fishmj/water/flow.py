@@ -125,7 +125,7 @@ def table_of(preset: str, box: int = 0) -> tuple[np.ndarray, float]:
 
 
 def draw(xp, preset: str, table, cell, speed, direction, intensity, uniforms) -> Current:
-    """Realise the flow of B fish. uniforms: (B, 4) in [0, 1); speed m/s, direction rad (where the water moves to), (B,)."""
+    """Realises the flow of B fish. uniforms: (B, 4) in [0, 1); speed m/s, direction rad towards which the water moves, (B,)."""
     rows, cells = table.shape[0], table.shape[1]
     aligned = preset in ("vortex_street", "shear")
     angle = direction if aligned else 2 * pi * uniforms[:, 3]
@@ -169,7 +169,7 @@ def sample(xp, c: Current, points, tick):
 
 
 def shifted(c: Current, by, tick) -> Current:
-    """The same flow with another mean (NumPy): `by` (B, 2) m/s is added; the eddies are where they were at bus tick (B,)."""
+    """The same flow with another mean (NumPy): `by` (B, 2) m/s is added; at bus tick (B,) the eddies keep their places."""
     by, cos, sin = np.asarray(by, float), c.turn[:, 0], c.turn[:, 1]
     if c.table.ndim == 3:  # gusts are uniform: nothing rides on the mean
         return c._replace(mean=c.mean + by)
@@ -186,7 +186,7 @@ def _turned(xp, vectors, cos, sin):
 class Flow:
     """One background flow, reproducible from its numbers and the same on every water.
 
-    speed m/s; direction rad, where the water moves to, counter-clockwise from tank +x; intensity TI; box: table number.
+    speed m/s; direction rad, towards which the water moves, counter-clockwise from tank +x; intensity TI; box: table number.
     """
 
     speed: float = 0.0
@@ -203,7 +203,7 @@ class Flow:
 
     @property
     def mean(self) -> np.ndarray:
-        """(3,) m/s."""
+        """Mean velocity (3,) m/s."""
         return self.speed * np.array([np.cos(self.direction), np.sin(self.direction), 0.0])
 
     @property
@@ -216,7 +216,7 @@ class Flow:
         return stack([self])
 
     def uniforms(self) -> np.ndarray:
-        """The four draws in [0, 1) that fix slice, offset and rotation."""
+        """Four draws in [0, 1) that fix slice, offset and rotation."""
         return np.random.default_rng([77, self.seed]).random(4)
 
     def at(self, x, t: float) -> np.ndarray:
@@ -257,13 +257,13 @@ class Flow:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnFlow(Flow):
-    """A background flow that has been drawn already, in place of one drawn from a seed."""
+    """A background flow that has already been drawn, instead of one drawn from a seed."""
 
     drawn: Current  # a batch of one
 
     @classmethod
     def of(cls, drawn: Current, kind: Flow) -> "DrawnFlow":
-        """This draw, a batch of one, of the turbulence and box of `kind`."""
+        """Background flow with this draw, a batch of one, of the turbulence and box of `kind`."""
         u, v = (float(component) for component in drawn.mean[0])
         return cls(speed=np.hypot(u, v), direction=np.arctan2(v, u), turbulence=kind.turbulence, box=kind.box, drawn=drawn)
 
@@ -278,7 +278,7 @@ class DrawnFlow(Flow):
 
 
 def stack(flows: list[Flow]) -> Current:
-    """Several flows of one preset and box as one batch. Raises ConfigError: presets or boxes differ."""
+    """Several flows of one preset and box as one batch. Raises ConfigError if presets or boxes differ."""
     kinds = {(f.turbulence, f.box) for f in flows}
     if len(kinds) != 1:
         raise ConfigError(f"a batch of flows shares one turbulence preset and box, got {sorted(kinds)}")

@@ -2,11 +2,11 @@
 
     model = HydroModel.load("swift")            a shipped one, or a path to its .toml; "swift#2" is its member 2
     sw = model.swimmer(robot)                   the robot in this water
-    model.learnt                                the residual, None where there is none; `residual_hooks` puts it into a step
+    model.learnt                                the residual, or None; `residual_hooks` puts it into a step
     model.base_only                             the strip model fitted by itself, a water of its own
 
-The pair `<name>.toml`, `<name>.safetensors`: numbers that one may want to read in the first, weights in the second, whose sha256
-the first holds. Nothing in either can run code.
+A model is a pair of files: `<name>.toml` has the readable numbers and the sha256 of `<name>.safetensors`, which has the weights.
+Nothing in either can run code.
 """
 
 import hashlib
@@ -35,12 +35,15 @@ FOLDERS = calib.WATERS
 
 
 def robot_hash(robot: Robot) -> str:
-    """sha256 of everything that describes a robot but for its water: what a model must have been fitted for."""
+    """sha256 of everything that describes a robot except its water: a model holds the hash of its robot."""
     return hashlib.sha256(repr(replace(robot, water={"stations": robot.water.get("stations")})).encode()).hexdigest()
 
 
 def body_hash(robot: Robot) -> str:
-    """sha256 of what the water meets of a robot: lengths, sections, fins, water's density; not servo, masses or timing."""
+    """sha256 of the parts of a robot that matter to the water: lengths, sections, fins, water's density.
+
+    Not servo, masses or timing.
+    """
     links = [(link.length, link.sections, link.fin_from) for link in robot.links]
     parts = (links, robot.fins, robot.density_water, robot.water.get("stations", 6))
     return hashlib.sha256(repr(parts).encode()).hexdigest()
@@ -89,7 +92,7 @@ class Base(_Table):
 
 
 class CoefficientRow(_Table):
-    """What the data say about one coefficient."""
+    """Result of the fit for one coefficient."""
 
     value: float
     status: str
@@ -124,7 +127,7 @@ class WaterFile(_Table):
 
 
 def check(table: dict, where: str) -> None:
-    """Hold a parsed TOML against the schema.
+    """Checks a parsed TOML against the schema.
 
     Raises:
         DescriptionError: every key that does not fit, one line each.
@@ -147,14 +150,14 @@ class HydroModel:
     """One fitted water.
 
     Attributes:
-        body_sha256: of the body alone; "" in an older file, which holds for that very robot only.
+        body_sha256: hash of the body alone; "" in an older file, which is valid for that one robot only.
         base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
         alone: (1 + E, P) base and members of the strip model fitted without a residual.
-        learnt: the residual, or None. robot, robot_sha256: what it was fitted for. slip: of the flow solver it was fitted to.
-        dt: physics step of the fit, s. found: what the data say about each coefficient, by stage. dataset: sha256 and seconds.
+        learnt: the residual, or None. robot, robot_sha256: robot of the fit. slip: slip ratio of the flow solver in the fit.
+        dt: physics step of the fit, s. found: fit results of each coefficient, by stage. dataset: sha256 and seconds.
         band: (offset, share, spread) of the error bar by channel (prediction_interval.py), `band_alone` without the residual.
-        preview: fitted to the first part of a plan, or to a coarse small box: what it is off by is not what a whole fit would be.
-        scores: on the validation part. calibration: of the bands, by swims that the fit has not seen (prediction_interval.py).
+        preview: fitted to the first part of a plan, or to a coarse small box: its errors are not those of a complete fit.
+        scores: on the validation part. calibration: of the bands, on swims outside the fit (prediction_interval.py).
     """
 
     name: str
@@ -178,7 +181,7 @@ class HydroModel:
 
     @property
     def base_only(self) -> "HydroModel":
-        """The strip model alone, with the coefficients that suit it best."""
+        """Strip model alone, with the coefficients that fit best without a residual."""
         if self.learnt is None:
             return self
         water = unflat(self.alone[0].tolist())
@@ -186,7 +189,7 @@ class HydroModel:
 
     @property
     def sha256(self) -> str:
-        """Hex digest of what acts on a fish: coefficients and weights."""
+        """Hex digest of coefficients and weights."""
         digest = hashlib.sha256(repr([self.base, self.dt]).encode())
         for key, value in sorted(({} if self.learnt is None else residual_hooks.packed(self.learnt)).items()):
             digest.update(key.encode() + np.ascontiguousarray(value, np.float32).tobytes())
@@ -194,12 +197,12 @@ class HydroModel:
 
     @property
     def calibrated(self) -> dict[str, float]:
-        """Coefficients that the data identified; the others are numbers to swim with, not to quote."""
+        """Coefficients that the data identified; the others may be used but not quoted."""
         rows = {name: row for stage in self.found.values() for name, row in stage.get("parameters", {}).items()}
         return {name: row["value"] for name, row in rows.items() if row["status"] == "identified"}
 
     def swimmer(self, robot: Robot) -> planar_chain.Swimmer:
-        """The nominal robot in this water. The water belongs to the body: another servo, mass or timing leaves it as it is.
+        """Nominal robot in this water. The water belongs to the body: it is the same with another servo, mass or timing.
 
         Raises:
             ConfigError: the model was fitted for another body or another time step.
@@ -214,7 +217,7 @@ class HydroModel:
         return planar_chain.nominal(robot)._replace(water=self.base)
 
     def remark(self, robot: Robot) -> str:
-        """What is worth a word about this robot in this water; empty for the robot that it was fitted with."""
+        """Remark about this robot in this water; empty for the robot of the fit."""
         other = "" if robot_hash(robot) == self.robot_sha256 else "; fitted to this body with other servos, masses or timing"
         return f"; a preview, not fitted to a whole plan{other}" if self.preview else other
 
@@ -302,7 +305,7 @@ def _read(path: Path) -> HydroModel:
 
 
 def _finite(value):
-    """Without the nulls that TOML does not know."""
+    """Value without None, which TOML does not have."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items() if item is not None}
     return [_finite(item) for item in value if item is not None] if isinstance(value, list) else value

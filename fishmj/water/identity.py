@@ -1,4 +1,4 @@
-"""Which water a robot swims in, as the header of a policy holds it and as a judgement compares it."""
+"""Identity of a robot's water, for the header of a policy and the comparison in an evaluation."""
 
 import json
 from hashlib import sha256
@@ -9,10 +9,10 @@ from fishmj.water.choice import STRUCTURED, label, model_of
 
 
 def water_identity(robot: Robot) -> dict[str, str]:
-    """The water of a robot in names and one hash.
+    """Water of a robot as names and one hash.
 
     Returns:
-        {"name", "kind"} and, where something was fitted or stated, "sha256": of the coefficients of kind `structured`, of
+        {"name", "kind"} and, for fitted or stated coefficients, "sha256": of the coefficients of kind `structured`, of
         coefficients and weights of kind `fitted`, or `base` without the learnt residual.
     Raises:
         UnknownName, StoreError, ConfigError: there is no such fitted water, or its file cannot be read.

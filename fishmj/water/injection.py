@@ -4,11 +4,11 @@ MuJoCo calls `mjcb_passive` once per step, between the factorisation of M and th
     1. rebuilds M from the pose (mj_makeM), so that a second call or an extra mj_forward never adds twice,
     2. adds M_a and factors again (mj_factorM); Euler's implicit damping then works on M + M_a as well,
     3. adds the water's explicit generalised force to qfrc_passive.
-Nothing reads qfrc_actuator or qfrc_bias, which are stale at that moment. The callback is pure; what the water remembers
-advances once a step in `Handle.step`.
+Nothing reads qfrc_actuator or qfrc_bias, which are stale at that moment. The callback is pure; the water's memory advances once
+for each step in `Handle.step`.
 
 No exception may cross MuJoCo: after any call back into it, the jump out of its C frames aborts the process. An exception in
-the water is kept, `Handle.step` puts the state back and raises it; after a bare mj_step it is raised when the block ends.
+the water is stored; `Handle.step` restores the state and raises it. After a bare mj_step it is raised when the block ends.
 
 The slot is one per process (`mjcf.passive_slot`): this module dispatches on the model, leaves other models alone, refuses a
 slot that someone else filled, serves one thread (`link_wrench` serves any), and always cleans up.
@@ -36,11 +36,11 @@ class Handle:
         self._pattern = rows, model.M_colind.copy()
 
     def step(self, data: mujoco.MjData) -> None:
-        """One `mj_step`, after which the water's memory has advanced by one step.
+        """Does one `mj_step`, and advances the water's memory by one step.
 
         Raises:
-            SimDiverged: a force or the state left the finite numbers.
-            Anything that the water raises; then the state is what it was before the step.
+            SimDiverged: a force or the state is not finite.
+            All errors of the water; the state is then as before the step.
         """
         following = self.water.following(self.model, data)
         before = data.time, data.qpos.copy(), data.qvel.copy()
@@ -51,13 +51,13 @@ class Handle:
         self.water.attached, self.water.memory = following
 
     def raise_error(self) -> None:
-        """Raise what the callback kept, once."""
+        """Raises the error that the callback stored, once."""
         error, self.error = self.error, None
         if error is not None:
             raise error
 
     def passive(self, model, data) -> None:
-        """The callback's work: M + M_a, and the explicit force."""
+        """Does the callback's work: M + M_a, and the explicit force."""
         added, force = self.water.forces(model, data)
         if not (np.isfinite(force).all() and np.isfinite(added).all()):
             raise self.water.blame(model, data)
@@ -68,7 +68,7 @@ class Handle:
 
 
 def rows_of_mass(model: mujoco.MjModel, water: PlanarWater, who: str) -> np.ndarray:
-    """Row of every entry of the model's mass matrix. Raises ConfigError where it is none that this water can join."""
+    """Row of every entry of the model's mass matrix. Raises ConfigError for a model that this water cannot join."""
     root = "free" if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else "planar"
     if water.root != root:
         raise ConfigError(f"{who}: the model's root is {root!r}, the water's {water.root!r}; build both with the same root")
@@ -82,7 +82,7 @@ def rows_of_mass(model: mujoco.MjModel, water: PlanarWater, who: str) -> np.ndar
 
 
 def inject(model: mujoco.MjModel, water: PlanarWater):
-    """Put `model` into `water` until the block ends; blocks nest, one model each.
+    """Puts `model` into `water` until the block ends; blocks nest, one model each.
 
     Args:
         model: from `fishmj.mjcf.build`, root as the water's.
@@ -99,7 +99,7 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
 
 @contextmanager
 def installed(handle: Handle):
-    """The callback serves this handle until the block ends; as `inject`."""
+    """Makes the callback serve this handle until the block ends; as `inject`."""
     key = handle.model._address
     if key in _handles:
         raise InjectionError("inject: this model is in water already; one block a model")
@@ -116,9 +116,9 @@ def installed(handle: Handle):
 
 
 def checked_step(model: mujoco.MjModel, data: mujoco.MjData, handle: Handle | None = None) -> None:
-    """`mj_step` that raises where MuJoCo would silently put the fish back to its start.
+    """Does `mj_step` and raises an error when MuJoCo would silently reset the fish to its start.
 
-    MuJoCo answers a NaN or a huge number with a reset to qpos0 and a warning counter; the state it had is lost.
+    MuJoCo responds to a NaN or a huge number with a reset to qpos0 and a warning counter; the previous state is lost.
 
     Raises:
         SimDiverged: names the quantity and the degree of freedom.

@@ -1,12 +1,12 @@
-"""Water as a force and a moment on every link, through `data.xfrc_applied`: no callback, any thread, any loop of one's own.
+"""Water as a force and a moment on every link, through `data.xfrc_applied`: no callback, for any thread and any loop.
 
     fish = LinkWrench(model, PlanarWater(robot, swimmer, learnt=...))
     while swimming:
         fish.apply(data)                before every mj_step
         mujoco.mj_step(model, data)
 
-MuJoCo adds sum J^T wrench to its own forces f and solves (M + h D) a = f + sum J^T wrench. The added mass answers to that same a,
-so a is solved for beforehand, from MuJoCo's own matrix and forces; the step is that of `injection`, to round-off:
+MuJoCo adds sum J^T wrench to its own forces f and solves (M + h D) a = f + sum J^T wrench. The added mass acts on that same a, so
+a is solved for first, from MuJoCo's own matrix and forces; the step is that of `injection`, to round-off:
 
     (M + M_a + h D) a = f + Q,    wrench_i = explicit force_i - A_i a_i      about the link's centre of mass, world axes
 """
@@ -20,18 +20,18 @@ from fishmj.water.planar_water import PlanarWater
 
 
 class LinkWrench:
-    """One model and its water; holds nothing that other models or threads share.
+    """Water of one model; shares nothing with other models or threads.
 
-    Forces of one's own on the fish belong into `data.qfrc_applied` (mujoco.mj_applyFT), before `apply`: the added mass answers to
-    them as well. The rows of the links in `data.xfrc_applied` are the water's. Forces of contacts and constraints come later than
-    `apply`, which cannot know them; models of `fishmj.mjcf.build` have neither.
+    Your own forces on the fish belong into `data.qfrc_applied` (mujoco.mj_applyFT), before `apply`: the added mass acts on
+    them as well. The rows of the links in `data.xfrc_applied` are the water's. `apply` does not include forces of contacts and
+    constraints, which come later; models of `fishmj.mjcf.build` have neither.
 
     Args:
         model: from `fishmj.mjcf.build`, root as the water's.
         water: `PlanarWater` or `spatial_water.FreeWater`.
 
     Raises:
-        ConfigError: the water is another root's, the model no single chain, or its integrator not Euler's.
+        ConfigError: the water is another root's, the model is not a single chain, or its integrator is not Euler's.
     """
 
     def __init__(self, model: mujoco.MjModel, water: PlanarWater):
@@ -42,18 +42,18 @@ class LinkWrench:
         self._taken: tuple | None = None  # (time, attachment, memory one step later) of the last `apply`
 
     def begin(self, attached: float = 0.5, memory: "list | None" = None) -> None:
-        """Start anew after a reset or a jump of `data`: what the water remembers, by default that of a fish at rest."""
+        """Resets the water's memory after a reset or a jump of `data`, by default to that of a fish at rest."""
         self.water.attached, self.water.memory = attached, self.water.at_rest() if memory is None else memory
         self._taken = None
 
     def apply(self, data: mujoco.MjData) -> None:
-        """Put the wrenches of this state into `data.xfrc_applied`; again for the same state puts the same.
+        """Puts the wrenches of this state into `data.xfrc_applied`; a second call for the same state puts the same.
 
-        What the water remembers moves on by itself: once for every step that `data.time` has made since the last call.
+        The water's memory advances by itself: once for every step that `data.time` has made since the last call.
 
         Raises:
-            ConfigError: `data.time` is neither where it was nor one step further. SimDiverged: a force is not finite.
-            Anything that the water raises; then neither data nor memory has moved.
+            ConfigError: `data.time` is neither unchanged nor one step further. SimDiverged: a force is not finite.
+            All errors of the water; neither data nor memory has then changed.
         """
         if self._taken is not None:
             self._move_on(data.time)
@@ -64,7 +64,7 @@ class LinkWrench:
     def wrenches(self, data: mujoco.MjData) -> np.ndarray:
         """Force [N] and moment [N m] of the water on every link about its centre of mass, world axes, (N, 6); pure.
 
-        Only fields that MuJoCo derives from state and commands are brought up to date. Raises SimDiverged as `apply`.
+        Updates only fields of `data` that MuJoCo derives from state and commands. Raises SimDiverged as `apply`.
         """
         model, water = self.model, self.water
         mujoco.mj_fwdPosition(model, data)
@@ -82,17 +82,17 @@ class LinkWrench:
         return water.wrenches(model, data, np.linalg.solve(mass, force))
 
     def step(self, data: mujoco.MjData) -> None:
-        """`apply` and one `mj_step`, after which what the water remembers has moved on.
+        """Does `apply` and one `mj_step`, and advances the water's memory.
 
         Raises:
-            SimDiverged: a force or the state left the finite numbers. Anything that the water raises; then nothing has moved.
+            SimDiverged: a force or the state is not finite. All errors of the water; nothing has then changed.
         """
         self.apply(data)
         checked_step(self.model, data)
         self._move_on(data.time)
 
     def _move_on(self, time: float) -> None:
-        """Take over what follows the last `apply` where a step was made since."""
+        """Takes over the memory after the last `apply` if a step was made since."""
         since, attached, memory = self._taken or (time, None, None)
         self._taken = None
         if time == since:

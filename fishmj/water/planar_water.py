@@ -2,10 +2,10 @@
 
     a_head = B(psi) qacc     head axes and absolute link rates from MuJoCo's coordinates
     M_a(MuJoCo) = B^T M_a(head) B
-    explicit    = strips + learnt residual where there is one, (F_t, F_n, moment) a link
+    explicit    = strips + learnt residual if there is one, (F_t, F_n, moment) a link
 
-Only sums over the definitions in `planar_chain`, `strip_forces` and `residual_hooks`; nothing about water is stated here a second
-time. What the water does at one instant is reckoned once (`Instant`), whoever asks: forces, wrenches or what it remembers next.
+This module only sums the terms of `planar_chain`, `strip_forces` and `residual_hooks`. The water at one instant is computed once
+(`Instant`) and serves forces, wrenches and the next memory.
 """
 
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ RESIDUAL = "learnt residual"  # its name in errors
 
 
 class Instant(NamedTuple):
-    """What a water does to N links at one state."""
+    """Forces and added mass of a water on N links at one state."""
 
     motion: planar_chain.Links  # u, w, omega of every link through its water
     explicit: Any  # force on every link but for what goes with its acceleration
@@ -40,8 +40,9 @@ class PlanarWater:
 
     Attributes:
         swimmer: this fish's constants; `swimmer.water` may be replaced between steps.
-        attached: attachment state of the tail, 0..1. memory: of the residual, flat list of floats. Both are of the present, are
-            read by `forces`, and are moved on once a step by whoever takes it, never inside `forces`.
+        attached: attachment state of the tail, 0..1.
+        memory: memory of the residual, flat list of floats. Both are present values: `forces` reads them and never changes them;
+            the caller of a step advances them once for each step.
         flow: water velocity at each link (N, 3) [m/s] and `ambient` its uniform acceleration (3,) [m/s2], world frame;
             the caller sets them (`set_flow`) as often as the flow changes.
     """
@@ -65,11 +66,11 @@ class PlanarWater:
         self._known: tuple[Any, Any, Any] = ((), (), None)  # inputs, constants and what came of them
 
     def at_rest(self) -> list:
-        """The memory of a fish at rest in still water."""
+        """Memory of a fish at rest in still water."""
         return [] if self.learnt is None else residual_hooks.at_rest()
 
     def set_flow(self, flow, ambient=(0.0, 0.0, 0.0)) -> None:
-        """Water velocity at the links, (N, 2 or 3) m/s, and DU/Dt, (2 or 3,) m/s2."""
+        """Sets the water velocity at the links, (N, 2 or 3) m/s, and DU/Dt, (2 or 3,) m/s2."""
         for mine, value in ((self.flow, np.asarray(flow)), (self.ambient, np.asarray(ambient))):
             mine[...] = 0.0
             mine[..., : value.shape[-1]] = value
@@ -85,7 +86,7 @@ class PlanarWater:
         """Force and moment of the water on every link about its centre of mass, world axes, (N, 6) N, N m; pure.
 
         Args:
-            qacc: (nv,) the acceleration that goes with them; the added mass answers to it.
+            qacc: (nv,) acceleration of that instant, on which the added mass acts.
         """
         now, ch, c = self.instant(model, data), self.chain, self.swimmer.water
         cp, sp = np.cos(now.frame), np.sin(now.frame)
@@ -109,7 +110,7 @@ class PlanarWater:
         return now.attached, now.memory
 
     def instant(self, model, data) -> Instant:
-        """What the water does now; pure, and reckoned once for one state, flow, memory and set of constants."""
+        """Forces and added mass now; pure, and computed once for one state, flow, memory and set of constants."""
         arrays = (*self._state(data), self.flow, self.ambient)
         inputs = (*(a.tobytes() for a in arrays), self.attached, *self.memory, model.opt.timestep)
         constants = self._constants()
@@ -120,11 +121,11 @@ class PlanarWater:
         return now
 
     def _state(self, data) -> tuple:
-        """Everything of MuJoCo's state that the water looks at, arrays."""
+        """All arrays of MuJoCo's state that the water reads."""
         return data.qpos, data.qvel
 
     def _constants(self) -> tuple:
-        """What is replaced where the water changes, never written to."""
+        """Objects that are replaced when the water changes, never written to."""
         return (self.swimmer, self.learnt)
 
     def _evaluated(self, data, dt: float) -> Instant:

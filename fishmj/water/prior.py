@@ -1,4 +1,4 @@
-"""Coefficients as one vector with names, and what is believed of them before any data: data/calib/hydro_fit.toml."""
+"""Strip coefficients as one named vector, and their prior distributions: data/calib/hydro_fit.toml."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -31,33 +31,33 @@ class Prior:
     high: np.ndarray
 
     def only(self, names) -> "Prior":
-        """Some of them, in the given order."""
+        """Prior of some of the coefficients, in the given order."""
         at = [self.names.index(name) for name in names]
         return Prior(tuple(names), *(value[at] for value in (self.mean, self.sd, self.low, self.high)))
 
 
 def names_of(links: int) -> tuple[str, ...]:
-    """k1.. cn1.. cf ca_forward ..: the order of `flat`."""
+    """Names k1.. cn1.. cf ca_forward .. in the order of `flat`."""
     each = tuple(f"{key}{i + 1}" for key in ("k", "cn") for i in range(links))
     return each + tuple(key for key in strip_forces.Coefficients._fields[2:])
 
 
 def flat(c: strip_forces.Coefficients) -> np.ndarray:
-    """(2 N + 10,) in the order of `names_of`."""
+    """Coefficients as a vector (2 N + 10,) in the order of `names_of`."""
     return np.array([*c.k, *c.cn, *c[2:]], float)
 
 
 def unflat(values) -> strip_forces.Coefficients:
-    """The inverse of `flat`; components may be arrays."""
+    """Inverse of `flat`; components may be arrays."""
     links = (len(values) - len(strip_forces.Coefficients._fields) + 2) // 2
     return strip_forces.Coefficients(list(values[:links]), list(values[links : 2 * links]), *values[2 * links :])
 
 
 def prior_of(robot: Robot) -> Prior:
-    """What is believed of this robot's coefficients: its water table for the mean, the calibration file for the rest.
+    """Prior of this robot's coefficients: its water table gives the mean, the calibration file the rest.
 
     Raises:
-        ConfigError: the robot's coefficient lies outside what the file allows, or it has one that no fit to a solver knows.
+        ConfigError: a coefficient of the robot lies outside the file's bounds, or it has one that a fit to the solver lacks.
     """
     links = len(robot.links)
     if any(robot.water.get(key, unset) != unset for key, unset in strip_forces.SHAPE.items()):

@@ -3,15 +3,15 @@
     hooks = LearnedResidual(np, ch, residual, memory)       memory = at_rest(), later Step.memory
     s = planar_chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
 
-What is added is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
-    gamma   = min_i (in range)_i / (1 + (spread / spread0)^2)    0 where the motion of a link left what was fitted
+The added force is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
+    gamma   = min_i (in range)_i / (1 + (spread / spread0)^2)    0 if the motion of a link left the range of the fit
     sigma   = (1 + (P+ / (eta D + R / T))^4)^-1/4                P = power of the faded forces, D = what drag takes
     R'      = eta D - sigma P+ - R / T,   R >= 0                 a reservoir: only wake energy can come back
-in the frame of the water. So the whole water stays passive up to the reservoir, and beyond its range it is the base alone.
-The range of a link is told by its own motion and that of the link before it, xi = [u_i, u_i-1 | w_i, w_i-1, Omega_i L_i] / V_i.
+in the frame of the water. The whole water is therefore passive up to the reservoir, and outside the range only the base acts.
+The range of a link depends on its own motion and that of the link before it, xi = [u_i, u_i-1 | w_i, w_i-1, Omega_i L_i] / V_i.
 
-The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states, R [J], and the number of steps that
-had a link outside the range while it moved. `inner` are other hooks that act first, on the same fish.
+The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states, R [J], and the number of steps with a moving link
+outside the range. `inner` are other hooks that act first, on the same fish.
 """
 
 from functools import lru_cache
@@ -30,7 +30,7 @@ EVEN, SEEN = 2, 5  # features of a link's range: those that a mirror leaves alon
 
 
 class Range(NamedTuple):
-    """Where the residual was fitted, for N links; see `inside`."""
+    """Range of motion in which the residual was fitted, for N links; see `inside`."""
 
     centre: Any  # (N, 5) of xi, odd features 0
     whiten: Any  # (N, 5, 5) with |whiten (xi - centre)| = Mahalanobis distance
@@ -40,7 +40,7 @@ class Range(NamedTuple):
 
 
 class Residual(NamedTuple):
-    """Weights and where they hold."""
+    """Weights of the residual, and the range of its fit."""
 
     net: residual_network.Net
     reach: Range | None  # None: everywhere
@@ -52,7 +52,7 @@ def at_rest() -> list:
 
 
 def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_network.Motion) -> tuple[list, list]:
-    """xi of every link, N lists of 5, and its own V_i, m/s: what its range is told by."""
+    """Features xi of every link, N lists of 5, and its own V_i, m/s, which define its range."""
     xi, speed = [], [xp.sqrt(square + residual_network.FLOOR**2) for square in m.square]
     for i, v in enumerate(speed):
         j = max(i - 1, 0)
@@ -61,7 +61,7 @@ def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_netw
 
 
 def inside(xp, r: Range, xi: list, speed, i: int):
-    """1 well inside what was fitted for link i, 0 outside, and how far out its motion is (1 at the limit)."""
+    """Factor 1 well inside the fitted range of link i and 0 outside; and the distance of its motion (1 at the limit)."""
     off = [xi[c] - r.centre[i][c] for c in range(SEEN)]
     distance: Any = 0.0
     for row in range(SEEN):
@@ -94,31 +94,37 @@ class LearnedResidual:
         self.spread: Any = 0.0  # variance between the members' coefficients
 
     def fish(self, ch, sw):
+        """Chain and swimmer, as `inner` changes them."""
         return (ch, sw) if self.inner is None else self.inner.fish(ch, sw)
 
     def flow(self, ch, q, flow):
+        """Water velocity at each link, as `inner` changes it."""
         return flow if self.inner is None else self.inner.flow(ch, q, flow)
 
     def servos(self, ch, sw, q, v, target):
+        """Drive torque (N m) and damping beyond back-EMF (N m s/rad) of each joint."""
         if self.inner is None:
             return planar_chain.servo_drive(self.xp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
         return self.inner.servos(ch, sw, q, v, target)
 
     def water(self, ch, sw, q, k, hydro):
+        """Forces of the water on each link (N, N, N m), with the residual added."""
         hydro = hydro if self.inner is None else self.inner.water(ch, sw, q, k, hydro)
         self.forces = self.advance(ch.strips, sw.water, k, ch.dt)
         return [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(hydro, self.forces, strict=True)]
 
     def body(self, ch, sw, q, k, rhs, m) -> None:
+        """Adds the forces and masses of `inner`; the residual adds none."""
         if self.inner is not None:
             self.inner.body(ch, sw, q, k, rhs, m)
 
     def end(self, ch, sw, v, drive):
+        """Memory for the next step: `inner`'s, wake states, reservoir and the counter of steps outside the range."""
         first = () if self.inner is None else tuple(self.inner.end(ch, sw, v, drive))
         return (*first, *self.z, self.store, self.guarded)
 
     def advance(self, s: strip_forces.Strips, c: strip_forces.Coefficients, k: planar_chain.Links, dt: float) -> list:
-        """Forces on the links from the present wake, (F_t, F_n, moment) each; the wake moves on by dt."""
+        """Forces on the links from the present wake, (F_t, F_n, moment) each; advances the wake by dt."""
         xp, p, reach = self.xp, self.panels, self.learnt.reach
         k = batched(k)
         m = residual_network.motion(xp, p, k)
@@ -138,7 +144,7 @@ class LearnedResidual:
         return residual_step.mean_step(self.xp, self.learnt.net, m, z, dt)
 
     def _inside(self, reach: Range, k: planar_chain.Links, m: residual_network.Motion):
-        """How far inside the range the whole fish is, and 1 where a link that moves is outside."""
+        """Fade factor of the whole fish, and 1 if a moving link is outside the range."""
         xp, (xi, speed) = self.xp, near(self.xp, self.panels, k, m)
         fade: Any = 1.0
         outside: Any = 0.0
@@ -162,14 +168,14 @@ def bounded(xp, forces: list, taken, k: planar_chain.Links, store, dt: float):
 
 
 def batched(k: planar_chain.Links) -> planar_chain.Links:
-    """Every velocity with the full batch shape."""
+    """Kinematics with every velocity in the full batch shape."""
     zero = 0.0 * (k.u[-1] + k.w[-1] + k.omega[-1])
     whole = lambda values: [value + zero for value in values]
     return k._replace(u=whole(k.u), w=whole(k.w), omega=whole(k.omega))
 
 
 def member(learnt: Residual, e: int) -> Residual:
-    """The ensemble with member e in every place: that member alone, in arrays of the same shapes."""
+    """Ensemble with member e in every place: that member alone, in arrays of the same shapes."""
     net = learnt.net
     alike = {name: np.repeat(np.asarray(getattr(net, name))[e : e + 1], net.members, 0) for name in residual_network.MEMBERS}
     return learnt._replace(net=net._replace(**alike))
@@ -184,13 +190,13 @@ def packed(learnt: Residual) -> dict[str, np.ndarray]:
 
 
 def unpacked(arrays: dict) -> Residual:
-    """The inverse of `packed`; other arrays may stand beside them. Raises KeyError where one is missing."""
+    """Inverse of `packed`; further arrays are ignored. Raises KeyError if one is missing."""
     net = residual_network.Net(*(arrays[f"net.{key}"] for key in residual_network.Net._fields))
     return Residual(net, Range(*(arrays[f"range.{key}"] for key in Range._fields)))
 
 
 def unlimited(links: int) -> Range:
-    """A range that nothing leaves, with members of any spread: for fitting."""
+    """Range without limits, for members of any spread: for fitting."""
     return Range(np.zeros((links, 5)), np.tile(np.eye(5), (links, 1, 1)), np.full(links, 1e6), np.full(links, 1e6), np.array(1e6))
 
 
@@ -198,11 +204,11 @@ SHARE, MARGIN = 0.999, 1.15  # of the data that lies inside a range, and how muc
 
 
 def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> Range:
-    """The range that data span: `SHARE` of them, and `MARGIN` on top for distance and speed.
+    """Range of the data: `SHARE` of them, and `MARGIN` on top for distance and speed.
 
     Args:
         xi: (M, N, 5) features. speed: (M, N) V, m/s.
-        spread: of the members' coefficients at which the force is halved.
+        spread: spread of the members' coefficients at which the force is halved.
     """
     links = xi.shape[1]
     centre, whiten = np.zeros((links, SEEN)), np.zeros((links, SEEN, SEEN))
@@ -219,7 +225,7 @@ def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> Range:
 
 
 def widened(r: Range, xi: np.ndarray, speed: np.ndarray) -> Range:
-    """The same range, as wide as these data need where they go further; arguments as in `fitted`."""
+    """Range, widened as far as these data need; arguments as in `fitted`."""
     off = np.einsum("mic,idc->mid", xi - r.centre, r.whiten)
     limit = MARGIN * np.quantile(np.linalg.norm(off, axis=2), SHARE, axis=0)
     return r._replace(limit=np.maximum(r.limit, limit), speed=np.maximum(r.speed, MARGIN * np.quantile(speed, SHARE, axis=0)))

@@ -1,13 +1,13 @@
-"""The learnt force of a whole batch in one kernel of an NVIDIA GPU, by Pallas and Triton: what XLA makes many of.
+"""The learnt force of a whole batch in one kernel of an NVIDIA GPU, by Pallas and Triton; XLA makes many kernels of it.
 
     mean, spread, z = mean_step(dt, halves, motion, z)       as `residual_step.mean_step`, float32
 
-In XLA the hidden units of every fish go to memory and back, some three thousand bytes a fish and step; here they stay in
-registers and 250 bytes go over the bus. A program takes a block of fish, a thread one or a few; the weights, the same for all,
-come from cache. Every sum is in float32. tanh x = 1 - 2 / (1 + exp 2 x), right to 2e-7, saturates without an overflow.
+In XLA the hidden units of every fish go to memory and back, some three thousand bytes for each fish and step. Here they stay in
+registers and 250 bytes go over the bus. A program takes a block of fish, a thread one or a few; the weights, equal for all, come
+from cache. Every sum is in float32. tanh x = 1 - 2 / (1 + exp 2 x), accurate to 2e-7, saturates without an overflow.
 
-A gradient is that of the same formulas in XLA: the kernel is forward alone. A GPU that does not take such kernels (`usable`) is
-told once, and XLA's products take their place.
+The kernel computes the forward pass only; gradients use the same formulas in XLA. On a GPU that does not support such kernels
+(`usable`) XLA's products replace them, with one warning.
 """
 
 from functools import cache, partial
@@ -29,7 +29,7 @@ HALF = WAKES // 2
 
 @cache
 def usable() -> bool:
-    """Whether this machine's GPU takes such kernels. The first call compiles a small one, and says so where it fails."""
+    """Returns True if this machine's GPU supports such kernels; the first call compiles a small one, and warns if that fails."""
     try:
         probe.lower(*[jax.ShapeDtypeStruct((BLOCK, 4), jnp.float32)] * 2).compile()
     except Exception as error:  # noqa: BLE001  whatever a driver or a compiler raises: the same water goes on by other means
@@ -44,7 +44,7 @@ def usable() -> bool:
 
 @jax.jit
 def probe(rows, weights):
-    """A small kernel of what the large ones are made of: a loop over rows of weights, columns taken apart and joined, tanh."""
+    """Small kernel with the constructs of the large ones: a loop over rows of weights, columns split and joined, tanh."""
 
     def kernel(rows, weights, out):
         tanh = tanh_of(False)
@@ -57,7 +57,7 @@ def probe(rows, weights):
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def mean_step(dt: float, weights: Halves, m: Motion, z: list):
-    """`residual_step.mean_step` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
+    """Computes `residual_step.mean_step` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
     return lax.platform_dependent(weights, m, z, cuda=partial(step, dt=dt), default=partial(_plain, dt))
 
 
@@ -69,7 +69,7 @@ mean_step.defvjp(lambda dt, *given: jax.vjp(partial(_plain, dt), *given), lambda
 
 
 def step(weights: Halves, m: Motion, z: list, dt: float, *, interpret: bool = False):
-    """`residual_step.mean_step` by the kernel; interpret: in plain JAX, anywhere."""
+    """Computes `residual_step.mean_step` by the kernel; interpret: in plain JAX, on any machine."""
     links, shape = weights.forward.shape[1], m.speed.shape
     line = lambda a: jnp.reshape(jnp.asarray(a, jnp.float32), -1)
     given = [line(a) for a in (*m.x, *z, m.speed)]  # apart: stacked, they would go to memory once more
@@ -92,19 +92,19 @@ def step(weights: Halves, m: Motion, z: list, dt: float, *, interpret: bool = Fa
 
 
 def whole(a) -> pl.BlockSpec:
-    """An array that every program sees."""
+    """Block spec of an array that every program sees whole."""
     return pl.BlockSpec(a.shape, lambda i: (0,) * a.ndim)
 
 
 def compiler(warps: int) -> dict[str, Any]:
-    """What `pl.pallas_call` is told of a program of so many warps."""
+    """Options of `pl.pallas_call` for a program of so many warps."""
     from jax.experimental.pallas import triton
 
     return {"compiler_params": triton.CompilerParams(num_warps=warps, num_stages=1)}
 
 
 def tables_of(weights: Halves) -> tuple:
-    """Weights in the order in which a kernel reads them: hidden units, members, products, wake states, a row each."""
+    """Weights in the order in which a kernel reads them: hidden units, members, products, wake states, one row each."""
     members, links, units = weights.forward.shape
     hidden = members * units
     out = jnp.concatenate([weights.forward, weights.aside], 1)  # (E, 3 N, H)
@@ -120,7 +120,7 @@ def tables_of(weights: Halves) -> tuple:
 
 
 def tanh_of(interpret: bool):
-    """tanh inside a kernel: by the device's own exponential and reciprocal, as right and quicker."""
+    """Returns tanh for use inside a kernel, from the device's own exponential and reciprocal: as accurate, and faster."""
     if interpret:
         return lambda x: 1.0 - 2.0 / (1.0 + jnp.exp(2.0 * x))
     from jax.experimental.pallas import triton
@@ -141,13 +141,13 @@ def _kernel(*refs, dt: float, inputs: int, tanh):
 
 
 def network(tables, m: Motion, z: list, dt: float, tanh, none=0, together: int = 1) -> tuple:
-    """`residual_step.mean_step` inside a kernel.
+    """Computes `residual_step.mean_step` inside a kernel.
 
     Args:
-        tables: references to what `tables_of` gives.
-        none: 0, in a loop of steps a number that the compiler cannot know: weights that are the same in every step it would read
-            before the loop, a thousand numbers for which no thread has registers.
-        together: hidden units that a round of the loop holds, at most; a divisor of their number is taken.
+        tables: references to the result of `tables_of`.
+        none: 0; in a loop of steps, a zero that is unknown to the compiler. Otherwise it would load the weights, equal in every
+            step, before the loop: a thousand numbers for which no thread has registers.
+        together: greatest number of hidden units in a round of the loop; a divisor of their number is used.
     """
     units, biases, squares, crossed, wakes = tables
     links, zero = squares.shape[1], 0.0 * m.speed

@@ -1,4 +1,4 @@
-"""What the strips leave out, learnt: a bounded force on every link from what all links do, with a few wake states.
+"""Learnt residual force: a bounded force on every link from the motion of all links, with a few wake states.
 
 For N links with velocity u, w (at the middle of the link's strips) through the water, yaw rate Omega, side area A, length L,
     Vb_i^2 = <u^2 + (w0 + Omega x)^2>  over strips     Vb^2 = sum A_i Vb_i^2 / sum A     V^2 = Vb^2 + 0.05^2
@@ -7,15 +7,15 @@ For N links with velocity u, w (at the middle of the link's strips) through the 
     g  = c tanh(G / c),          G    = 1/2 [N(x, z) + S N(S x, S z)] + P (x x^T)
     f_i = 1/2 rho A_i 1/2 (Vb_i^2 + Vb^2) [1, 1, L_i] g_i                                     F_t, F_n, couple about the middle
     phi = tanh(B s + b),         N    = D tanh(A s + a) + d
-P holds the products of two features that mirror as the force does: in a frictionless fluid all forces of steady motion are such
+P holds the products of two features that mirror as the force does. In a frictionless fluid all forces of steady motion are such
 products (Lamb 1932, ch. VI), within a link and between links, so that water turned at a joint needs no hidden unit.
 
-Only velocities relative to the water in link axes enter, so the force is Galilean and rotation invariant; both branches of
-the mirror are taken, so it mirrors to the bit; it grows with speed squared, is bounded by c, and is zero at rest. N has E
-members (an ensemble); phi and P are shared by them. The wake is advanced exactly over a step with frozen speed.
+The inputs are velocities relative to the water in link axes, so the force is Galilean and rotation invariant. Both branches of
+the mirror are averaged, so it mirrors to the bit. It grows with speed squared, is bounded by c, and is zero at rest. N has E
+members (an ensemble), which share phi and P. The wake is advanced exactly over a step with frozen speed.
 
-With s = [x, z] = [e; o], even and odd, one branch's products give both: A s = A_e e + A_o o = p + q and A S s = p - q. Of D,
-h+ + h- meets the rows of F_t alone, h+ - h- those of F_n and the couple, whose bias d cancels. See `Halves`.
+With s = [x, z] = [e; o], even and odd, one branch's products give both: A s = A_e e + A_o o = p + q and A S s = p - q. In D,
+h+ + h- multiplies the rows of F_t only, and h+ - h- those of F_n and the couple, whose bias d cancels. See `Halves`.
 """
 
 from functools import lru_cache
@@ -57,6 +57,7 @@ class Net(NamedTuple):
 
     @property
     def members(self) -> int:
+        """Number of members of the ensemble."""
         return self.inner.shape[0]
 
 
@@ -64,7 +65,7 @@ MEMBERS = ("inner", "inner_bias", "outer", "outer_bias")  # what each member has
 
 
 class Motion(NamedTuple):
-    """One instant, component lists."""
+    """Features and speeds at one instant, component lists."""
 
     x: list  # F features
     speed: Any  # V, m/s
@@ -114,7 +115,7 @@ def blank(links: int, members: int = 5, hidden: int = 16, seed: int = 0) -> Net:
 
 
 def without(net: Net, *, memory: bool = True, products: bool = True) -> Net:
-    """The net with a wake that stays at rest, or no products, for comparison."""
+    """Net with a wake that stays at rest, or without products, for comparison."""
     off = [*([] if memory else ["wake", "wake_bias"]), *([] if products else ["even", "odd"])]
     return net._replace(**{name: 0.0 * getattr(net, name) for name in off})
 
@@ -127,17 +128,17 @@ def motion(xp, p: Panels, k: Links) -> Motion:
         k.u[i] * k.u[i] + k.w[i] * k.w[i] + k.omega[i] * (2 * p.middle[i] * k.w[i] + p.square[i] * k.omega[i]) for i in range(n)
     ]
     square = [xp.maximum(s, 0.0) for s in square]
-    # V is of the whole fish: a link at rest still lies in water that the others move
+    # V is that of the whole fish: a link at rest still lies in water that the others move
     whole = sum(a / area * s for a, s in zip(p.area, square, strict=True))
     speed = xp.sqrt(whole + FLOOR**2)
-    # features are divided by V, so forces scale with speed squared; the one feature that is left tells fast from slow, saturating
+    # features are divided by V, so forces scale with speed squared; one saturating feature distinguishes fast from slow
     even = [*k.u, speed * speed / (speed + HALF)]
     odd = [*middle, *(k.omega[i] * p.length[i] for i in range(n))]
     return Motion([value / speed for value in (*even, *odd)], speed, [0.5 * (s + whole) for s in square], square, middle)
 
 
 class Halves(NamedTuple):
-    """The weights of a `Net` by what a mirror does to what they act on. M = E H + G rows, those of N first."""
+    """Weights of a `Net`, split by the parity under a mirror of the inputs they act on. M = E H + G rows, those of N first."""
 
     even: Any  # (M, features and wake states that a mirror leaves alone)
     odd: Any  # (M, those that it turns)
@@ -151,7 +152,7 @@ class Halves(NamedTuple):
 
 
 def halves(xp, net: "Net | Halves") -> Halves:
-    """The weights sorted by parity; those of one net in NumPy arrays are sorted once. `Halves` come back as they are."""
+    """Weights sorted by parity; those of one net in NumPy arrays are sorted once. `Halves` are returned unchanged."""
     global _sorted
     if isinstance(net, Halves):
         return net
@@ -169,7 +170,7 @@ def halves(xp, net: "Net | Halves") -> Halves:
         even=xp.concatenate([x_even, z_even], 1),
         odd=xp.concatenate([x_odd, z_odd], 1),
         bias=bias,
-        # the half of a mean over two branches; the bias of what turns is the same in both and cancels
+        # the half of a mean over two branches; the bias of the odd outputs is the same in both and cancels
         forward=0.5 * net.outer[:, :links],
         forward_bias=net.outer_bias[:, :links, None],
         aside=0.5 * net.outer[:, links:],
@@ -202,7 +203,7 @@ def coefficients(xp, net: "Net | Halves", m: Motion, z: list):
 
 
 def step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple[Any, list]:
-    """`coefficients` and `wake_step` of one instant, whose input goes through the weights together."""
+    """Computes `coefficients` and `wake_step` of one instant in one pass of the input through the weights."""
     weights, rows = _given(xp, net, m, z)
     units, (plus, minus) = len(weights.bias) - WAKES, _hidden(xp, weights, rows)
     g = _bounded(xp, weights, rows, (plus[:units], minus[:units]))
@@ -226,7 +227,7 @@ def dissipated(xp, s: strip_forces.Strips, c: strip_forces.Coefficients, k: Link
 
 
 def mean_by_products(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:
-    """(mean of the members' coefficients, 3 lists of N; the variance between them (..); wake states dt later)."""
+    """Mean of the members' coefficients, 3 lists of N; the variance between them (..); wake states dt later."""
     g, z = step(xp, net, m, z, dt)
     mean = g.mean(0)
     apart = 0.0 * mean[0, 0] if len(g) == 1 else ((g - mean) ** 2).sum(0).mean((0, 1)) / (len(g) - 1)
@@ -260,8 +261,8 @@ def _given(xp, net: "Net | Halves", m: Motion, z: list) -> tuple[Halves, Rows]:
 def _hidden(xp, weights: Halves, rows: Rows) -> tuple:
     """tanh of both branches, (M, B) each.
 
-    A mirrored input differs by the sign of its odd half alone: A S s = A_e e - A_o o. So both branches are the sum and the
-    difference of what one costs, and exchanged, to the bit, where the input is mirrored.
+    A mirrored input differs only in the sign of its odd half: A S s = A_e e - A_o o. Both branches are therefore the sum and the
+    difference of the products of one branch, and they are exchanged, to the bit, if the input is mirrored.
     """
     p, q = _times(xp, weights.even, rows.even) + weights.bias, _times(xp, weights.odd, rows.odd)
     return xp.tanh(p + q), xp.tanh(p - q)
@@ -272,27 +273,27 @@ def _bounded(xp, weights: Halves, rows: Rows, hidden: tuple):
     members, links, units = weights.forward.shape
     plus, minus = (xp.reshape(branch, (members, units, -1)) for branch in hidden)
     e, o = rows.even[: links + 1], rows.odd[: 2 * links]
-    # potential-flow forces are such products: given as they are, hidden units are left for what is not potential
+    # potential-flow forces are such products: given directly, they leave the hidden units for the forces that are not potential
     squares = xp.concatenate([part[i] * part[i:] for part in (e, o) for i in range(len(part))])
     crossed = xp.reshape(e[:, None] * o, (len(e) * len(o), -1))
     forward = _times(xp, weights.forward, plus + minus) + weights.forward_bias + _times(xp, weights.squares, squares)
     aside = _times(xp, weights.aside, plus - minus) + _times(xp, weights.crossed, crossed)
-    # bounded smoothly: a clip has no gradient, and a motion outside the data must not make a large force
+    # bounded smoothly: a clip has no gradient, and motion outside the data must not cause a large force
     g = BOUND * xp.tanh(xp.concatenate([forward, aside], 1) / BOUND)
     return xp.reshape(g, (members, 3, links, *rows.shape))
 
 
 def _moved(xp, weights: Halves, rows: Rows, hidden: tuple, m: Motion, dt: float) -> list:
-    """The wake dt later from its hidden units."""
+    """Wake dt later from its hidden units."""
     plus, minus = hidden
     half = WAKES // 2
     target = 0.5 * xp.concatenate([plus[:half] + minus[:half], plus[half:] - minus[half:]])
     before = xp.concatenate([rows.even[-half:], rows.odd[-half:]])
-    # exact for constant V: stable for any learnt length and step, and of frozen motion the same wake at 4 ms as at 20 ms
+    # exact for constant V: stable for any learnt length and step, and for frozen motion the same wake at 4 ms as at 20 ms
     decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / weights.length)
     return list(xp.reshape(target + (before - target) * decay, (WAKES, *rows.shape)))
 
 
 def _times(xp, a, b):
-    """a @ b in the precision of its operands: JAX on a GPU would round float32 to ten bits."""
+    """Product a @ b in the precision of its operands; by default JAX on a GPU would round float32 to ten bits."""
     return a @ b if xp is np else xp.matmul(a, b, precision=PRECISION)

@@ -16,7 +16,7 @@ FEWEST = 4096
 
 
 def mean_step(xp, net: "Net | Halves | Callable[..., tuple]", m: Motion, z: list, dt: float) -> tuple:
-    """As `mean_by_products`; a batch in single precision on an NVIDIA GPU goes through one kernel.
+    """Results of `mean_by_products`; a batch in single precision on an NVIDIA GPU goes through one kernel.
 
     net: weights, or a function of (m, z, dt) that has them and returns the same.
     """
@@ -30,7 +30,7 @@ def mean_step(xp, net: "Net | Halves | Callable[..., tuple]", m: Motion, z: list
 
 
 def takes_kernel(a) -> bool:
-    """Whether a batch, one number a fish, goes through a kernel: a large one, in single precision, on a GPU that takes it."""
+    """Returns True if a batch, one number a fish, goes through a kernel: large, single precision, on a suitable GPU."""
     if not kernel or np.size(a) < FEWEST or a.dtype != np.float32:
         return False
     import jax

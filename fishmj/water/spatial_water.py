@@ -11,8 +11,8 @@ origin relative to the water, in link axes; J(q) its Jacobian, A the added mass 
 In the plane, with nothing vertical, F, the drag and the residual are those of `planar_chain` (tests/test_inject.py). Beyond it:
     lateral     mu and Cn of the plane, at w = v_y + omega_z x; vertical the same with the width for the height
     residual    in the plane of each link: F_t, F_n and the couple about z from u = v_x, w = v_y, Omega = omega_z of all links, as
-                the strips' lateral forces. It was learnt in the plane: of heave, pitch and roll it sees nothing and to them it
-                adds nothing, and a fish that rolls keeps its force in the turned link axes
+                the strips' lateral forces. It was learnt in the plane: it neither depends on heave, pitch and roll nor adds to
+                them, and on a fish that rolls it acts in the turned link axes
     roll        added inertia rho pi/8 (a^2 - b^2)^2 of each section; drag -rho Cn h ds r^2 sqrt(w^2 + (r p)^2) p, r = h/4:
                 the exact integral of the cross-flow drag over the height when w = 0
     fins        plates of chord c, span b: added mass rho pi/4 b^2 c, drag 1/2 rho Cn S |w_f| w_f (Cn of the tail plate),
@@ -20,8 +20,8 @@ In the plane, with nothing vertical, F, the drag and the residual are those of `
     weight      carried by MuJoCo; buoyancy equals the nominal weight of each link, above its centre of mass on the long axis:
                 every link is trimmed by itself (foam, lead), as the default fish is described; else a bent fish rolls over
 
-Left out: the surface (depth is indifferent), vertical trailing-edge flux, torsion of the tail, and whatever the residual would
-have to say about a fish that heaves or pitches.
+Left out: the surface (depth has no effect), vertical trailing-edge flux, torsion of the tail, and a residual for a fish that
+heaves or pitches.
 """
 
 from math import pi
@@ -83,7 +83,10 @@ class FreeWater(planar_water.PlanarWater):
         return (turned @ now.added @ jac).sum(0), (turned @ now.explicit[:, :, None]).sum(0)[:, 0]
 
     def wrenches(self, model, data, qacc) -> np.ndarray:
-        """As `PlanarWater.wrenches`."""
+        """Force and moment of the water on every link about its centre of mass, world axes, (N, 6) N, N m.
+
+        As `PlanarWater.wrenches`.
+        """
         now, n = self.instant(model, data), self.chain.n
         wrench = now.explicit - (now.added @ (now.frame.jac @ qacc)[:, :, None])[:, :, 0]
         wrench[:, 3:] -= _cross(model.body_ipos[1 : n + 1], wrench[:, :3])
@@ -91,7 +94,7 @@ class FreeWater(planar_water.PlanarWater):
         return both.reshape(n, 6)
 
     def following(self, model, data) -> tuple[float, list]:
-        """Attachment and memory one step later; brings the link poses up to date first."""
+        """Attachment and memory one step later; updates the link poses first."""
         mujoco.mj_kinematics(model, data)
         return super().following(model, data)
 
@@ -125,7 +128,7 @@ class FreeWater(planar_water.PlanarWater):
         return Instant(k, wrench, residual, added, frame, attached, memory)
 
     def _added(self) -> np.ndarray:
-        """(N, 6, 6) of every link about its origin, link axes."""
+        """Added mass (N, 6, 6) of every link about its origin, link axes."""
         return np.asarray(self.swimmer.water.k)[:, None, None] * self._section + self._fins
 
     def _section_mass(self, i: int, rho: float) -> np.ndarray:
@@ -190,7 +193,7 @@ class Frames(NamedTuple):
 
 
 def _cross(a, b) -> np.ndarray:
-    """a x b of vectors along the last axis; np.cross takes ten times as long for so few."""
+    """Cross product a x b of vectors along the last axis; np.cross takes ten times as long for so few."""
     a0, a1, a2, b0, b1, b2 = a[..., 0], a[..., 1], a[..., 2], b[..., 0], b[..., 1], b[..., 2]
     x = a1 * b2 - a2 * b1
     out = np.empty((*x.shape, 3))
@@ -205,7 +208,7 @@ def jacobians(data, n: int) -> Frames:
     """
     nv = 5 + n
     turns, points = data.xmat[1 : n + 1].reshape(n, 3, 3), data.xpos[1 : n + 1]
-    # the columns that turn: three axes of the head about its origin, then one hinge a link; each moves the links behind it
+    # the rotational columns: three axes of the head about its origin, then one hinge a link; each moves the links behind it
     axes = np.concatenate([turns[0].T, turns[1:, :, 2]])
     origins = np.concatenate([points[[0, 0, 0]], points[1:]])
     moved = np.concatenate([np.ones((n, 3)), np.tri(n, n - 1, -1)], 1)[:, :, None]

@@ -16,11 +16,11 @@ class Engine:
     """Fish that swim side by side, each corrected by segments of its own.
 
     Args:
-        kind: a flow with the turbulence and box of the background. inner: engine that moves the fish, by name or as one.
+        kind: a flow with the turbulence and box of the background. inner: engine that moves the fish, or its name.
         oracle, replay: as of `Hybrid`.
 
     Attributes:
-        name: what tables call it.
+        name: its name in tables.
     """
 
     jittable = False
@@ -35,7 +35,7 @@ class Engine:
         self.name = self.hybrid.options.label(robot)
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick) -> tuple[FishState, Trace]:
-        """As the engine's that moves the fish; `tick` is the same for all of them."""
+        """Advances the fish by the inner engine's `advance`, with corrected water; `tick` is the same for all of them."""
         commands, tick = np.asarray(commands, float), np.asarray(tick)
         check_commands(commands, self.robot.n_joints)
         traces = []

@@ -1,17 +1,17 @@
 """The water of a swimming fish, corrected by short segments in a better water.
 
     hybrid = Hybrid(robot, HybridOptions(every=50.0), kind=flow)
-    params, current = hybrid.tick(fish, params, current, k)     before bus tick k: the water and stream that MuJoCo takes then
-    hybrid.report()                                             what was corrected, when, by how much and how sure
+    params, current = hybrid.tick(fish, params, current, k)     before bus tick k: water and stream of that tick for MuJoCo
+    hybrid.report()                                             corrections, their times, sizes and standard deviations
 
     MuJoCo      |first|---------- every ----------|---------- every ----------|
     segments          |lead|span|                 |lead|span|                    seeded from MuJoCo's own state and stream
                                  |.. solved ..|^  corrected from this tick on
 
-B fish are watched at once, each with a correction of its own (`hydro_fit.online_correction`). The swim itself is never moved, so
-that a corrected one has no jumps. MuJoCo does not wait: a worker thread has the solver and the comparison, and what it finds
-enters at the next bus tick; with `wait` everything happens between two ticks, the same in every run. A better water that is
-missing or fails is switched off with one warning; what was learnt stays.
+B fish are observed at once, each with a correction of its own (`hydro_fit.online_correction`). The state of the swim is never
+changed, so a corrected swim has no jumps. MuJoCo does not wait: a worker thread runs the solver and the comparison, and its
+result enters at the next bus tick. With `wait` everything happens between two ticks, the same in every run. A better water that
+is missing or fails is switched off with one warning; the corrections so far stay.
 """
 
 import atexit
@@ -44,19 +44,19 @@ BOX = "window_coarse"  # where the water does not say which box it was fitted in
 
 @dataclass(frozen=True, kw_only=True)
 class HybridOptions:
-    """When and by what a water is corrected.
+    """Schedule and solver options of the correction of a water.
 
     Attributes:
         first, every, lead, span: s; from `first` on the solver swims (lead + span) of every `every`.
-        domain: box of water by name; None: the one that the fitted water was made in. `laptop` is a preview.
-        slip: of the hull in the solver. device: auto, cpu, cuda or cuda:N.
-        tank: its mean is the stream of the tanks, whose eddies are MuJoCo's; None: as MuJoCo is told.
-        own: mean square miss, in tolerances, that nine of ten segments of a right water stay below.
-        patience: wall-clock s that a segment may take; a later one is dropped. side_by_side: tanks at a time.
+        domain: box of water by name; None: the one in which the fitted water was made. `laptop` is a preview.
+        slip: slip ratio of the hull in the solver. device: auto, cpu, cuda or cuda:N.
+        tank: flow whose mean is the stream of the tanks, with MuJoCo's eddies; None: MuJoCo's own stream.
+        own: 90th percentile of the mean square difference, in tolerances, over segments of an exact water.
+        patience: wall-clock s for a segment; a later one is dropped. side_by_side: tanks at a time.
         wait: MuJoCo waits for the solver, however long it takes, and every run is the same.
 
     Raises:
-        ConfigError: times that cannot be.
+        ConfigError: invalid times.
     """
 
     first: float = 10.0
@@ -83,13 +83,13 @@ class HybridOptions:
         return self.domain or (BOX if name in choice.KINDS else str(choice.fitted_water(name).dataset.get("grid", BOX)))
 
     def label(self, robot: Robot) -> str:
-        """One line for tables: all that a swim depends on."""
+        """One line for tables: all options that a swim depends on."""
         return f"hybrid, {self.box(robot)}, slip {self.slip:g}, {self.lead + self.span:g} of {self.every:g} s"
 
 
 @dataclass
 class _Recording:
-    """A segment under way, of all fish: what they were and met at its begin, states and commands since then."""
+    """Segment under way, of all fish: their states and water at its start, states and commands since then."""
 
     tick: int
     params: FishParams
@@ -99,7 +99,7 @@ class _Recording:
     commands: list = field(default_factory=list)
 
     def segments(self, kind: Flow) -> list[Segment]:
-        """One of each fish that is still in its senses."""
+        """Segments of all fish with finite states."""
         q, v = (np.stack(column, 1) for column in zip(*self.states, strict=True))
         commands = np.stack(self.commands, 1)
         made = []
@@ -112,7 +112,7 @@ class _Recording:
 
 @dataclass
 class _Job:
-    """Segments in the better water, and what they say of the simulation's."""
+    """Segments in the better water, and the corrections from them."""
 
     segments: list[Segment]
     states: list[Correction]  # of all fish, when the segments were swum
@@ -123,7 +123,7 @@ class _Job:
     done: bool = False
 
     def run(self, oracle: Callable[[], Oracle], replay: Replay, own: float) -> None:
-        """Solve, replay, compare."""
+        """Solves, replays and compares the segments."""
         try:
             seen = list(zip(self.segments, oracle().swim(self.segments), strict=True))
             matched = lambda pair: self._matched(pair[0], pair[1], replay, own)
@@ -146,16 +146,16 @@ class _Job:
 
 
 class Hybrid:
-    """Watches fish that swim, and corrects their water.
+    """Observes swimming fish, and corrects their water.
 
     Args:
         kind: a flow with the turbulence and box of the background.
         oracle: the better water; the flow solver by default.
-        replay: of what the simulation swims, where that is not the robot's own.
+        replay: model of the simulation's swim, if that is not the robot's own.
 
     Attributes:
-        states: the correction of each fish. rows: of each fish, what its segments said.
-        off: why there are no more segments, "" while there are.
+        states: the correction of each fish. rows: results of the segments of each fish.
+        off: reason that there are no more segments, "" while there are.
     """
 
     def __init__(
@@ -177,7 +177,7 @@ class Hybrid:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing swum and nothing corrected yet; a solver that was switched off stays so."""
+        """Clears records and corrections; a solver that was switched off stays so."""
         self.states: list[Correction] = []
         self.rows: list[list[dict]] = []
         self._last = -1
@@ -185,12 +185,12 @@ class Hybrid:
         self._job: _Job | None = None
 
     def tick(self, fish: FishState, params: FishParams, current: Current, tick: int) -> tuple[FishParams, Current]:
-        """Before bus tick `tick` of B fish: what MuJoCo's water is in it.
+        """Corrected water of MuJoCo for bus tick `tick` of B fish; call it before the tick.
 
         Args:
-            fish: as they are. params, current: the fish and the background flow as they are given, without any correction.
+            fish: present states. params, current: fish and background flow without any correction.
         Returns:
-            params with the corrected water, current with the corrected stream; the same objects where nothing is corrected.
+            params with the corrected water, current with the corrected stream; the same objects if nothing is corrected.
         """
         if tick <= self._last:
             self.reset()
@@ -204,13 +204,13 @@ class Hybrid:
         return self._corrected(params, current, tick)
 
     def close(self) -> None:
-        """Wait for a segment that is under way, and take what it says."""
+        """Waits for a segment that is under way, and takes its result."""
         if self._thread is not None:
             self._thread.join()
         self._collect(self._last)
 
     def report(self, fish: int = 0) -> dict:
-        """What was corrected: options, segments by time, factors and stream with their standard deviations, and why it ended."""
+        """Report: options, segments by time, factors and stream with their standard deviations, and the reason of the end."""
         o, state = self.options, self.states[fish] if self.states else online_correction.fresh()
         covered = len(self.rows[fish]) * (o.lead + o.span) if self.rows else 0.0
         told = {"domain": self.domain, "slip": o.slip, "every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
@@ -220,7 +220,7 @@ class Hybrid:
     # ---- the record ----
 
     def _watch(self, fish: FishState, params: FishParams, current: Current, tick: int) -> None:
-        """Note states and commands while a segment is under way; hand it over where it ends."""
+        """Records states and commands while a segment is under way; hands it over at its end."""
         o = self.options
         lead, span, every, first = (round(s / self.size) for s in (o.lead, o.span, o.every, o.first))
         now = self._recording
@@ -254,13 +254,13 @@ class Hybrid:
         self._thread.start()
 
     def _leave(self) -> None:
-        """The program ends: so does the solver, after its tick, before the interpreter goes from under it."""
+        """Stops the solver after its tick when the program ends, before the interpreter is torn down."""
         self._over = True
         if self._thread is not None:
             self._thread.join(LEAVING)
 
     def _better(self) -> Oracle:
-        """The better water, made when it is first asked."""
+        """Better water, made at the first call."""
         if self._oracle is None:
             from fishmj.engines.hybrid.tanks import Tanks
 
@@ -269,10 +269,10 @@ class Hybrid:
             self._oracle = Tanks(self.robot, **water, side_by_side=o.side_by_side, go_on=lambda: not self._over)
         return self._oracle
 
-    # ---- what came of it ----
+    # ---- results ----
 
     def _collect(self, tick: int) -> None:
-        """Take what a worker has found."""
+        """Takes the results of a worker."""
         job = self._job
         if job is None or not job.done:
             return
@@ -299,7 +299,7 @@ class Hybrid:
         return params._replace(water=water), shifted(current, stream.T, np.full(len(water), tick))
 
     def _say(self, what: str, text: str) -> None:
-        """A warning, once of each kind."""
+        """Warns, once for each kind."""
         if what not in self._told:
             self._told.add(what)
             console.warn(f"hybrid: {text}")

@@ -1,23 +1,23 @@
-"""A water corrected while it runs: factors and a stream that follow how a better water's fish moves over short segments.
+"""Online correction of a water: factors and a stream, fitted to the movement of a better water's fish over short segments.
 
     min |r(x)|^2 + |x - x'|^2_P                                 Gauss-Newton; x', P: before, P grown by forgetting
     P_k^-1 = prior + lambda (P_k-1^-1 - prior) + J^T J          lambda = exp(-t / MEMORY), t since the segment before
 
-x are the logarithms of ten factors on the coefficients, and the mean stream's offset from what the simulation is told, m/s.
-r (K, C) are differences of movement in K windows and C channels over what a right surrogate misses by, whose error has no unknown
-that mends it. Four beliefs explain a segment. `right`: x stays where it is; or what is wrong is the factors, the stream, or both:
-they are somewhere in P. x moves by the belief of the greatest evidence, if with it
+x are the logarithms of ten factors on the coefficients, and the offset of the mean stream from the simulation's, m/s. r (K, C):
+residuals, divided by the surrogate's irreducible error; differences of movement in K windows and C channels. Four beliefs explain
+a segment. `right`: x is unchanged. In the other three the factors, the stream, or both are wrong and distributed as in P. x moves
+by the belief of the greatest evidence, if with it
 
     max_c mean_k r(x')^2 > 1    and    2 ln(p_wrong / p_right) = |r(x')|^2 - |r(x)|^2 - |x - x'|^2_P - ln det(1 + J P J^T) > 0
 
-The first, since a right surrogate is off the same way in window after window: within its own misses any pattern may be its own.
-By channel, since a stream, say, shows in one of them.
-The second is Laplace's approximation of both likelihoods: what is free must gain more than it could by chance, so that a stream
-is not explained by seven factors, nor a hull by a stream. A segment that a right surrogate could have swum moves nothing, to
-the bit, and P need not protect it: `WRONG` is how far a wrong one may have to move. Friction, which tells a hull that holds the
-water from one along which it slides, and cross-flow drag by half and more; the others less, since two seconds hardly tell them
-from these two. Wrenches are no guide: large forces, each wrong by a few per cent, leave speed and turning over, and ten factors
-find many ways to mend the sum.
+The first condition is needed because the errors of an exact surrogate are alike in window after window: within its irreducible
+error any pattern may be its own. It is tested by channel, because an error of the stream, for example, shows in one channel.
+The second condition is Laplace's approximation of both likelihoods: free unknowns must gain more than they could by chance. A
+stream is then not explained by seven factors, nor a hull by a stream. A segment that an exact surrogate could have swum changes
+nothing, to the bit, so P need not prevent it. `WRONG` is the range over which wrong factors may have to move: half and more for
+friction, which separates a no-slip hull from a frictionless one, and for cross-flow drag. The other factors move less, because
+two seconds hardly separate them from these two. Wrenches are not used: speed and turning are small differences of large forces,
+each wrong by a few per cent, and ten factors could correct the sum in many ways.
 
 Recursive least squares with a forgetting factor: Ljung 1999, System Identification, section 11.2. The likelihood of a belief with
 free factors: MacKay 1992, Bayesian interpolation, Neural Computation 4.
@@ -52,7 +52,7 @@ Misses = Callable[[np.ndarray, np.ndarray], np.ndarray]  # factors (10, B), stre
 
 
 class Correction(NamedTuple):
-    """What is corrected and what is known of it. Order of the factors: `KINDS` for the body's links, then for the last link."""
+    """Corrections and their uncertainty. Order of the factors: `KINDS` for the body's links, then for the last link."""
 
     factors: np.ndarray  # (10,)
     stream: np.ndarray  # (2,) m/s, world frame: how much faster the water is than the simulation is told
@@ -60,17 +60,17 @@ class Correction(NamedTuple):
 
     @property
     def unknowns(self) -> np.ndarray:
-        """(12,) logarithms of the factors, and the stream."""
+        """Logarithms of the factors, and the stream, (12,)."""
         return np.concatenate([np.log(self.factors), self.stream])
 
     @property
     def sd(self) -> np.ndarray:
-        """(12,) standard deviations of the unknowns."""
+        """Standard deviations of the unknowns, (12,)."""
         return np.sqrt(np.diag(np.linalg.inv(self.information)))
 
 
 def fresh() -> Correction:
-    """Nothing corrected yet."""
+    """Correction without any change."""
     return Correction(np.ones(FACTORS), np.zeros(2), _prior())
 
 
@@ -81,7 +81,7 @@ def _prior() -> np.ndarray:
 def applied(c: strip_forces.Coefficients, factors) -> strip_forces.Coefficients:
     """Coefficients times their factors (10,) or (10, B); friction and head form have the body's.
 
-    The factor of friction is that of friction and `PLATE` together: a water without friction may have to get some.
+    The factor of friction multiplies the sum of friction and `PLATE`: a water without friction may need some.
     """
     (mass, cross, skin, form, _), (tail_mass, tail_cross, _, _, edge) = factors[:5], factors[5:]
     body = len(c.k) - 1
@@ -96,19 +96,21 @@ def applied(c: strip_forces.Coefficients, factors) -> strip_forces.Coefficients:
 
 
 def applied_to_rows(water: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """(B, P) flat coefficients of B fish times their factors (10, B)."""
+    """Flat coefficients (B, P) of B fish times their factors (10, B)."""
     c = applied(unflat(list(np.asarray(water, float).T)), factors)
     return np.stack(np.broadcast_arrays(*c.k, *c.cn, *c[2:]), 1)
 
 
 def matched(state: Correction, misses: Misses, *, idle: float = 0.0) -> Correction:
-    """Follow a segment that was swum by both: factors and stream with which the surrogate moves as the better water's fish did.
+    """Correction after a segment: factors and stream with which the surrogate moves as the better water's fish did.
 
     Args:
         misses: factors (10, B) and streams (2, B) of B surrogates -> (K, C, B) differences of movement in K windows and C
-            channels over what a right one differs by. idle: s since the segment before.
+            channels, divided by the irreducible error.
+        idle: s since the segment before.
     Returns:
-        The state after it: where the segment does not refute them, the same unknowns, known as they were but for forgetting.
+        The new correction. If the segment does not refute the unknowns they stay the same, with the old uncertainty plus
+        forgetting.
     """
     belief = _prior() + np.exp(-idle / MEMORY) * (state.information - _prior())
     start = state.unknowns
@@ -124,12 +126,12 @@ def matched(state: Correction, misses: Misses, *, idle: float = 0.0) -> Correcti
 
 
 def refuted(misses: np.ndarray) -> bool:
-    """Whether misses (K, C) are more than those of a right surrogate, in any channel."""
+    """Returns True if misses (K, C) exceed the irreducible error of an exact surrogate in any channel."""
     return bool((misses**2).mean(0).max() > 1.0)
 
 
 class _Fit(NamedTuple):
-    """One belief: its free unknowns, where they went, J^T J there, and 2 ln(p / p_right)."""
+    """One belief: its free unknowns, their fitted values, J^T J there, and 2 ln(p / p_right)."""
 
     free: list
     x: np.ndarray
@@ -138,7 +140,7 @@ class _Fit(NamedTuple):
 
 
 def _fitted(start: np.ndarray, free: list, belief: np.ndarray, first: np.ndarray, of: Callable) -> _Fit:
-    """Gauss-Newton on the free unknowns from `start`, where the misses are `first`."""
+    """Gauss-Newton fit of the free unknowns from `start`, with the misses `first` there."""
     held, x, last, nudge = belief[np.ix_(free, free)], start, first, NUDGE[free]
     jacobian = np.zeros((len(first), len(free)))
     for _ in range(ROUNDS):

@@ -1,10 +1,10 @@
-"""A segment: what a fish swam in MuJoCo, what the same fish does in a better water, and how far the two are apart.
+"""A segment: the swim of a fish in MuJoCo, the same swim in a better water, and the difference of the two.
 
     |---- lead ----|---- span ----|        bus ticks
      the better water's fish is led along MuJoCo's own path, then swims the same commands by its servos
 
-During the lead the better water gets used to the fish: it begins undisturbed. What is compared is the span, swum from one state
-by the same commands in the same eddies: means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s.
+The better water starts undisturbed and develops during the lead. The span is compared; it starts from one state, with the same
+commands in the same eddies. Compared are means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ WIDE = 12  # replays side by side; a batch of one size is compiled once
 
 
 class Segment(NamedTuple):
-    """What one fish swam; every field of a batch has one row."""
+    """Swim of one fish; every field of a batch has one row."""
 
     fish: int  # its number
     tick: int  # bus ticks from t = 0 to the begin of the lead
@@ -53,17 +53,17 @@ class Oracle(Protocol):
     """A better water."""
 
     def swim(self, segments: Sequence[Segment]) -> list["Swum | str"]:
-        """What the fish of each segment does in its span there; or why it came to no end.
+        """Swims of the fish of each segment in its span there, or the reason for an early end.
 
         Raises:
-            FishmjError, ArithmeticError, RuntimeError: this water cannot be asked at all.
+            FishmjError, ArithmeticError, RuntimeError: this water does not work at all.
         """
 
 
 class Replay:
-    """The span of a segment again, in the simulation's water with other factors and another stream: the closed form, in JAX.
+    """Repeats the span of a segment in the simulation's water with other factors and another stream: the closed form, in JAX.
 
-    chain: another one than the robot's own.
+    chain: a chain other than the robot's own.
     """
 
     def __init__(self, robot: Robot, chain: planar_chain.Chain | None = None):
@@ -72,7 +72,7 @@ class Replay:
         self._device = jax.local_devices(backend="cpu")[0]  # a dozen fish: a GPU would take longer, and has the solver's tanks
 
     def means(self, segment: Segment, factors: np.ndarray, stream: np.ndarray) -> np.ndarray:
-        """(K, 3, B) velocity ahead, to the left, and yaw rate by windows; for factors (10, B) and streams (2, B)."""
+        """Velocity ahead, to the left, and yaw rate by windows, (K, 3, B); for factors (10, B) and streams (2, B)."""
         parts = []
         for k in range(0, factors.shape[1], WIDE):
             swum = self.swim(segment, factors[:, k : k + WIDE], stream[:, k : k + WIDE])
@@ -96,15 +96,15 @@ class Replay:
 
 
 class Misses:
-    """How differently the simulation moves from what was seen, over what a right water misses by: (K, 3, B).
+    """Differences of the simulation's movement from the observed one, divided by the irreducible error: (K, 3, B).
 
-    own: mean square, in tolerances and of the worst channel, that nine of ten segments of a right water stay below.
+    own: 90th percentile of the mean square in tolerances, of the worst channel, over segments of an exact water.
     """
 
     def __init__(self, replay: Replay, segment: Segment, seen: Swum, own: float):
         self.replay, self.segment = replay, segment
         self.seen = windows(body_rates(seen.q, seen.v), replay.tick)[..., None]
-        # what a water may be wrong by goes with the speed through it: a fish that holds station swims as fast as the stream
+        # the tolerance grows with the speed through the water: a fish that holds station swims as fast as the stream
         through = seen.v[:, :3] - [*segment.current.mean[0], 0.0]
         speed, turn = of_movement(*windows(body_rates(seen.q, through), replay.tick).T)
         self.wide = np.stack([speed, speed, turn], 1)[..., None] * np.sqrt(own)
@@ -114,7 +114,7 @@ class Misses:
 
 
 def body_rates(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(..., 3) velocity ahead, to the left, and yaw rate, of poses and their rates (..., 3 or more)."""
+    """Velocity ahead, to the left, and yaw rate, (..., 3), of poses and their rates (..., 3 or more)."""
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     return np.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
 

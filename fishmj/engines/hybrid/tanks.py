@@ -1,7 +1,7 @@
 """The better water of a hybrid: tanks of the flow solver, one a segment, side by side on one device.
 
-Every segment gets a tank of its own in MuJoCo's background flow of that time: the same eddies, where they are at that moment, on
-the tank's own mean stream where that is given. The fish is MuJoCo's, with its masses, gains and latency, in MuJoCo's state.
+Every segment gets a tank of its own in MuJoCo's background flow of that time: the same eddies at the same places, on the tank's
+own mean stream if that is given. The fish is MuJoCo's, with its masses, gains and latency, in MuJoCo's state.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,12 +19,12 @@ from fishmj.water.flow import DrawnFlow, Flow, shifted
 
 
 class Tanks:
-    """The flow solver.
+    """The flow solver as the better water.
 
     Args:
-        domain: box of water by name. slip: of the hull there. device: auto, cpu or cuda.
-        stream: its mean is that of the tanks; None: as MuJoCo is told. side_by_side: segments at a time.
-        go_on: asked before every tick; False gives the segments up.
+        domain: box of water by name. slip: slip ratio of the hull there. device: auto, cpu or cuda.
+        stream: flow whose mean is that of the tanks; None: MuJoCo's own. side_by_side: segments at a time.
+        go_on: called before every tick; False ends the segments.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class Tanks:
         self.water: dict[str, Any] = {"domain": domain, "slip": slip, "device": device}
 
     def swim(self, segments: Sequence[Segment]) -> list["Swum | str"]:
-        """As `Oracle.swim`."""
+        """Swims of the segments in the flow solver; as `Oracle.swim`."""
         some = self.side_by_side
         return [one for k in range(0, len(segments), some) for one in self._together(segments[k : k + some])]
 
@@ -65,7 +65,7 @@ class Tanks:
         tanks.tick(commands)
 
     def _seeded(self, segment: Segment) -> Run:
-        """A tank with the fish at the begin of its lead."""
+        """Tank with the fish at the start of its lead."""
         engine = lbm.Engine(self.robot, [self.flow(segment)], **self.water)
         kept = None if engine.active is None else segment.start.memory[0, : len(engine.active.memory)]
         run = engine.tank(0, segment.q[0], segment.params, kept)

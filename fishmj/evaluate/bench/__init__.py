@@ -1,6 +1,6 @@
-"""Benchmarks: each figure with a baseline that runs in turn beside it, so that a busy machine slows both.
+"""Benchmarks: each figure has a baseline that runs alternately with it, so that a busy machine slows both.
 
-A benchmark is a function that prepares and returns a `Work`; a later part adds its own:
+A benchmark is a function that prepares and returns a `Work`; other modules add their own:
 
     @benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
     def engine_planar(quick: bool) -> Work: ...
@@ -40,6 +40,7 @@ class Benchmark(NamedTuple):
 
     @property
     def summary(self) -> str:
+        """First line of the docstring of `prepare`."""
         return (self.prepare.__doc__ or "").strip().partition("\n")[0]
 
 
@@ -58,7 +59,7 @@ class NotHere(Exception):
 
 
 def benchmark(name: str, unit: str, baseline: Prepare | None = None) -> Callable[[Prepare], Prepare]:
-    """Register `prepare(quick)` under a name; `baseline` is another `prepare` with the same unit."""
+    """Returns a decorator that registers `prepare(quick)` under a name; `baseline` is another `prepare` with the same unit."""
 
     def register(prepare: Prepare) -> Prepare:
         REGISTRY[name] = Benchmark(name, unit, prepare, baseline)
@@ -77,7 +78,7 @@ def known() -> dict[str, Benchmark]:
 
 
 def pick(names: list[str]) -> list[Benchmark]:
-    """The benchmarks of these names; all for none. Raises UnknownName."""
+    """Benchmarks of these names; all if none is given. Raises UnknownName."""
     table = known()
     for name in names:
         if name not in table:
@@ -86,7 +87,7 @@ def pick(names: list[str]) -> list[Benchmark]:
 
 
 def machine(where: str = "cpu") -> str:
-    """One line that a figure cannot do without: processor, cores, device, versions."""
+    """One line about the machine of a figure: processor, cores, device, versions."""
     parts = [processor(), f"{usable_cores()} cores", where, f"Python {platform.python_version()}"]
     return ", ".join([*parts, *(f"{name} {found}" for name in ("mujoco", "jax") if (found := version(name)))])
 
@@ -99,11 +100,11 @@ def rate(work: Work, clock: Callable[[], float]) -> float:
 
 
 def measure(bench: Benchmark, *, rounds: int = 5, quick: bool = False, clock: Callable[[], float] = time.perf_counter) -> dict:
-    """Run one benchmark beside its baseline.
+    """Runs one benchmark alternately with its baseline.
 
     Returns:
-        {"name", "value", "unit", "baseline", "ratio", "machine"}; baseline and ratio None where there is none;
-        {"name", "skipped"} with the reason where it cannot run here.
+        {"name", "value", "unit", "baseline", "ratio", "machine"}; baseline and ratio None without a baseline;
+        {"name", "skipped"} with the reason if it cannot run here.
     """
     try:
         work = bench.prepare(quick)

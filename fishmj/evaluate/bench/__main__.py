@@ -9,12 +9,12 @@ from fishmj.water import choice
 
 
 def _figure(value):
-    """Four digits are more than a shared machine repeats."""
+    """Value rounded to four digits: more do not repeat on a shared machine."""
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def _measured(bench: Benchmark, quick: bool) -> dict:
-    """One result; a fault in one benchmark is reported and does not take the others with it."""
+    """One result; a fault in one benchmark is reported and does not stop the others."""
     try:
         return measure(bench, rounds=3 if quick else 7, quick=quick)
     except Exception as error:  # noqa: BLE001
@@ -23,7 +23,7 @@ def _measured(bench: Benchmark, quick: bool) -> dict:
 
 
 def _words(todo: list[Benchmark], done: int) -> str:
-    """What an interrupted run says."""
+    """Text of an interrupted run."""
     left = " ".join(bench.name for bench in todo[done:])
     return f"the lines above are {done} of {len(todo)} benchmarks; go on with: fishmj bench {left}"
 
@@ -35,7 +35,7 @@ EXAMPLES = """examples:
 
 
 def options() -> console.Parser:
-    """The arguments of `bench`."""
+    """Parser of the verb `bench`."""
     summary = "Throughput of this machine, one JSON line a benchmark, each beside its baseline."
     parser = console.parser("bench", summary, examples=EXAMPLES)
     parser.add_argument(
@@ -48,7 +48,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The verb `bench`. Returns the exit code."""
+    """Runs the verb `bench`; returns the exit code."""
     args = options().parse_args(argv)
     if args.list:
         rows = [{"name": b.name, "unit": b.unit, "what": b.summary} for b in known().values()]

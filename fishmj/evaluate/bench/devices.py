@@ -1,8 +1,8 @@
-"""Tanks on several GPUs of one host beside tanks on one: how the steps of all of them grow with the number of GPUs.
+"""Tanks on several GPUs of one host compared with tanks on one: growth of the total steps with the number of GPUs.
 
     fishmj bench oracle_devices_2 oracle_devices_4 oracle_devices_8     steps a second on so many GPUs, on one, and their ratio
 
-As in `--device cuda:all`, every GPU has a process of its own with as many tanks as keep it busy; one host serves all of them.
+As in `--device cuda:all`, every GPU has a process of its own with enough tanks to keep it busy; one host serves all of them.
 """
 
 import traceback
@@ -22,7 +22,7 @@ def scaled(devices: Sequence[str], quick: bool = False) -> Work:
     """Fish at rest in tanks on each of these devices at the same time, steps of all tanks added up.
 
     Raises:
-        RuntimeError: a process did not come to its tanks; with its traceback.
+        RuntimeError: a process failed to make its tanks; with its traceback.
     """
     side = _Side(devices, quick)
     each = TANKS if devices[0].startswith("cuda") else TANKS_CPU
@@ -30,7 +30,7 @@ def scaled(devices: Sequence[str], quick: bool = False) -> Work:
 
 
 class _Side:
-    """A process a device, each with its tanks, waiting to be told."""
+    """Processes, one for each device with its tanks, that wait for commands."""
 
     def __init__(self, devices: Sequence[str], quick: bool):
         with processes.deaf():
@@ -40,13 +40,13 @@ class _Side:
         self.amount = sum(self._heard())
 
     def run(self) -> None:
-        """So many ticks of all."""
+        """Does so many ticks of all tanks."""
         for pipe in self.pipes:
             pipe.send(True)
         self._heard()
 
     def _heard(self) -> list[float]:
-        """What every process says, once each has."""
+        """Answers of all processes. Raises RuntimeError with the traceback of one that failed."""
         said: list[Any] = [pipe.recv() for pipe in self.pipes]
         if wrong := [text for text in said if isinstance(text, str)]:
             raise RuntimeError(wrong[0])
@@ -61,7 +61,7 @@ def _end(begun: list) -> None:
 
 
 def _tanks(pipe, device: str, share: tuple[int, int], quick: bool) -> None:
-    """The process of one device: says how many steps a run has, then does one whenever it is told."""
+    """Main function of the process of one device: sends the number of steps of a run, then does one run for each command."""
     from fishmj.lbm_oracle.fluid.device import device_of
     from fishmj.lbm_oracle.run.domain import preset
 

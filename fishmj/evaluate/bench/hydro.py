@@ -1,4 +1,4 @@
-"""What a physics step costs on each way by which water gets into the fish, with and without the learnt residual.
+"""Cost of a physics step for each coupling of the water to the fish, with and without the learnt residual.
 
 | benchmark | way | baseline |
 |---|---|---|
@@ -67,7 +67,7 @@ def _beat(t, joints: int) -> np.ndarray:
 
 
 def _finite(run, what: str, amount: float, where: str = "cpu") -> Work:
-    """A warmed-up piece of work, refused where the fish left the finite numbers."""
+    """Warmed-up piece of work; refused if the state of the fish is not finite."""
     if not np.isfinite(run()).all():
         raise NotHere(f"{what} left the finite numbers: its rate would mean nothing")
     return Work(run, amount, where)

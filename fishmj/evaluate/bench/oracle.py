@@ -1,7 +1,7 @@
-"""The oracle: the fluid beside what the device's memory would allow, and fish in it beside the fluid alone.
+"""The oracle: the fluid compared with the limit of the device's memory, and fish in it compared with the fluid alone.
 
-A lattice update reads and writes nineteen populations, 152 bytes in single precision; the baseline copies that many bytes and
-counts them as updates, so that the ratio is the part of the copy bandwidth that the step turns into fluid.
+A lattice update reads and writes nineteen populations, 152 bytes in single precision. The baseline copies that many bytes and
+counts them as updates, so the ratio is the part of the copy bandwidth that the step uses for updates.
 """
 
 import os
@@ -116,7 +116,7 @@ def _emptied(domain, device, steps: int, unit: float = 1.0) -> Work:
 
 
 def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
-    """Fish at rest in still water, all with their servos on, each at its own pace as trials are; `unit` of work a step of one.
+    """Fish at rest in still water with their servos on, each at its own pace like trials; `unit` of work for each step of one.
 
     Raises:
         SimDiverged: a tank stopped; its steps would have been counted without having been done.
@@ -181,7 +181,7 @@ def _fine_cells(quick: bool):
 
 
 def fine_alone(quick: bool) -> Work:
-    """The water of one of those tanks with nobody in it."""
+    """Water of one of those tanks without a fish."""
     domain, device, ticks = _fine_cells(quick)
     return _emptied(domain, device, 40 * ticks, domain.body_level.dt)
 
@@ -224,7 +224,7 @@ def peer_interpreter() -> Path:
     """Python of the environment that holds XLB: `FISHMJ_XLB_PYTHON`, or `xlb` in the cache folder.
 
     Raises:
-        NotHere: there is none; the message says how to make it.
+        NotHere: there is none; the message has the command that makes it.
     """
     chosen = os.environ.get("FISHMJ_XLB_PYTHON")
     home = cache_folder() / "xlb"
@@ -239,7 +239,7 @@ def xlb(quick: bool) -> Work:
     """XLB's periodic step on the same box, on the CPU.
 
     Raises:
-        NotHere: it is not installed, or does not start; the message has its last words.
+        NotHere: it is not installed, or does not start; the message has its last output.
     """
     steps = PEER_QUICK if quick else PEER_STEPS
     command = [str(peer_interpreter()), str(Path(__file__).with_name("peer_xlb.py")), *map(str, PEER_SHAPE)]
@@ -256,7 +256,7 @@ def xlb(quick: bool) -> Work:
 
 
 class _Asked:
-    """A run of the worker: so many steps asked for, and the answer waited for."""
+    """Run of the worker: requests a number of steps and waits for the answer."""
 
     def __init__(self, worker, steps: int, said):
         self.worker, self.steps, self.said = worker, steps, said

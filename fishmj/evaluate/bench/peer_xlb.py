@@ -9,7 +9,7 @@ import sys
 
 
 def main(shape: tuple[int, ...]) -> None:
-    """Periodic D3Q19 with BGK collision in single precision, XLB's Warp backend."""
+    """Runs periodic D3Q19 with BGK collision in single precision, XLB's Warp backend."""
     import warp as wp
     import xlb
     from xlb.compute_backend import ComputeBackend

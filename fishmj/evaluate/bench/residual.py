@@ -1,12 +1,12 @@
 """Ways to compute the learnt force in JAX, side by side: `python -m fishmj.evaluate.bench.residual`, one line a way.
 
-    strips         no learnt force: what is left to win            products       matrix products in float32, as on a CPU
+    strips         no learnt force: the upper limit                products       matrix products in float32, as on a CPU
     rounded        the same, rounded to ten bits where the device may      split     the same, in three products of ten bits
     kernel B/W     one Pallas kernel, B fish a program of W warps (residual_kernel.py), on an NVIDIA GPU alone
     tick B/W/U     the physics of a whole tick in such a kernel (engines/planar_kernel.py), U hidden units a round of its loop
 
-Rates are control steps (0.2 s) a second, best of the rounds. `off` is how far the worst of a school swims in `SECONDS` from where
-`products` in double precision takes it, mm: a way that is quicker and less exact shows here.
+Rates are control steps (0.2 s) a second, best of the rounds. `off` is the error of a way, mm: the greatest distance of a fish of
+a school after `SECONDS` from its position with `products` in double precision.
 """
 
 import argparse
@@ -27,7 +27,7 @@ TICKS = ((128, 4, 8), (128, 4, 1), (64, 2, 4), (256, 4, 1), (256, 8, 4), (512, 1
 
 
 def ways(gpu: bool) -> dict[str, dict]:
-    """Name of a way -> what is set for it."""
+    """Settings of each way, by name."""
     from jax.lax import DotAlgorithmPreset
 
     found: dict[str, dict] = {"products": {"kernel": False}}
@@ -42,7 +42,7 @@ def ways(gpu: bool) -> dict[str, dict]:
 
 @contextmanager
 def chosen(settings: dict[str, Any]) -> Iterator[None]:
-    """Engines that are made inside compute so."""
+    """Makes engines inside the context use these settings."""
     from fishmj.engines import planar, planar_kernel
     from fishmj.water import residual_kernel, residual_network, residual_step
 
@@ -69,7 +69,7 @@ def timed(name: str, learnt: bool, fish: int, unroll: int, rounds: int) -> dict:
 
 
 def places(double: bool) -> np.ndarray:
-    """Where the fish of a school are after `SECONDS` in turbulence, (B, 3) m and rad."""
+    """Positions of the fish of a school after `SECONDS` in turbulence, (B, 3) m and rad."""
     import jax
 
     from fishmj import engines
@@ -85,12 +85,12 @@ def places(double: bool) -> np.ndarray:
 
 
 def _words(error: Exception) -> str:
-    """A fault in one line."""
+    """Text of a fault in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print the table."""
+    """Prints the table."""
     import jax
 
     raw = argparse.RawDescriptionHelpFormatter

@@ -1,4 +1,4 @@
-"""How much faster the fitted water is than the flow solver: simulated seconds of swimming in a second, on the same device.
+"""Speed of the fitted water relative to the flow solver: simulated seconds of swimming in a second, on the same device.
 
 | benchmark | what | baseline |
 |---|---|---|

@@ -1,1 +1,1 @@
-"""The verb `hydro_fit hybrid`: what the correction of a running water is worth, where it is right and where it is wrong."""
+"""The verb `hydro_fit hybrid`: the value of the correction of a running water, if that water is right and if it is wrong."""

@@ -6,13 +6,13 @@
 
     none          the water as fitted                slip      the solver at slip 0.98, the water fitted at 1
     tail          a tail 10 % shorter, in the water fitted to a hull along which no water slides (NAME-noslip)
-    added_mass    the tail's added mass 30 % off     stream    the tank's stream 0.05 m/s more than MuJoCo is told
+    added_mass    the tail's added mass 30 % off     stream    the tank's stream 0.05 m/s faster than MuJoCo's
 
 Every trial is swum three times, with the same fish, noise and eddies: in MuJoCo alone, in MuJoCo corrected (the water `hybrid`),
 and in the flow solver, closed loop. Solved trials are kept in --out and serve every condition that they belong to. The trials are
-the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial; speed, over ground,
-averaged over a beat, and place, the distance from the solver's fish, are means from the end of the first segment on: before
-that nothing is corrected.
+the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial. Speed is over ground,
+averaged over a beat; place is the distance from the solver's fish. Both are means from the end of the first segment on, because
+nothing is corrected before that.
 """
 
 import contextlib
@@ -62,7 +62,7 @@ SHOWN = ("figure", "solver", "alone - solver", "hybrid - solver", "left", "mende
 
 
 def options() -> console.Parser:
-    """The arguments of `hybrid`."""
+    """Parser of the verb `hybrid`."""
     parser = console.parser("hydro_fit hybrid", "Correct MuJoCo's water by short segments of the flow solver while it swims.")
     add = parser.add_argument
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
@@ -91,7 +91,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The verb `hybrid`; exit code 1 where the correction misses its aim."""
+    """Runs the verb `hybrid`; exit code 1 if the correction misses its aim."""
     args = options().parse_args(argv)
     if args.wrong in RENAMED:
         console.warn(f"--wrong {args.wrong} is now called {RENAMED[args.wrong]}; the old name is deprecated")
@@ -122,7 +122,7 @@ def main(argv: list[str]) -> int:
 
 @dataclass(frozen=True)
 class Condition:
-    """What is wrong: MuJoCo's robot in its water and the chain whose water that is; slip and stream of the tanks."""
+    """Condition of the study: MuJoCo's robot in its water, the chain of that water, slip and stream of the tanks."""
 
     name: str
     robot: Robot
@@ -131,14 +131,14 @@ class Condition:
     faster: float = 0.0  # m/s
 
     def options(self, args) -> HybridOptions:
-        """Of the hybrid in this condition."""
+        """Options of the hybrid in this condition."""
         tank = Flow(speed=args.speed + self.faster) if self.faster else None
         water: dict[str, Any] = {"domain": args.domain or box_of(args), "slip": self.slip, "device": args.device, "tank": tank}
         water |= {"first": args.first, "every": args.every, "lead": args.lead, "own": args.own}
         return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water)
 
     def engine(self) -> batch.Engine:
-        """MuJoCo with the body of the robot in the water of the chain."""
+        """Engine: MuJoCo with the body of the robot in the water of the chain."""
         inside = batch.Engine(self.robot, threads=1)
         if self.chain != planar_chain.chain_of(self.robot):
             for shoal in inside.shoals:
@@ -147,12 +147,12 @@ class Condition:
 
 
 def box_of(args) -> str:
-    """The box that the right water was fitted in: what is wrong does not move the tank."""
+    """Box of water of the right fitted water; a wrong condition does not change the tank."""
     return HybridOptions().box(choice.in_water(load_robot(args.fish), args.model))
 
 
 def condition(name: str, args) -> Condition:
-    """What `name` stands for."""
+    """Condition by name."""
     plain = load_robot(args.fish)
     robot = choice.in_water(plain, args.model)
     chain = planar_chain.chain_of(robot)
@@ -166,7 +166,7 @@ def condition(name: str, args) -> Condition:
 
 
 def shorter_tail(robot: Robot) -> planar_chain.Chain:
-    """The robot's chain in the water of a tail that is a tenth shorter."""
+    """Chain of the robot in the water of a tail that is a tenth shorter."""
     tail = robot.links[-1]
     short = replace(tail, length=SHORTER * tail.length, sections=tuple((SHORTER * s, h, w) for s, h, w in tail.sections))
     strips = planar_chain.chain_of(robot, geometry_of(replace(robot, links=(*robot.links[:-1], short)))).strips
@@ -178,11 +178,12 @@ def shorter_tail(robot: Robot) -> planar_chain.Chain:
 
 @dataclass(frozen=True, kw_only=True)
 class TankTrials(Trials):
-    """The trials in tanks whose mean stream is `faster` m/s more than told, in the same eddies."""
+    """Trials in tanks whose mean stream is `faster` m/s faster than nominal, in the same eddies."""
 
     faster: float
 
     def flows(self) -> list[Flow]:
+        """Background flow of each trial, with the faster mean."""
         told = super().flows()
         more = [self.faster * flow.mean[None, :2] / flow.speed for flow in told]
         still = np.zeros(1, int)
@@ -197,7 +198,7 @@ def trials_of(args) -> Trials:
 
 
 def kept(one: Condition, trials: Trials, args) -> dict:
-    """The figures of a condition: those in --out where they were made of the same, else measured."""
+    """Figures of a condition: those in --out if they were made with the same options, else measured."""
     path = Path(args.out) / f"{one.name}.json"
     made = {"robot": repr(one.robot), "chain": repr(one.chain), "hybrid": repr(one.options(args)), "policy": args.policy}
     made |= {"trials": asdict(trials), "code": package_sha256()}
@@ -210,7 +211,7 @@ def kept(one: Condition, trials: Trials, args) -> dict:
 
 
 def measured(one: Condition, trials: Trials, args) -> dict:
-    """Swim three times, and compare."""
+    """Swims the trials three times, and compares."""
     brain = control.chosen(args.policy, one.robot)
     hybrid = one.options(args)
     inside = one.engine()
@@ -245,15 +246,15 @@ def measured(one: Condition, trials: Trials, args) -> dict:
 
 
 def _on_cpu() -> contextlib.AbstractContextManager:
-    """A dozen fish are too few for a GPU, which has the tanks."""
+    """Context on the CPU: a dozen fish are too few for a GPU, which computes the tanks."""
     return jax.default_device(jax.local_devices(backend="cpu")[0])
 
 
-# ---- what they say ----
+# ---- results ----
 
 
 def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]:
-    """(n,) rmse m of the second half; speed m/s and place m from `since` s on; NaN where the solver stopped."""
+    """RMSE (n,) m of the second half; speed m/s and place m from `since` s on; NaN if the solver stopped."""
     late, half = swim.t >= since, swim.t >= max(since, swim.t[-1] / 2)
     over_ground = [beat_mean(swim.velocity[..., i], swim.robot.timing.bus_dt)[:, late] for i in (0, 1)]
     apart = np.linalg.norm(swim.pose[..., :2] - solver.pose[..., :2], axis=-1)[:, late].mean(1)
@@ -263,7 +264,7 @@ def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]
 
 
 def verdict(found: dict[str, dict[str, np.ndarray]]) -> dict:
-    """Which figures are off without the correction, how much of that is left with it, and whether that is little enough."""
+    """Figures that are off without the correction, the remaining share with it, and the judgement of that share."""
     rows: list[dict[str, Any]] = []
     same: list[dict[str, Any]] = []
     off: list[bool] = []
@@ -286,7 +287,7 @@ def verdict(found: dict[str, dict[str, np.ndarray]]) -> dict:
 
 
 def told(row: dict) -> None:
-    """The table of a condition."""
+    """Prints the table of a condition."""
     between = lambda d: f"{d['value']:+.4f} " + (d["why"] or f"({d['low']:+.4f} {d['high']:+.4f})")
     lines = []
     for one in row["off"]:

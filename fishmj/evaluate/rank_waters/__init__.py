@@ -1,1 +1,1 @@
-"""Do two waters rank controllers alike?"""
+"""Comparison of the rankings of controllers in two waters."""

@@ -6,9 +6,9 @@
     python -m fishmj.hydro_fit rank pd --again 3                     trials again: in the solver twice a part of a cell away and
                                                                      once with half its time step, in the surrogate 8 times
 
-A gap may be twice what the solver's own mean moves by when it repeats the trials; of repeated trials it is between the means.
+A gap may be twice the change of the solver's own mean when it repeats the trials; for repeated trials it is between the means.
 
-Exit code 1 where a tolerance is missed, 3 where too few trials tell the controllers apart.
+Exit code 1 if a tolerance is missed, 3 if the trials are too few to separate the controllers.
 """
 
 from dataclasses import asdict, replace
@@ -44,7 +44,7 @@ SAID = {True: "yes", False: "NO", None: "cannot be told"}
 
 
 def options() -> console.Parser:
-    """The arguments of `rank`."""
+    """Parser of the verb `rank`."""
     parser = console.parser("hydro_fit rank", "Rank controllers in the flow solver and in a fitted water, on the same trials.")
     add = parser.add_argument
     brains = f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name"
@@ -72,10 +72,10 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """Run what is missing, judge, print, write.
+    """Runs the missing trials, judges, prints and writes.
 
     Raises:
-        UnknownName, ConfigError: a controller, water, box or number that cannot be.
+        UnknownName, ConfigError: an unknown controller, water or box, or an invalid number.
     """
     args = options().parse_args(argv)
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
@@ -118,19 +118,18 @@ def main(argv: list[str]) -> int:
 
 
 def kept_words(folder: Path) -> str:
-    """What an interrupted ranking says."""
+    """Text of an interrupted ranking."""
     swims = compare_waters.kept_in(folder)
     return f"{swims} holds {len(list(swims.glob('*.npz')))} finished trials of the solver; {interrupt.again()}"
 
 
 def report_after(bar: console.Progress, before: float) -> compare_waters.Said:
-    """A report to the bar of a run that begins when `before` s of water are done."""
+    """Report function for the bar of a run that starts after `before` simulated seconds."""
     return lambda name, done: bar.update(before + done, controller=name)
 
 
 def in_turn(brains, trials: protocol.Trials, waters: list, tanks: int, budget: float | None, bar) -> tuple:
-    """All trials in the solver, then again in its repeats: the trials that all of them have finished, and the figures of every
-    run."""
+    """Runs all trials in the solver, then its repeats: trials that all have finished, and the figures of every run."""
     found, before = [], 0.0
     for water in waters:
         report = report_after(bar, before)
@@ -141,7 +140,7 @@ def in_turn(brains, trials: protocol.Trials, waters: list, tanks: int, budget: f
 
 
 def default_model(fish: str) -> str:
-    """The fitted water of this fish, or the one that comes with fishmj.
+    """Fitted water of this fish, or the shipped one.
 
     Raises:
         ConfigError: none comes with it.
@@ -153,16 +152,16 @@ def default_model(fish: str) -> str:
 
 
 def chosen(args) -> protocol.Trials:
-    """The first `--trials` of the decided ones, in their spread order."""
+    """First `--trials` of the standard trials, in their spread order."""
     every = compare_waters.spread(protocol.trials(seed=args.seed, duration=args.seconds))
     return replace(every, items=every.items[: args.trials])
 
 
 def verdict(trials: protocol.Trials, solved: list[dict], swum: list[dict], model: HydroModel, args) -> dict:
-    """The judgement of both figures, plain, with all that it depends on; `ok` is None where nothing can be told.
+    """Judgement of both figures in plain types, with all its inputs; `ok` is None if nothing can be decided.
 
     Args:
-        solved, swum: controller -> key -> (n,) in solver and surrogate, of every run, the trials as they are drawn first.
+        solved, swum: controller -> key -> (n,) in solver and surrogate, of every run, the trials as drawn first.
     Returns:
         among others conditions: (m/s, line of sight in deg, repeat) of each trial, in the order of `by_trial`.
     """
@@ -187,7 +186,7 @@ def verdict(trials: protocol.Trials, solved: list[dict], swum: list[dict], model
 
 
 def shown(found: dict, args) -> int:
-    """Tables, files and the exit code."""
+    """Prints tables and writes files; returns the exit code."""
     t, judged = found["trials"], found["rmse_after_arrival"]
     head = f"{t['n']} trials of {t['duration']:g} s, {found['model']} against the solver on {found['domain']}"
     head = f"preview, not a judgement: {head}" if found["preview"] else head
@@ -212,7 +211,7 @@ def shown(found: dict, args) -> int:
 
 
 def unbounded(found: dict) -> list[str]:
-    """Which controllers' figures stand there without an interval, and why: a line a reason."""
+    """Controllers' figures without an interval, with the reason: one line for each reason."""
     rows = [(key, row) for key in compare_waters.KEYS for row in found[key]["controllers"] if row["gap"]["why"]]
     reasons = dict.fromkeys((key, row["gap"]["why"]) for key, row in rows)
     named = lambda reason: [row["controller"] for key, row in rows if (key, row["gap"]["why"]) == reason]
@@ -220,7 +219,7 @@ def unbounded(found: dict) -> list[str]:
 
 
 def row_of(key: str, row: dict) -> dict:
-    """One controller as the terminal shows it."""
+    """Row of one controller for the terminal."""
     bounds = lambda e, sign: "" if e["why"] else f" ({e['low']:{sign}.3f} {e['high']:{sign}.3f})"
     cell = lambda e, sign="": f"{e['value']:{sign}.3f}{bounds(e, sign)}"
     name = row["controller"]
@@ -236,7 +235,7 @@ def row_of(key: str, row: dict) -> dict:
 
 
 def verdict_lines(judged: dict) -> list[str]:
-    """What passed, in words."""
+    """Result of each tolerance, in words."""
     told, passed = judged["told_apart"], judged["passed"]
     return [
         f"largest gap {judged['gap_max']:.3f} m, each at most what is allowed: {SAID[passed['gap_max']]}",

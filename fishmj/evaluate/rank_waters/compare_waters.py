@@ -1,8 +1,8 @@
 """The same controllers on the same trials in the flow solver and in a surrogate: targets, flows, fish, latencies and noise alike.
 
-Trials are taken in an order of which every beginning is spread over speeds and directions, group by group with all controllers,
-so that a run that ends early leaves complete trials. The solver keeps each finished trial in a folder named by its code; the
-surrogate takes seconds and always runs anew.
+Every first part of the trials' order is spread over speeds and directions. Trials run group by group with all controllers, so
+that a run that ends early leaves complete trials. The solver keeps each finished trial in a folder named by the hash of its code;
+the surrogate takes seconds and always runs again.
 
     rmse_after_arrival   m, from first entry to 30 s, without arrival from 10 s on        of shorter trials: to the end, the
     rmse_holding         m, over 40 to 60 s                                               last two thirds, the last third
@@ -43,14 +43,14 @@ Said = Callable[[str, float], None]  # controller, seconds of water done
 
 
 def silent(name: str, seconds: float) -> None:
-    """A report that nobody asked for."""
+    """Report function that does nothing."""
 
 
 def in_solver(
     robot: Robot, folder: Path, *, domain: str, slip: float, device: str, tanks: int,
     variation: run_trials.Variation = run_trials.UNCHANGED,
 ) -> Water:  # fmt: skip
-    """The flow solver; finished trials are kept in `folder` under the solver's own sha256 and not run again."""
+    """Function that runs trials in the flow solver; `folder` keeps finished ones under the solver's sha256; none is run again."""
     kept = kept_in(folder).parent
 
     def judge(brain, trials: Trials, report: Report) -> Result:
@@ -61,18 +61,21 @@ def in_solver(
 
 
 def kept_in(folder: Path) -> Path:
-    """Where `in_solver` keeps finished trials."""
+    """Folder in which `in_solver` keeps finished trials."""
     return Path(folder) / f"solver-{solver_sha256()[:8]}" / run_trials.KEPT
 
 
 def in_surrogate(robot: Robot, engine="batch", shift: tuple[float, float] = (0.0, 0.0)) -> Water:
-    """The robot's own water, fitted or not, in an engine or one by name; every fish let go `shift` m beside its trial's start."""
+    """Function that runs trials in the robot's own water, in an engine or one by name.
+
+    Fish start `shift` m beside the trial's start.
+    """
     body = engines.make(engine, robot) if isinstance(engine, str) else engine
     return lambda brain, trials, report: run(brain, robot, trials, body, shift=shift, progress=lambda k: report(k * len(trials)))
 
 
 def shifts(seed: int, cell: float) -> list[tuple[float, float]]:
-    """Where the fish of the surrogate's repeats are let go, m beside their trials: anywhere in the cell around that."""
+    """Offsets of the fish in the surrogate's repeats, m beside their trials' starts: uniform in the cell around them."""
     drawn = np.random.default_rng([seed, OFTEN]).uniform(-0.5, 0.5, (OFTEN, 2)) * cell
     return [(float(x), float(y)) for x, y in drawn]
 
@@ -80,11 +83,11 @@ def shifts(seed: int, cell: float) -> list[tuple[float, float]]:
 def solve(
     brains: Sequence, trials: Trials, solver: Water, *, group: int = 1, budget: float | None = None, report: Said = silent
 ) -> tuple[Trials, ByController]:
-    """All controllers in the solver, trial by trial.
+    """Runs all controllers in the solver, trial by trial.
 
     Args:
-        brains: controllers. trials: in the order in which they are run. group: trials that run side by side.
-        budget: s of wall clock after which no further group is begun; the first one always is.
+        brains: controllers. trials: in the order in which they are run. group: number of trials that run side by side.
+        budget: s of wall clock after which no further group starts; the first one always does.
     Returns:
         the trials that all controllers have finished, and their figures.
     """
@@ -101,13 +104,13 @@ def solve(
 
 
 def swim(brains: Sequence, trials: Trials, surrogate: Water, *, report: Said = silent) -> ByController:
-    """All controllers in the surrogate, all trials at once."""
+    """Runs all controllers in the surrogate, all trials at once."""
     each = len(trials) * trials.duration
     return {brain.name: _one(brain, trials, surrogate, i * each, report) for i, brain in enumerate(brains)}
 
 
 def _one(brain, trials: Trials, water: Water, before: float, report: Said) -> Figures:
-    """One controller; `before` s of water were done when it began."""
+    """Runs one controller; `before` simulated seconds were done when it started."""
     step = constant("timing", "control_dt")
     found = figures(water(brain, trials, lambda k: report(brain.name, before + k * step)))
     report(brain.name, before + len(trials) * trials.duration)
@@ -115,7 +118,7 @@ def _one(brain, trials: Trials, water: Water, before: float, report: Said) -> Fi
 
 
 def figures(r: Result) -> Figures:
-    """Both figures of every trial, (n,) m; of 60 s they are the judge's own rmse_after_arrival and rmse_last20."""
+    """Both figures of every trial, (n,) m; for trials of 60 s they are the judge's own rmse_after_arrival and rmse_last20."""
     last, first = float(r.t[-1]), arrival_tick(r)
     end = min(constant("protocol", "arrival_time"), last)
     missed = constant("protocol", "missed_window")[0] * end / constant("protocol", "arrival_time")
@@ -125,13 +128,16 @@ def figures(r: Result) -> Figures:
 
 
 def spread(trials: Trials) -> Trials:
-    """The same trials in an order of which every beginning has all speeds and directions about equally often, repeats last."""
+    """The same trials in an order of which every first part has all speeds and directions about equally often, repeats last."""
     speeds, angles = (sorted({getattr(t, name) for t in trials.items}) for name in ("speed", "los"))
     period = lcm(len(speeds), len(angles))
     stride = STRIDE if lcm(STRIDE, len(angles)) == STRIDE * len(angles) else 1
 
     def place(k: int) -> tuple[float, float]:
-        """Condition k: both move on with k; after a period the speed moves on once more, so that none comes twice."""
+        """Order of condition k: both indices advance with k.
+
+        After a period the speed advances once more, so that none comes twice.
+        """
         return speeds[(k + k // period) % len(speeds)], angles[stride * k % len(angles)]
 
     order = {place(k): k for k in range(len(speeds) * len(angles))}

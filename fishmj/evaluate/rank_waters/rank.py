@@ -1,13 +1,12 @@
-"""Do two waters rank controllers alike? Gaps of one figure, and Kendall's tau over the pairs that both waters tell apart.
+"""Comparison of two waters' rankings: gaps of one figure, and Kendall's tau over the pairs that both waters separate.
 
-    gap        mean over trials of (surrogate - solver), same trials, with its bootstrap interval; of a trial that was repeated
+    gap        mean over trials of (surrogate - solver), same trials, with its bootstrap interval; for a trial that was repeated
                in a water, the mean over its runs there: a fish that overshoots and turns back is chaotic
-    allowed    0.02 m, or twice what the solver's own mean moves by when the trials are repeated in it
+    allowed    0.02 m, or twice the change of the solver's own mean when the trials are repeated in it
     told apart in a water: the interval of two controllers' paired difference excludes 0 (`metrics.PairedDifference.apart`)
     tau-b      sum s_a s_b / sqrt(sum s_a^2 sum s_b^2),  s = sign of a pair's mean difference in each water (Kendall 1945)
 
-Only pairs that are told apart in both waters count for the verdict: of a pair that lies within its interval nobody knows which
-is better.
+Only pairs that are told apart in both waters count for the verdict: the order of a pair within its interval is not known.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,12 +23,12 @@ ByController = Mapping[str, np.ndarray]  # (n,) one figure a trial, m, NaN where
 
 
 def judged(key: str, solver: Sequence[ByController], surrogate: Sequence[ByController]) -> dict:
-    """Everything that one figure says about two waters.
+    """Comparison of two waters in one figure.
 
     Args:
-        key: name of the figure. solver, surrogate: runs of the same trials in each water, the trials as they are drawn first.
+        key: name of the figure. solver, surrogate: runs of the same trials in each water, the trials as drawn first.
     Returns:
-        controllers, pairs (rows), tau, counted, of, tau_all_pairs, gap_max, tolerances, passed by figure (None: cannot be told).
+        controllers, pairs (rows), tau, counted, of, tau_all_pairs, gap_max, tolerances, passed by figure (None: undecided).
     """
     waters = [{name: np.array([run[name] for run in runs], float) for name in solver[0]} for runs in (solver, surrogate)]
     rows = [controller(key, name, *(water[name] for water in waters)) for name in solver[0]]
@@ -55,7 +54,7 @@ def judged(key: str, solver: Sequence[ByController], surrogate: Sequence[ByContr
 
 
 def controller(key: str, name: str, solver: np.ndarray, surrogate: np.ndarray) -> dict:
-    """One controller in both waters, (runs, n) each: its figure and the gap, over the trials that have it in both."""
+    """Figure and gap of one controller in both waters, (runs, n) each, over the trials that have it in both."""
     means = typical(solver), typical(surrogate)
     both = np.isfinite(np.stack(means)).all(0)
     a, b = (mean[both] for mean in means)
@@ -84,19 +83,19 @@ def typical(runs: np.ndarray) -> np.ndarray:
 
 
 def repeated(first: np.ndarray, again: np.ndarray) -> float:
-    """Mean over trials of what a water's own figure moves by when a trial is repeated, m."""
+    """Mean over trials of the change of a water's own figure when a trial is repeated, m."""
     moved = again - first
     known = moved[np.isfinite(moved)]
     return float(known.mean()) if len(known) else np.nan
 
 
 def all_of(passed: list[bool | None]) -> bool | None:
-    """False where one fails, else None where one cannot be told or there is none, else True."""
+    """Returns False if one fails, else None if one is undecided or the list is empty, else True."""
     return False if False in passed else True if passed and None not in passed else None
 
 
 def pair(key: str, a: str, b: str, solver: ByController, surrogate: ByController) -> dict:
-    """b minus a in both waters, over the trials that all four have."""
+    """Difference b minus a in both waters, over the trials that all four have."""
     four = [np.asarray(water[name], float) for water in (solver, surrogate) for name in (a, b)]
     all_four = np.isfinite(four).all(0)
     first, second = (difference(key, *(x[all_four] for x in two)) for two in (four[:2], four[2:]))
@@ -116,7 +115,7 @@ def pair(key: str, a: str, b: str, solver: ByController, surrogate: ByController
 
 
 def kendall(pairs: list[dict]) -> float:
-    """tau-b over pairs of controllers; a tie in one water shortens it; NaN where no pair differs in both."""
+    """Kendall's tau-b over pairs of controllers; a tie in one water shortens it; NaN if no pair differs in both."""
     signs = np.sign([[row["solver"]["value"], row["surrogate"]["value"]] for row in pairs]).reshape(-1, 2)
     signs = signs[np.isfinite(signs).all(1)]
     both = np.prod(np.sum(signs**2, 0))

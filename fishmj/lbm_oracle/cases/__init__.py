@@ -1,4 +1,4 @@
-"""Known answers: problems whose solution somebody else has, as objects that the command, the tests and CI all run.
+"""Known answers: problems with a published or exact solution, as objects that the command, the tests and CI all run.
 
 A case is one small file in this folder:
 
@@ -9,8 +9,8 @@ A case is one small file in this folder:
         yield about("profile error, H = 32", error, 0.0, 1e-3, absolute=True)
 
 `rung` is its number on the validation ladder of docs/solver/results.md; `quick` puts it into `cases --quick`, three minutes in
-all on two cores. `cost` is the time expected on two cores; a case marked `gpu` is left out of `--all` on the CPU and runs there
-by name. A check without a reference that was read is `reported`, not gated. Such a function in a file of your own is a case, too:
+all on two cores. `cost` is the expected time on two cores. On the CPU, `--all` leaves out a case marked `gpu`, which runs there
+by name. A check whose reference was not read is `reported`, not gated. Such a function in a file of your own is a case, too:
 `fishmj lbm_oracle cases my_case.py:poiseuille_3d`.
 """
 
@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.fluid.device import device_of
 
 
 class Check(NamedTuple):
-    """One figure of a case beside what it must be."""
+    """One quantity of a case, with the range in which it must lie."""
 
     quantity: str
     value: float
@@ -38,26 +38,28 @@ class Check(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        """NaN is never right."""
+        """Returns True if the value is in range; False for NaN."""
         return not self.gated or self.low <= self.value <= self.high
 
 
 def about(quantity: str, value: float, reference: float, tolerance: float, *, absolute: bool = False) -> Check:
-    """Within `tolerance` of the reference, relative unless `absolute`."""
+    """Check that the value is within `tolerance` of the reference, relative unless `absolute`."""
     room = tolerance if absolute else tolerance * abs(reference)
     return Check(quantity, float(value), reference - room, reference + room, reference)
 
 
 def below(quantity: str, value: float, limit: float) -> Check:
+    """Check that the value is at most `limit`."""
     return Check(quantity, float(value), -inf, limit)
 
 
 def above(quantity: str, value: float, limit: float) -> Check:
+    """Check that the value is at least `limit`."""
     return Check(quantity, float(value), limit, inf)
 
 
 def reported(quantity: str, value: float, reference: float = nan) -> Check:
-    """A figure that nothing is held against."""
+    """Check without limits: the value is reported only."""
     return Check(quantity, float(value), -inf, inf, reference, gated=False)
 
 
@@ -78,11 +80,12 @@ class Case(NamedTuple):
 
     @property
     def summary(self) -> str:
+        """First line of the docstring of `solve`."""
         return (self.solve.__doc__ or "").strip().partition("\n")[0]
 
 
 class CaseResult(NamedTuple):
-    """A case that was run."""
+    """Checks and wall time of a case that was run."""
 
     case: Case
     checks: tuple[Check, ...]
@@ -90,6 +93,7 @@ class CaseResult(NamedTuple):
 
     @property
     def ok(self) -> bool:
+        """Returns True if all checks passed."""
         return all(check.ok for check in self.checks)
 
 
@@ -99,7 +103,7 @@ REGISTRY: dict[str, Case] = {}
 def register(
     name: str, *, rung: float, grid: str, source: str, quick: bool = False, cost: str = "", gpu: bool = False
 ) -> Callable[[Solve], Solve]:
-    """Put `solve(device)` on the ladder.
+    """Returns a decorator that adds `solve(device)` to the ladder.
 
     Raises:
         ConfigError: another case has this name.
@@ -122,12 +126,12 @@ def known() -> dict[str, Case]:
 
 
 def pick(names: list[str], *, quick: bool = False, everything: bool = False, gpu: bool = True) -> list[Case]:
-    """The cases of these names; without names the quick ones, or all, those marked `gpu` only where there is one.
+    """Cases of these names; without names the quick ones, or all. Those marked `gpu` are included only if there is a GPU.
 
     Args:
         names: of cases here, or the user's own as `plugins.load` finds them.
     Raises:
-        UnknownName: a case that does not exist. OwnCodeError: the user's own fails, or is no case.
+        UnknownName: a case that does not exist. OwnCodeError: the user's own fails, or is not a case.
     """
     table = known()
     if names:
@@ -136,7 +140,7 @@ def pick(names: list[str], *, quick: bool = False, everything: bool = False, gpu
 
 
 def _own(text: str, table: dict[str, Case]) -> Case:
-    """A case of the user's own; what its `solve` raises becomes one line with file and line."""
+    """Case of the user's own; an error in its `solve` becomes one line with file and line."""
     what, given = f"case {text}", plugins.load("case", text, table)
     case = next((case for case in REGISTRY.values() if case.solve is given), None)
     if case is None:
@@ -153,14 +157,14 @@ def _own(text: str, table: dict[str, Case]) -> Case:
 
 
 def solve(case: Case, device: str) -> CaseResult:
-    """Run one case and take its time."""
+    """Runs one case and measures its time."""
     start = time.perf_counter()
     checks = tuple(case.solve(device))
     return CaseResult(case, checks, time.perf_counter() - start)
 
 
 def rows(outcome: CaseResult) -> list[dict]:
-    """The lines of the validation table."""
+    """Rows of the validation table."""
     return [
         {
             "rung": outcome.case.rung,

@@ -1,19 +1,19 @@
-"""The fish itself, free, as light as the water, with its thin light tail, in a periodic box.
+"""The free fish, as light as the water, with its thin light tail, in a periodic box.
 
-The explicit scheme must fail within a tenth of a second and the implicit one must not; momentum is conserved
-(`Momentum`), and the force that the markers exchange is the force that the cells feel. Speed is not gated: a fin that
-trails makes thrust either way, so that swimming forwards proves little.
+The explicit scheme must fail within a tenth of a second and the implicit one must not. Momentum is conserved (`Momentum`), and
+the force on the markers equals the force on the cells. Speed is not gated: a trailing fin makes thrust with a right or a wrong
+coupling, so that swimming forwards proves little.
 
     grid + solid - displaced = constant            in a periodic box, nothing else pushing
 
-grid = sum rho u over all cells, the inside of the hull too; solid = sum m_l u_l of the links; displaced = sum of the h_l of the
-interior water (`immersed/__init__.py`): the grid has it inside the hull, a real fish does not. It is that of the step before,
-`ImmersedBody.momentum`: so much have the links been given back when a step has ended. With the present one the balance would be
-off by what the interior water gained in one step. A coupling that loses I, its Coriolis part or a sign drifts by the whole
-momentum of the fish within a few beats (docs/solver/coupling.md).
+grid = sum rho u over all cells, including the inside of the hull; solid = sum m_l u_l of the links; displaced = sum of the h_l of
+the interior water (`immersed/__init__.py`), which the grid contains and a real fish does not. `displaced` is the value of the
+step before, `ImmersedBody.momentum`, because at the end of a step the links have got back that much. With the present value the
+balance would be off by the interior water's gain in one step. A coupling that loses I, its Coriolis part or a sign drifts by the
+whole momentum of the fish within a few beats (docs/solver/coupling.md).
 
-`fish_headings` swims in a window that follows and in a tank that stands, along the grid and across it: velocities are those of
-the world in a window that moves by whole cells, so that nothing may change but what the faces and the grid's axes do.
+`fish_headings` swims in a following window and in a fixed tank, along the grid and across it. Velocities are those of the world
+in a window that moves by whole cells, so only the faces and the grid's axes may change the result.
 """
 
 from math import radians
@@ -48,11 +48,12 @@ class Momentum(NamedTuple):
 
     @property
     def total(self) -> np.ndarray:
+        """Conserved momentum: grid + solid - displaced, (3,) kg m/s."""
         return self.grid + self.solid - self.displaced
 
 
 def momentum(coupled: FluidStructure) -> Momentum:
-    """The balance after a step, of water on one level or on several."""
+    """Momenta after a step, of water on one level or on several."""
     fluid, body = coupled.fluid, coupled.body
     if isinstance(fluid, RefinedFluid):
         grid = fluid.totals()[1:]
@@ -94,7 +95,7 @@ def pond(
 
 
 def beat(coupled: FluidStructure, seconds: float, *, frequency: float = 1.0, amplitude: float = np.radians(30.0), every: int = 5):
-    """Servo-driven travelling wave, smooth start; the momentum every few steps."""
+    """Drives a servo-driven travelling wave with a smooth start; returns the momenta every few steps."""
     history = [momentum(coupled)]
     for n in range(round(seconds / coupled.body.dt)):
         t = coupled.time
@@ -106,7 +107,7 @@ def beat(coupled: FluidStructure, seconds: float, *, frequency: float = 1.0, amp
 
 
 def lasts(device: str, scheme: str, seconds: float) -> float:
-    """How long a beating fish keeps finite under a coupling scheme, s."""
+    """Time [s] for which a beating fish stays finite under a coupling scheme; `seconds` at most."""
     coupled = pond(device, scheme=scheme)
     try:
         beat(coupled, seconds)

@@ -2,17 +2,18 @@
 
     C_D = 2 F_x / (rho U^2 D),   C_L = 2 F_y / (rho U^2 D),   St = f D / U,   l = from the rear to where u = 0 on the axis
 
-The strip is periodic across its one cell, so that a kernel three cells deep lands on that cell three times. `Strip` folds what
-the direct forcing spreads between its passes back onto it; the force into the water and what the markers read fold by themselves.
-Forces are those of one cell of depth.
+The strip is periodic across its one cell, so a kernel three cells deep hits that cell three times. `Strip` folds the spread force
+back onto the cell between the passes of the direct forcing. The force into the water and the reading of the markers fold by
+themselves. Forces are those of one cell of depth.
 
 The box is 30 D square with free slip at its sides, as wide as that of the reference; it blocks 1/30 of the stream. The street is
-judged in one of 60 x 80 D at half the Mach number: between sides 30 D apart sound at Mach 0.1 has a mode at f D / U = 0.16, next
-to the shedding, which it quickens and strengthens; blockage and an inflow 12 D ahead quicken it by 1 % each.
+judged in a box of 60 x 80 D at half the Mach number. Between sides 30 D apart, sound at Mach 0.1 has a mode at f D / U = 0.16,
+next to the shedding frequency, and makes the shedding faster and stronger. Blockage and an inflow 12 D ahead raise the frequency
+by 1 % each.
 
 The markers are drawn in by 0.7 cells so that the drag is that of the full diameter. The wake begins at the markers: the bubble is
 that of a cylinder smaller by 1.4 cells, and its length converges with the first power of the cell. It is judged at forty cells,
-and reported for the markers' own circle, too. The lift of the street is too weak for the same reason, and judged at sixty-four.
+and also reported for the markers' own circle. For the same reason the lift of the street is too weak; it is judged at sixty-four.
 
 Sources: Taira and Colonius 2007, J. Comput. Phys. 225:2118, table 2 (Re 40); Liu, Zheng and Sung 1998 and Park, Kwon and
 Choi 1998 (Re 100) as tabulated beside its own figures by the validation pages of the solver Mallard, read 2026-11-20.
@@ -48,7 +49,7 @@ STREET = {"C_D": 1.34, "C_L": 0.335, "St": 0.1645}  # middle of 1.33 and 1.350, 
 
 @wp.kernel
 def fold(scratch: wp.array4d(dtype=wp.vec3)):
-    """Every cell of a column gets the sum of the column: they are one cell of water."""
+    """Gives every cell of a column the sum of the column: they are one cell of water."""
     i, j, r = wp.tid()
     total = wp.vec3()
     for k in range(scratch.shape[2]):
@@ -100,8 +101,11 @@ def cylinder(
     """A cylinder of `cells` cells across without slip, in lattice units.
 
     Args:
-        speed: that the Reynolds number is made with. box: length and breadth in diameters. at: centre as a share of the box;
-            it is put off the nodes, as a fish is. passes: of the direct forcing. options: of the markers.
+        speed: stream speed of the Reynolds number.
+        box: length and breadth in diameters.
+        at: centre as a share of the box; it is put off the nodes, as a fish is.
+        passes: passes of the direct forcing.
+        options: options of the markers.
     """
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=speed * cells / reynolds)
     shape = (round(box[0] * cells), round(box[1] * cells), 1)
@@ -114,7 +118,7 @@ def cylinder(
 
 
 class Held(NamedTuple):
-    """A record of a held cylinder: force coefficients (T, 2) and the time between two, in D / U; the water at the end."""
+    """Record of a held cylinder: force coefficients (T, 2), the time between two rows in D / U, and the final water."""
 
     force: np.ndarray
     interval: float
@@ -138,7 +142,7 @@ def hold(cells: int, reynolds: float, times: float, device: str, *, stream=STREA
 
 
 def bubble(held: Held, cells: int) -> float:
-    """Length of the recirculation behind the cylinder, in D; NaN where the water does not return within the box."""
+    """Length of the recirculation behind the cylinder, in D; NaN if the velocity does not change sign within the box."""
     x, y = held.coupled.body.data.qpos
     u = held.coupled.fluid.velocity()[:, :, 0, 0]
     row = int(np.floor(y))
@@ -166,12 +170,12 @@ def street(force: np.ndarray, interval: float) -> tuple[float, float, float, int
 
 
 def judged(quantity: str, value: float, reference: float, room: float | None) -> Check:
-    """Within `room` of the reference, relative; reported where there is none."""
+    """Check within `room` of the reference, relative; reported only if `room` is None."""
     return reported(quantity, value, reference) if room is None else about(quantity, value, reference, room)
 
 
 def steady(cells: int, device: str, room: dict[str, float], times: float = 45.0, box=BOX):
-    """The checks of the steady wake; what has no room is reported."""
+    """Checks of the steady wake; quantities without `room` are reported."""
     found = hold(cells, 40.0, times, device, box=box)
     last, before = found.force[-50:, 0].mean(), found.force[-100:-50, 0].mean()  # the last two D / U
     length, inset = bubble(found, cells), offset_of(found.coupled.boundary.width)
@@ -183,7 +187,7 @@ def steady(cells: int, device: str, room: dict[str, float], times: float = 45.0,
 
 
 def shedding(cells: int, device: str, room: dict[str, float], times: float = 130.0, settle: float = 70.0, stream=STREAM, box=BOX):
-    """The checks of the vortex street; what has no room is reported."""
+    """Checks of the vortex street; quantities without `room` are reported."""
     found = hold(cells, 100.0, times, device, stream=stream, box=box, kick=0.3)
     drag, lift, frequency, periods = street(found.force[round(settle / found.interval) :], found.interval)
     yield judged(f"mean C_D at Re 100, D = {cells}", drag, STREET["C_D"], room.get("C_D"))

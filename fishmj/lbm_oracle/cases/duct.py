@@ -1,7 +1,7 @@
-"""A sphere on the axis of a long duct, solved by another method: what the sinking spheres are held against.
+"""A sphere on the axis of a long duct, solved by another method: the reference for the sinking spheres.
 
-Nothing of the solver is used but its table of velocities. Seen from the sphere, all faces of the duct move with the stream U;
-by symmetry a quarter of it is enough. Lattice units, populations less those of water at rest.
+Of the solver only the table of velocities is used. In the frame of the sphere, all faces of the duct move with the stream U; by
+symmetry a quarter of the duct is enough. Lattice units, populations less those of water at rest.
 
     collision   two rates, (1 / omega_even - 1/2) (1 / omega_odd - 1/2) = 3/16: steady walls stay in place at any viscosity
     faces       f_i(x, t + 1) = f_-i(x) + 6 w_i c_i . U                      halfway between the nodes
@@ -32,7 +32,7 @@ NUMBER[tuple(C.T + 1)] = np.arange(Q)
 def drag(reynolds: float, cells: int, *, width: float = WIDTH, slip: bool = False, steady: float = 2e-4, longest=30.0) -> float:
     """C_D of a sphere of `cells` cells in a duct `width` diameters wide; `slip`: its four sides are frictionless.
 
-    Taken once it changes by less than `steady` over three half diameters of way, at the latest after `longest` diameters.
+    It is read once it changes by less than `steady` over three half diameters of travel, at the latest after `longest` diameters.
     """
     ahead, side = round(AHEAD * width * cells), round(width * cells / 2)
     shape = (side, side, ahead + round(BEHIND * width * cells))
@@ -57,12 +57,12 @@ def drag(reynolds: float, cells: int, *, width: float = WIDTH, slip: bool = Fals
 
 
 def settled(found: list[float], steady: float) -> bool:
-    """The last three half diameters of way agree."""
+    """Returns True if the last three half diameters of travel agree."""
     return len(found) > 6 and max(abs(found[-1] / value - 1) for value in found[-3:]) < steady
 
 
 def collide(f: np.ndarray, even: float, odd: float) -> None:
-    """Relax the even and the odd half of every pair, (19, x, y, z), in place."""
+    """Relaxes the even and the odd half of every pair, (19, x, y, z), in place."""
     rho, u = f.sum(0), np.tensordot(C.T.astype(f.dtype), f, 1)
     square = 1.5 * (u * u).sum(0)
     f[0] -= even * (f[0] - W[0] * (rho - square))
@@ -75,7 +75,7 @@ def collide(f: np.ndarray, even: float, odd: float) -> None:
 
 
 class DuctLinks:
-    """What every node pulls from outside the water: places in the flat populations, sphere first."""
+    """Links that pull from outside the water: indices into the flat populations, sphere first."""
 
     def __init__(self, shape, radius: float, centre: float, slip: bool):
         node = np.indices(shape).reshape(3, -1).T
@@ -108,7 +108,7 @@ class DuctLinks:
         self.step = np.prod([n + 2 for n in shape])
 
     def fill(self, flat: np.ndarray) -> float:
-        """Write what the nodes will pull; returns the force on this quarter of the sphere, along the stream."""
+        """Writes the populations that the nodes will pull; returns the force on this quarter of the sphere, along the stream."""
         flat[self.solid[:, None] + self.step * np.arange(Q)] = 0.0
         s = self.sphere
         value = flat[self.start] + self.lift
@@ -118,7 +118,7 @@ class DuctLinks:
 
 
 def _this_side(i: int, at: np.ndarray, shape, slip: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity i at nodes (N, 3) that may lie beyond a plane that reflects: the velocity and the node that it is the image of."""
+    """Image of velocity i at nodes (N, 3) that may lie beyond a reflecting plane: its velocity and its node."""
     across = np.array([True, True, False])
     below, above = across & (at < 0), across & slip & (at >= shape)
     c = np.where(below | above, -C[i], C[i])
@@ -126,7 +126,7 @@ def _this_side(i: int, at: np.ndarray, shape, slip: bool) -> tuple[np.ndarray, n
 
 
 def _slot(shape, i, at: np.ndarray) -> np.ndarray:
-    """Place of velocity i at nodes (N, 3) in the flat populations with their layer outside."""
+    """Index of velocity i at nodes (N, 3) in the flat populations, which have one layer outside."""
     x, y, z = (n + 2 for n in shape)
     return ((i * x + at[:, 0] + 1) * y + at[:, 1] + 1) * z + at[:, 2] + 1
 

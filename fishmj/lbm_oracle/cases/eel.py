@@ -1,4 +1,4 @@
-"""An eel that swims by itself: rigid links whose joints follow a travelling wave, free in x, y and yaw, as heavy as the water.
+"""A self-propelled eel: rigid links whose joints follow a travelling wave, free in x, y and yaw, as heavy as the water.
 
     y(s, t) = 0.125 L (s / L + 0.03125) / 1.03125 sin 2 pi (s / L - t / T)            lateral displacement of the midline
     half width   sqrt(2 w s - s^2) to s = w = 0.04 L,  then falling to 0.01 L at 0.95 L,  then to 0
@@ -10,11 +10,11 @@ headings. The motion grows from nothing within the first beat. Speed is the disp
 A window of 3 x 1.2 x 0.75 L follows by whole cells; open in x and y, free slip above and below; no eddy viscosity.
 
 Source of gait and body: Kern and Koumoutsakos 2006, J. Exp. Biol. 209:4841, the anguilliform reference swimmer, as other codes
-state them. **Its speed was not found in what could be read of the paper** (summary and first page). Eels in experiments swim 0.26
-to 0.5 L / T, as the authors say of their own swimmers (www.cse-lab.ethz.ch/swimming): that band, the convergence and a straight
-course are gated, the speed itself is reported.
+state them. **Its speed was not found in the part of the paper that could be read** (summary and first page). Eels in experiments
+swim 0.26 to 0.5 L / T, as the authors say of their own swimmers (www.cse-lab.ethz.ch/swimming). That band, the convergence and a
+straight course are gated; the speed itself is reported.
 
-A stiff one is towed while it heaves (`towed`): what the boundary alone gives of the forces.
+A stiff eel is towed while it heaves (`towed`), which shows the effect of the boundary alone on the forces.
 """
 
 from collections.abc import Callable
@@ -49,14 +49,14 @@ TOWED, HEAVE = 0.4, 0.08  # L / T, L, of a stiff eel
 
 
 class Swim(NamedTuple):
-    """Beat by beat, (B,): speed L / T, forwards positive; yaw deg at the end of each."""
+    """Record beat by beat, (B,): speed L / T, forwards positive; yaw deg at the end of each beat."""
 
     speed: np.ndarray
     yaw: np.ndarray
 
 
 def half_width(s) -> np.ndarray:
-    """Of the body at s from the nose, L."""
+    """Half-width of the body at s from the nose, L."""
     s = np.asarray(s, float)
     head, tail, wide, thin = 0.04, 0.95, 0.04, 0.01
     round_nose = np.sqrt(np.maximum(2 * wide * s - s**2, 0.0))
@@ -64,12 +64,12 @@ def half_width(s) -> np.ndarray:
 
 
 def half_height(s) -> np.ndarray:
-    """Of the body at s from the nose, L."""
+    """Half-height of the body at s from the nose, L."""
     return 0.08 * np.sqrt(np.maximum(1 - ((np.asarray(s, float) - 0.51) / 0.51) ** 2, 0.0))
 
 
 def eel(links: int = LINKS, sections: int = 12) -> Robot:
-    """The eel of `links` equal links, 1 m long, each as heavy as its water; `sections` a link."""
+    """Eel of `links` equal links, 1 m long, each as heavy as its water; `sections` for each link."""
     made = []
     for i in range(links):
         s = np.linspace(i, i + 1, sections + 1) / links
@@ -83,7 +83,7 @@ def eel(links: int = LINKS, sections: int = 12) -> Robot:
 
 
 def chain(robot: Robot, dt: float) -> ImmersedBody:
-    """The eel free in x, y and yaw; a description of a robot would end at twelve links, and have servos."""
+    """Body of the eel, free in x, y and yaw; a robot description allows at most twelve links, and has servos."""
     g, spec = geometry_of(robot), mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.gravity = [0, 0, 0]
@@ -134,14 +134,15 @@ class Window:
 
     @property
     def dt(self) -> float:
+        """Time step, s."""
         return self.water.lattice.dt
 
     def centre(self) -> np.ndarray:
-        """Of mass, (2,) m."""
+        """Centre of mass, (2,) m."""
         return self.body.data.subtree_com[1][:2].copy()
 
     def step(self, fixed: np.ndarray, value: np.ndarray) -> None:
-        """One step of water and body; value: velocities of the degrees of freedom that are `fixed`."""
+        """Does one step of water and body; value: velocities of the degrees of freedom that are `fixed`."""
         self.held.step(fixed, value)
         moved = (self.centre() - self.start) / self.dx - self.water.origin_lu[:2]
         by = np.where(np.abs(moved) >= 1.0, np.sign(moved), 0.0).astype(int)
@@ -160,7 +161,7 @@ def swim(
     sharpness: Sharpness = PLAIN,
     told: Callable[[int, float], None] | None = None,
 ) -> Swim:
-    """Let an eel of `cells` cells a length swim from rest; `told` hears of every beat and its speed, L / T."""
+    """Lets an eel of `cells` cells a length swim from rest; `told` is called with every beat and its speed, L / T."""
     window = Window(cells, device, eel(links), box, sharpness)
     wave = joints((np.arange(window.steps + 1)) / window.steps, links)
     wave[-1] = wave[0]
@@ -188,8 +189,10 @@ def in_phase(force: np.ndarray) -> tuple[float, float]:
 
 
 def towed(cells: int, device: str, *, sharpness: Sharpness = PLAIN, periods: int = 3) -> tuple[float, float, float]:
-    """A stiff eel towed nose first at 0.4 L / T while it heaves by 0.08 L: mean axial force, N, and the lateral one in phase with
-    acceleration and velocity, N, over the last period."""
+    """Mean axial force, N, and lateral force in phase with acceleration and velocity, N, of a stiff eel over the last period.
+
+    It is towed nose first at 0.4 L / T while it heaves by 0.08 L.
+    """
     window = Window(cells, device, eel(2), (2.0, 0.9, 0.6), sharpness)
     fixed, force = np.ones(window.body.dofs), []
     for k in range(periods * window.steps):
@@ -204,7 +207,7 @@ SOURCE = "gait of Kern and Koumoutsakos 2006; speeds of eels in experiments"
 
 
 def table(cells: int, found: Swim):
-    """The beats of one size, and what is gated of each size alone."""
+    """Rows for the beats of one size, and the checks of each size alone."""
     for beat, speed in enumerate(found.speed, 1):
         yield reported(f"speed in beat {beat}, L/T, L = {cells}", speed)
     last, middle = found.speed[-1], sum(BAND) / 2
@@ -213,7 +216,7 @@ def table(cells: int, found: Swim):
 
 
 def change(coarse: int, one: Swim, fine: int, other: Swim, room: float) -> Check:
-    """How far two sizes are from each other in the last beat."""
+    """Check of the change of the speed between two sizes in the last beat."""
     return below(f"change of the speed from L = {coarse} to {fine}", abs(one.speed[-1] / other.speed[-1] - 1), room)
 
 

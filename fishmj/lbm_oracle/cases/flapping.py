@@ -5,15 +5,15 @@
 
 alpha is the angle of the chord to the stroke, a that to the motion; v the speed of the fastest point of the chord. D and L are
 the quasi-steady forces, and the denominators their greatest values in a period, as in the source. Thickness 0.10 c. The force is
-that on an ellipse that holds no water: the water inside the markers is accelerated by them, and its momentum is taken off.
+that on an ellipse without water inside: the markers accelerate the water inside, and its momentum is subtracted.
 
-Where the ellipse is too thin for two rows of markers they become one, as those of a fish do.
+If the ellipse is too thin for two rows of markers they become one row, as on a fish.
 
 Sources: a robotic wing in oil, Wang, Birch and Dickinson 2004, J. Exp. Biol. 207:449, and a vortex particle code, Eldredge 2007,
 J. Comput. Phys. 221:626, both as kept by O. Mesnard's petibm-flapping (BSD 3-Clause), `data/{CL,CD}_{EXP,VVPM}.dat`; kinematics
-and denominators: `src/python/flapping.py` there. Both records are means of fiftieths of a period here, the third period first;
-between the points of the source by straight lines. At the turns of the stroke the drag changes its sign at once and the
-records differ by the time of it: only the rms of the lift is gated.
+and denominators: `src/python/flapping.py` there. Both records are means over fiftieths of a period here, the third period first,
+interpolated linearly between the points of the source. At the turns of the stroke the drag changes its sign abruptly, and the
+records differ in the time of this: only the rms of the lift is gated.
 """
 
 from collections.abc import Callable
@@ -123,7 +123,7 @@ def ellipse_markers(cells: int, thickness: float = THICKNESS) -> Markers:
 
 
 def stroke(phase):
-    """Place of the middle in chords and angle of the chord, at phases in periods."""
+    """Position of the middle in chords, and angle of the chord, at phases in periods."""
     return SWING / 2 * np.cos(2 * pi * np.asarray(phase)), pi / 2 + TURN * np.sin(2 * pi * np.asarray(phase))
 
 
@@ -177,7 +177,7 @@ SOURCE = "Wang et al. 2004 and Eldredge 2007, as kept by petibm-flapping"
 
 
 def checks(cells: int, device: str, lift: tuple[float, float], drag: tuple[float, float], rms: float | None, **options):
-    """The checks of one size."""
+    """Checks of one size."""
     record = hover(cells, device, **options)
     last = record[-2 * SAMPLES :]
     for i, (name, room) in enumerate({"C_L": lift, "C_D": drag}.items()):

@@ -1,4 +1,4 @@
-"""Force maps: what must hold whatever the forces are.
+"""Force maps: symmetries and invariances that hold for any forces.
 
     mirror      F(-AoA) = (F_x, -F_y, -M)                                    the fish has a left and a right
     square      broadside, F / U^2 is the same at two speeds
@@ -8,11 +8,11 @@
     step        half the time step: half the Mach number
     grid        half the cell, reported: the bias of this one
 
-The straight fish is held at an angle of attack of 30 deg, where drag, lateral force and yaw moment all count; a difference is
-that of the force vectors over the greater of the two. `maps_preview` does the same in a small coarse box for two seconds, in
-which a wake that sheds has no mean: it reports. On the paper's grid the hull is three cells wide: what `COARSE` names is reported
-there and judged by `maps_fine`, on half the cell. (`sphere_towed` holds Galileo against a steady wake.) The water slides along
-the hull as everywhere by default (`SLIP`).
+The straight fish is held at an angle of attack of 30 deg, where drag, lateral force and yaw moment all matter. A difference is
+that of the force vectors over the greater of the two. `maps_preview` does the same in a small coarse box for two seconds. A
+shedding wake has no mean in that time, so it only reports. On the paper's grid the hull is three cells wide: the checks in
+`COARSE` are reported there and judged by `maps_fine`, on half the cell. (`sphere_towed` tests Galileo with a steady wake.) The
+water slides along the hull, as by default (`SLIP`).
 """
 
 from dataclasses import replace
@@ -34,7 +34,10 @@ TICK = 0.02  # s, over which a force is averaged before it is recorded
 
 
 class Average(NamedTuple):
-    """Of one record: mean, its standard error, rms about the mean, all in the record's unit; `samples` is T / 2 T_c."""
+    """Statistics of one record: mean, its standard error, rms about the mean, all in the record's unit.
+
+    `samples` is T / 2 T_c.
+    """
 
     mean: float
     sem: float
@@ -43,7 +46,7 @@ class Average(NamedTuple):
 
 
 def average(record) -> Average:
-    """Mean and standard error of a correlated record (T,) of equal steps; NaN where it is empty, sem NaN for one sample.
+    """Mean and standard error of a correlated record (T,) of equal steps; NaN if it is empty, sem NaN for one sample.
 
         sem = s sqrt(2 T_c / T),   T_c = integral of the autocorrelation to its first zero
 
@@ -77,11 +80,12 @@ class Load(NamedTuple):
 
     @property
     def force(self) -> np.ndarray:
+        """Horizontal force (2,) N."""
         return np.array([self.x, self.y])
 
 
 class MapPlan(NamedTuple):
-    """Box, seconds before and of the average at SPEED (more where slower), and the angles by which the grid is turned."""
+    """Box, seconds before and of the average at SPEED (more if slower), and the angles by which the grid is turned."""
 
     domain: Domain
     settle: float
@@ -98,7 +102,7 @@ def load(
 ) -> Load:
     """Mean load on a straight fish in a stream of `speed` m/s from `aoa` deg, both turned by `turn` deg in the grid.
 
-    Towed: it moves at that speed through still water, in a window that follows. at: (2,) m, where it is held.
+    Towed: it moves at that speed through still water, in a window that follows. at: (2,) m, position at which it is held.
     """
     course = radians(turn)
     flow = Flow() if towed else Flow(speed=speed, direction=pi + course)
@@ -131,12 +135,12 @@ def _planar(held, seconds: float) -> tuple[float, float, float]:
 
 
 def apart(one: Load, other: Load) -> float:
-    """Difference of two force vectors over the greater."""
+    """Difference of two force vectors, divided by the greater."""
     return float(np.linalg.norm(one.force - other.force) / max(np.linalg.norm(one.force), np.linalg.norm(other.force)))
 
 
 def checks(plan: MapPlan, device: str, judged: bool, reported_only: tuple[str, ...] = (), finer: bool = False):
-    """The checks in one box; without `judged` they are reported, and those of `reported_only` in any case."""
+    """Checks in one box; without `judged` they are all reported, and those of `reported_only` in any case."""
 
     def within(quantity: str, value: float, limit: float):
         told = not judged or quantity.split(":")[0] in reported_only
@@ -169,13 +173,13 @@ def checks(plan: MapPlan, device: str, judged: bool, reported_only: tuple[str, .
 
 @register("maps_preview", rung=17, grid="64 x 64 x 30, dx = 2 cm, 4 s", source=SOURCE, cost="3 min", gpu=True)
 def maps_preview(device):
-    """What a force map must obey, in a small box."""
+    """Symmetries and invariances of a force map, in a small box."""
     yield from checks(PREVIEW, device, judged=False)
 
 
 @register("maps", rung=17.1, grid="200 x 200 x 100, dx = 2 cm, 29 s", source=SOURCE, cost="GPU, 500 G updates", gpu=True)
 def maps(device):
-    """What a force map must obey."""
+    """Symmetries and invariances of a force map."""
     yield from checks(FULL, device, judged=True, reported_only=COARSE, finer=True)
 
 

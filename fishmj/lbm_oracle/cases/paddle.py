@@ -1,11 +1,11 @@
-"""A paddle of elliptic section that heaves across itself: what a tail too thin for its cells pushes the water with.
+"""A paddle of elliptic section that heaves across itself: the force of a tail that is too thin for its cells.
 
     y(t) = -A cos 2 pi t / T         C_a, C_v: its force in phase with acceleration and velocity, over rho U^2 H L / 2
 
 Height H, length L = 2 H, blunt ends, thickness H / 4, A = H / 2, U = 2 pi A / T, Re = U H / nu = 500, no slip, second period.
-A box of 4.5 x 5 x 3.5 H with free slip on all faces. No reference but itself with more cells: a grid study, for the radius at the
-section's upper and lower edge, H / 32, is below a cell on every grid here, and what stands there decides where the water leaves.
-A second paddle, H / 2 thick (radius H / 8), has edges only.
+A box of 4.5 x 5 x 3.5 H with free slip on all faces. The only reference is the same paddle with more cells. The radius at the
+section's upper and lower edge, H / 32, is below a cell on every grid here, and the markers there decide where the water leaves
+the edge. A second paddle, H / 2 thick (radius H / 8), has edges only.
 """
 
 from math import pi

@@ -5,8 +5,8 @@
 The plate is a sheet: one layer of markers, shortened at its four edges by the offset of the kernel, as a fish's tail and fins
 are. It starts at once in a uniform stream; the force is the mean over t = 15 to 20 c / U, as that of the solver PetIBM.
 
-A sheet is as thick as the kernel to the water: its forces are off by the first order of the cell. They are judged where 16 and
-32 cells a chord lead to, C = 2 C_32 - C_16, and reported for both. The same holds for a plate edge-on in a strip one cell deep,
+To the water a sheet is as thick as the kernel: the error of its forces is of first order in the cell. Judged is the extrapolation
+from 16 and 32 cells a chord, C = 2 C_32 - C_16; both are reported. The same holds for a plate edge-on in a strip one cell deep,
 whose friction is known:
 
     C_D = 2 (1.328 Re^-1/2 + 2.67 Re^-7/8)        both sides, Stewartson 1969 and Messiter 1970 (triple deck)
@@ -95,14 +95,14 @@ def hold(
 
 
 def greatest(angles, lift) -> tuple[float, float]:
-    """Angle and value of the greatest lift: of the parabola through the greatest figure and its two neighbours."""
+    """Angle and value of the greatest lift: the vertex of the parabola through the greatest value and its two neighbours."""
     i = int(np.clip(np.argmax(lift), 1, len(lift) - 2))
     a, b, c = np.polyfit(np.asarray(angles, float)[i - 1 : i + 2], np.asarray(lift)[i - 1 : i + 2], 2)
     return float(-b / (2 * a)), float(c - b * b / (4 * a))
 
 
 def limit(coarse: int, one, fine: int, other):
-    """Where figures of two grids lead to if their error is of the first order in the cell."""
+    """Extrapolation of the values on two grids to a cell of zero, for an error of first order in the cell."""
     return (fine * np.asarray(other) - coarse * np.asarray(one)) / (fine - coarse)
 
 

@@ -1,8 +1,8 @@
-"""A pressure pulse leaves the box: what comes back?
+"""A pressure pulse leaves the box: the part that is reflected.
 
-A plane pulse, p = c_s rho u, runs at right angles into an open face; a round one meets faces and corners at every angle. The
-same pulse in a box so large that nothing can have come back is what remains without reflection. Of the round pulse little is
-left when it arrives, so its return is held against the height that it started with; against what arrives it is reported.
+A plane pulse, p = c_s rho u, runs at right angles into an open face; a round one meets faces and corners at every angle. The same
+pulse in a box so large that no reflection can have returned is the reference. The round pulse is weak when it arrives, so its
+reflection is judged relative to its initial height; relative to the arriving height it is reported.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ LATTICE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-3)
 
 
 def plane(flow: Flow, device: str, n: int = 200, width: float = 8.0) -> float:
-    """Greatest return of a plane pulse that ran towards +x, over its height."""
+    """Greatest reflection of a plane pulse that ran towards +x, relative to its height."""
     faces = Boundaries(x=Axis("open", "open"), sponge=SPONGE)
     water = Fluid(LATTICE, (n, 1, 1), device, boundaries=faces, subgrid="none", flow=flow)
     p = HEIGHT * np.exp(-((np.arange(n) - (n - 1) / 2) ** 2) / (2 * width**2)).reshape(n, 1, 1)
@@ -30,7 +30,7 @@ def plane(flow: Flow, device: str, n: int = 200, width: float = 8.0) -> float:
 
 
 def round_pulse(device: str, n: int = 80, width: float = 4.0) -> tuple[float, float]:
-    """Greatest return of a cylindrical pulse over its first height, and over the height that arrives at the sponge."""
+    """Greatest reflection of a cylindrical pulse, relative to its first height, and to the height that arrives at the sponge."""
     steps = round(1.6 * (n / 2) / CS)
     big = n + 2 * round(steps * CS)
     small = Fluid(LATTICE, (n, n, 1), device, boundaries=channel(sponge=SPONGE), subgrid="none")

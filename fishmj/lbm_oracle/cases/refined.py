@@ -1,4 +1,4 @@
-"""A finer box in coarser water: what crosses its faces, and a sphere in it against the same sphere in fine water all over.
+"""A finer box in coarser water: waves across its faces, and a sphere in it compared with the same sphere in fine water.
 
     shear wave   u_y = U exp(-nu k^2 t) sin k x, across both levels: viscosity of each, and error against the wave
     vortices     Taylor and Green's, carried by a stream across the faces of the box
@@ -36,7 +36,7 @@ Field = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # places (..., 3)
 
 
 def places(water: Fluid) -> np.ndarray:
-    """Of the nodes, (nx, ny, nz, 3) m."""
+    """Positions of the nodes, (nx, ny, nz, 3) m."""
     return water.lattice.to_si(np.moveaxis(np.indices(water.shape), 0, -1) + water.origin_lu)
 
 
@@ -51,7 +51,7 @@ def water_and_box(shape, low, size, field: Field, *, nu=0.02, device="cpu", subg
 
 
 def shear(nu: float, t: float = 0.0, n: int = N) -> Field:
-    """The wave at time t, n coarse cells long; its speed is proportional to 1 / n, and the Mach number with it."""
+    """Shear wave at time t, n coarse cells long; its speed, and the Mach number, are proportional to 1 / n."""
     k, speed = 2 * np.pi / n, SPEED * N / n
 
     def field(x):
@@ -63,7 +63,7 @@ def shear(nu: float, t: float = 0.0, n: int = N) -> Field:
 
 
 def vortices(nu: float, t: float = 0.0, n: int = N) -> Field:
-    """Taylor and Green's at time t, in a stream, n coarse cells long; speeds in 1 / n."""
+    """Taylor-Green vortices at time t, in a stream, n coarse cells long; speeds proportional to 1 / n."""
     k, drift = 2 * np.pi / n, np.array(DRIFT) * N / n
 
     def field(x):
@@ -77,7 +77,7 @@ def vortices(nu: float, t: float = 0.0, n: int = N) -> Field:
 
 
 def shear_viscosity(device: str = "cpu", nu: float = 0.02, steps: int = 600) -> tuple[float, float]:
-    """Viscosity that the wave shows on the coarse and on the fine level, over `nu`."""
+    """Viscosity measured from the wave on the coarse and on the fine level, divided by `nu`."""
     box = water_and_box((N, 8, 1), (8, 2, 0), (16, 4, 1), shear(nu), nu=nu, device=device)
     box.run(2 * steps)
     box.complete()
@@ -90,7 +90,7 @@ def shear_viscosity(device: str = "cpu", nu: float = 0.02, steps: int = 600) -> 
 
 
 def error(level: Fluid, expected: Field, where=...) -> float:
-    """Root mean square of what the velocity is off, over that of the velocity."""
+    """Root mean square of the velocity's error, divided by that of the velocity."""
     u = expected(places(level)[where])[0]
     return float(np.sqrt(((level.velocity()[where] - u) ** 2).mean() / (u**2).mean()))
 
@@ -106,7 +106,7 @@ def across(flow: Callable[..., Field] = shear, device: str = "cpu", nu: float = 
 
 
 def alone(flow: Callable[..., Field], device: str, nu: float, steps: int, fine: bool) -> float:
-    """The same in water of one level, of coarse or of fine cells."""
+    """Error of the same flow in water of one level, of coarse or of fine cells."""
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=nu)
     factor = 2 if fine else 1
     water = Fluid(fine_lattice(lattice) if fine else lattice, (factor * N, factor * N, factor), device, subgrid="none")
@@ -130,7 +130,10 @@ def pulse_returned(device: str = "cpu", width: float = 4.0, n: int = 300, low: i
 
 
 def ball_in_a_box(radius: float = 4.0, device: str = "cpu") -> tuple[RefinedStructure, Callable[[], bool]]:
-    """A sphere of so many fine cells in periodic water of coarse cells of 2 m, steps of 2 s; and what makes its box follow it."""
+    """Sphere of so many fine cells in periodic water of coarse cells of 2 m, steps of 2 s.
+
+    And the function that moves its box.
+    """
     outer = Fluid(Lattice(dx=2.0, dt=2.0, rho=1.0, nu=0.02), (24, 20, 18), device, subgrid="none")
     at = np.array([20.3, 19.1, 17.2])
     box = RefinedFluid(outer, lowest(outer, at, (9, 9, 9)), (9, 9, 9))

@@ -3,21 +3,21 @@
     roll  phi = -45 deg cos(w t),    pitch  theta = -45 deg cos(w t + psi),    w = 2 pi f,   f = St U / (2 A_phi S / 2)
     C_T, C_L, C_Z = 2 (-F_x, F_y, F_z) / (rho U^2 A),   A = pi c S / 4,   eta = mean T U / mean P
 
-S = pi c AR / 4 is the span from the hinge, where the root is, to the tip; P the power that the fin gives the water, of which the
-sources count only the positive part, over the time in which it is positive: `eta` here is so, and `eta of all` is with the mean
-of the whole cycle. Theirs is the power of pressure, this one of the whole force. Judged is the fifth cycle.
+S = pi c AR / 4 is the span from the hinge, at the root, to the tip; P is the power that the fin gives to the water. The sources
+average only its positive part, over the time in which it is positive: `eta` here does the same, and `eta of all` uses the mean
+of the whole cycle. Theirs is the power of pressure, this one of the whole force. The fifth cycle is judged.
 
 The fin is a sheet of equal areas in a golden spiral, drawn in by the offset of the kernel. Box 8 x 6 x 6 c, open in x and y,
 free slip above and below; the hinge 2.8 c behind the inflow. The speed of the fastest marker is the same for every St.
 
-Thin sheets make too little thrust on coarse grids (PetIBM: 0.442, 0.914, 0.986 with 33, 100 and 200 cells a chord). The figures
-are therefore judged where two grids lead to, as errors of the first order in the cell, `plate.py`: 16 and 32 cells a chord with
-the sharper boundary (`SHARP`, which was chosen on other cases), over St and phase by the trends of these limits.
+Thin sheets make too little thrust on coarse grids (PetIBM: 0.442, 0.914, 0.986 with 33, 100 and 200 cells a chord). Judged is
+therefore the extrapolation from two grids for an error of first order in the cell (`plate.py`): 16 and 32 cells a chord with the
+sharper boundary (`SHARP`, which was chosen on other cases). Over St and phase the trends of these limits are judged.
 
 Source: PetIBM's replication of Li and Dong 2016, Phys. Fluids 28:071901: Mesnard and Barba, barbagroup/rescience-rollingpitching,
 `content.tex`, table of the grid study, and the results in `runs/*/README.md` of mesnardo/petibm-rollingpitching (BSD 3-Clause).
-The two codes are 48 % from each other in thrust (0.986 on the finest grid of the one, 1.462 in the other), so this case
-is a third opinion: it is held against PetIBM, whose body is a sheet, too.
+The two codes differ by 48 % in thrust (0.986 on the finest grid of the one, 1.462 in the other), so this case is a third opinion.
+It is compared with PetIBM, whose body is also a sheet.
 """
 
 from math import ceil, pi, radians
@@ -60,20 +60,22 @@ class Cycle(NamedTuple):
 
     @property
     def thrust(self) -> float:
+        """Mean thrust coefficient."""
         return float(self.force[:, 0].mean())
 
     @property
     def rms(self) -> np.ndarray:
-        """(3,) of the three coefficients."""
+        """Root mean square (3,) of the three coefficients."""
         return np.sqrt(np.mean(self.force**2, 0))
 
     @property
     def efficiency(self) -> float:
-        """As the sources have it: over the mean of the positive power."""
+        """Efficiency as in the sources: thrust over the mean of the positive power."""
         return self.thrust / float(self.power[self.power > 0].mean())
 
     @property
     def whole_efficiency(self) -> float:
+        """Efficiency with the mean power of the whole cycle."""
         return self.thrust / float(self.power.mean())
 
 
@@ -100,7 +102,7 @@ def swiftest(strouhal: float, lag: float) -> float:
     x, z = 0.5 * np.cos(rim), 0.5 * SPAN * (1 + np.sin(rim))
     rate = -2 * pi * strouhal / (SWING * SPAN) * SWING
     roll, pitch, lean = rate * np.sin(turn), rate * np.sin(turn + lag), SWING * np.cos(turn + lag)
-    # in the frame that rolls: (x cos, x sin, z) turned by the pitch, and the roll about x
+    # in the rolling frame: (x cos, x sin, z) turned by the pitch, and the roll about x
     fast = (pitch * x * np.sin(lean)) ** 2 + (pitch * x * np.cos(lean) - roll * z) ** 2 + (roll * x * np.sin(lean)) ** 2
     return float(np.sqrt(fast.max()))
 
@@ -149,7 +151,7 @@ def flap(
 
 
 def figures(cells: int, cycle: Cycle, strouhal: float, psi: float):
-    """What is reported of a cycle beside the published figures."""
+    """Checks that report a cycle's values beside the published ones."""
     label = f"at St {strouhal:g}, psi {psi:g} deg, c = {cells}"
     yield reported(f"eta {label}", cycle.efficiency, ETA_BY_PHASE[round(psi)] if strouhal == 0.6 else np.nan)
     yield reported(f"eta of all {label}", cycle.whole_efficiency)

@@ -1,8 +1,8 @@
-"""Two backends, one physics: 200 steps of a free fish in a turbulent stream, against the state that is shipped.
+"""Two backends, one physics: 200 steps of a free fish in a turbulent stream, compared with the shipped state.
 
-The state was made on a CPU. What a free swim needs is all in it: open faces, sponge, turbulent inflow, eddy viscosity, markers
-that slip in part, the coupled solve, the servos. A backend that computes the same comes within what round-off grows to in
-200 steps; one that leaves out a term, or takes a slightly other number, does not (studies/solver/NOTES.md has both figures).
+The state was made on a CPU. It uses all parts of a free swim: open faces, sponge, turbulent inflow, eddy viscosity, markers with
+partial slip, the coupled solve, the servos. A backend that computes the same differs only by the growth of round-off in 200
+steps. One that leaves out a term, or uses a slightly different number, differs by more (studies/solver/NOTES.md has both figures).
 
 python -m fishmj.lbm_oracle cases same_physics --device cuda
 python -m fishmj.lbm_oracle.cases.same_physics --why "markers are drawn in by another length"      makes it anew, on the CPU
@@ -33,12 +33,12 @@ TOLERANCE = (
 
 
 def folder() -> Path:
-    """Where the state is shipped (checkout or wheel)."""
+    """Folder of the shipped state (checkout or wheel)."""
     return calib_folder().parent / "oracle"
 
 
 def run(device: str, **options) -> Run:
-    """The swim, at its end; options change the stage."""
+    """Run of the swim, at its end; options change the set-up."""
     stage = replace(SwimSetup(domain=DOMAIN, flow=FLOW, slip=SLIP, pose=(0.02, -0.02, 0.15), device=device), **options)
     made, gait = stage.run(latency=0.0), Gait(ramp=0.2)
     while made.coupled.steps < STEPS:
@@ -57,17 +57,17 @@ def fields(made: Run) -> dict[str, np.ndarray]:
 
 
 def difference(got: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> dict[str, float]:
-    """Greatest difference of each array over the greatest value there is in it."""
+    """Greatest difference of each array, divided by its greatest value."""
     return {
         name: float(np.abs(np.asarray(got[name], float) - value).max() / np.abs(value).max()) for name, value in expected.items()
     }
 
 
 def shipped() -> dict[str, np.ndarray]:
-    """The state that lies in the repository.
+    """Shipped state.
 
     Raises:
-        StoreError: missing, or not what its manifest says. ConfigError: made for another set-up.
+        StoreError: missing, or not as its manifest says. ConfigError: made for another set-up.
     """
     Manifest.read(folder()).verify(folder())
     arrays, meta = read_tensors(folder() / NAME)
@@ -80,7 +80,7 @@ REMAKE = "make it again: python -m fishmj.lbm_oracle.cases.same_physics --why RE
 
 
 def set_up() -> str:
-    """What the state is of, in words that change with it."""
+    """Description of the state's set-up, which changes with it."""
     shape = " x ".join(map(str, DOMAIN.shape))
     return f"{STEPS} steps, {shape}, dx {DOMAIN.dx} m, dt {DOMAIN.dt} s, slip {SLIP}, {FLOW.speed} m/s, seed {FLOW.seed}"
 
@@ -94,12 +94,12 @@ def same_physics(device):
 
 
 def checks(off: dict[str, float]) -> list[Check]:
-    """One gate an array."""
+    """Checks, one for each array."""
     return [below(f"{name} off the shipped one, relative", value, TOLERANCE) for name, value in off.items()]
 
 
 def write(why: str, where: Path | None = None) -> Path:
-    """Compute the state on the CPU and ship it with the reason and its manifest.
+    """Computes the state on the CPU and ships it with the reason and its manifest.
 
     Raises:
         ConfigError: no reason.
@@ -120,6 +120,7 @@ def write(why: str, where: Path | None = None) -> Path:
 
 
 def main(argv: list[str]) -> int:
+    """Computes the shipped state anew and writes it; returns the exit code."""
     parser = console.parser("lbm_oracle.cases.same_physics", "Compute the shipped state anew, on the CPU.")
     parser.add_argument("--why", required=True, metavar="REASON", help="what changed the physics")
     args = parser.parse_args(argv)

@@ -1,4 +1,4 @@
-"""A sphere that sinks in a closed box of silicone oil, found together with its water as the fish is.
+"""A sphere that sinks in a closed box of silicone oil, coupled with the fluid as the fish is.
 
 15 mm across, 1120 kg/m3, in 100 x 100 x 160 mm; four oils of 960 to 970 kg/m3, Reynolds number 1.4 to 30. The sphere is a MuJoCo
 body on slides, 1.15 to 1.17 times as heavy as what it displaces; its weight and buoyancy are the model's gravity.
@@ -7,12 +7,12 @@ Source: ten Cate, Nieuwstad, Derksen and van den Akker 2002, Phys. Fluids 14:401
 benchmark SettlingSphereInBox of the solver waLBerla (read 2026-11-20), which starts a quarter of a diameter higher than the
 120 mm stated, to match the measured tracks; so does this.
 
-Judged by what was measured, but for the thickest oil: there the measured speed is 3.5 % above that at which the drag of the same
-sphere in an endless duct carries its weight (`duct.py`), and resolved simulations of this box are slower, too
+Judged by the measurement, except for the thickest oil. There the measured speed is 3.5 % above that at which the drag of the same
+sphere in an endless duct carries its weight (`duct.py`), and resolved simulations of this box are also slower
 (studies/solver/NOTES.md).
 
-The markers of this sphere are drawn in as its drag was found to need in the duct (`retraction`), less than the 0.7 cells
-of the other cases: those were found in narrow boxes against the drag of open water, which is 4 % smaller.
+The markers of this sphere are drawn in by the offset that its drag in the duct needs (`retraction`), less than the 0.7 cells of
+the other cases: those were found in narrow boxes from the drag of open water, which is 4 % smaller.
 """
 
 from math import inf
@@ -35,7 +35,7 @@ FASTEST, THICKEST = 0.05, 0.01  # lattice units, speed and viscosity: the time s
 
 
 class Oil(NamedTuple):
-    """kg/m3, Pa s, the greatest speed measured, and the terminal speed in an endless duct by `duct.py`, m/s."""
+    """Density kg/m3, viscosity Pa s, the greatest speed measured, and the terminal speed in an endless duct by `duct.py`, m/s."""
 
     density: float
     viscosity: float
@@ -60,16 +60,19 @@ class Fall(NamedTuple):
 
 
 def retraction(cells: float, viscosity: float) -> float:
-    """Cells that the markers of a sphere of `cells` cells are drawn in where the water sticks; `viscosity` in lattice units.
+    """Inset in cells of the markers of a no-slip sphere of `cells` cells; `viscosity` in lattice units.
 
-    Fit, to 0.02 cells, of spheres 6 to 16 cells across at Re 4 to 30 and viscosities of 0.01 to 0.05: the offset with which the
-    towed immersed sphere has the drag of `duct.py`.
+    Fit, to 0.02 cells, of spheres 6 to 16 cells across at Re 4 to 30 and viscosities of 0.01 to 0.05: with this offset the towed
+    immersed sphere has the drag of `duct.py`.
     """
     return 0.41 + 1.6 / cells - 2.6 * viscosity
 
 
 def fall(oil: Oil, cells: int, device: str, *, longest: float = inf, **options) -> Fall:
-    """Let the sphere go, `cells` cells across, until its speed has passed its peak by 1 %, it nears the floor, or `longest` s."""
+    """Lets the sphere go, `cells` cells across.
+
+    Ends when its speed is 1 % past its peak, when it nears the floor, or after `longest` s.
+    """
     dx, nu = DIAMETER / cells, oil.viscosity / oil.density
     dt = min(FASTEST * dx / oil.speed, THICKEST * dx**2 / nu)
     lattice = Lattice(dx=dx, dt=dt, rho=oil.density, nu=nu, corner=(dx / 2,) * 3)  # walls lie half a cell outside the nodes

@@ -1,10 +1,10 @@
-"""A sheet at rest between two walls that slide past it: how thick it is to the water.
+"""A sheet at rest between two walls that slide past it: its effective thickness.
 
     F / area = rho nu U (1 / H1 + 1 / H2)          H1, H2: distances of the walls; an exact solution, u = U |y - y0| / H
 
-The regularised force smears the kink of the profile over the kernel, so that the water sticks k cells in front of a plain sheet
+The regularised force smears the kink of the profile over the kernel, so the no-slip point lies k cells in front of a plain sheet
 (`immersed/markers.py`): k = U nu rho (1 / F1 - 1 / F), the thickness per side that explains the friction. A slip length of k
-makes the sheet as thin as it is.
+corrects the thickness.
 """
 
 import numpy as np

@@ -7,8 +7,8 @@ The drag of Schiller and Naumann 1933, 24 / Re (1 + 0.15 Re^0.687), covers Re 0 
 beside it: at Re 200 it gives 0.806, where the fit of that range gives 0.775 and Roos and Willmarth measured 0.78 (1971, as noted
 in the validation scripts of the solver CubismUP_3D). Clift's fit was read in the package fluids 1.3.1 and in PetIBM's examples.
 
-The added mass is read off a frictionless sphere (slip = 1), whose flow is a potential flow: nothing of Stokes' or Basset's is
-to be taken off. The interior water adds m_f exactly; a free sphere is pushed with and without it.
+The added mass is measured on a frictionless sphere (slip = 1), whose flow is a potential flow without Stokes' or Basset's force.
+The interior water adds m_f exactly; a free sphere is pushed with and without it.
 """
 
 from math import pi

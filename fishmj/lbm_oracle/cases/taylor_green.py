@@ -1,4 +1,4 @@
-"""Taylor-Green vortices in a periodic square: does the viscosity come out, and does the error fall with dx^2?
+"""Taylor-Green vortices in a periodic square: checks the viscosity, and that the error falls with dx^2.
 
 u = -u0 cos kx sin ky e^(-2 nu k^2 t),   v = u0 sin kx cos ky e^(-2 nu k^2 t),   p = -rho u0^2 / 4 (cos 2kx + cos 2ky)
 diffusive scaling: nu fixed in lattice units, u0 = 0.48 / N, so that dx^2 and Ma^2 fall together

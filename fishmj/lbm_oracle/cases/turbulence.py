@@ -1,11 +1,11 @@
-"""Synthetic turbulence carried into the open box: are its intensity and length at the target what was asked for?
+"""Synthetic turbulence carried into the open box: checks its intensity and integral length at the target.
 
     TI = u_rms / U,   L = U integral of the autocorrelation of u along the stream, to its first zero
 
-One record of a minute holds some forty eddies: its own figures scatter by a fifth. The undisturbed flow that was prescribed is
-therefore read at the same points and times, and the oracle's figures are held against those. Over many records the prescribed
-flow has the nominal figures, so that nominal times the ratio of the two is what the oracle has over many records.
-Horizontal components are held: free slip above and below lets no water through, and takes a third of the vertical one.
+One record of a minute holds some forty eddies, so its statistics scatter by a fifth. The prescribed undisturbed flow is therefore
+read at the same points and times, and the oracle's statistics are compared with these. Over many records the prescribed flow has
+the nominal statistics, so the oracle's are nominal times the ratio of the two. Only horizontal components are judged: free slip
+above and below lets no water through, and takes a third of the vertical component.
 """
 
 import numpy as np

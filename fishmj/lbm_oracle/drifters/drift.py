@@ -33,6 +33,7 @@ PATIENCE = 3.0  # times the mean passage: a drift that takes longer has met a wa
 
 
 def main(argv: list[str]) -> int:
+    """Runs the verb `drift`; returns its exit code."""
     args = _parser().parse_args(argv)
     domain = _domain(args)
     flow = Flow(speed=args.speed, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
@@ -70,7 +71,7 @@ def main(argv: list[str]) -> int:
 
 
 def released(domain: Domain, flow: Flow, *, n: int, seconds: float | None, interval: float | None, width: float) -> Release:
-    """n markers from the upstream end of the box, in its middle, each two integral lengths of water after the other.
+    """Release of n markers from the middle of the upstream end of the box, each two integral lengths of water after the other.
 
     Raises:
         ConfigError: no markers, no current, a marker finer than a cell or wider than the margin.
@@ -94,10 +95,10 @@ def released(domain: Domain, flow: Flow, *, n: int, seconds: float | None, inter
 
 
 def in_solver(domain: Domain, flow: Flow, *, settle: float, end: float, device: str = "cpu") -> Iterator[tuple[float, Sampler]]:
-    """The solver's water after `settle` s, every tick until `end` s; no fish in it. The box stays where it is.
+    """Yields time and water of the solver after `settle` s, every tick until `end` s; there is no fish and the box does not move.
 
     Raises:
-        OracleUnstable: the set-up would not run, or the water left the finite numbers.
+        OracleUnstable: the set-up would not run, or the water is not finite.
     """
     stability.check(domain, speed=max(flow.speed, stability.SLOW))
     steps = round(TICK / domain.dt)
@@ -112,13 +113,13 @@ def in_solver(domain: Domain, flow: Flow, *, settle: float, end: float, device: 
 
 
 def in_flow(flow: Flow, *, end: float) -> Iterator[tuple[float, Sampler]]:
-    """The prescribed flow itself at the same ticks."""
+    """Yields time and the prescribed flow itself at the same ticks."""
     for tick in range(round(end / TICK) + 1):
         yield tick * TICK, partial(flow.at, t=tick * TICK)
 
 
 def as_csv(tracks: list[np.ndarray]) -> str:
-    """marker, t since the first release s, x m, y m, heading rad; ten rows a second and the last."""
+    """CSV text: marker, t since the first release s, x m, y m, heading rad; ten rows a second and the last."""
     lines = ["marker,t,x,y,heading"]
     for i, track in enumerate(tracks):
         kept = sorted({*range(0, len(track), EVERY), len(track) - 1})
@@ -127,7 +128,7 @@ def as_csv(tracks: list[np.ndarray]) -> str:
 
 
 def _told(looks, bar, stopped: list[str]):
-    """The looks with their progress; water that fails on the way ends them, with the reason in `stopped`."""
+    """Yields the samples of the water with progress; water that fails ends them, with the reason in `stopped`."""
     t = None
     try:
         for t, water in looks:

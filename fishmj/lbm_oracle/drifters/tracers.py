@@ -2,7 +2,7 @@
 
     dx/dt = u(x, t),   dpsi/dt = (dv/dx - du/dy) / 2
 
-Heun's rule between two looks at the water; derivatives are central differences across the marker's `width`. A marker has no
+Heun's rule between two samples of the water; derivatives are central differences across the marker's `width`. A marker has no
 inertia and no wind acts on it.
 """
 
@@ -18,7 +18,7 @@ Sampler = Callable[[np.ndarray], np.ndarray]  # points (P, 3) m -> velocities (P
 
 
 def trilinear(field: np.ndarray, lattice: Lattice, origin_lu) -> Sampler:
-    """Read a velocity field (nx, ny, nz, 3) m/s between its nodes; `origin_lu` (3,) is the node of its low corner.
+    """Sampler of a velocity field (nx, ny, nz, 3) m/s between its nodes; `origin_lu` (3,) is the node of its low corner.
 
     Points outside take the value of the nearest face.
     """
@@ -45,7 +45,7 @@ def spin(water: Sampler, points: np.ndarray, width: float) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    """When and where the markers start and end.
+    """Times, start and end conditions of the markers.
 
     times: (P,) s, of release. start: (x, y, z) m, the same for all. low, high: (x, y) m, a marker that leaves this box is done.
     longest: s, a drift that takes longer is ended. width: m, of the marker.
@@ -68,7 +68,7 @@ class Release:
 def carry(looks: Iterable[tuple[float, Sampler]], release: Release) -> list[np.ndarray]:
     """Tracks of the markers through `looks`, (t s, water) at rising times; ends when the last marker is done.
 
-    Returns one (T, 4) array a marker: t s, x m, y m, heading rad (0 at release); markers that were never released are left out.
+    Returns one (T, 4) array for each marker: t s, x m, y m, heading rad (0 at release); markers never released are left out.
     """
     times = np.array(release.times)
     place, turn = np.tile(np.array(release.start, float), (len(times), 1)), np.zeros(len(times))
@@ -98,7 +98,7 @@ def carry(looks: Iterable[tuple[float, Sampler]], release: Release) -> list[np.n
 
 
 def figures(tracks: list[np.ndarray]) -> dict:
-    """What the drifts have in common and how they differ.
+    """Statistics of the drifts: times, turning of the heading, and spread.
 
     `turned` counts markers whose heading spans more than 2 pi; spreads are standard deviations over the markers, of y and heading
     at the greatest distance downstream that all of them reached.

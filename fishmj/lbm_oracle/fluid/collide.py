@@ -7,22 +7,21 @@
     A3_abc = rho v_a v_b v_c + u_a P'_bc + u_b P'_ac + u_c P'_ab                                     recursion
     f_i = w_i [ rho + c.rho v / c_s^2 + H2_i : A2 / (2 c_s^4) + six third-order terms of D3Q19 ]
 
-Only ten moments pass through a collision, so that an equilibrium is never formed: f_eq(u + G) - f_eq(u), the force term, is
-the difference between v and u in A2 and A3. In terms of u + G/2, the velocity of the water, this is Guo's second-order force.
+Only ten moments pass through a collision, so no equilibrium is formed. The force term f_eq(u + G) - f_eq(u) is the difference
+between v and u in A2 and A3. In terms of u + G/2, the velocity of the water, this is Guo's second-order force.
 The third-order terms are H_xxy + H_yzz and H_xxy - H_yzz with their permutations, of norm 2 c_s^6 and 6 c_s^6. Summed at each
 velocity they shrink to -9 c_y (a_xxy + a_yzz) on the axes and 9 (c_y a_xxy + c_x a_xyy) on the diagonals.
 
-The blend is what keeps water stable: at tau = 0.50003 P only changes its sign in a collision, so that stress which
-alternates from cell to cell never decays, and grows in any stream (docs/solver/method.md, "What keeps the water stable").
-Central
-differences do not see such a stress: a share b of it is lost in every step. On resolved scales both agree, and b does next to
-nothing: at wave number k it acts as a viscosity of b k^2 / 48, a fourth-order term.
+The blend keeps the water stable. At tau = 0.50003 a collision only changes the sign of P. Stress that alternates from cell to
+cell then never decays, and it grows in any stream (docs/solver/method.md, "What keeps the water stable"). Central differences
+do not see such a stress: a share b of it is lost in every step. On resolved scales both stresses agree and b has almost no
+effect: at wave number k it acts as a viscosity of b k^2 / 48, a fourth-order term.
 
 Sources: Malaspinas 2015, arXiv 1505.06900 (recursion); Jacob, Malaspinas, Sagaut 2018, J. Turbulence, hal-02114308 (six terms,
 blend); Kupershtokh 2009, Comput. Math. Appl. 58:862 (exact difference); Nicoud, Ducros 1999, Flow Turbul. Combust. 62:183 (WALE).
 Departure: the trace of P relaxes on its own, omega_bulk = 1, so that sound between the walls dies out.
 
-Populations are stored as f_i - w_i: single precision then resolves the small part that moves.
+Populations are stored as f_i - w_i, so that single precision resolves their small variation.
 """
 
 import warp as wp
@@ -34,7 +33,7 @@ _CS2, _W1, _W2 = wp.constant(1.0 / 3.0), wp.constant(1.0 / 18.0), wp.constant(1.
 
 @wp.func
 def density(f: vec19):
-    """rho - 1."""
+    """Density minus one, rho - 1."""
     axes = (f[1] + f[2]) + (f[3] + f[4]) + (f[5] + f[6])
     xy = (f[7] + f[8]) + (f[9] + f[10])
     xz = (f[11] + f[12]) + (f[13] + f[14])
@@ -44,7 +43,7 @@ def density(f: vec19):
 
 @wp.func
 def momentum(f: vec19):
-    """rho u."""
+    """Momentum rho u, lattice units."""
     a, b = f[7] - f[8], f[9] - f[10]
     c, d = f[11] - f[12], f[13] - f[14]
     e, g = f[15] - f[16], f[17] - f[18]
@@ -53,7 +52,7 @@ def momentum(f: vec19):
 
 @wp.func
 def non_equilibrium_stress(f: vec19, drho: float, u: wp.vec3):
-    """P of the docstring, (xx, yy, zz, xy, xz, yz)."""
+    """Non-equilibrium stress P of the module's docstring, (xx, yy, zz, xy, xz, yz)."""
     a, b = f[7] + f[8], f[9] + f[10]
     c, d = f[11] + f[12], f[13] + f[14]
     e, g = f[15] + f[16], f[17] + f[18]
@@ -71,7 +70,7 @@ def non_equilibrium_stress(f: vec19, drho: float, u: wp.vec3):
 
 @wp.func
 def hybrid_stress(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, share: float):
-    """P with a share of its traceless part replaced by that of the velocity gradient, dx = d u / d x and so on."""
+    """P with the fraction `share` of its traceless part replaced by that of the velocity gradient; dx = d u / d x and so on."""
     a = share * _CS2 * rho_tau  # a viscous stress of the same viscosity: on resolved scales both agree and the blend is idle
     mean = _CS2 * (p[0] + p[1] + p[2])
     third = 2.0 * _CS2 * (dx[0] + dy[1] + dz[2])
@@ -88,7 +87,7 @@ def hybrid_stress(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float
 
 @wp.func
 def relaxed(p: vec6, omega: float, omega_bulk: float):
-    """P' of the docstring."""
+    """Relaxed stress P' of the module's docstring, (xx, yy, zz, xy, xz, yz)."""
     mean = _CS2 * (p[0] + p[1] + p[2])
     keep = 1.0 - omega  # near -1 in water: P only changes its sign, which is why the blend is needed at all
     bulk = (1.0 - omega_bulk) * mean
@@ -104,7 +103,7 @@ def relaxed(p: vec6, omega: float, omega_bulk: float):
 
 @wp.func
 def reconstruct(drho: float, u: wp.vec3, v: wp.vec3, p: vec6):
-    """f_i - w_i from the moments: density, velocity before and after the force, relaxed P."""
+    """Populations f_i - w_i from the moments: density, velocity before and after the force, relaxed stress P'."""
     rho = 1.0 + drho
     j = rho * v
     axx, ayy, azz = j[0] * v[0] + p[0], j[1] * v[1] + p[1], j[2] * v[2] + p[2]
@@ -140,7 +139,7 @@ def reconstruct(drho: float, u: wp.vec3, v: wp.vec3, p: vec6):
     f[17] = _W2 * (even + odd)
     f[18] = _W2 * (even - odd)
 
-    # on the axes and at rest what momentum and mass still lack: weights rounded to single precision would drain both
+    # populations on the axes and at rest take the remaining momentum and mass: weights in single precision would drain both
     even, odd = _W1 * (rest + 4.5 * axx), 0.5 * (j[0] - (f[7] - f[8]) - (f[9] - f[10]) - (f[11] - f[12]) - (f[13] - f[14]))
     f[1] = even + odd
     f[2] = even - odd

@@ -1,4 +1,4 @@
-"""Where the fluid runs: `auto` takes an accelerator if there is one with room; explicit `cuda` must exist and fit.
+"""Selects the device of the fluid. `auto` takes an accelerator with enough free memory; an explicit `cuda` must exist and fit.
 
 One water has one device (`device_of`). Independent waters may have several (`devices_of`): `cuda:all`, or a list.
 """
@@ -15,7 +15,7 @@ QUEUES = "32"  # of an accelerator's work, the most there are: with eight, its d
 
 @cache
 def _warp():
-    """Warp, initialised without a banner. Raises ConfigError: there is no place for its machine code."""
+    """Returns Warp, initialised without a banner. Raises ConfigError if there is no folder for its machine code."""
     os.environ.setdefault("CUDA_DEVICE_MAX_CONNECTIONS", QUEUES)  # read once, when the device is first used
     import warp as wp
 
@@ -31,7 +31,7 @@ def _warp():
 
 
 def accelerator(need: int = 0) -> bool:
-    """Whether `auto` takes an accelerator: there is one, with room for `need` bytes."""
+    """Returns True if `auto` takes an accelerator: one exists and has room for `need` bytes."""
     found = _warp().get_cuda_devices()
     return bool(found) and found[0].free_memory >= need
 
@@ -75,7 +75,7 @@ def device_of(name: str = "auto", need: int = 0):
 
 
 def several(name: str) -> bool:
-    """Whether this names several devices, as for `devices_of`."""
+    """Returns True if `name` names several devices, as `devices_of` takes them."""
     return "," in str(name) or name == "cuda:all"
 
 
@@ -83,11 +83,12 @@ def devices_of(name: str = "auto", need: int = 0) -> tuple[str, ...]:
     """Names of the Warp devices that independent waters are spread over, each with room for `need` bytes.
 
     Args:
-        name: one as for `device_of`, `cuda:all` (every accelerator that this process sees), or several of one kind with commas,
-            `cuda:0,cuda:1`; one may stand there twice, `cpu,cpu`: it gets two processes.
+        name: as for `device_of`; or `cuda:all`, every accelerator that this process sees; or several devices of one kind with
+            commas, `cuda:0,cuda:1`. A device that is named twice, as in `cpu,cpu`, gets two processes.
 
     Raises:
-        UnknownName, ConfigError: as `device_of`; `auto` or two kinds in a list, whose figures differ in the last bits.
+        UnknownName, ConfigError: as `device_of`; ConfigError also for `auto` in a list and for two kinds in one list, because
+            their results differ in the last bits.
     """
     names = str(name).split(",")
     if len(names) > 1 and (len(kinds := {one.partition(":")[0] for one in names}) > 1 or "auto" in kinds):

@@ -10,8 +10,8 @@ open    the node takes the moments of its inner neighbour and replaces the incom
 sponge  the last `sponge` cells of an open face relax towards density 1 and the background flow with
         sigma = sponge_rate (depth / sponge)^2
 
-A new face is one subclass of `Face` and its entry in `FACES`. `redirect` is called while the kernel's code is generated and
-`gain` and `complete` are Warp functions that the kernel names directly, so that a face that is not there costs nothing.
+A new face is one subclass of `Face` and its entry in `FACES`. `redirect` is called while the kernel's code is generated;
+`gain` and `complete` are Warp functions that the kernel names directly. A face that is not used therefore costs nothing.
 
 Sources: Ladd 1994, J. Fluid Mech. 271:285 (bounce-back); Poinsot and Lele 1992, J. Comput. Phys. 101:104 (characteristics);
 Israeli and Orszag 1981, J. Comput. Phys. 41:115 (sponge).
@@ -35,14 +35,14 @@ _CS = wp.constant(CS)
 
 
 class Axis(NamedTuple):
-    """The two faces of one axis."""
+    """Kinds of the two faces of one axis."""
 
     low: str
     high: str
 
 
 class Source(NamedTuple):
-    """Where a population comes from that would have come through faces."""
+    """Node and direction from which a population is pulled when its own path crosses faces."""
 
     population: int
     stays: tuple[bool, bool, bool]  # axes along which it is taken from the node itself, not from its neighbour
@@ -50,7 +50,7 @@ class Source(NamedTuple):
 
 
 class Face:
-    """A kind of face: what the step does there, and where it may be."""
+    """One kind of face: its effect on the step, and the axes on which it is allowed."""
 
     rank = 0  # of the faces that a population meets at once, in an edge of the box, the highest redirects it; 0: it does not
     wraps = False  # the node across is a neighbour
@@ -58,21 +58,22 @@ class Face:
 
     @staticmethod
     def check(boundaries: "Boundaries", axis: str) -> None:
-        """Raises ConfigError where this kind cannot be on an axis, `x`, `y` or `z`; by itself it may be anywhere."""
+        """Raises ConfigError if this kind is not allowed on `axis` (`x`, `y` or `z`). The base class allows every axis."""
 
     @staticmethod
     def redirect(i: int, axes: tuple[int, ...]) -> Source:
-        """Where population i comes from that meets faces of this kind on `axes`, one or two of them."""
+        """Source of population i at a node that meets faces of this kind on `axes`, one or two of them."""
         raise NotImplementedError
 
 
 class Periodic(Face):
-    """Memory wraps round: nothing to do."""
+    """Periodic face: memory wraps round, the step has nothing to do."""
 
     wraps = True
 
     @staticmethod
     def check(boundaries, axis):
+        """Raises ConfigError if only one face of the axis is periodic."""
         low, high = getattr(boundaries, axis)
         if low != high:
             raise ConfigError(
@@ -81,18 +82,24 @@ class Periodic(Face):
 
 
 class Slip(Face):
+    """Free-slip face: specular reflection half a cell outside the last node."""
+
     rank = 1
 
     @staticmethod
     def redirect(i, axes):
+        """Mirrored population of the node that lies back along the wall."""
         return Source(mirrored(i, *axes), (0 in axes, 1 in axes, 2 in axes))
 
 
 class Wall(Face):
+    """No-slip wall at rest: halfway bounce-back."""
+
     rank = 3
 
     @staticmethod
     def redirect(i, axes):
+        """Opposite population of the node itself."""
         return Source(opposite(i), (True, True, True))
 
 
@@ -103,24 +110,29 @@ def _dragged(six_w: float, c: wp.vec3, wall_velocity: wp.vec3):
 
 
 class Moving(Face):
-    """Ranks below a wall at rest, which holds the edge between them: a lid that drags its corners along is first order."""
+    """No-slip wall that slides in its own plane.
+
+    It ranks below a wall at rest, which therefore holds the edge between them: a lid that drags its corners along is first order.
+    """
 
     rank = 2
 
     @staticmethod
     def check(boundaries, axis):
+        """Raises ConfigError if the wall's velocity has a component normal to the wall."""
         normal = boundaries.wall_velocity_lu["xyz".index(axis)]
         if normal:
             raise ConfigError(f"boundaries: the moving wall of axis {axis} leaves its plane by {normal}; it can only slide")
 
     @staticmethod
     def redirect(i, axes):
+        """Opposite population of the node itself, plus the momentum of the sliding wall."""
         return Source(opposite(i), (True, True, True), _dragged)
 
 
 @wp.func
 def _characteristic(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
-    """Density and velocity of an open node with outward normal n from those of its inner neighbour."""
+    """Density and velocity of an open node with outward normal n, computed from those of its inner neighbour."""
     away = u - target
     normal = wp.dot(away, n)
     # the incoming wave is set to zero, not extrapolated: that returns a tenth of a pulse (docs/solver/method.md)
@@ -133,10 +145,13 @@ def _characteristic(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
 
 
 class Open(Face):
+    """Open face with a sponge: the incoming sound wave is set to zero."""
+
     complete = _characteristic
 
     @staticmethod
     def check(boundaries, axis):
+        """Raises ConfigError on the z axis."""
         if axis == "z":
             raise ConfigError("boundaries: an open face at the top or bottom; z takes slip, wall or periodic")
 
@@ -146,12 +161,12 @@ FACES: dict[str, type[Face]] = {"periodic": Periodic, "slip": Slip, "wall": Wall
 
 @dataclass(frozen=True, kw_only=True)
 class Boundaries:
-    """Kinds of the faces of each axis. `wall_velocity_lu` is the velocity of the moving walls, in lattice units.
+    """Kinds of the faces of each axis. `wall_velocity_lu` (3,) is the velocity of the moving walls, in lattice units.
 
     Raises:
         UnknownName: a kind that does not exist.
-        ConfigError: a kind where it cannot be: one face of an axis periodic and the other not; an open face above or below; a
-            wall that moves out of its plane, or no wall that moves.
+        ConfigError: a kind that is not allowed there: only one face of an axis is periodic; a face above or below is open; a wall
+            moves out of its plane; no wall moves.
     """
 
     x: Axis = Axis("periodic", "periodic")
@@ -179,7 +194,7 @@ class Boundaries:
             )
 
     def check_room(self, shape: Sequence[int]) -> None:
-        """Raises ConfigError where the sponges of open faces leave no water between them in a box of `shape` (3,) cells."""
+        """Raises ConfigError if the sponges of the open faces leave no water between them in a box of `shape` (3,) cells."""
         for name, axis, n in zip("xyz", self.axes, shape, strict=True):
             if self.sponge and self.sponge * sum(completes(axis)) >= n:
                 raise ConfigError(
@@ -189,11 +204,12 @@ class Boundaries:
 
     @property
     def axes(self) -> tuple[Axis, Axis, Axis]:
+        """Faces of x, y and z."""
         return self.x, self.y, self.z
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Of all six faces."""
+        """Kinds of all six faces: x, y, z, each low then high."""
         return self.x + self.y + self.z
 
 
@@ -201,13 +217,13 @@ PERIODIC = Boundaries()
 
 
 def channel(*, bottom: str = "slip", sponge: int = SPONGE) -> Boundaries:
-    """Open sides, free surface without waves on top, free slip or a no-slip wall below: the tank's and the window's faces."""
+    """Faces of the tank and of the window: open sides, a free surface without waves on top, free slip or a no-slip wall below."""
     side = Axis("open", "open")
     return Boundaries(x=side, y=side, z=Axis(bottom, "slip"), sponge=sponge)
 
 
 def sources(faces: tuple[Axis, Axis, Axis], i: int) -> dict[int, Source]:
-    """Where population i comes from, by the faces that it meets at once: bit a of the key is set where it meets one of axis a."""
+    """Sources of population i, keyed by the faces that it meets at once: bit a of the key is set if it meets a face of axis a."""
     velocity = VELOCITIES[i]
     met = {a: FACES[faces[a].low if velocity[a] > 0 else faces[a].high] for a in range(3) if velocity[a]}
     redirecting = [a for a in met if met[a].rank]
@@ -219,13 +235,13 @@ def sources(faces: tuple[Axis, Axis, Axis], i: int) -> dict[int, Source]:
 
 
 def completes(axis: Axis) -> tuple[bool, bool]:
-    """Whether the low and the high face of an axis complete their nodes, behind a sponge."""
+    """Returns, for the low and the high face of an axis, True if the face completes its nodes behind a sponge."""
     return FACES[axis.low].complete is not None, FACES[axis.high].complete is not None
 
 
 @wp.func
 def ramp(low: bool, high: bool, position: int, size: int, width: int):
-    """0 in the interior of an axis, up to 1 at the last node of a face that has a sponge."""
+    """Sponge ramp along one axis: 0 in the interior, up to 1 at the last node of a face with a sponge."""
     depth = wp.max(wp.where(low, width - position, 0), wp.where(high, position - (size - 1 - width), 0))
     s = wp.clamp(float(depth) / float(width), 0.0, 1.0)
     return s * s

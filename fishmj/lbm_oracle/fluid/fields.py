@@ -1,6 +1,6 @@
-"""Kernels that set and read whole fields: undisturbed water, a given velocity, density; and what the watch sees of them.
+"""Kernels that set and read whole fields: undisturbed water, a given velocity, density; and the survey that the watch reads.
 
-A survey is summed on the device and sent to the host while both go on.
+A survey is summed on the device and copied to the host while both continue.
 """
 
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ def settle(
     f: wp.array(dtype=Any),
     u: wp.array(dtype=Any),
 ):
-    """Equilibrium at density 1 with the background flow, in a box of world nodes that starts at `low`."""
+    """Sets equilibrium at density 1 with the background flow, in a box of world nodes that starts at `low`."""
     i, j, k = wp.tid()
     wx, wy, wz = low[0] + i, low[1] + j, low[2] + k
     x, y, z = wrap(wx, s.nx), wrap(wy, s.ny), wrap(wz, s.nz)
@@ -47,7 +47,7 @@ def settle(
 
 @wp.kernel
 def impose(s: Params, drho: wp.array3d(dtype=float), u: wp.array3d(dtype=wp.vec3), f: wp.array(dtype=Any)):
-    """A given field with its viscous stress, P = -2 rho c_s^2 tau S, derivatives across the periodic box."""
+    """Sets a given field with its viscous stress, P = -2 rho c_s^2 tau S; derivatives are taken across the periodic box."""
     x, y, z = wp.tid()
     xm, xp = wrap(x - 1, s.nx), wrap(x + 1, s.nx)
     ym, yp = wrap(y - 1, s.ny), wrap(y + 1, s.ny)
@@ -74,14 +74,14 @@ def _loaded(f: wp.array(dtype=Any), s: Params, x: int, y: int, z: int):
 
 @wp.kernel
 def weigh(s: Params, f: wp.array(dtype=Any), drho: wp.array3d(dtype=float)):
-    """Density minus one at every memory node."""
+    """Computes density minus one at every memory node."""
     x, y, z = wp.tid()
     drho[x, y, z] = density(_loaded(f, s, x, y, z))
 
 
 @wp.kernel
 def derive(s: Params, f: wp.array(dtype=Any), u: wp.array(dtype=Any)):
-    """Velocity from the populations, where the step does not keep it: u + G, the force's second half included."""
+    """Computes the velocity from the populations if the step does not store it: u + G, with the second half of the force."""
     x, y, z = wp.tid()
     q = _loaded(f, s, x, y, z)
     poke3(u, (x * s.ny + y) * s.nz + z, momentum(q) / (1.0 + density(q)))
@@ -89,7 +89,10 @@ def derive(s: Params, f: wp.array(dtype=Any), u: wp.array(dtype=Any)):
 
 @wp.kernel
 def resolve(s: Params, f: wp.array(dtype=Any), u: wp.array(dtype=Any), out: wp.array3d(dtype=wp.vec3)):
-    """Velocities of 16 bits to the precision of the populations, where these say the same: they are half a force ahead."""
+    """Refines stored 16-bit velocities to the precision of the populations.
+
+    Where both disagree by more than the rounding the stored value stays: the populations' velocity lacks half a force.
+    """
     x, y, z = wp.tid()
     kept, q = peek3(u, (x * s.ny + y) * s.nz + z), _loaded(f, s, x, y, z)
     v = momentum(q) / (1.0 + density(q))
@@ -111,9 +114,9 @@ def survey(
     mass: wp.array(dtype=wp.float64),
     lost: wp.array(dtype=int),
 ):
-    """By y: least and greatest drho, greatest speed squared, sum of drho, nodes that are not finite; ghosts count for nothing.
+    """Reduces for each y: least and greatest drho, greatest speed squared, sum of drho, number of nodes that are not finite.
 
-    A thread looks through some planes of x and some nodes of z.
+    Ghosts are skipped. One thread covers some planes of x and some nodes of z.
     """
     part, y, column = wp.tid()
     o = six(origin)
@@ -138,7 +141,7 @@ def survey(
 
 
 class Survey(NamedTuple):
-    """Lattice units."""
+    """Extremes and sums of one survey, in lattice units."""
 
     rho_min: float
     rho_max: float
@@ -148,7 +151,7 @@ class Survey(NamedTuple):
 
 
 class Surveyor:
-    """Surveys of one box of water on one device; what it found is kept by columns of y, so that few threads add to one number."""
+    """Runs surveys of one box of water on one device. Results are kept by columns of y, so that few threads add to one number."""
 
     def __init__(self, shape: tuple[int, int, int], device):
         self.device = device
@@ -159,7 +162,7 @@ class Surveyor:
         self.on_host = [wp.zeros(shape[1], dtype=kind, device="cpu", pinned=device.is_cuda) for kind in kinds]
 
     def start(self, params, origin: wp.array, f: wp.array, u: wp.array) -> None:
-        """Queue one survey, and the copies of what it finds, on the present stream."""
+        """Queues one survey, and the copies of its results, on the present stream."""
         for column in self.found:
             column.zero_()
         wp.launch(survey, dim=self.dim, inputs=[params, origin, f, u, self.planes, self.depth, *self.found], device=self.device)
@@ -167,6 +170,6 @@ class Surveyor:
             wp.copy(near, far)
 
     def result(self) -> Survey:
-        """Of the last one, once the device is through with it."""
+        """Survey that was started last; the device must have finished it."""
         low, high, fast, mass, lost = (column.numpy() for column in self.on_host)
         return Survey(1 + float(low.min()), 1 + float(high.max()), float(np.sqrt(fast.max())), float(mass.sum()), int(lost.sum()))

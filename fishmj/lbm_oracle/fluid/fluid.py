@@ -1,8 +1,8 @@
-"""The water: arrays, one step, the velocity that a body would meet, and what can be read out.
+"""The water: arrays, one step, the velocity that a body would meet, and read-out.
 
 Two copies of the populations and of the velocity take turns; `f`, `u` and `clock` are the present ones. Step n reads copy
-n % 2 and writes the other, so a captured graph holds an even number of steps. The launches of a step are recorded once: one on an
-accelerator, one a core on the CPU, each a slab of x.
+n % 2 and writes the other, so a captured graph holds an even number of steps. The launches of a step are recorded once: one on
+an accelerator; on a CPU one for each core, each a slab of x.
 """
 
 from collections.abc import Callable
@@ -43,22 +43,22 @@ Box = tuple[tuple[int, int, int], tuple[int, int, int]]  # nodes of the present 
 
 
 def blend_at(lattice: Lattice) -> float:
-    """Blend of a swim in metres and seconds: the paper's at the paper's dt / dx, elsewhere in proportion to it.
+    """Blend for a swim in metres and seconds: the paper's value at the paper's dt / dx, elsewhere in proportion to dt / dx.
 
-    A shorter step so loses no more stress in a second.
+    A shorter step therefore loses no more stress in a second.
     """
     return min(1.0, BLEND * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity)
 
 
 def slabs_for(device, planes: int, wanted: int | None = None) -> int:
-    """How many slabs: one on an accelerator, else the cores that this process may use."""
+    """Number of slabs: one on an accelerator, else at most the cores that this process may use."""
     if device.is_cuda:
         return 1
     return max(1, min(wanted or usable_cores(), planes // THINNEST or 1, MOST))
 
 
 def kernel_for(shape: tuple[int, int, int], device) -> tuple[Callable[..., wp.Kernel], int]:
-    """Who makes the kernel of a step, and how many threads a plane of x takes; all kernels compute the same."""
+    """Returns the factory of the step's kernel and the number of threads in a plane of x. All kernels compute the same."""
     row, cells = shape[2], int(np.prod(shape))
     if device.is_cuda and row % 2 == 0:
         return stream_collide_pairs, shape[1] * row // 2
@@ -68,7 +68,7 @@ def kernel_for(shape: tuple[int, int, int], device) -> tuple[Callable[..., wp.Ke
 
 
 def record(kernel: wp.Kernel, planes: int, plane: int, args: list[Any], device, slabs: int) -> list[Any]:
-    """Launches over `planes` times `plane` threads; the kernel's first argument is the first thread of its slab."""
+    """Records launches over `planes` times `plane` threads; the kernel's first argument is the first thread of its slab."""
     edges = np.linspace(0, planes, slabs + 1).astype(int) * plane
     return [
         wp.launch(kernel, dim=int(high - low), inputs=[int(low), *args], device=device, record_cmd=True)
@@ -77,7 +77,7 @@ def record(kernel: wp.Kernel, planes: int, plane: int, args: list[Any], device, 
 
 
 def launch(slabs: list[Any]) -> None:
-    """Run them side by side and wait for all (an accelerator only queues its one).
+    """Runs the slabs side by side and waits for all of them (an accelerator only queues its one slab).
 
     A launch releases the interpreter's lock while it runs, so that Python threads keep all cores busy: 1.7 times the rate on two.
     """
@@ -88,12 +88,12 @@ def launch(slabs: list[Any]) -> None:
 
 
 def pool() -> ThreadPoolExecutor:
-    """The threads that step slabs."""
+    """Thread pool that steps slabs."""
     return _POOL
 
 
 def pieces(first: int, count: int, size: int) -> list[tuple[int, int]]:
-    """`count` world planes from `first` on, as runs (first, count) of an array that is indexed modulo `size`."""
+    """Splits `count` world planes from `first` on into runs (first, count) of an array that is indexed modulo `size`."""
     if count == 0:
         return []
     start = first % size
@@ -107,25 +107,31 @@ class Fluid:
     Attributes:
         f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
             scaled (`storage`).
-        u: (nx, ny, nz) velocity of the last step as it is kept (storage.py), vec3s with eddy viscosity, else vec3; without
-            `keep_velocity` it is derived when asked for.
-        force: (nx, ny, nz) vec3, acceleration G of the body, zero outside the box given to `step`.
+        u: (nx, ny, nz) velocity of the last step as it is stored (storage.py), vec3s with eddy viscosity, else vec3. Without
+            `keep_velocity` it is derived on access.
+        force: (nx, ny, nz) vec3, acceleration G by the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
         origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
         clock: (1,) int32, steps done.
 
     Args:
-        boundaries: of the six faces. subgrid: eddy viscosity, `wale` or `none`. flow: background, through open faces and at rest
-            else. body_acceleration: (3,) m/s2, everywhere. cw: WALE's constant. omega_bulk: rate at which the trace of the stress
-            relaxes. blend: share of the stress that the velocity gradient gives in a step of this grid (collide.py), 0 to 1 in
-            any units; 0 is kept to show that it fails. `blend_at` keeps the loss in a second where the step is another.
-            dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
+        boundaries: kinds of the six faces.
+        subgrid: eddy viscosity, `wale` or `none`.
+        flow: background flow, which enters through open faces; still water by default.
+        body_acceleration: (3,) m/s2, everywhere.
+        cw: WALE's constant.
+        omega_bulk: rate at which the trace of the stress relaxes.
+        blend: share of the stress that is taken from the velocity gradient in a step of this grid (collide.py), 0 to 1. 0 is
+            allowed in order to show that it fails. `blend_at` keeps the loss in a second equal for another step.
+        dtype: storage of the populations.
+        threads: slabs on a CPU; all cores by default.
 
-    Arrays are indexed by world node modulo shape. `step` and `run` look at the water every 50 steps (`watch`).
+    Arrays are indexed by world node modulo shape. `step` and `run` check the water every 50 steps (`watch`).
 
     Raises:
-        ConfigError, UnknownName: what cannot be. OracleUnstable: what would not stay stable: a flow or a wall beyond Mach 0.3,
-            tau below 0.5005 without an eddy viscosity; and `step` and `run`, when the water has left what is sound.
+        ConfigError, UnknownName: invalid arguments.
+        OracleUnstable: a set-up that would not stay stable: a flow or a wall beyond Mach 0.3, tau below 0.5005 without an eddy
+            viscosity. `step` and `run` raise it when the water leaves the limits of `watch`.
     """
 
     def __init__(
@@ -196,7 +202,7 @@ class Fluid:
 
     @property
     def extent(self) -> tuple[int, int, int]:
-        """Cells from the low corner on that hold water: all of `shape`."""
+        """Number of cells (3,) from the low corner that hold water: all of `shape`."""
         return self.shape
 
     def _stepped(self) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
@@ -205,10 +211,12 @@ class Fluid:
 
     @property
     def f(self) -> wp.array:
+        """Present populations (19, nx, ny, nz), minus their weights."""
         return self._f[self.parity]
 
     @property
     def u(self) -> wp.array:
+        """Present velocity (nx, ny, nz) as it is stored; derived from the populations if the step does not store it."""
         if not self._keeps:
             args = [self.params, _flat(self.f), _flat(self._u[self.parity])]
             wp.launch(fields.derive, dim=self.shape, inputs=args, device=self.device)
@@ -216,46 +224,50 @@ class Fluid:
 
     @property
     def clock(self) -> wp.array:
+        """Steps done, (1,) int32 on the device."""
         return self._clock[self.parity]
 
     @property
     def time(self) -> float:
-        """s since the start."""
+        """Time since the start, s."""
         return self.steps * self.lattice.dt
 
     @property
     def cells(self) -> int:
+        """Number of cells."""
         return int(np.prod(self.shape))
 
     @property
     def levels(self) -> list["Fluid"]:
-        """All levels of water, the finest first: this one."""
+        """All levels of water, the finest first; here only this one."""
         return [self]
 
     @property
     def phase(self) -> int:
-        """Which copies the next step reads: a captured graph of steps holds for one phase."""
+        """Index of the copies that the next step reads. A captured graph of steps is valid for one phase."""
         return self.parity
 
     @property
     def account(self) -> list[tuple[int, int]]:
-        """Copy and steps of each level, as the host counts them."""
+        """Copy and number of steps of each level, as the host counts them."""
         return [(level.parity, level.steps) for level in self.levels]
 
     @account.setter
     def account(self, value: list[tuple[int, int]]) -> None:
+        """Sets copy and number of steps of each level. Raises ValueError for another number of levels."""
         for level, (parity, steps) in zip(self.levels, value, strict=True):
             level.parity, level.steps = parity, steps
 
     def skip(self, steps: int) -> None:
-        """The host's account of steps that a graph has done."""
+        """Counts, on the host, steps that a graph has done."""
         self.parity, self.steps = (self.parity + steps) % 2, self.steps + steps
 
     def set_flow(self, flow: Flow) -> None:
-        """Change the background flow from now on; the water inside follows through the sponge.
+        """Changes the background flow from now on; the water inside follows through the sponge.
 
         Raises:
-            ConfigError: no `Flow`. OracleUnstable: it is faster than the Mach limit of this grid.
+            ConfigError: not a `Flow`.
+            OracleUnstable: the flow is faster than the Mach limit of this grid.
         """
         checked_kind("fluid: flow", flow, Flow, needed=True)
         check_speed(self.lattice, flow.speed, "fluid: background flow")
@@ -264,12 +276,12 @@ class Fluid:
         self._launches, self._graphs, self._parts = None, {}, {}
 
     def set_steps(self, steps: int) -> None:
-        """The clock, in steps since the start; the water stays as it is. Raises ConfigError: no whole number."""
+        """Sets the clock, in steps since the start; the water stays as it is. Raises ConfigError if `steps` is not whole."""
         self.steps = int(whole_numbers("fluid: steps", steps))
         self.clock.fill_(self.steps)
 
     def settle(self) -> None:
-        """Undisturbed background flow everywhere, at the present time."""
+        """Sets the undisturbed background flow of the present time everywhere."""
         self._settle(self.origin_lu, self.shape)
 
     def _settle(self, low, size) -> None:
@@ -277,11 +289,11 @@ class Fluid:
         wp.launch(fields.settle, dim=tuple(map(int, size)), inputs=inputs, device=self.device)
 
     def impose(self, u: np.ndarray, pressure: np.ndarray | None = None) -> None:
-        """Set velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them.
+        """Sets velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them.
 
         Raises:
-            ConfigError: another shape, or not finite. OracleUnstable: a speed beyond the Mach limit, or a pressure with a density
-                that the watch would stop.
+            ConfigError: another shape, or values that are not finite.
+            OracleUnstable: a speed beyond the Mach limit, or a pressure whose density the watch would stop.
         """
         u = numbers("fluid: velocity", u, (*self.shape, 3))
         check_speed(self.lattice, float(np.sqrt((u * u).sum(-1).max())), "fluid: velocity")
@@ -297,18 +309,18 @@ class Fluid:
         wp.launch(fields.impose, dim=self.shape, inputs=[self.params, rho, u_exact, _flat(self.f)], device=self.device)
 
     def _keep(self, u: np.ndarray) -> None:
-        """Take velocities (nx, ny, nz, 3) in memory order, cells a step, for those of the last step."""
+        """Stores velocities (nx, ny, nz, 3), in memory order and cells a step, as those of the last step."""
         now = self.u
         now.assign(encoded(u, now.dtype))
 
     def step(self, box: Box | None = None) -> None:
-        """One time step; `box` holds the nodes where `force` acts (None: nowhere)."""
+        """Does one time step; `box` holds the nodes where `force` acts (None: nowhere)."""
         self.set_box(NOWHERE if box is None else box)
         self.stream_collide()
         self.watch.after_step(self)
 
     def set_box(self, box: Box) -> None:
-        """The world nodes where `force` acts, until told otherwise. Raises ConfigError: no low and high corner."""
+        """Sets the box of world nodes where `force` acts. Raises ConfigError if `box` has no low and high corner."""
         low, high = whole_numbers("fluid: box", box, (2, 3)).tolist()
         if any(a > b for a, b in zip(low, high, strict=True)):
             raise ConfigError(f"fluid: box = {shown_value(box)}; expected its low corner first, then the high one")
@@ -317,16 +329,16 @@ class Fluid:
             self._box = low, high
 
     def stream_collide(self) -> None:
-        """One time step with the force in `self.box`; no host transfer, so that a graph can capture it."""
+        """Does one time step with the force in `self.box`, without a host transfer, so that a graph can capture it."""
         if self._launches is None:
             self._launches = [self._recorded(parity) for parity in range(2)]
         launch(self._launches[self.parity])
         self.parity, self.steps = 1 - self.parity, self.steps + 1
 
     def planes(self, first: int, count: int) -> Any:
-        """The launch of a part of a time step: `count` planes of x from `first` on, in memory order. `skip(1)` counts a step.
+        """Launch of a part of a time step: `count` planes of x from `first` on, in memory order. `skip(1)` counts the step.
 
-        The parts of a step may come in any order: each reads what the step before left.
+        The parts of a step may run in any order: each reads only the result of the previous step.
         """
         whole_numbers("fluid: planes", (first, count), (2,))
         key = self.parity, first, count
@@ -338,12 +350,12 @@ class Fluid:
         return self._parts[key]
 
     def _recorded(self, parity: int) -> list[Any]:
-        """The launches of a step that starts from this parity."""
+        """Launches of a step that starts from `parity`."""
         turn = self.shape[0] * self._plane - 1 if parity else -1  # back and forth: what was written last is read first
         return record(self._kernel, self.shape[0], self._plane, self._arguments(parity, turn), self.device, self.threads)
 
     def _arguments(self, parity: int, turn: int = -1) -> list[Any]:
-        """What the kernel takes in a step that starts from this parity, behind its first thread; `turn`: pairs.py."""
+        """Arguments of the kernel, after its first thread, for a step that starts from `parity`; `turn`: pairs.py."""
         a, b = parity, 1 - parity
         args = [
             *([turn] if self._paired else []),
@@ -358,7 +370,10 @@ class Fluid:
         return args + [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
-        """Steps without a body; on cuda in a captured graph. `before` is called before every step and forbids the graph."""
+        """Does `steps` steps without a body; on cuda in a captured graph.
+
+        `before` is called before every step and forbids a graph.
+        """
         whole_numbers("fluid: steps", steps, low=0)
         self.set_box(NOWHERE)
         if before is None and self.device.is_cuda and steps >= 4:
@@ -378,7 +393,7 @@ class Fluid:
             self.watch.after_step(self)
 
     def _captured(self, stride: int) -> wp.Graph:
-        """A graph of an even number of steps from even parity; capturing does not run them."""
+        """Captures a graph of an even number of steps from even parity, without running them."""
         if stride not in self._graphs:
             self._kernel.module.load(self.device)
             steps = self.steps
@@ -389,7 +404,7 @@ class Fluid:
         return self._graphs[stride]
 
     def shift(self, by: tuple[int, int, int]) -> None:
-        """Move the window by whole cells; the planes that it uncovers hold undisturbed background flow."""
+        """Moves the window by whole cells; the planes that it uncovers get the undisturbed background flow."""
         whole_numbers("fluid: shift", by, (3,))
         if any(abs(b) >= n for b, n in zip(by, self.shape, strict=True)):
             raise ConfigError(f"fluid: shift by {by} cells in a window of {self.shape}; a shift is smaller than the window")
@@ -406,7 +421,7 @@ class Fluid:
         self.origin.assign(np.concatenate([origin, origin % self.shape]).astype(np.int32))
 
     def velocity_lu(self) -> wp.array:
-        """(nx, ny, nz) vec3 of the last step in memory order, cells a step."""
+        """Velocity (nx, ny, nz) vec3 of the last step in memory order, cells a step."""
         u = self.u  # once: without `keep_velocity` a kernel makes it
         if u.dtype is wp.vec3:
             return u
@@ -415,36 +430,36 @@ class Fluid:
         return out
 
     def velocity(self) -> np.ndarray:
-        """(nx, ny, nz, 3) m/s, low corner first; nx, ny, nz: `extent`."""
+        """Velocity (nx, ny, nz, 3) m/s, low corner first; nx, ny, nz: `extent`."""
         return self._in_order(self.velocity_lu().numpy()) * self.lattice.velocity
 
     def pressure(self) -> np.ndarray:
-        """(nx, ny, nz) Pa over still water, low corner first; nx, ny, nz: `extent`."""
+        """Pressure (nx, ny, nz) Pa above that of still water, low corner first; nx, ny, nz: `extent`."""
         return self._in_order(self.drho().numpy()) * self.lattice.pressure / 3
 
     def _in_order(self, values: np.ndarray, first: int = 0) -> np.ndarray:
-        """A field in memory order by logical node, `extent` of it; x, y, z are its axes from `first` on."""
+        """Reorders a field from memory order to logical nodes and cuts it to `extent`; x, y, z are its axes from `first` on."""
         held = *(slice(None) for _ in range(first)), *(slice(n) for n in self.extent)
         return np.roll(values, -self.origin_lu, (first, first + 1, first + 2))[held]
 
     def drho(self) -> wp.array:
-        """(nx, ny, nz) density minus one, in memory order."""
+        """Density minus one, (nx, ny, nz), in memory order."""
         out = wp.empty(self.shape, dtype=float, device=self.device)
         wp.launch(fields.weigh, dim=self.shape, inputs=[self.params, _flat(self.f), out], device=self.device)
         return out
 
     def survey(self) -> Survey:
-        """Extremes of density and speed, mass, and nodes that are not finite."""
+        """Extremes of density and speed, mass, and number of nodes that are not finite."""
         self.begin_survey()
         wp.synchronize_device(self.device)
         return self.surveyed()
 
     def begin_survey(self) -> None:
-        """Queue a survey on the present stream; the host goes on."""
+        """Queues a survey on the present stream and returns at once."""
         self._surveyor.start(self.params, self.origin, _flat(self.f), _flat(self.u))
 
     def surveyed(self) -> Survey:
-        """What the last one found; to be asked once the device is through with it."""
+        """Survey that was begun last; the device must have finished it."""
         return self._surveyor.result()
 
     def finer(self, factor: int) -> "Fluid":
@@ -459,15 +474,15 @@ class Fluid:
         return Fluid(lattice, self.shape, self.device, keep_velocity=self._keeps, **(self._options | more))
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """Everything that the next step depends on, as arrays: `f`, `u`, `origin`, `steps`."""
+        """Complete state of the water as arrays: `f`, `u`, `origin`, `steps`."""
         f, u = self.f.numpy().copy(), decoded(self.u.numpy()).copy()
         return {"f": f, "u": u, "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Continue from a snapshot, bit for bit.
+        """Continues from a snapshot, bit for bit.
 
         Raises:
-            ConfigError: it was taken in a box of another shape or storage, or is no snapshot.
+            ConfigError: not a snapshot, or one of another shape or storage.
         """
         check_snapshot(state, (Q, *self.shape), wp.dtype_to_numpy(self.f.dtype))
         self.f.assign(state["f"])
@@ -490,5 +505,5 @@ def _params(lattice, shape, boundaries, body_acceleration, cw, omega_bulk, blend
 
 
 def _flat(f: wp.array) -> wp.array:
-    """One-dimensional view: kernels compute their own offsets."""
+    """One-dimensional view of an array: kernels compute their own offsets."""
     return f.flatten()

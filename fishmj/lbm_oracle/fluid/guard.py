@@ -1,10 +1,10 @@
-"""Checks of what a user gives the solver, limits of the scheme before a step, and a watch while it runs.
+"""Checks of the user's input, limits of the scheme before a step, and a watch during the run.
 
     Ma = u / c_s < 0.3        the scheme is weakly compressible: errors grow with Ma^2
     tau >= 0.5005             without an eddy viscosity; below it the collision has no damping left
     spacing 0.5 to 1.4 dx     of the markers; measured to make no difference inside
 
-Every class that a user can build calls these itself: `Fluid`, `Markers`, `ImmersedBody`, `FluidStructure`. A refusal names the
+Every class that a user can build calls these itself: `Fluid`, `Markers`, `ImmersedBody`, `FluidStructure`. An error names the
 nearest set-up that would pass.
 """
 
@@ -32,13 +32,14 @@ MEAN_DRHO = constant("oracle", "mass_stop")
 
 
 def numbers(what: str, value: Any, shape: Sequence[int | None] = (), *, low: float = -inf, high: float = inf) -> np.ndarray:
-    """`value` as float64 of `shape`, where None stands for any length.
+    """Returns `value` as float64 of `shape`, where None stands for any length.
 
     Args:
-        what: names it in the message, as "markers: area". low, high: range of its entries, ends included.
+        what: name of the value in the message, as "markers: area".
+        low, high: range of its entries, ends included.
 
     Raises:
-        ConfigError: no numbers, another shape, or an entry that is not finite or out of range.
+        ConfigError: not numbers, another shape, or an entry that is not finite or out of range.
     """
     array = _array(what, value, "iuf")
     _check_shape(what, array, shape)
@@ -51,7 +52,7 @@ def numbers(what: str, value: Any, shape: Sequence[int | None] = (), *, low: flo
 
 
 def whole_numbers(what: str, value: Any, shape: Sequence[int | None] = (), *, low: float = -inf, high: float = inf) -> np.ndarray:
-    """`value` as int64 of `shape`; arguments and errors as of `numbers`, and a ConfigError for fractions."""
+    """Returns `value` as int64 of `shape`. Arguments and errors as for `numbers`; also raises ConfigError for fractions."""
     array = _array(what, value, "iuf")
     if array.dtype.kind == "f" and array.size:
         raise ConfigError(f"{what} has the type {array.dtype}; expected whole numbers")
@@ -84,7 +85,7 @@ def _range(low: float, high: float) -> str:
 
 
 def check_speed(lattice: Lattice, speed: float, what: str) -> None:
-    """Raise OracleUnstable for a speed in m/s beyond the Mach limit; `what` begins the message."""
+    """Raises OracleUnstable for a speed in m/s beyond the Mach limit; `what` begins the message."""
     mach = lattice.mach(speed)
     if not mach <= MACH:
         dt = step_for(lattice, speed)
@@ -96,7 +97,10 @@ def check_speed(lattice: Lattice, speed: float, what: str) -> None:
 
 
 def check_tau(lattice: Lattice, subgrid: str, what: str) -> None:
-    """Raise OracleUnstable for a relaxation time below the limit, without an eddy viscosity; UnknownName for none of SUBGRID."""
+    """Raises OracleUnstable for a relaxation time below the limit without an eddy viscosity.
+
+    Raises UnknownName for a model that is not in SUBGRID.
+    """
     if checked_name("subgrid model", subgrid, SUBGRID) == "none" and not lattice.tau >= TAU:
         dx = 3 * lattice.nu / ((TAU - 0.5) * lattice.velocity)
         raise OracleUnstable(
@@ -107,7 +111,7 @@ def check_tau(lattice: Lattice, subgrid: str, what: str) -> None:
 
 
 def check_spacing(lattice: Lattice, spacing: float, what: str) -> None:
-    """Raise OracleUnstable for markers, `spacing` m apart, that leak or crowd on this grid."""
+    """Raises OracleUnstable for markers, `spacing` m apart, that leak or crowd on this grid."""
     if not SPACING[0] * lattice.dx <= spacing <= SPACING[1] * lattice.dx:
         raise OracleUnstable(
             f"{what}: markers {spacing:.3g} m apart, {spacing / lattice.dx:.2f} dx; expected {SPACING[0]} to {SPACING[1]} dx."
@@ -117,7 +121,7 @@ def check_spacing(lattice: Lattice, spacing: float, what: str) -> None:
 
 
 def check_density(rho: np.ndarray, what: str) -> None:
-    """Raise OracleUnstable for densities over that of still water that the watch would stop."""
+    """Raises OracleUnstable for densities, relative to still water, that the watch would stop."""
     low, high = float(rho.min()), float(rho.max())
     if not (RHO[0] < low and high < RHO[1]):
         raise OracleUnstable(
@@ -126,7 +130,7 @@ def check_density(rho: np.ndarray, what: str) -> None:
 
 
 def check_snapshot(state: Any, shape: tuple[int, ...], stored: type) -> None:
-    """Raise ConfigError for anything else than a snapshot of water whose populations have this shape and type."""
+    """Raises ConfigError unless `state` is a snapshot of water whose populations have this shape and type."""
     wanted = {"f": shape, "u": (*shape[1:], 3), "origin": (3,), "steps": ()}
     if missing := [name for name in wanted if name not in checked_kind("fluid: a snapshot", state, dict, needed=True)]:
         raise ConfigError(f"fluid: a snapshot without {', '.join(missing)}; expected {', '.join(wanted)}")
@@ -141,20 +145,20 @@ def check_snapshot(state: Any, shape: tuple[int, ...], stored: type) -> None:
 
 
 def step_for(lattice: Lattice, speed: float) -> float:
-    """The longest time step [s] that keeps `speed` within the Mach limit; below a bus tick one that divides it."""
+    """Longest time step [s] that keeps `speed` within the Mach limit. Below one bus tick it is a divisor of the tick."""
     longest = MACH * lattice.dx / (speed * sqrt(3))
     return longest if longest > TICK else TICK / ceil(TICK / longest)
 
 
 @dataclass
 class Watch:
-    """Looks at a fluid every `every` steps, of the coarsest of its levels, and stops it before nonsense is written.
+    """Checks a fluid every `every` steps of its coarsest level and stops it before it writes nonsense.
 
-    `look` waits for the device; `begin` does not, and `end` judges what it saw once the device has gone on.
+    `look` waits for the device. `begin` does not wait; `end` judges its survey once the device has finished it.
 
     Raises:
-        ConfigError: `every` is no whole number of 1 at least.
-        OracleUnstable: at `look` and `end`, with `limit` one of lost, speed, density, mass.
+        ConfigError: `every` is not a whole number of 1 at least.
+        OracleUnstable: from `look` and `end`, with `limit` one of lost, speed, density, mass.
     """
 
     every: int = EVERY
@@ -166,28 +170,34 @@ class Watch:
         whole_numbers("watch: every", self.every, low=1)
 
     def due(self, fluid, since: int = 1) -> bool:
-        """Whether this is a step to look after, or one of the last `since` was."""
+        """Returns True if the present step, or one of the last `since` steps, is a step to check."""
         return fluid.steps % (self.every * RATIO ** (len(fluid.levels) - 1)) < since
 
     def after_step(self, fluid, since: int = 1) -> bool:
-        """To be called after each step, or after `since` of them; True when it looked and found all well."""
+        """Checks the fluid if a check is due; call it after each step, or after `since` of them.
+
+        Returns True if it checked and found no fault. Raises OracleUnstable.
+        """
         if not self.due(fluid, since):
             return False
         self.look(fluid)
         return True
 
     def look(self, fluid):
-        """One survey, judged."""
+        """Surveys the fluid and judges the survey. Raises OracleUnstable."""
         self.pending = None
         return self._judged(fluid, fluid.steps, fluid.survey())
 
     def begin(self, fluid) -> None:
-        """Queue a survey, to be judged at `end`."""
+        """Queues a survey that `end` judges."""
         fluid.begin_survey()
         self.pending = fluid, fluid.steps
 
     def end(self):
-        """The one that was begun, judged; a step of the same fluid that was begun later has been waited for."""
+        """Judges the survey that was begun; the device must have finished it. Raises OracleUnstable.
+
+        It also waits for a step of the same fluid that was begun later.
+        """
         if self.pending is not None:
             (fluid, step), self.pending = self.pending, None
             return self._judged(fluid, step, fluid.surveyed())

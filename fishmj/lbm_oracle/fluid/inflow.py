@@ -28,7 +28,7 @@ class Inflow:
 
 
 def inflow_of(flow: Flow, lattice: Lattice, device) -> Inflow:
-    """Upload a background flow. `flow.Flow` has checked its own numbers."""
+    """Uploads a background flow. `flow.Flow` has checked its own numbers."""
     c = flow.current()
     made = Inflow()
     made.mean = wp.vec3(*(flow.mean / lattice.velocity))
@@ -52,7 +52,7 @@ def inflow_of(flow: Flow, lattice: Lattice, device) -> Inflow:
 
 
 def _in_three(planar):
-    """(..., 2) -> (..., 3) with no vertical component."""
+    """Adds a vertical component of zero: (..., 2) -> (..., 3)."""
     return np.concatenate([planar, np.zeros((*planar.shape[:-1], 1), np.float32)], -1)
 
 

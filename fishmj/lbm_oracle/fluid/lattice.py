@@ -5,7 +5,7 @@
 Source: Qian, d'Humieres, Lallemand 1992, Europhys. Lett. 17:479. The order is by opposite pairs, so that the opposite of
 an odd i is i + 1 and of an even i > 0 is i - 1.
 
-`Lattice` is the one door between SI and lattice units, in which the density of still water, a cell and a step are 1:
+`Lattice` converts between SI and lattice units, in which the density of still water, a cell and a step are 1:
 
     x_lu = (x - corner) / dx      u_lu = u dt / dx      nu_lu = nu dt / dx^2      a_lu = a dt^2 / dx
     F = F_lu rho dx^4 / dt^2      torque = T_lu rho dx^5 / dt^2      p = p_lu rho dx^2 / dt^2      m = m_lu rho dx^3
@@ -38,16 +38,17 @@ vec19i = wp.types.vector(length=Q, dtype=wp.int32)
 
 
 def index_of(c) -> int:
-    """The number of a velocity."""
+    """Index of the lattice velocity c (3,)."""
     return C.index(tuple(int(a) for a in c))
 
 
 def opposite(i: int) -> int:
+    """Index of the velocity -c_i."""
     return index_of(-VELOCITIES[i])
 
 
 def mirrored(i: int, *axes: int) -> int:
-    """The velocity that a specular reflection on the planes normal to `axes` turns into i."""
+    """Index of the velocity into which a specular reflection on the planes normal to `axes` turns c_i."""
     c = VELOCITIES[i].copy()
     c[list(axes)] *= -1
     return index_of(c)
@@ -55,7 +56,7 @@ def mirrored(i: int, *axes: int) -> int:
 
 @wp.func
 def wrap(i: int, n: int) -> int:
-    """i modulo n in 0 .. n - 1, for negative i too: the world's node in memory."""
+    """i modulo n in 0 .. n - 1, for negative i too: the place of a world node in memory."""
     r = i % n
     if r < 0:
         r += n
@@ -64,10 +65,10 @@ def wrap(i: int, n: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Lattice:
-    """dx m, dt s, rho kg/m3, nu m2/s (kinematic), corner (3,) m: the position of node (0, 0, 0).
+    """Grid and fluid: dx m, dt s, rho kg/m3, nu m2/s (kinematic), corner (3,) m, the position of node (0, 0, 0).
 
     Raises:
-        ConfigError: a size that is not positive and finite, or a corner that is no place.
+        ConfigError: a size that is not positive and finite, or a corner that is not three finite numbers.
     """
 
     dx: float
@@ -89,36 +90,37 @@ class Lattice:
 
     @property
     def acceleration(self) -> float:
-        """m/s2."""
+        """One lattice unit of acceleration, m/s2."""
         return self.dx / self.dt**2
 
     @property
     def mass(self) -> float:
-        """kg."""
+        """One lattice unit of mass, kg."""
         return self.rho * self.dx**3
 
     @property
     def force(self) -> float:
-        """N."""
+        """One lattice unit of force, N."""
         return self.rho * self.dx**4 / self.dt**2
 
     @property
     def torque(self) -> float:
-        """N m."""
+        """One lattice unit of torque, N m."""
         return self.force * self.dx
 
     @property
     def pressure(self) -> float:
-        """Pa."""
+        """One lattice unit of pressure, Pa."""
         return self.rho * self.velocity**2
 
     @property
     def sound(self) -> float:
-        """Speed of sound, m/s: far below water's, the price of an explicit scheme."""
+        """Speed of sound of the lattice, m/s: far below water's, which an explicit scheme cannot afford."""
         return CS * self.velocity
 
     @property
     def nu_lu(self) -> float:
+        """Kinematic viscosity in lattice units, nu dt / dx^2."""
         return self.nu * self.dt / self.dx**2
 
     @property
@@ -131,9 +133,9 @@ class Lattice:
         return speed / self.sound
 
     def to_lu(self, x) -> np.ndarray:
-        """Positions (..., 3) m -> node coordinates."""
+        """Converts positions (..., 3) m to node coordinates."""
         return (np.asarray(x, float) - self.corner) / self.dx
 
     def to_si(self, x_lu) -> np.ndarray:
-        """Node coordinates (..., 3) -> m."""
+        """Converts node coordinates (..., 3) to positions in m."""
         return np.asarray(x_lu, float) * self.dx + self.corner

@@ -1,12 +1,12 @@
-"""The step of the fluid for an accelerator, two cells of z a thread: fewer instructions, wider loads, the same numbers.
+"""The step of the fluid for an accelerator, two cells of z for each thread: fewer instructions, wider loads, the same numbers.
 
-Of the nineteen populations nine do not cross z: those of two neighbours come in one aligned load, and all nineteen go in one
-aligned store each. Places are worked out once for both cells, without a division (`split_by`), and what all threads read (origin,
-the body's box) comes in two loads. Every other step goes through memory backwards (`turn`): what a step wrote last is still in
-the cache when the next one begins with it.
+Nine of the nineteen populations do not cross z: one aligned load brings those of two neighbours. Each of the nineteen goes out in
+one aligned store. The offsets are computed once for both cells, without a division (`split_by`), and the data that all threads
+read (origin, the body's box) takes two loads. Every other step goes through memory backwards (`turn`), because the last writes of
+a step are still in the cache when the next step begins with them.
 
-One H200, paper's box, beside a cell a thread in one run: +7 % bare, +15 % with eddy viscosity and open faces, +26 % in 16 bits
-(docs/solver/results.md, "Speed"). Needs an even number of cells along z.
+One H200, paper's box, relative to one cell for each thread in the same run: +7 % bare, +15 % with eddy viscosity and open faces,
++26 % in 16 bits (docs/solver/results.md, "Speed"). Needs an even number of cells along z.
 """
 
 from functools import cache
@@ -32,14 +32,16 @@ from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, peek3_pair, pe
 
 
 @wp.func_native("return (unsigned long long)(unsigned int)n * (unsigned int)by_magic >> shift;")
-def quotient(n: int, by_magic: int, shift: int) -> int: ...
+def quotient(n: int, by_magic: int, shift: int) -> int:
+    """Integer quotient n // divisor by one multiplication and a shift; `by_magic` and `shift` come from `split_by(divisor)`."""
+    ...
 
 
 def split_by(divisor: int) -> tuple[int, int]:
-    """(m, s) with n // divisor = n m >> s for all 0 <= n < 2^31; m as the signed number of the same 32 bits.
+    """Multiplier and shift (m, s) with n // divisor = n m >> s for all 0 <= n < 2^31; m as the signed number of its 32 bits.
 
-    s = 31 + l, m = ceil(2^s / divisor), 2^(l - 1) < divisor <= 2^l: m exceeds 2^s / divisor by less than one, n m / 2^s
-    therefore n / divisor by less than 1 / divisor.
+    s = 31 + l, m = ceil(2^s / divisor), 2^(l - 1) < divisor <= 2^l. m exceeds 2^s / divisor by less than one, so n m / 2^s
+    exceeds n / divisor by less than 1 / divisor.
     """
     bits = 31 + (divisor - 1).bit_length()
     magic = -(-(1 << bits) // divisor)
@@ -47,7 +49,7 @@ def split_by(divisor: int) -> tuple[int, int]:
 
 
 def pull_pair_through(faces: Faces, number: type):
-    """`step.pull_through` for the node `at` and the next one in memory, whose logical z is `next_z`."""
+    """Makes `step.pull_through` for the node `at` and the next one in memory, whose logical z is `next_z`."""
     redirected = [sources(faces, i) for i in range(Q)]
 
     def source(i: int, met: int) -> Source:
@@ -108,7 +110,7 @@ def pull_pair_through(faces: Faces, number: type):
 
 
 def gradient_pair_within(faces: Faces, velocity: type):
-    """`step.gradient_within` for two cells."""
+    """Makes `step.gradient_within` for two cells."""
     bounded = [not FACES[axis.low].wraps for axis in faces]
 
     @wp.func
@@ -141,9 +143,9 @@ def gradient_pair_within(faces: Faces, velocity: type):
 
 @cache
 def stream_collide_pairs(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: bool = True) -> wp.Kernel:
-    """The kernel of `step.stream_collide` for an accelerator. A thread has the cells 2 t and 2 t + 1.
+    """Kernel of `step.stream_collide` for an accelerator. Thread t has the cells 2 t and 2 t + 1.
 
-    t counts up from the first argument, or down from the second where that is not negative.
+    t counts up from the first argument, or down from the second if that is not negative.
     """
     number, velocity = STORAGE[dtype], velocity_type(subgrid)
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u_pairs" if keeps else "f_pairs")

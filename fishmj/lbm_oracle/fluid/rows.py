@@ -1,11 +1,12 @@
-"""The step of the fluid for a CPU, a row of z a thread: cells side by side in its vector registers, the same numbers to the bit.
+"""The step of the fluid for a CPU, one row of z for each thread: cells side by side in vector registers, identical to the bit.
 
-A compiler turns a loop into vector instructions where it has no branch, no store that could meet a load, and a plain count. So a
-thread loads up to `LONG` cells of its row into a buffer, collides them in one such loop, and stores them. What has a branch stays
-outside of it: cells that a face redirects, the body's force, the background flow of the sponge.
+A compiler vectorises a loop that has no branch, no store that could alias a load, and a plain count. A thread therefore loads up
+to `LONG` cells of its row into a buffer, collides them in one such loop, and stores them. Everything with a branch stays outside
+the loop: cells that a face redirects, the body's force, the background flow of the sponge.
 
-What the compiler must see: `while` loops, for Warp's `range` hides the count; a base and an index apart; velocities by component
-and `wp.where` on single numbers, for vectors of three become wide loads that it does not take apart again.
+The compiler needs three things. Loops are `while` loops, because Warp's `range` hides the count. Base and index are separate
+arguments. Velocities are read by component and `wp.where` acts on single numbers, because vectors of three become wide loads
+that the compiler does not split again.
 """
 
 from functools import cache
@@ -38,7 +39,7 @@ Velocities = wp.types.vector(length=3 * CELLS, dtype=wp.float32)
 
 
 def collide_through(faces: Faces, subgrid: bool):
-    """The Warp function of one cell without a branch: `update_through`. `outer`: an open face with normal n completes it."""
+    """Makes `update_through` for one cell without a branch. `outer`: an open face with normal n completes the cell."""
     opened = any(any(completes(axis)) for axis in faces)
     complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
 
@@ -75,7 +76,7 @@ def collide_through(faces: Faces, subgrid: bool):
 
 @cache
 def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: bool = True) -> wp.Kernel:
-    """The kernel of `step.stream_collide` for a CPU; its first argument is the first row, not the first cell."""
+    """Kernel of `step.stream_collide` for a CPU; its first argument is the first row, not the first cell."""
     number, velocity = STORAGE[dtype], velocity_type(subgrid)
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u_rows" if keeps else "f_rows")
     pull, velocity_gradient = pull_through(faces, number), gradient_within(faces, velocity)
@@ -116,7 +117,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         low_z = within(origin[5], nz)  # where the lowest cell of the window lies in memory, and behind it the highest
         high_z = within(low_z + nz - 1, nz)
         ends = wp.where(wp.static(wraps[2]) or low_z == 0, 2, 4)  # cells that wrap round in memory, and those at faces elsewhere
-        # an open face completes what it takes from the inner neighbour
+        # an open face completes the moments of the inner neighbour
         inner, inner_x, inner_y = wp.vec3i(at_x, at_y, 0), x, y
         outer, n = False, wp.vec3()
         if wp.static(opened):
@@ -152,7 +153,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
         populations, gradients = Populations(), Gradients()
         while first < nz:
             count = wp.min(LONG, nz - first)
-            # rows as they lie in memory, in whole vectors but at its end; then cell by cell what wraps in z or is redirected
+            # the row in memory order, in whole vectors except at its end; then, cell by cell, those that wrap or are redirected
             whole = (count + 2 * WIDTH - 1) / (2 * WIDTH) * (2 * WIDTH)
             i = int(0)  # noqa: UP018
             while i < wp.static(Q):
@@ -225,7 +226,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                     pushes[wp.static(a) * LONG + k] = w[a]
                 k += 1
 
-            # what is stepped of a row, in two pieces where it wraps round
+            # the stepped part of a row, in two pieces if it wraps round
             begin = within(low_z + s.low[2], nz)
             end = begin + s.high[2] - s.low[2]
             start_k, stop = wp.max(wp.min(begin - first, count), 0), wp.min(end - first, count)

@@ -9,7 +9,7 @@ Bytes a cell and step, FP32: populations 2 x 76 = 152; with eddy viscosity 6 mor
 numbers of 16 bits (storage.py), and the six neighbours come from cache; the same gradient serves the stress. The force is read
 inside the body's box only.
 
-`stream_collide(faces, subgrid)` is the kernel for one set of faces (domain_faces.py): a face that is not there costs nothing.
+`stream_collide(faces, subgrid)` is the kernel for one set of faces (domain_faces.py): a face that is not used costs nothing.
 """
 
 from functools import cache
@@ -28,7 +28,7 @@ Faces = tuple[Axis, Axis, Axis]
 
 @wp.struct
 class Params:
-    """What every kernel needs to know, lattice units."""
+    """Parameters of every kernel, in lattice units."""
 
     nx: int
     ny: int
@@ -51,7 +51,7 @@ class Params:
 
 @wp.func
 def pick(c: int, back: int, here: int, ahead: int):
-    """Where a population of velocity c comes from along one axis."""
+    """Coordinate, along one axis, of the node from which a population of velocity c is pulled."""
     if c > 0:
         return back
     if c < 0:
@@ -61,13 +61,13 @@ def pick(c: int, back: int, here: int, ahead: int):
 
 @wp.func
 def hits(c: int, at: int, size: int):
-    """Does it come through the low or the high face of an axis?"""
+    """True if a population of velocity c arrives through the low or the high face of an axis."""
     return (c > 0 and at == 0) or (c < 0 and at == size - 1)
 
 
 @wp.func
 def within(i: int, n: int):
-    """An index less than one size out of range, brought back; cheaper than a division."""
+    """Index i, at most one size out of range, brought back to 0 .. n - 1; cheaper than a division."""
     if i < 0:
         return i + n
     if i >= n:
@@ -77,13 +77,13 @@ def within(i: int, n: int):
 
 @wp.func
 def is_ghost(s: Params, at: wp.vec3i):
-    """Does another level fill the cell at logical node `at`?"""
+    """True if another level fills the cell at logical node `at`."""
     outside = at[0] < s.low[0] or at[0] >= s.high[0] or at[1] < s.low[1] or at[1] >= s.high[1]
     return outside or at[2] < s.low[2] or at[2] >= s.high[2]
 
 
 def pull_through(faces: Faces, number: type):
-    """The Warp function that streams: f_i(x - c_i) of all populations, or what the faces make of it."""
+    """Makes the Warp function that streams: it returns f_i(x - c_i) of all populations, redirected at the faces."""
     redirected = [sources(faces, i) for i in range(Q)]
 
     def source(i: int, met: int) -> Source:
@@ -140,7 +140,7 @@ def pull_through(faces: Faces, number: type):
 
 
 def leave_through(faces: Faces):
-    """Two Warp functions of the faces that complete their nodes, on x and y: the inner neighbour; what its moments become."""
+    """Makes two Warp functions for the faces on x and y that complete their nodes: the inner neighbour; the completed moments."""
     (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
     complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
 
@@ -169,9 +169,9 @@ def leave_through(faces: Faces):
 
 
 def gradient_within(faces: Faces, velocity: type):
-    """The Warp function of the velocity gradient, d u / d x, d y, d z in rows, from the last step.
+    """Makes the Warp function of the velocity gradient, d u / d x, d y, d z in rows, from the last step.
 
-    At a face the node stands in for its missing neighbour: right along a slip face, half the shear beside a wall at rest.
+    At a face the node itself replaces its missing neighbour: exact along a slip face, half the shear beside a wall at rest.
     """
     bounded = [not FACES[axis.low].wraps for axis in faces]
 
@@ -200,9 +200,9 @@ def gradient_within(faces: Faces, velocity: type):
 
 @wp.func
 def push_at(s: Params, box: vec6i, force: wp.array(dtype=wp.vec3), node: wp.vec3i, here: int):
-    """Acceleration of a world node, uniform and, inside `box`, the body's; and the share of stress that the gradient gives."""
+    """Acceleration of a world node, uniform plus, inside `box`, the body's; and the share of stress that the gradient gives."""
     push = wp.vec3()
-    # only in the body's box is there a force to load: 12 bytes that all other nodes save
+    # the force is loaded in the body's box only: all other nodes save 12 bytes
     if (
         node[0] >= box[0]
         and node[0] < box[3]
@@ -217,15 +217,14 @@ def push_at(s: Params, box: vec6i, force: wp.array(dtype=wp.vec3), node: wp.vec3
 
 
 def module_of(faces: Faces, model: str, dtype: str, keeps: str):
-    """A module of its own, by name: Warp's automatic names do not see static expressions that depend on an unrolled loop."""
+    """Warp module with a name of its own; Warp's automatic names ignore static expressions that depend on an unrolled loop."""
     module = wp.get_module(".".join([__name__, *("_".join(axis) for axis in faces), model, dtype, keeps]))
     wp.set_module_options(OPTIONS | {"fast_math": model != "none"}, module)
     return module
 
 
 def update_through(faces: Faces, subgrid: bool):
-    """The Warp function of what becomes of a cell: from pulled populations q and velocity gradient d to those it stores, and its
-    velocity."""
+    """Makes the Warp function that updates a cell: pulled populations q, velocity gradient d -> stored populations, velocity."""
     opened = any(any(completes(axis)) for axis in faces)
     _, leave = leave_through(faces)
 
@@ -268,9 +267,9 @@ def update_through(faces: Faces, subgrid: bool):
 
 @cache
 def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: bool = True) -> wp.Kernel:
-    """The kernel for these faces of x, y and z; `subgrid` adds eddy viscosity and hybrid stress.
+    """Kernel for these faces of x, y and z; `subgrid` adds eddy viscosity and hybrid stress.
 
-    `dtype` is how populations are stored. `keeps` stores the velocity of each step, which the next one needs for them.
+    `dtype` is the storage of the populations. `keeps`: store the velocity of each step, which the next step needs for `subgrid`.
     """
     number, velocity = STORAGE[dtype], velocity_type(subgrid)
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u" if keeps else "f")
@@ -316,7 +315,7 @@ def stream_collide(faces: Faces, subgrid: bool, dtype: str = "float32", keeps: b
         q, w = update(q, d, s, flow, at, inner, node, step, g, share)
         n_cells = s.nx * s.ny * s.nz
         for i in range(wp.static(Q)):
-            # static: a deferred expression here makes Warp hash those of `pull`, and never take a stale kernel from its cache
+            # static: a deferred expression here makes Warp hash the expressions of `pull`, so that it never takes a stale kernel
             poke(f_next, wp.static(i) * n_cells + here, q[i])
         if wp.static(keeps):
             poke3(u_next, here, w)

@@ -1,14 +1,14 @@
 """Plain loads and stores of populations in single or half precision, and of velocities; vectors and matrices in flat arrays.
 
-Warp's own indexing folds negative indices and multiplies by strides: seven instructions an access, a third of all that a
-lattice update needs on an accelerator. The arrays here are contiguous and the indices never negative.
+Warp's own indexing folds negative indices and multiplies by strides: seven instructions for each access, a third of all
+instructions of a lattice update on an accelerator. The arrays here are contiguous and the indices are never negative.
 
 Half precision stores 2^15 (f - w): values of 1e-6 to 1 keep their eleven bits, where unscaled they would lose them below 6e-5
 (Lehmann et al. 2022, Phys. Rev. E 106:015308). The arithmetic stays in single precision.
 
-A velocity that only the eddy viscosity and the hybrid stress read is kept as three integers of 16 bits, the nearest to 2^16 u:
-six bytes in place of twelve. That is 1.5e-5 cells a step from one number to the next, up to half a cell a step, where a run has
-long been stopped; a difference of two is exact. Without an eddy viscosity nobody reads it but the user, and it is a float.
+With an eddy viscosity only it and the hybrid stress read the velocity, which is stored as three integers of 16 bits, the nearest
+to 2^16 u: six bytes in place of twelve. The resolution is 1.5e-5 cells a step and the range half a cell a step, far beyond the
+speed at which a run is stopped; differences of two are exact. Without an eddy viscosity only the user reads it: it is a float.
 """
 
 import numpy as np
@@ -23,51 +23,65 @@ GREATEST = 32767
 
 
 def velocity_type(subgrid: bool) -> type:
-    """How velocities are kept."""
+    """Storage type of velocities."""
     return VELOCITIES[subgrid]
 
 
 def encoded(u: np.ndarray, kind: type) -> np.ndarray:
-    """Velocities (..., 3) in cells a step, as an array of this type keeps them."""
+    """Velocities (..., 3) in cells a step, as an array of this type stores them."""
     return np.clip(np.rint(u / UNIT), -GREATEST, GREATEST).astype(np.int16) if kind is wp.vec3s else u.astype(np.float32)
 
 
 def decoded(u: np.ndarray) -> np.ndarray:
-    """Kept velocities (..., 3) as float32, cells a step."""
+    """Stored velocities (..., 3) as float32, cells a step."""
     return u * np.float32(UNIT) if u.dtype == np.int16 else u
 
 
 @wp.func_native("return values.data[i];")
-def peek(values: wp.array(dtype=wp.float32), i: int) -> wp.float32: ...
+def peek(values: wp.array(dtype=wp.float32), i: int) -> wp.float32:
+    """Loads a population in single precision."""
+    ...
 
 
 @wp.func_native("return wp::float32(values.data[i]) * 3.0517578125e-05f;")
-def peek(values: wp.array(dtype=wp.float16), i: int) -> wp.float32: ...  # noqa: F811  an overload
+def peek(values: wp.array(dtype=wp.float16), i: int) -> wp.float32:  # noqa: F811  an overload
+    """Loads a population that is stored in half precision, scaled by 2^15."""
+    ...
 
 
 @wp.func_native("values.data[i] = value;")
-def poke(values: wp.array(dtype=wp.float32), i: int, value: wp.float32): ...
+def poke(values: wp.array(dtype=wp.float32), i: int, value: wp.float32):
+    """Stores a population in single precision."""
+    ...
 
 
 @wp.func_native("values.data[i] = wp::float16(value * 32768.0f);")
-def poke(values: wp.array(dtype=wp.float16), i: int, value: wp.float32): ...  # noqa: F811
+def poke(values: wp.array(dtype=wp.float16), i: int, value: wp.float32):  # noqa: F811
+    """Stores a population in half precision, scaled by 2^15."""
+    ...
 
 
 @wp.func_native("return values.data[i];")
-def peek3(values: wp.array(dtype=wp.vec3), i: int) -> wp.vec3: ...
+def peek3(values: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
+    """Loads a velocity, cells a step."""
+    ...
 
 
 @wp.func_native("""const auto& v = values.data[i];
     const float unit = 1.52587890625e-05f;
     return wp::vec3(v[0] * unit, v[1] * unit, v[2] * unit);""")
-def peek3(values: wp.array(dtype=wp.vec3s), i: int) -> wp.vec3: ...  # noqa: F811
+def peek3(values: wp.array(dtype=wp.vec3s), i: int) -> wp.vec3:  # noqa: F811
+    """Loads a velocity that is stored as three integers of 16 bits, cells a step."""
+    ...
 
 
 @wp.func_native("values.data[i] = value;")
-def poke3(values: wp.array(dtype=wp.vec3), i: int, value: wp.vec3): ...
+def poke3(values: wp.array(dtype=wp.vec3), i: int, value: wp.vec3):
+    """Stores a velocity, cells a step."""
+    ...
 
 
-# 2^16 u to the nearest integer, ties to even: added to 1.5 x 2^23 it is in the low bits of a float, on every machine alike
+# 2^16 u rounded to the nearest integer, ties to even: added to 1.5 x 2^23 it stands in the low bits of a float on every machine
 _INTEGER = """float w = 65536.0f * {value};
         w = w > 32767.0f ? 32767.0f : w;
         w = w < -32767.0f ? -32767.0f : w;
@@ -77,12 +91,14 @@ _INTEGER = """float w = 65536.0f * {value};
 
 
 def _three(value: str, kept: str) -> str:
-    """The text that keeps three components, `k` in both arguments."""
+    """Native text that stores three components, `k` in both arguments."""
     return f"for (int k = 0; k < 3; ++k) {{ {_INTEGER.format(value=value, kept=kept)} }}"
 
 
 @wp.func_native(_three("value[k]", "values.data[i][k]"))
-def poke3(values: wp.array(dtype=wp.vec3s), i: int, value: wp.vec3): ...  # noqa: F811
+def poke3(values: wp.array(dtype=wp.vec3s), i: int, value: wp.vec3):  # noqa: F811
+    """Stores a velocity in cells a step as three integers of 16 bits."""
+    ...
 
 
 # two neighbours at once, the first at an even place: one load or store of twice the width on an accelerator (pairs.py)
@@ -91,7 +107,7 @@ mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 
 
 def _for(accelerator: str, cpu: str) -> str:
-    """A native function's text that differs on an accelerator."""
+    """Text of a native function that differs on an accelerator."""
     return f"#if defined(__CUDA_ARCH__)\n{accelerator}\n#else\n{cpu}\n#endif\n"
 
 
@@ -101,7 +117,9 @@ def _for(accelerator: str, cpu: str) -> str:
         "return wp::vec2(values.data[i], values.data[i + 1]);",
     )
 )
-def peek_pair(values: wp.array(dtype=wp.float32), i: int) -> wp.vec2: ...
+def peek_pair(values: wp.array(dtype=wp.float32), i: int) -> wp.vec2:
+    """Loads two neighbouring populations in single precision; i is even."""
+    ...
 
 
 @wp.func_native(
@@ -115,11 +133,15 @@ def peek_pair(values: wp.array(dtype=wp.float32), i: int) -> wp.vec2: ...
             wp::float32(values.data[i]) * 3.0517578125e-05f, wp::float32(values.data[i + 1]) * 3.0517578125e-05f);""",
     )
 )
-def peek_pair(values: wp.array(dtype=wp.float16), i: int) -> wp.vec2: ...  # noqa: F811
+def peek_pair(values: wp.array(dtype=wp.float16), i: int) -> wp.vec2:  # noqa: F811
+    """Loads two neighbouring populations in half precision; i is even."""
+    ...
 
 
 @wp.func_native(_for("*(float2*)(values.data + i) = make_float2(a, b);", "values.data[i] = a; values.data[i + 1] = b;"))
-def poke_pair(values: wp.array(dtype=wp.float32), i: int, a: wp.float32, b: wp.float32): ...
+def poke_pair(values: wp.array(dtype=wp.float32), i: int, a: wp.float32, b: wp.float32):
+    """Stores two neighbouring populations in single precision; i is even."""
+    ...
 
 
 @wp.func_native(
@@ -131,7 +153,9 @@ def poke_pair(values: wp.array(dtype=wp.float32), i: int, a: wp.float32, b: wp.f
         "values.data[i] = wp::float16(a * 32768.0f); values.data[i + 1] = wp::float16(b * 32768.0f);",
     )
 )
-def poke_pair(values: wp.array(dtype=wp.float16), i: int, a: wp.float32, b: wp.float32): ...  # noqa: F811
+def poke_pair(values: wp.array(dtype=wp.float16), i: int, a: wp.float32, b: wp.float32):  # noqa: F811
+    """Stores two neighbouring populations in half precision; i is even."""
+    ...
 
 
 @wp.func_native(
@@ -146,7 +170,9 @@ def poke_pair(values: wp.array(dtype=wp.float16), i: int, a: wp.float32, b: wp.f
         return r;""",
     )
 )
-def peek3_pair(values: wp.array(dtype=wp.vec3), i: int) -> mat23: ...
+def peek3_pair(values: wp.array(dtype=wp.vec3), i: int) -> mat23:
+    """Loads two neighbouring velocities as the rows of a matrix; i is even."""
+    ...
 
 
 @wp.func_native(
@@ -163,7 +189,9 @@ def peek3_pair(values: wp.array(dtype=wp.vec3), i: int) -> mat23: ...
         return r;""",
     )
 )
-def peek3_pair(values: wp.array(dtype=wp.vec3s), i: int) -> mat23: ...  # noqa: F811
+def peek3_pair(values: wp.array(dtype=wp.vec3s), i: int) -> mat23:  # noqa: F811
+    """Loads two neighbouring velocities of 16-bit integers as the rows of a matrix; i is even."""
+    ...
 
 
 @wp.func_native(
@@ -173,7 +201,9 @@ def peek3_pair(values: wp.array(dtype=wp.vec3s), i: int) -> mat23: ...  # noqa: 
         "values.data[i] = a; values.data[i + 1] = b;",
     )
 )
-def poke3_pair(values: wp.array(dtype=wp.vec3), i: int, a: wp.vec3, b: wp.vec3): ...
+def poke3_pair(values: wp.array(dtype=wp.vec3), i: int, a: wp.vec3, b: wp.vec3):
+    """Stores two neighbouring velocities; i is even."""
+    ...
 
 
 @wp.func_native(
@@ -185,7 +215,9 @@ def poke3_pair(values: wp.array(dtype=wp.vec3), i: int, a: wp.vec3, b: wp.vec3):
         "for (int k = 0; k < 3; ++k) { values.data[i][k] = r[k]; values.data[i + 1][k] = r[3 + k]; }",
     )
 )
-def poke3_pair(values: wp.array(dtype=wp.vec3s), i: int, a: wp.vec3, b: wp.vec3): ...  # noqa: F811
+def poke3_pair(values: wp.array(dtype=wp.vec3s), i: int, a: wp.vec3, b: wp.vec3):  # noqa: F811
+    """Stores two neighbouring velocities as 16-bit integers; i is even."""
+    ...
 
 
 @wp.func_native(
@@ -198,11 +230,13 @@ def poke3_pair(values: wp.array(dtype=wp.vec3s), i: int, a: wp.vec3, b: wp.vec3)
         "wp::vec_t<6, wp::int32> r; for (int k = 0; k < 6; ++k) r[k] = values.data[k]; return r;",
     )
 )
-def six(values: wp.array(dtype=int)) -> vec6i: ...
+def six(values: wp.array(dtype=int)) -> vec6i:
+    """Loads the six integers of a box or an origin."""
+    ...
 
 
-# `end` 1, -1: the first or the last of eight numbers, or of eight velocities, in a place that begins at a multiple of eight, with
-# zeros in the rest of its sector: a sector that is written in part is read first by an accelerator. `end` 0: the number alone
+# `end` 1, -1: stores the first or the last of eight numbers, or velocities, that begin at a multiple of eight, and zeros in the
+# rest of their sector: an accelerator reads a sector first if it is written in part. `end` 0: stores the number alone
 
 
 @wp.func_native(
@@ -215,7 +249,9 @@ def six(values: wp.array(dtype=int)) -> vec6i: ...
         "values.data[i] = value;",
     )
 )
-def poke_end(values: wp.array(dtype=wp.float32), i: int, end: int, value: wp.float32): ...
+def poke_end(values: wp.array(dtype=wp.float32), i: int, end: int, value: wp.float32):
+    """Stores one number at index i; `end` also fills the rest of its sector with zeros (see above)."""
+    ...
 
 
 @wp.func_native(
@@ -228,57 +264,80 @@ def poke_end(values: wp.array(dtype=wp.float32), i: int, end: int, value: wp.flo
         "values.data[i] = value;",
     )
 )
-def poke_end(values: wp.array(dtype=wp.vec3), i: int, end: int, value: wp.vec3): ...  # noqa: F811
+def poke_end(values: wp.array(dtype=wp.vec3), i: int, end: int, value: wp.vec3):  # noqa: F811
+    """Stores one velocity at index i; `end` also fills the rest of its sector with zeros (see above)."""
+    ...
 
 
 @wp.func
 def poke_end(values: wp.array(dtype=wp.vec3s), i: int, end: int, value: wp.vec3):  # noqa: F811  six bytes do not fill a sector
+    """Stores one velocity of 16-bit integers; six bytes do not fill a sector, so `end` has no effect."""
     poke3(values, i, value)
 
 
-# the same with a base and an index apart, and velocities by component: a compiler makes vector instructions of it (rows.py)
+# the same with separate base and index, and velocities by component: a compiler vectorises these (rows.py)
 
 
 @wp.func_native("return (values.data + base)[i];")
-def peek_at(values: wp.array(dtype=wp.float32), base: int, i: int) -> wp.float32: ...
+def peek_at(values: wp.array(dtype=wp.float32), base: int, i: int) -> wp.float32:
+    """Loads the population at base + i in single precision."""
+    ...
 
 
 @wp.func_native("return wp::float32((values.data + base)[i]) * 3.0517578125e-05f;")
-def peek_at(values: wp.array(dtype=wp.float16), base: int, i: int) -> wp.float32: ...  # noqa: F811
+def peek_at(values: wp.array(dtype=wp.float16), base: int, i: int) -> wp.float32:  # noqa: F811
+    """Loads the population at base + i in half precision."""
+    ...
 
 
 @wp.func_native("(values.data + base)[i] = value;")
-def poke_at(values: wp.array(dtype=wp.float32), base: int, i: int, value: wp.float32): ...
+def poke_at(values: wp.array(dtype=wp.float32), base: int, i: int, value: wp.float32):
+    """Stores the population at base + i in single precision."""
+    ...
 
 
 @wp.func_native("(values.data + base)[i] = wp::float16(value * 32768.0f);")
-def poke_at(values: wp.array(dtype=wp.float16), base: int, i: int, value: wp.float32): ...  # noqa: F811
+def poke_at(values: wp.array(dtype=wp.float16), base: int, i: int, value: wp.float32):  # noqa: F811
+    """Stores the population at base + i in half precision."""
+    ...
 
 
 @wp.func_native("return ((const float*)(values.data + base))[3 * i + part];")
-def peek3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int) -> wp.float32: ...
+def peek3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int) -> wp.float32:
+    """Loads component `part` of the velocity at base + i, cells a step."""
+    ...
 
 
 @wp.func_native("return ((const short*)(values.data + base))[3 * i + part] * 1.52587890625e-05f;")
-def peek3_at(values: wp.array(dtype=wp.vec3s), base: int, i: int, part: int) -> wp.float32: ...  # noqa: F811
+def peek3_at(values: wp.array(dtype=wp.vec3s), base: int, i: int, part: int) -> wp.float32:  # noqa: F811
+    """Loads component `part` of the velocity of 16-bit integers at base + i, cells a step."""
+    ...
 
 
 @wp.func_native("((float*)(values.data + base))[3 * i + part] = value;")
-def poke3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int, value: wp.float32): ...
+def poke3_at(values: wp.array(dtype=wp.vec3), base: int, i: int, part: int, value: wp.float32):
+    """Stores component `part` of the velocity at base + i, cells a step."""
+    ...
 
 
 @wp.func_native(_INTEGER.format(value="value", kept="((short*)(values.data + base))[3 * i + part]"))
-def poke3_at(values: wp.array(dtype=wp.vec3s), base: int, i: int, part: int, value: wp.float32): ...  # noqa: F811
+def poke3_at(values: wp.array(dtype=wp.vec3s), base: int, i: int, part: int, value: wp.float32):  # noqa: F811
+    """Stores component `part` of the velocity at base + i as a 16-bit integer."""
+    ...
 
 
-# plain, too: code that runs once is paced by how much of it there is
+# the following avoid Warp's indexing too: the time of code that runs once grows with its number of instructions
 
 
 @wp.func_native("return wp::vec_t<3, wp::float64>(a.data[at], a.data[at + 1], a.data[at + 2]);")
-def point3(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d: ...
+def point3(a: wp.array(dtype=wp.float64), at: int) -> wp.vec3d:
+    """Loads three doubles at offset `at` of a flat array."""
+    ...
 
 
 @wp.func_native("""wp::mat_t<3, 3, wp::float64> m;
 for (int i = 0; i < 9; ++i) m.data[i / 3][i % 3] = a.data[at + i];
 return m;""")
-def matrix3(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d: ...
+def matrix3(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
+    """Loads a 3 x 3 matrix of doubles, row by row, at offset `at` of a flat array."""
+    ...

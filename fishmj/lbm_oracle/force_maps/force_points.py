@@ -1,4 +1,4 @@
-"""Points of a force map: what one is, how long it takes, the table that keeps them, and several tanks at work on them."""
+"""Points of a force map: definition, duration, table, and several tanks that compute them side by side."""
 
 import csv
 import json
@@ -38,24 +38,25 @@ class Point(NamedTuple):
     speed: float
 
     def joints(self, number: int) -> np.ndarray:
-        """(number,) rad."""
+        """Joint angles (number,) rad."""
         return np.full(number, np.radians(self.joint))
 
     @property
     def title(self) -> str:
+        """Angles of the point, for people."""
         return f"joints {self.joint:g} deg, AoA {self.aoa:g} deg"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Seconds before and of the average; None: `SETTLE` body lengths and `WINDOW` metres of water."""
+    """Seconds before the average and of the average; None: `SETTLE` body lengths and `WINDOW` metres of water."""
 
     settle: float | None
     seconds: float | None
     length: float  # m, of the fish
 
     def ticks(self, speed: float, tick: float) -> tuple[int, int]:
-        """Bus ticks before and of the average at a speed in m/s.
+        """Numbers of bus ticks before the average and of the average, at a speed in m/s.
 
         Raises:
             ConfigError: too short an average.
@@ -99,7 +100,7 @@ class Table:
         return self.rows[point]
 
     def add(self, point: Point, row: dict) -> None:
-        """Keep a point, on disk before this returns."""
+        """Keeps a point; it is on disk before this returns."""
         if not self.rows:
             write_json(self.about, self.notes)
         self.rows[point] = row
@@ -129,7 +130,7 @@ def _point(row: dict) -> Point:
 def loads(run: Run, first: int = 0) -> np.ndarray:
     """(T, 3) drag N, lateral force N and yaw moment N m about the reference point, of the ticks from `first` on.
 
-    The fish is held: its links are where they are now.
+    The fish is held, so its links are at their present positions.
     """
     if len(run.rows) <= first:
         return np.zeros((0, 3))
@@ -144,9 +145,9 @@ def loads(run: Run, first: int = 0) -> np.ndarray:
 
 
 def row_of(point: Point, run: Run, settle: int) -> dict:
-    """The table's row: means over the ticks after `settle`, or over what there is of them where the run stopped early.
+    """Row of the table: means over the ticks after `settle`, or over those that exist if the run stopped early.
 
-    Water that failed was last seen sound at the look before: ticks since then are left out.
+    If the water failed, the ticks since the survey before are left out: only until then was it known to be sound.
     """
     record, tick = loads(run, settle), run.robot.timing.bus_dt
     if run.stopped and not run.stopped.startswith("left_domain"):
@@ -170,7 +171,7 @@ def measure(
     finished: Callable[[Point, dict, Run], None],
     quiet: bool = False,
 ) -> None:
-    """Run every point in this process, with a line of progress; `finished` gets each with its row and run."""
+    """Runs every point in this process, with a line of progress; `finished` gets each with its row and run."""
     begun = partial(measured, deque(points), make, plan, tick=tick, tanks=tanks)
     for point, row, run in watched(lambda go_on: begun(go_on=go_on), points, plan, tick=tick, quiet=quiet):
         finished(point, row, run)
@@ -179,9 +180,9 @@ def measure(
 def measured(
     waiting: Waiting, make: Callable[[Point], Run], plan: Plan, *, tick: float, tanks: int = 1, go_on: GoOn = always
 ) -> Iterator[tuple[Point, dict, Run]]:
-    """Points with their rows and runs as they are done, `tanks` side by side; a tank that is done takes the next.
+    """Yields points with their rows and runs as they finish, `tanks` side by side; a free tank takes the next point.
 
-    A point that stops early is done, too. go_on: called after every tick with the seconds of water that the others have done.
+    A point that stops early is also finished. go_on: called after every tick with the simulated seconds of unfinished points.
     """
     if tanks < 1:
         raise ConfigError(f"forcemap: {tanks} tanks; expected at least 1")
@@ -202,7 +203,7 @@ def measured(
 
 
 def watched(begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: Plan, *, tick: float, quiet: bool):
-    """What `begin(go_on)` yields of these points, with a line of progress in seconds of water."""
+    """Yields the results of `begin(go_on)` for these points, with a line of progress in simulated seconds."""
     seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
     done = 0.0
     with console.Progress(sum(map(seconds, points)), "forcemap", unit="s", every=1e9 if quiet else None) as bar:

@@ -46,6 +46,7 @@ PICTURED = 0.2  # m/s, the paper's velocity panels
 
 
 def main(argv: list[str]) -> int:
+    """Runs the verb `forcemap`; returns its exit code."""
     args = _parser().parse_args(argv)
     domain, robot = _domain(args), load_robot(args.robot)
     points, plan = _points(args), Plan(settle=args.settle, seconds=args.seconds, length=robot.length)
@@ -85,10 +86,11 @@ def main(argv: list[str]) -> int:
 def on_device(
     waiting: Waiting, device: str, go_on: GoOn, *, domain: Domain, plan: Plan, tanks: int, options: dict, pictured: dict
 ) -> Iterator[tuple[Point, dict]]:
-    """Points and their rows, `tanks` side by side on one device (`spread`); keeps the water of those that are pictured.
+    """Yields points and their rows, `tanks` side by side on one device (`spread`); writes the water of those in `pictured`.
 
     Args:
-        options: of `stage`. pictured: folder `out`, `points`, `z` of the slice m, whether the `whole` water is kept.
+        options: options of `stage`.
+        pictured: folder `out`, `points`, `z` of the slice m, and `whole` to write the whole box.
     """
     robot = load_robot(options["robot"])
 
@@ -104,14 +106,14 @@ def on_device(
 
 
 def stage(domain: Domain, point: Point, **options) -> SwimSetup:
-    """The held fish of one point: the water moves to -x, the heading turns, so that the box is long where the wake is."""
+    """Set-up of the held fish of one point: the water moves to -x, the heading turns; the box is long along the wake."""
     joints = tuple(point.joints(load_robot(options.get("robot", "fish")).n_joints))
     flow = Flow(speed=point.speed, direction=pi)
     return SwimSetup(domain=domain, flow=flow, pose=(0.0, 0.0, -radians(point.aoa)), joints=joints, **options)
 
 
 def _points(args) -> list[Point]:
-    """Low speeds first: they take longest, so that the tanks run dry at about the same time."""
+    """Points of the map, low speeds first: they take longest, so that all tanks finish at about the same time."""
     made = []
     for speed in sorted(args.speeds):
         if args.what != "aoa":
@@ -127,7 +129,7 @@ def _domain(args) -> Domain:
 
 
 def _setup(args, domain: Domain) -> dict:
-    """What all rows of one table must share."""
+    """Set-up that all rows of one table must share."""
     box = {"domain": domain.name, "shape": list(domain.shape), "dx": domain.dx, "dt": domain.dt}
     asked = {"robot": load_robot(args.robot).name, "slip": args.slip, "settle": args.settle, "seconds": args.seconds}
     asked |= boundary_entry(BOUNDARIES[args.boundary])
@@ -174,7 +176,7 @@ LABELS = (("drag", "drag [N]", "N"), ("lateral", "lateral force [N]", "N"), ("ya
 
 
 def draw_forces(rows: Sequence[dict], folder: Path) -> list[Path]:
-    """One picture a map: drag, lateral force and yaw moment with standard errors against the angle, a line a speed."""
+    """Draws drag, lateral force and yaw moment with standard errors against the angle: one picture a map, one line a speed."""
     plt, drawn = pyplot(), []
     for what, key, label in (("joint", "joint_deg", "joint angle [deg]"), ("aoa", "aoa_deg", "angle of attack [deg]")):
         here = sorted((row for row in rows if row["what"] == what), key=lambda row: row[key])

@@ -1,4 +1,4 @@
-"""The water around the held fish of a force map, as it is when its point is done.
+"""The water around the held fish of a force map, at the end of its point.
 
 fields/joint_joint20_aoa0.npz              the slice
 fields/joint_joint20_aoa0.png              its speed; ..._vorticity.png its vorticity
@@ -22,11 +22,12 @@ TOP = 1.6  # of the current's speed, end of the colour scale
 
 
 def slice_path(out: Path, point: Point) -> Path:
+    """Path of the slice of a point in the folder `out`."""
     return out / "fields" / f"{point.what}_joint{point.joint:g}_aoa{point.aoa:g}.npz"
 
 
 def keep(run: Run, out: Path, point: Point, *, z: float | None = None, whole: bool = False) -> None:
-    """Write slice and pictures of a point that is done, the slice last: where it is, the others are, too."""
+    """Writes slice and pictures of a finished point, the slice last: if it exists, the others do too."""
     one, path = slice_of(run, z), slice_path(out, point)
     title = f"{point.title}, {point.speed:g} m/s, the water moves to the left{', stopped early' if run.stopped else ''}"
     slice_plots.panels([("", one)], path.with_suffix(".png"), title, TOP * point.speed)
@@ -50,7 +51,7 @@ def write_volume(run: Run, path: Path) -> tuple[Path, Path]:
 
 
 def panels(out: Path, points: Sequence[Point]) -> list[Path]:
-    """The speed of the water of all points of a map whose slices are there."""
+    """Draws the speed of the water at all points of a map that have a slice."""
     drawn = []
     for what in ("joint", "aoa"):
         here = [point for point in points if point.what == what and slice_path(out, point).is_file()]

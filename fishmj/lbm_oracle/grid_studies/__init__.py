@@ -1,1 +1,1 @@
-"""Grid, time step and slip: what the solver's figures depend on."""
+"""Studies of grid, time step and slip, on which the solver's results depend."""

@@ -28,6 +28,7 @@ def study(name: str, device: str) -> list[dict]:
 
 
 def main(argv: list[str]) -> int:
+    """Runs the verb `converge`; returns its exit code, 1 if the order is off."""
     parser = console.parser(
         "lbm_oracle converge", "Order of convergence on closed solutions (`converge fish`: another study); exit 1 off order."
     )

@@ -9,8 +9,8 @@ python -m fishmj.lbm_oracle converge fish --grids 0.04 0.02 --parts 1 --slips 0.
     yaw         moment about the reference point of a fish held with all joints at 20 deg in that stream from ahead, N m
 
 The box keeps its size in metres on every grid. A time step is a part of the paper's Courant number, dt = dx / (5 m/s) / part.
-Each finished run is a row of `converge.csv`; the same command does the missing ones, another set-up in the same folder is
-refused. To do one again, delete its line.
+Each finished run is a row of `converge.csv`. The same command does the missing runs; another set-up in the same folder is
+refused. To repeat a run, delete its line.
 """
 
 import csv
@@ -61,7 +61,7 @@ class Key(NamedTuple):
 
 
 class Result(NamedTuple):
-    """Value and standard error in the quantity's unit (NaN: none), seconds averaged over, and how it ended."""
+    """Value and standard error in the quantity's unit (NaN: none), seconds of the average, and the reason of an early end."""
 
     value: float
     sem: float
@@ -73,7 +73,7 @@ def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], sli
     """All runs, the cheap ones first.
 
     Raises:
-        ConfigError: a cell, part or slip that cannot be, or a time step that does not divide the bus tick.
+        ConfigError: an invalid cell, part or slip, or a time step that does not divide the bus tick.
     """
     courant, tick = constant("oracle", "dt") / constant("oracle", "dx"), TICK
     keys = []
@@ -91,7 +91,7 @@ def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], sli
 
 
 def box(name: str, key: Key) -> Domain:
-    """That domain's box on the grid of a key, with the time step as a whole part of the bus tick."""
+    """Box of that domain on the grid of a key, with the time step as a whole part of the bus tick."""
     return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
 
 
@@ -107,7 +107,7 @@ def cruise(domain: Domain, beats: float, options: dict[str, Any]) -> Result:
 
 
 def held(what: str, domain: Domain, plan: Plan, options: dict[str, Any]) -> Result:
-    """A force or moment of the held fish: straight along the stream, straight across it, bent; options as of `cruise`."""
+    """Force or moment of the held fish: straight along the stream, straight across it, or bent; options as of `cruise`."""
     point, column = HELD[what]
     robot = load_robot(options["robot"])
     rows: list[dict] = []
@@ -159,7 +159,7 @@ class ResultTable:
                 self.rows[_key(row)] = row
 
     def add(self, key: Key, found: Result, wall: float) -> None:
-        """Keep a run, on disk before this returns."""
+        """Keeps a run; it is on disk before this returns."""
         if not self.rows:
             notes = {"source": "fishmj.lbm_oracle converge fish", "origin": "synthetic", "setup": self.setup}
             write_json(self.about, notes)
@@ -176,9 +176,9 @@ def _key(row: dict) -> Key:
 
 
 def biases(rows: Iterable[dict]) -> list[dict]:
-    """For every quantity and slip ratio: the value on the coarsest grid, its bias against the finest, and that of its time step.
+    """Value on the coarsest grid, its bias relative to the finest, and that of its time step, for every quantity and slip ratio.
 
-    Values are taken at the longest time step of each grid; runs that stopped early count for nothing.
+    Values are taken at the longest time step of each grid; runs that stopped early are left out.
     """
     sound = [row for row in rows if row["status"] == OK]
     table = []
@@ -194,6 +194,7 @@ def biases(rows: Iterable[dict]) -> list[dict]:
 
 
 def main(argv: list[str]) -> int:
+    """Runs the verb `converge fish`; returns its exit code."""
     args = _parser().parse_args(argv)
     keys = study(args.what, args.grids, args.parts, args.slips)
     robot = load_robot(args.robot)

@@ -5,16 +5,16 @@ python -m fishmj.lbm_oracle real_fish --device cuda:all --tanks 12 --out runs/re
 python -m fishmj.lbm_oracle real_fish --domain laptop --slips 0.98 --beats 5 --swims 2 --out runs/preview
 
 A tendon-driven fish was filmed from above at eight constant motor frequencies (data/calib/calibrate.toml, [real_fish]). The
-solver's fish, its joints led as the markers show, swims from rest in still water; the last two beats count. Four of the swims
-set s, the other four are judged with it and have no part in it:
+solver's fish, with the joint angles of the filmed markers, swims from rest in still water; the last two beats count. Four of the
+swims set s; the other four only judge it:
 
     J(s) = sum over the four of ln(u(s) / measured)^2,     ln u(s) monotone between the ratios that were swum
 
-With `--robot` another fish of two joints swims as that one was filmed. Its speeds are not compared, and no slip ratio is set: how
-fast that robot swims was not measured.
+With `--robot` another fish of two joints makes the filmed movements. Its speeds are not compared, and no slip ratio is set: the
+speed of that robot was not measured.
 
-`low` and `high`: the least and the greatest s when one of the four is left out. Each finished swim is a row of
-`real_fish.csv`; the same command does the missing ones, another set-up in the same folder is refused.
+`low` and `high`: the least and the greatest s if one of the four is left out. Each finished swim is a row of `real_fish.csv`. The
+same command does the missing swims; another set-up in the same folder is refused.
 """
 
 import csv
@@ -50,7 +50,7 @@ COLUMNS = ("beat_hz", "slip", "speed_m_s", "gain_a_beat", "status")
 
 
 class RealSwim(NamedTuple):
-    """A filmed swim: beat [Hz], amplitude of tail and fin [rad], how far the fin trails [rad], speed [m/s]; whether it sets s."""
+    """A filmed swim: beat [Hz], amplitude of tail and fin [rad], lag of the fin [rad], speed [m/s]; `sets`: it sets s."""
 
     beat: float
     amplitude: tuple[float, float]
@@ -60,6 +60,7 @@ class RealSwim(NamedTuple):
 
     @property
     def gait(self) -> Gait:
+        """Gait of the two joints."""
         return Gait(joints=2, frequency=self.beat, amplitude=self.amplitude, lag=self.lag)
 
 
@@ -107,7 +108,7 @@ def fitted(real: Sequence[RealSwim], swum: dict[tuple[float, float], float]) -> 
 
 
 def _logarithm(rows: list[tuple[float, float]], s: np.ndarray) -> np.ndarray:
-    """ln u at s, monotone between what was swum."""
+    """ln u at s, interpolated monotonically between the simulated ratios."""
     from scipy.interpolate import PchipInterpolator
 
     slip, speed = np.array(rows).T
@@ -115,7 +116,7 @@ def _logarithm(rows: list[tuple[float, float]], s: np.ndarray) -> np.ndarray:
 
 
 def speed_of(run: Run, beat: float) -> tuple[float, float]:
-    """Speed over the last two beats, m/s, and by what part of it a beat has gained on the one before."""
+    """Speed over the last two beats, m/s, and its relative gain in the last beat over the one before."""
     tick = run.robot.timing.bus_dt
     place = np.array([run.first[:2], *(row[3][:2] for row in run.rows)])
     way = lambda last, beats: place[-1 - round(last / beat / tick)] - place[-1 - round((last + beats) / beat / tick)]
@@ -146,7 +147,7 @@ class ResultTable:
                 self.rows[row["beat_hz"], row["slip"]] = row
 
     def add(self, key: tuple[float, float], found: dict) -> None:
-        """Keep a swim, on disk before this returns."""
+        """Keeps a swim; it is on disk before this returns."""
         if not self.rows:
             write_json(self.about, {"source": "fishmj.lbm_oracle real_fish", "origin": "synthetic", "setup": self.setup})
         self.rows[key] = dict(zip(COLUMNS, key, strict=False)) | found
@@ -160,11 +161,12 @@ class ResultTable:
 def swum(
     waiting: Waiting, device: str, go_on: GoOn, *, stage: SwimSetup, beats: float, tanks: int
 ) -> Iterator[tuple[tuple[float, float], dict]]:
-    """Swims side by side, `tanks` at a time on a device; one that is done, or stops, comes back at once: its key and row.
+    """Yields key and row of each swim as it ends, `tanks` at a time side by side on a device.
 
     Args:
-        waiting: swims and slip ratios (`spread`). go_on: called after every tick with the seconds of water that the unfinished
-            swims have done. stage: their water.
+        waiting: swims and slip ratios (`spread`).
+        go_on: called after every tick with the simulated seconds of the unfinished swims.
+        stage: their water.
     """
     busy: list[tuple[RealSwim, float, Run, int]] = []
     while busy or waiting:
@@ -190,6 +192,7 @@ def _robot() -> str:
 
 
 def main(argv: list[str]) -> int:
+    """Runs the verb `real_fish`; returns its exit code."""
     args = _parser().parse_args(argv)
     domain = preset(args.domain)
     real = [swim for swim in swims() if args.which == "all" or swim.sets == (args.which == "setting")][-args.swims :]

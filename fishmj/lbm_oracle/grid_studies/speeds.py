@@ -5,9 +5,9 @@ python -m fishmj.lbm_oracle speeds --preset window --frequencies 1 --slips 1 --d
 python -m fishmj.lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.99 1 --beats 3 --device cpu --out runs/a
 
 Still water, from rest, the paper's gait (30 deg, lag 60 deg, servo-driven) at each frequency; the last two beats count.
-`aside_deg` is the direction of the path from the first heading. Each finished swim is a row of `speeds.json`; the same command
-does the missing ones, another set-up in the same folder is refused. With `--robot` another fish swims that gait, with as many
-joints as it has.
+`aside_deg` is the direction of the path from the first heading. Each finished swim is a row of `speeds.json`. The same command
+does the missing swims; another set-up in the same folder is refused. With `--robot` another fish swims that gait, with its own
+number of joints.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,7 +36,7 @@ COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "ref
 
 
 def swum(domain: Domain, frequency: float, slip: float, beats: float, device: str, robot: str = "fish") -> dict:
-    """One swim: speed m/s, path from the first heading deg, swing of the heading deg, servo power W, and how it ended."""
+    """Row of one swim: speed m/s, path from the first heading deg, swing of the heading deg, servo power W, early end."""
     gait = replace(Gait.of_the_paper(joints=load_robot(robot).n_joints), frequency=frequency)
     run = SwimSetup(domain=domain, robot=robot, slip=slip, device=device).run()
     drive(run, gait, beats / frequency, quiet=True)
@@ -51,7 +51,7 @@ def swum(domain: Domain, frequency: float, slip: float, beats: float, device: st
 def on_device(
     waiting: Waiting, device: str, go_on: GoOn, *, box: Domain, beats: float, robot: str
 ) -> Iterator[tuple[tuple, dict]]:
-    """Swims one after another on one device (`spread`): the key and row of each."""
+    """Yields key and row of swims, one after another on one device (`spread`)."""
     while waiting:
         frequency, slip, depth = key = waiting.popleft()
         yield key, swum(box.changed(depth=depth), frequency, slip, beats, device, robot)
@@ -74,14 +74,14 @@ class ResultTable:
         self.rows = {tuple(row[key] for key in KEYS): row for row in kept["rows"]}
 
     def add(self, key: tuple, found: dict) -> None:
-        """Keep a swim, on disk before this returns."""
+        """Keeps a swim; it is on disk before this returns."""
         self.rows[key] = dict(zip(KEYS, key, strict=True)) | found
         rows = [self.rows[k] for k in sorted(self.rows)]
         write_json(self.path, {"source": "fishmj.lbm_oracle speeds", "origin": "synthetic", "setup": self.setup, "rows": rows})
 
 
 def asked(frequencies: Sequence[float], slips: Sequence[float], depths: Sequence[float]) -> list[tuple]:
-    """(frequency Hz, slip ratio, depth m) of every swim, the short ones first.
+    """Keys (frequency Hz, slip ratio, depth m) of all swims, the short ones first.
 
     Raises:
         ConfigError: a frequency or depth that is not positive, a slip ratio outside 0 to 1.
@@ -93,6 +93,7 @@ def asked(frequencies: Sequence[float], slips: Sequence[float], depths: Sequence
 
 
 def main(argv: list[str]) -> int:
+    """Runs the verb `speeds`; returns its exit code."""
     args = _parser().parse_args(argv)
     box, robot = preset(args.preset), load_robot(args.robot)
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
@@ -145,7 +146,10 @@ def _parser() -> console.Parser:
 
 
 def draw_speeds(rows: Sequence[dict], path: Path, title: str) -> Path:
-    """Speed of free swims against the slip ratio, a line a frequency and depth; the slip axis is stretched towards 1."""
+    """Draws speed of free swims against the slip ratio, a line for each frequency and depth.
+
+    The slip axis is stretched towards 1.
+    """
     plt = pyplot()
     figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
     lines = sorted({(row["frequency"], row["depth"]) for row in rows})

@@ -1,4 +1,4 @@
-"""Where an articulated body is, how heavy, and what acts in its joints, for any number of links: by one block of threads.
+"""Pose, mass matrix and joint forces of an articulated body with any number of links, computed by one block of threads.
 
     S_d = (a_d, (o_d - r) x a_d) of a hinge, (0, a_d) of a slide      motion per unit speed of degree of freedom d
     c_d = v_d (V x S_d)                                               V: of the frame that carries d; how S_d v_d turns with it
@@ -8,11 +8,11 @@
     M_ij = S_i . (I_j S_j),   I_j = sum_l I_l                         over the links that j moves; for i that moves j's link
     servo = clip(gain clip(u) + b_0 + b_1 q + b_2 v)                  passive = -D v
 
-(Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5 and 6, with sums over all links for the recursions, so that each
-thread has its own.) All motion is about one point r of the world, where the first link's frame lies: the world's own origin
-would cost digits. Free joints turn about their body's axes, and move along the world's, as MuJoCo's do.
+(Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5 and 6; sums over all links replace the recursions, so that each
+thread has its own sum.) All motion is about one point r of the world, the origin of the first link's frame: the world's origin
+would cost digits. Free joints turn about their body's axes and move along the world's axes, as MuJoCo's do.
 
-MuJoCo computes the same on the host (`body.py`); this is its side of a step for a device that shall not wait for the host.
+MuJoCo computes the same on the host (`body.py`). This module computes it on a device that must not wait for the host.
 """
 
 from typing import Any
@@ -35,7 +35,7 @@ FREE, SLIDE, HINGE = (
 
 @wp.struct
 class Tree:
-    """What does not change: L links, J joints, n degrees of freedom, Q coordinates; float64, SI."""
+    """Constants of the body: L links, J joints, n degrees of freedom, Q coordinates; float64, SI."""
 
     links: int
     joints: int
@@ -71,7 +71,7 @@ class Tree:
 
 @wp.struct
 class Motion:
-    """State, and what follows from it."""
+    """State of the body, and quantities derived from it."""
 
     qpos: wp.array(dtype=wp.float64)  # Q
     qvel: wp.array(dtype=wp.float64)  # n
@@ -90,19 +90,21 @@ class Motion:
 
 
 @wp.func_native("for (int i = 0; i < 9; ++i) a.data[at + i] = m.data[i / 3][i % 3];")
-def put3(a: wp.array(dtype=wp.float64), at: int, m: wp.mat33d): ...
+def put3(a: wp.array(dtype=wp.float64), at: int, m: wp.mat33d):
+    """Stores a 3 x 3 matrix row by row at offset `at` of a flat array."""
+    ...
 
 
 @wp.func
 def turned(axis: wp.vec3d, angle: wp.float64) -> wp.mat33d:
-    """The rotation by `angle` about a unit axis."""
+    """Rotation by `angle` about a unit axis."""
     c, s = wp.cos(angle), wp.sin(angle)
     return c * wp.identity(n=3, dtype=wp.float64) + s * wp.skew(axis) + (wp.float64(1.0) - c) * wp.outer(axis, axis)
 
 
 @wp.func
 def orientation(q: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
-    """The rotation of a quaternion (w, x, y, z) of any length."""
+    """Rotation of a quaternion (w, x, y, z) of any length."""
     w, v = q[at], point3(q, at + 1)
     length = w * w + wp.dot(v, v)
     return (
@@ -114,7 +116,7 @@ def orientation(q: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
 
 @wp.func
 def follow_joints(t: Tree, s: Motion, l: int, place: wp.vec3d, turn: wp.mat33d):
-    """Frame of link l, which is at (place, turn) with its joints at zero; into the pose, with axes and anchors."""
+    """Writes the frame of link l, its axes and its anchors; (place, turn) is the frame with all its joints at zero."""
     x, r = place + wp.vec3d(), turn * wp.identity(n=3, dtype=wp.float64)
     axes = 13 * t.links
     anchors = axes + 3 * t.dofs
@@ -147,7 +149,7 @@ def follow_joints(t: Tree, s: Motion, l: int, place: wp.vec3d, turn: wp.mat33d):
 
 @wp.func
 def place_links(t: Tree, s: Motion):
-    """Frames, angles, axes and anchors, link after link."""
+    """Writes frames, angles, axes and anchors, link after link."""
     for l in range(t.links):
         place, turn, p = point3(t.place, 3 * l), matrix3(t.turn, 9 * l), t.parent[l]
         if p >= 0:
@@ -158,7 +160,7 @@ def place_links(t: Tree, s: Motion):
 
 @wp.func
 def set_screw(t: Tree, s: Motion, d: int):
-    """S_d."""
+    """Writes S_d, the motion per unit speed of degree of freedom d."""
     axis = point3(s.pose, 13 * t.links + 3 * d)
     if t.spins[d] == 1:
         put(s.screw, 6 * d, axis)
@@ -170,7 +172,7 @@ def set_screw(t: Tree, s: Motion, d: int):
 
 @wp.func
 def set_drift(t: Tree, s: Motion, d: int):
-    """c_d."""
+    """Writes c_d, the velocity-product acceleration of degree of freedom d."""
     w, u = wp.vec3d(), wp.vec3d()
     for e in range(t.before[d]):
         speed = t.reach[t.carrier[d] * t.dofs + e] * s.qvel[e]
@@ -189,7 +191,7 @@ def inertia_about(turn: wp.mat33d, inertia: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def set_masses(t: Tree, s: Motion, l: int):
-    """Where link l's mass is, and how it is turned."""
+    """Writes the centre of mass of link l relative to r, and its moments of inertia in the world's axes."""
     turn = matrix3(s.pose, 12 * l + 3)
     put(s.arm, 3 * l, point3(s.pose, 12 * l) - point3(s.pose, 0) + turn * point3(t.centre, 3 * l))
     put3(s.turned, 9 * l, inertia_about(turn, matrix3(t.inertia, 9 * l)))
@@ -197,7 +199,7 @@ def set_masses(t: Tree, s: Motion, l: int):
 
 @wp.func
 def set_force(t: Tree, s: Motion, l: int):
-    """(N_l, F_l)."""
+    """Writes (N_l, F_l) of link l."""
     w, u, dw, du = wp.vec3d(), wp.vec3d(), wp.vec3d(), wp.vec3d()
     for d in range(t.dofs):
         reach = t.reach[l * t.dofs + d]
@@ -215,7 +217,7 @@ def set_force(t: Tree, s: Motion, l: int):
 
 @wp.func
 def set_momentum(t: Tree, s: Motion, d: int):
-    """Angular about r, and linear, of all that d moves, at unit speed."""
+    """Writes the angular momentum about r and the linear momentum of all links that d moves, at unit speed of d."""
     mass, first, second = wp.float64(0.0), wp.vec3d(), wp.mat33d()
     for l in range(t.links):
         if t.reach[l * t.dofs + d] > wp.float64(0.5):
@@ -231,12 +233,13 @@ def set_momentum(t: Tree, s: Motion, d: int):
 
 @wp.func
 def paired(a: wp.array(dtype=wp.float64), i: int, b: wp.array(dtype=wp.float64), j: int) -> wp.float64:
+    """Product of the six-vectors a_i and b_j, angular part plus linear part."""
     return wp.dot(point3(a, 6 * i), point3(b, 6 * j)) + wp.dot(point3(a, 6 * i + 3), point3(b, 6 * j + 3))
 
 
 @wp.func
 def set_joint_forces(t: Tree, s: Motion, d: int):
-    """bias, passive and the servo's, of one degree of freedom."""
+    """Writes bias, passive and servo force of one degree of freedom."""
     bias = wp.float64(0.0)
     for l in range(t.links):
         bias += t.reach[l * t.dofs + d] * paired(s.screw, d, s.force, l)
@@ -252,7 +255,7 @@ def set_joint_forces(t: Tree, s: Motion, d: int):
 
 @wp.func
 def place_body(t: Tree, s: Motion, me: int, threads: int):
-    """Pose and S."""
+    """Writes the pose and S."""
     if me == 0:
         place_links(t, s)
     wait_for_block()
@@ -265,7 +268,7 @@ def place_body(t: Tree, s: Motion, me: int, threads: int):
 
 @wp.func
 def weigh_body(t: Tree, s: Motion, me: int, threads: int):
-    """M, bias, passive and servo forces, after `place_body`."""
+    """Writes M, bias, passive and servo forces; `place_body` must have run."""
     d, l, k, c = int(me), int(me), int(me), int(me)
     while c < t.links:
         set_masses(t, s, c)
@@ -296,7 +299,7 @@ def weigh_body(t: Tree, s: Motion, me: int, threads: int):
 
 @wp.kernel
 def state_equation(t: Tree, s: Motion):
-    """Pose, M, bias, passive and servo forces of a state: one block of threads, a thread alone on the CPU."""
+    """Computes pose, M, bias, passive and servo forces of a state in one block of threads; in one thread on the CPU."""
     me, threads = wp.tid(), wp.block_dim()
     place_body(t, s, me, threads)
     weigh_body(t, s, me, threads)
@@ -304,7 +307,7 @@ def state_equation(t: Tree, s: Motion):
 
 @wp.func
 def move_joint(t: Tree, s: Motion, j: int, v: wp.array(dtype=wp.float64), dt: wp.float64):
-    """Its coordinates and velocities after a step of dt at velocity v."""
+    """Advances the coordinates and velocities of joint j by a step dt at velocity v."""
     d, q = t.first[j], t.coordinate[j]
     if t.kind[j] == wp.static(FREE):
         for i in range(3):
@@ -316,7 +319,7 @@ def move_joint(t: Tree, s: Motion, j: int, v: wp.array(dtype=wp.float64), dt: wp
         if speed > wp.float64(0.0):
             half = wp.float64(0.5) * dt * speed
             c, x = wp.cos(half), (wp.sin(half) / speed) * w
-            # the step's rotation is about the body's own axes: it comes behind. Both parts stand before either is written
+            # the step's rotation is about the body's own axes: it multiplies from the right. Both parts are read before a write
             c0, x0 = s.qpos[q + 3], point3(s.qpos, q + 4)
             real, vector = c0 * c - wp.dot(x0, x), c0 * x + c * x0 + wp.cross(x0, x)
             s.qpos[q + 3] = real
@@ -328,12 +331,12 @@ def move_joint(t: Tree, s: Motion, j: int, v: wp.array(dtype=wp.float64), dt: wp
 
 @wp.kernel
 def move_on(t: Tree, s: Motion, v: wp.array(dtype=wp.float64), dt: wp.float64):
-    """The state after a step, a thread a joint."""
+    """Advances the state by one step, one thread for each joint."""
     move_joint(t, s, wp.tid(), v, dt)
 
 
 def tree_of(model: mujoco.MjModel, device: Any) -> Tree:
-    """The constants of a model on a device.
+    """Constants of a model on a device.
 
     Raises:
         ConfigError: the model has something that these kernels leave out.
@@ -382,7 +385,7 @@ def tree_of(model: mujoco.MjModel, device: Any) -> Tree:
 
 
 def motion_of(model: mujoco.MjModel, device: Any, **given: wp.array) -> Motion:
-    """Arrays for the state of a model, and for what follows from it; those `given` by name are taken, the others made."""
+    """Arrays for the state of a model and for derived quantities; those `given` by name are used, the others are made."""
     n, count, s = model.nv, model.nbody - 1, Motion()
     sizes = {"qpos": model.nq, "qvel": n, "command": model.nu, "pose": 13 * count + 6 * n, "screw": 6 * n, "drift": 6 * n}
     sizes |= {
@@ -401,7 +404,7 @@ def motion_of(model: mujoco.MjModel, device: Any, **given: wp.array) -> Motion:
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """Numbers of the links that a body hangs on, its own among them."""
+    """Indices of the links that carry a body, its own included."""
     found = set()
     while body:
         found.add(body - 1)
@@ -410,7 +413,7 @@ def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
 
 
 def _refuse_what_is_left_out(m: mujoco.MjModel) -> None:
-    """Raise ConfigError for a model with more in it than `state_equation` computes."""
+    """Raises ConfigError for a model with more in it than `state_equation` computes."""
     plain = {
         "a joint that is no slide, hinge or free joint": not np.isin(m.jnt_type, (FREE, SLIDE, HINGE)).all(),
         "a spring": m.jnt_stiffness.any(),

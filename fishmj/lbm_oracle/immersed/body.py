@@ -1,14 +1,14 @@
-"""The solid side: a MuJoCo model that yields the joint-space equation of one step, and takes the velocity found for it.
+"""The solid side: a MuJoCo model that provides the joint-space equation of one step and takes over the velocity that solves it.
 
     (M + dt D + K) v+ = (M + dt D) v + dt (passive + actuators - bias) - b0 + I            K, b0: the water (kernels.py)
     I = sum_l J_l^T (h_l^n - h_l^n-1) - dt sum_l J_l^T m_l g,   h_l = (m_l u_l, I_l w_l)      the water inside the hull
 
-D is joint damping (the servo's back-EMF), which MuJoCo's Euler integrator takes implicitly. h_l is the momentum that the
-displaced water of link l has when it moves with the link across it, and along it as is measured (kernels.py), m_l its mass, u_l
-the velocity of its centre: the immersed boundary accelerates that water too, which a real hull does not contain. Taken as a
-difference in the world frame it holds the Coriolis part M_f a + c_f by itself, and its sum over the links telescopes, so that
-momentum is conserved. I lags by one step, along the links by two: the implicit solve stays stable with it down to a density
-ratio of 0.01 (docs/solver/coupling.md).
+D is joint damping (the servo's back-EMF), which MuJoCo's Euler integrator treats implicitly. h_l is the momentum of the displaced
+water of link l. Across the link this water moves with the link; along the link its speed is measured (kernels.py). m_l is its
+mass, u_l the velocity of its centre. The immersed boundary accelerates that water too, which a real hull does not contain. The
+difference in the world frame contains the Coriolis part M_f a + c_f, and its sum over the steps telescopes, so that momentum
+is conserved. I lags by one step, along the links by two. The implicit solve is stable with it down to a density ratio of 0.01
+(docs/solver/coupling.md).
 
 The velocity goes back as   qfrc_applied = (M + dt D) (v+ - v) / dt - (passive + actuators - bias),
 so that MuJoCo's own step returns v+ exactly. Contacts and joint limits are off in fishmj's models.
@@ -58,7 +58,7 @@ class DisplacedWater:
 
     @classmethod
     def of(cls, robot) -> "DisplacedWater":
-        """The sections of a fish, full of water: the geometry's inertia scaled to the displaced mass."""
+        """Displaced water of a fish: its sections full of water; the geometry's inertia is scaled to the displaced mass."""
         g = geometry_of(robot)
         share = g.displaced / g.mass
         zero = 0 * g.buoyancy
@@ -74,14 +74,14 @@ class ImmersedBody:
     """One articulated body: every moving MuJoCo body is a link, numbered as in the model.
 
     Args:
-        model: trees of any shape and number, with hinges, slides, ball and free joints; Euler integrator. Markers that bend
-            ask for one hinge about z between their two links.
+        model: trees of any shape and number, with hinges, slides, ball and free joints; Euler integrator. Markers of a bending
+            skin need one hinge about z between their two links.
         water: displaced water of each link.
         dt: step of the fluid, s; becomes the model's own.
 
     Raises:
-        ConfigError: the model has something that the coupled step leaves out, such as an active contact or limit, or the water
-            is not that of its links.
+        ConfigError: the model has something that the coupled step leaves out, such as an active contact or limit; or the water
+            is for another number of links.
     """
 
     def __init__(self, model: mujoco.MjModel, water: DisplacedWater, dt: float):
@@ -118,16 +118,16 @@ class ImmersedBody:
 
     @classmethod
     def of(cls, robot="fish", root: str = "planar", dt: float = 0.004) -> "ImmersedBody":
-        """The fish of a description, at rest and straight at the origin."""
+        """Body of a described fish, at rest and straight at the origin."""
         robot = load_robot(robot)
         return cls(build(robot, root, bare=True), DisplacedWater.of(robot), dt)
 
     @classmethod
     def on_slides(cls, axes: str, mass: float, inertia, displaced: float, inertia_displaced, dt: float) -> "ImmersedBody":
-        """The smallest body: one link on slides along some of `xyz`, no gravity. Masses kg, moments of inertia (3,) kg m2.
+        """Smallest body: one link on slides along some of `xyz`, without gravity. Masses kg, moments of inertia (3,) kg m2.
 
         Raises:
-            ConfigError: axes that are none of `xyz` or stand there twice; masses or moments that cannot be.
+            ConfigError: axes that are not of `xyz` or are repeated; invalid masses or moments.
         """
         if not isinstance(axes, str) or not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
             raise ConfigError(f"body: axes = {axes!r}; expected one to three of 'xyz', each once")
@@ -147,13 +147,13 @@ class ImmersedBody:
         return cls(passive_slot.compiled(spec), water, dt)
 
     def set_step(self, dt: float) -> None:
-        """Change the time step, s."""
+        """Sets the time step, s."""
         numbers("body: dt", dt, low=1e-300)
         self.dt = self.model.opt.timestep = self._dt[0] = float(dt)
         self._weigh()
 
     def place(self, qpos, qvel=None, interior_speed=np.nan) -> None:
-        """Put the body into a state; its water moves with it, along the links at `interior_speed` (L,) m/s, and gains nothing.
+        """Puts the body into a state; its water moves with it, along the links at `interior_speed` (L,) m/s, and gains nothing.
 
         Args:
             qpos: (nq,) m, rad and quaternions. qvel: (n,) m/s and rad/s; None: at rest.
@@ -171,19 +171,22 @@ class ImmersedBody:
         self.momentum[:] = self._now
 
     def set_interior_speed(self, speed: np.ndarray) -> None:
-        """How fast the interior water moves along the links, (L,) m/s; from the second time on its gain counts."""
+        """Sets the speed of the interior water along the links, (L,) m/s. Its gain counts from the second call on."""
         if np.isnan(self.interior_speed[0]):
-            # the first figure is a state, not a change: without this the water would seem to have sped up within one step
+            # the first value is a state, not a change: otherwise the water would seem to have accelerated within one step
             axis = self.turn[:, :, 0]
             self.momentum[:, :3] += (self.water.mass * speed - np.sum(axis * self.momentum[:, :3], 1))[:, None] * axis
         self.interior_speed[:] = speed
 
     def _weigh(self) -> None:
-        """Impulse (L, 6) of the displaced water's weight over a step."""
+        """Computes the impulse (L, 6) of the displaced water's weight over a step."""
         self._weight[:, :3] = self.dt * self.water.mass[:, None] * self.model.opt.gravity
 
     def forward(self) -> None:
-        """Everything that the next step's equation needs from qpos and qvel; `centre` and `twist` of the interior water."""
+        """Computes from qpos and qvel all that the next step's equation needs.
+
+        Also `centre` and `twist` of the interior water.
+        """
         d = self.data
         for name, values in (("qpos", d.qpos), ("qvel", d.qvel)):
             if not np.isfinite(values).all():  # MuJoCo would put the model back to where it began
@@ -198,7 +201,7 @@ class ImmersedBody:
         self._boxes = None
 
     def equation(self, interior: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """(M + dt D) and the right-hand side without b0, (n, n) and (n,), momentum units, at the present state."""
+        """System matrix (M + dt D), (n, n), and right-hand side without b0, (n,), in momentum units, at the present state."""
         if not np.isfinite(self.data.ctrl).all():  # MuJoCo would take 0 for it, with a line in a log file
             raise ConfigError(f"body: ctrl = {self.data.ctrl.tolist()} at t = {self.data.time:.4g} s; expected finite numbers")
         if self.data.qfrc_applied.any() or self.data.xfrc_applied.any():  # `advance` would write over it
@@ -216,7 +219,7 @@ class ImmersedBody:
         return self._now.copy()
 
     def solid_momentum(self) -> np.ndarray:
-        """The same of the links themselves, (L, 6) kg m/s and kg m2/s."""
+        """Linear and angular momentum of the links themselves, (L, 6) kg m/s and kg m2/s."""
         m = self.model
         axes = np.zeros((self.links, 9))
         for i in range(self.links):
@@ -229,7 +232,7 @@ class ImmersedBody:
         return found
 
     def _follow(self, mass: DisplacedWater, **found: np.ndarray) -> tuple[link_dynamics.LinkArrays, link_dynamics.Recorded]:
-        """What says how masses that sit in the links move: the arrays, and the launch that fills those in `found`."""
+        """Arrays that describe the motion of masses in the links, and the launch that fills the arrays in `found`."""
         m, d, n = self.model, self.data, self.dofs
         s, share = link_dynamics.LinkArrays(), link_dynamics.shared
         s.links, s.dofs = self.links, n
@@ -252,7 +255,7 @@ class ImmersedBody:
         return s, link_dynamics.Recorded(link_dynamics.move, s)
 
     def _equations(self, interior: int) -> link_dynamics.LinkDynamics:
-        """The arrays of the step's equation."""
+        """Arrays of the step's equation."""
         d, e, share = self.data, link_dynamics.LinkDynamics(), link_dynamics.shared
         e.body, e.interior = self._moving, interior
         e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
@@ -263,10 +266,10 @@ class ImmersedBody:
         return e
 
     def advance(self, velocity: np.ndarray) -> None:
-        """MuJoCo's step to the velocity found, (n,); afterwards `forward` has been called on the new state.
+        """Does MuJoCo's step to the velocity that the solve found, (n,); afterwards the new state has been passed to `forward`.
 
         Raises:
-            SimDiverged: the velocity is not finite or runs away (the state is then the last good one), or MuJoCo disagrees.
+            SimDiverged: the velocity is not finite or too large (the state is then the last good one), or MuJoCo disagrees.
         """
         d, check = self.data, self._check
         self._target[:] = velocity
@@ -295,23 +298,23 @@ class ImmersedBody:
         return float(self.corner_box(corners)[9])
 
     def first_cell(self, corners: Corners) -> np.ndarray:
-        """(3,) of the box of cells round them (`Corners.set_grid`); to be read before the body moves."""
+        """First cell (3,) of the box of cells round the corners (`Corners.set_grid`); read it before the body moves."""
         return self.corner_box(corners)[6:9]
 
     def corner_box(self, corners: Corners) -> np.ndarray:
-        """All that `Corners.look` finds, (10,); kept until the body moves."""
+        """Result (10,) of `Corners.look`, cached until the body moves."""
         if self._boxes is None or self._boxes[0] is not corners:
             self._boxes = corners, corners.look(self.pose, self.twist)
         return self._boxes[1]
 
     def largest_extent(self, corners: Corners) -> np.ndarray:
-        """Size (3,) m that such a box cannot exceed in any pose; infinite along an axis on which links can part."""
+        """Size (3,) m that the corners' box cannot exceed in any pose; infinite along an axis on which links can part."""
         m, d = self.model, self.data
         far = np.linalg.norm(corners.at, axis=-1).max(-1)  # (L,) from each link's origin
         length = float((far[:, None] + farthest_apart(m) + far).max())
         if not self._upright():
             return np.full(3, length)
-        # no joint lifts a link against another one: every corner keeps its height over the first link
+        # no joint lifts a link relative to another: every corner keeps its height above the first link
         above = (
             d.xpos[1:, 2, None]
             - d.xpos[1, 2]
@@ -320,13 +323,13 @@ class ImmersedBody:
         return np.array([length, length, 2 * np.abs(above).max()])
 
     def bends(self, before: int, after: int) -> bool:
-        """True where link `after` hangs on link `before` by one hinge about its z axis, as a skin between the two needs."""
+        """Returns True if link `after` hangs on link `before` by one hinge about its z axis, as a skin between the two needs."""
         m, joint = self.model, self.model.body_jntadr[after + 1]
         hung = m.body_parentid[after + 1] == before + 1 and _hinge_address(m, after + 1) >= 0
         return bool(hung and m.qpos0[m.jnt_qposadr[joint]] == 0.0 and m.jnt_axis[joint][2] == 1.0)
 
     def _upright(self) -> bool:
-        """True where all rotations are about vertical axes, and vertical slides move all links at once."""
+        """Returns True if all rotations are about vertical axes, and vertical slides move all links at once."""
         for j, kind in enumerate(self.model.jnt_type):
             rise = abs(self.data.xaxis[j][2])
             alone = not self.reach[:, self.model.jnt_dofadr[j]].all()
@@ -336,7 +339,7 @@ class ImmersedBody:
 
 
 def farthest_apart(model) -> np.ndarray:
-    """Greatest distance (L, L) m between the origins of two links in any pose; infinite where one slides against the other."""
+    """Greatest distance (L, L) m between the origins of two links in any pose; infinite if one slides relative to the other."""
     count, parent = model.nbody - 1, model.body_parentid[1:] - 1
     room = np.zeros(count)  # that a link's joints leave its origin round its place in the parent's frame
     for body, kind, anchor in zip(model.jnt_bodyid - 1, model.jnt_type, model.jnt_pos, strict=True):
@@ -360,7 +363,7 @@ def farthest_apart(model) -> np.ndarray:
 
 
 def _refuse_what_is_left_out(m: mujoco.MjModel) -> None:
-    """Raise ConfigError for a model with more in it than the coupled step holds."""
+    """Raises ConfigError for a model with more in it than the coupled step computes."""
     turns = np.isin(m.jnt_type, (HINGE, BALL))
     crowded = [b for b in m.jnt_bodyid[m.jnt_type == BALL] if turns[m.jnt_bodyid == b].sum() > 1]
     water, masses = m.opt.density or m.opt.viscosity, np.concatenate([m.body_mass, m.body_inertia.ravel()])
@@ -390,7 +393,7 @@ def _active(m: mujoco.MjModel, d: mujoco.MjData) -> str:
 
 
 def _check_points(points: Points, links: int) -> None:
-    """Raise ConfigError for points in no link, or whose shares are not 1 in all for each."""
+    """Raises ConfigError for points in no link, and if the shares of a link do not add up to 1."""
     place = numbers("displaced water: place of points", points.place, (None, 3))
     link = whole_numbers("displaced water: link of points", points.link, (len(place),), low=0, high=links - 1)
     share = numbers("displaced water: share of points", points.share, (len(place),), low=0.0)
@@ -401,7 +404,7 @@ def _check_points(points: Points, links: int) -> None:
 
 
 def _moves(model, body: int, dof: int) -> bool:
-    """Whether a degree of freedom moves a body: it belongs to the body or to one of its ancestors."""
+    """Returns True if a degree of freedom moves a body: it belongs to the body or to one of its ancestors."""
     while body:
         if model.dof_bodyid[dof] == body:
             return True
@@ -416,7 +419,7 @@ def _slides(model, dof: int) -> bool:
 
 
 def _hinge_address(model, body: int) -> int:
-    """Address in qpos of the one hinge that hangs a body on another moving body; -1 when there is none."""
+    """Address in qpos of the one hinge that hangs a body on another moving body; -1 if there is none."""
     if model.body_parentid[body] == 0 or model.body_jntnum[body] != 1:
         return -1
     joint = model.body_jntadr[body]

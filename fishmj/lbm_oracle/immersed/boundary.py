@@ -1,13 +1,13 @@
 """The immersed boundary of one body on one device: its arrays, and the order in which the kernels of a step run.
 
-    assemble_response   pose -> u* -> F0, F_j -> K, b0              what the water would answer to any velocity of the body
+    assemble_response   pose -> u* -> F0, F_j -> K, b0              response of the water to any velocity of the body
     solve               (M + dt D + K) v = right - b0               on the device, so that the fluid never waits for the host
                         F = F0 + sum v_j F_j -> link wrenches       v and wrenches are written into the host's memory
     spread_force        F -> G                                      the force field of this step
 
-All three are queues of launches without a look at the host; a GPU captures each as a graph. `assemble_response` needs the body's
-place only, and the host makes up its equation meanwhile. What the host sends is free to be written again once the velocity has
-come back.
+All three queue launches without waiting for the host; a GPU captures each as a graph. `assemble_response` needs only the pose of
+the body, and the host assembles its equation meanwhile. The host may overwrite the block that it sends once the velocity has come
+back.
 """
 
 from contextlib import nullcontext
@@ -34,7 +34,7 @@ MARGIN = 4  # cells of the scratch box round the markers: half a kernel, roundin
 
 
 def slip_here(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004) -> float:
-    """The slip ratio of this grid for one quoted at the paper's: s = exp(-c dt / dx), c = -ln(slip) dx0 / dt0.
+    """Slip ratio on this grid for a ratio quoted at the paper's: s = exp(-c dt / dx), c = -ln(slip) dx0 / dt0.
 
     c [m/s] is the wall stress over rho and the slip velocity, so that neither the time step nor the cell changes the friction.
     slip = 1 is a frictionless wall and 0 no slip on every grid.
@@ -45,12 +45,12 @@ def slip_here(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004
 
 
 def slips_of(markers: Markers, slip: float, nu: float, passes: int) -> np.ndarray:
-    """Slip ratio (N,) of each marker on this grid: the wall's own, or where the water sticks that of the markers' slip lengths.
+    """Slip ratio (N,) of each marker on this grid: the wall's own; for a no-slip wall, that of the markers' slip lengths.
 
         F = A (1 - s) (U - u*) = n nu (U - u*) / b,   A = 2 (1 - 2^-passes)          n: sides with water, 2 for a sheet
 
-    b is the slip length in cells, nu the viscosity in lattice units; A is what the passes make of a wanted velocity change, since
-    a sheet of markers a cell apart feels half of its own force. b = 0 sticks.
+    b is the slip length in cells, nu the viscosity in lattice units. A is the effect of the passes on a wanted velocity change,
+    because a sheet of markers a cell apart feels half of its own force. b = 0 is no slip.
     """
     if slip > 0 or markers.slip_length is None:
         return np.full(len(markers), slip)
@@ -62,14 +62,17 @@ class Boundary:
     """Markers of one body in one fluid.
 
     Args:
-        markers: in the frames of the body's links. body: its degrees of freedom and motion axes.
-        width: of the kernel, 3 or 4. passes: of the direct forcing. slip: quoted at the paper's grid.
+        markers: positions in the frames of the body's links.
+        body: degrees of freedom and motion axes.
+        width: points of the kernel, 3 or 4.
+        passes: passes of the direct forcing.
+        slip: slip ratio quoted at the paper's grid.
 
-    Where links can part without bounds, as two free bodies can, the scratch box spans all of the water on those axes (`whole`).
+    If links can part without bounds, as two free bodies can, the scratch box spans all of the water on those axes (`whole`).
 
     Raises:
-        ConfigError: a marker of a link that the body does not have, or that bends where no hinge is; numbers that cannot be.
-        OracleUnstable: the markers are of another grid: as a rule further apart, or closer, than its cells allow.
+        ConfigError: a marker of a link that the body does not have, or on a bend without a hinge; invalid numbers.
+        OracleUnstable: the markers' spacing does not fit this grid's cells; usually they were made for another grid.
     """
 
     def __init__(self, markers: Markers, body, fluid: Fluid, *, width: int = 3, passes: int = 2, slip: float = 1.0):
@@ -95,7 +98,7 @@ class Boundary:
         self.box_shape = tuple(n + 2 * MARGIN for n in cells)
         if self.whole:
             device_of(str(device), int(np.prod(self.box_shape)) * (12 * self.rhs + 16))
-        # cells before the first of the water, on axes where the scratch box wraps round
+        # cells before the first cell of water, on axes where the scratch box wraps round
         self._folded = [MARGIN if a in self.whole and wraps[a] else 0 for a in range(3)]
         self.corners.set_grid(lattice.dx, lattice.corner, self.box_shape)
         make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)
@@ -150,10 +153,10 @@ class Boundary:
         self.view["origin"][:] = lattice.corner
 
     def place_markers(self, body, origin: np.ndarray) -> None:
-        """Write where the body is into the staging block; `origin` (3,) is the fluid's low corner, a world node.
+        """Writes the pose of the body into the staging block; `origin` (3,) is the fluid's low corner, a world node.
 
         Raises:
-            ConfigError: a marker is nearer to a face than half a kernel: it would read, and push, water of the other side.
+            ConfigError: a marker is nearer to a face than half a kernel: it would read and push water of the other side.
         """
         self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
         found, first, dx = body.corner_box(self.corners).tolist(), origin.tolist(), self.lattice.dx
@@ -177,7 +180,7 @@ class Boundary:
                 )
 
     def set_equation(self, system, right, velocity, fixed=None, value=None) -> None:
-        """Write the body's equation into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
+        """Writes the body's equation into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
         view = self.view
         view["system"][:], view["momentum"][:], view["before"][:] = system, right, velocity
         if fixed is not None or self._holds:
@@ -189,20 +192,20 @@ class Boundary:
         self._current = True
 
     def fetch_place(self) -> None:
-        """Queue the arrival of what `place_markers` wrote."""
+        """Queues the transfer of the pose that `place_markers` wrote."""
         self._fetch(*self._sent[0])
 
     def fetch_equation(self) -> None:
-        """Queue the arrival of what `set_equation` wrote."""
+        """Queues the transfer of the equation that `set_equation` wrote."""
         self._fetch(*self._sent[1])
 
     def assemble_response(self, f: wp.array, corner: wp.array, acts: wp.array, speed: wp.array | None = None) -> None:
-        """Queue everything up to K and b0, and how the interior water slides, for the place in `host`.
+        """Queues all kernels up to K and b0, and the speed of the interior water, for the pose in `host`.
 
         Args:
             f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
-            acts: (6,) world nodes between which the fluid looks for a force; written here.
-            speed: (L,) m/s, where the interior water's goes; to the host by default.
+            acts: (6,) world nodes between which the fluid reads a force; written here.
+            speed: (L,) m/s, output for the interior water's speed; the host's memory by default.
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
         with nullcontext() if self._branch is None else wp.ScopedStream(self._branch):  # a branch of its own
@@ -221,7 +224,7 @@ class Boundary:
             for a in self.whole:
                 self._fold(a)
             self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
-        # float32 forces, float64 sums: K joins masses of trunk and tail in one solve
+        # float32 forces, float64 sums: K couples the masses of trunk and tail in one solve
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(fsi_solve.response_part, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
         total_in = [self.part, scale * lat.velocity, self._adders]
@@ -230,14 +233,14 @@ class Boundary:
             wp.get_stream(self.device).wait_stream(self._branch)
 
     def _fold(self, axis: int) -> None:
-        """Queue that cells of the scratch box which are one cell of water, a period apart, hold the sum of all of them."""
+        """Queues the sum over cells of the scratch box that are one cell of water, a period apart; each gets the sum."""
         if self._folded[axis]:
             dim = list(self.scratch.shape)
             dim[axis] = min(self.shape[axis], 2 * MARGIN)
             self._launch(kernels.fold, tuple(dim), [axis, self.shape[axis]], [self.scratch])
 
     def _measure_interior(self, f: wp.array, shape: wp.vec3i, speed: wp.array) -> None:
-        """Queue how fast the interior water moves along the links."""
+        """Queues the measurement of the interior water's speed along the links."""
         if self.interior is None:
             return
         args = [self.host, self.layout, *self._points, f, self.body_acceleration]
@@ -247,13 +250,13 @@ class Boundary:
         self._launch(kernels.mean, self.links, args, [speed])
 
     def solve(self, implicit: bool = True) -> None:
-        """Queue the solve, which writes into the host's memory, for the equation in `host`, and the markers' final forces."""
+        """Queues the solve of the equation in `host`, which writes into the host's memory, and the markers' final forces."""
         args = [self.host, self.layout, self.water, int(implicit)]
         self._launch(fsi_solve.solve, self._solvers, args, [*self.elimination, self._velocity, self.target])
         self._launch(kernels.combine, self.count, [self.force, self.target], [self.final])
 
     def sum_wrench(self) -> None:
-        """Queue the wrench on every link, on the device and into the host's memory, after `solve`."""
+        """Queues the wrench on every link, on the device and into the host's memory; call it after `solve`."""
         lat = self.lattice
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
         self._launch(fsi_solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
@@ -261,19 +264,19 @@ class Boundary:
         self._launch(fsi_solve.add_wrench, (self.links, 6, self._adders), args, [self._wrench, self._returned_wrench])
 
     def spread_force(self, acceleration: wp.array) -> None:
-        """Queue the final force into the fluid's `acceleration`."""
+        """Queues the spreading of the final force into the fluid's `acceleration`."""
         args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
         self._launch(kernels.spread_force, (self.count, self.width), args, [acceleration])
 
     def clear_force(self, acceleration: wp.array) -> None:
-        """Queue G = 0 where the last force was spread."""
+        """Queues G = 0 in the cells of the last spread force."""
         args = [self.store, self.width, wp.vec3i(*self.shape)]
         self._launch(kernels.clear_force, (self.count, self.width**3), args, [acceleration])
 
     def take_wrench(self) -> np.ndarray:
         """Impulse of the water on every link since the last call, (L, 6): N s in the world frame, N m s about its origin.
 
-        It came with the velocity of the last step, so that nobody waits for the water.
+        It came with the velocity of the last step, so this does not wait for the water.
         """
         if self._taken:
             return np.zeros((self.links, 6))
@@ -284,13 +287,13 @@ class Boundary:
         return self._wrench.numpy().copy()
 
     def hand_wrench(self, impulse: np.ndarray) -> None:
-        """The impulse since the last `take_wrench`, (L, 6), as steps without the host have summed it."""
+        """Sets the impulse since the last `take_wrench`, (L, 6), from the sum of steps without the host."""
         self._impulse[:] = impulse
         self._taken, self._current = False, True
 
     @property
     def wrench(self) -> wp.array:
-        """That impulse on the device, (L, 6), to be kept or set between two steps."""
+        """Impulse since the last `take_wrench` on the device, (L, 6); may be saved or set between two steps."""
         if self._taken:
             self._wrench.zero_()
         self._taken = self._current = False
@@ -298,15 +301,15 @@ class Boundary:
 
     @property
     def wrench_sum(self) -> wp.array:
-        """That impulse where the steps add to it, on the device; for launches."""
+        """Device array to which the steps add that impulse; for launches."""
         return self._wrench
 
     def measure_interior(self, f: wp.array, speed: wp.array) -> None:
-        """Queue how fast the interior water moves along the links into `speed`, (L,) m/s, for the place in `host`."""
+        """Queues the measurement of the interior water's speed along the links into `speed`, (L,) m/s, for the pose in `host`."""
         self._measure_interior(f, wp.vec3i(*self.shape), speed)
 
     def fastest_marker(self, velocity: np.ndarray) -> float:
-        """Greatest speed of a marker, m/s, at the body's velocity (n,), where the markers were in the last step."""
+        """Greatest speed of a marker, m/s, at the body's velocity (n,) and the markers' positions of the last step."""
         speed = np.einsum("kdc,d->kc", self.jacobian.numpy(), velocity)
         return float(np.sqrt((speed * speed).sum(1).max())) * self.lattice.velocity
 
@@ -331,7 +334,7 @@ class Boundary:
 
 
 def _check_links(markers: Markers, body) -> None:
-    """Raise ConfigError for a marker of a link that is not there, or that bends between two which no hinge about z joins."""
+    """Raises ConfigError for a marker of a missing link, or on a bend between two links that no hinge about z joins."""
     for name in ("before", "after"):
         whole_numbers(
             f"immersed boundary: markers' link {name!r}", getattr(markers, name), (len(markers),), low=0, high=body.links - 1
@@ -347,7 +350,7 @@ def _check_links(markers: Markers, body) -> None:
 
 
 def _identity(value: Any) -> Any:
-    """What tells an argument of a launch from another: of an array where it lies, else its value; a struct only from itself."""
+    """Key of a launch argument: place and shape of an array, else the value; a struct equals only itself."""
     if isinstance(value, wp.array):
         return value.ptr, value.shape
     if isinstance(value, wp.float64):
@@ -358,12 +361,12 @@ def _identity(value: Any) -> Any:
 
 
 def _reached(array: wp.array, device) -> wp.array:
-    """A pinned array of the host as the device sees it: at the same address, so that no copy stands between two kernels."""
+    """Pinned host array as the device sees it: at the same address, so that no copy stands between two kernels."""
     return wp.array(ptr=array.ptr, dtype=array.dtype, shape=array.shape, device=device)
 
 
 def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:
-    """Fields of the host block in their order."""
+    """Shapes of the fields of the host block, in their order."""
     shapes: dict[str, tuple[int, ...]] = {"frame": (links, 12), "angle": (links,), "axis": (dofs, 3), "anchor": (dofs, 3)}
     shapes |= {"origin": (3,), "box": (3,), "system": (dofs, dofs), "momentum": (dofs,)}
     return shapes | {name: (dofs,) for name in ("before", "fixed", "value")} | {"fresh": (1,)}

@@ -1,4 +1,4 @@
-"""The coupled step: fish and water find their common velocity together.
+"""The coupled step: one linear system gives the common velocity of fish and water.
 
     place_markers      X_k, n_k, J_k from the body's pose                                   host -> device
     assemble_response  K, b0: the impulse of the body on the water is K v + b0              device
@@ -6,10 +6,10 @@
     push_water         F -> G (spread_force), then the fluid's step (stream_collide)        device
     advance            MuJoCo's own step to v+                                              host
 
-Strong coupling without sub-iterations: K is exact, since the direct forcing is linear in v. A body as light as water, or a thin
-light tail, is stable so; the explicit scheme takes the water's answer to the old velocity and diverges
-(docs/solver/coupling.md).
-Host and device work side by side: the device makes up K while the host makes up M, and moves the water while MuJoCo steps.
+Strong coupling without sub-iterations: K is exact, because the direct forcing is linear in v. It is stable for a body as light as
+water and for a thin, light tail. The explicit scheme uses the water's response to the old velocity and diverges
+(docs/solver/coupling.md). Host and device work in parallel: the device assembles K while the host assembles M, and it steps the
+water while MuJoCo steps.
 """
 
 from collections.abc import Callable, Hashable
@@ -30,23 +30,23 @@ from fishmj.lbm_oracle.immersed.early_water import EarlyWater
 from fishmj.lbm_oracle.immersed.markers import Markers
 
 SCHEMES = ("implicit", "explicit")
-# of a step: what the device does between two things that the host does; or several steps without it (device_steps.py)
+# parts of a step: device work between two actions of the host; or several steps without the host (device_steps.py)
 Part = Literal["response", "solution", "water", "steps"]
 MOST_GRAPHS = 64  # kept of one fluid
 NEXT, LAST = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])  # a x b: the first less the second half of a_next b_last
 
 
 class FluidStructure:
-    """One body in one fluid; a model of several bodies is one `ImmersedBody`.
+    """Couples one body with one fluid; a model of several bodies is one `ImmersedBody`.
 
     Args:
-        slip: ratio quoted at the paper's grid; 1 lets the water slide along the hull, 0 holds it.
+        slip: ratio quoted at the paper's grid; 1 is a frictionless hull, 0 no slip.
         width, passes: of the immersed boundary.
         scheme: "implicit"; "explicit" is kept to show that it fails.
-        interior: add the momentum of the water inside the hull; False is kept for the same reason.
+        interior: add the momentum of the water inside the hull; False is kept to show that it fails.
 
     Raises:
-        ConfigError: the two clocks differ, a name is unknown, or the markers are not the body's.
+        ConfigError: the two time steps differ, a name is unknown, or the markers are not the body's.
     """
 
     def __init__(
@@ -72,19 +72,20 @@ class FluidStructure:
 
     @property
     def time(self) -> float:
-        """s of the body's clock."""
+        """Time of the body's clock, s."""
         return float(self.body.data.time)
 
     def step(self, fixed=None, value=None) -> np.ndarray:
-        """One time step; returns the new velocity of the body, (n,).
+        """Does one time step and returns the new velocity of the body, (n,).
 
         Args:
             fixed: (n,) 1 where the velocity is prescribed. value: (n,) that velocity, m/s or rad/s.
 
         Raises:
-            SimDiverged: the body's velocity is not finite. OracleUnstable: a marker is faster than the grid's time step takes, or
-                the water has left what is sound; this is looked at every 50 steps, on a GPU a step later.
-            ConfigError: as of `place_markers` and `solve`.
+            SimDiverged: the body's velocity is not finite.
+            OracleUnstable: a marker is too fast for the grid's time step, or the water left the limits of the watch, which checks
+                every 50 steps (on a GPU one step later).
+            ConfigError: as `place_markers` and `solve`.
         """
         self.place_markers()
         self.assemble_response()
@@ -102,13 +103,13 @@ class FluidStructure:
         return velocity
 
     def _check_speed(self, velocity: np.ndarray) -> None:
-        """Raise OracleUnstable where a marker is beyond the Mach limit at this velocity of the body, (n,)."""
+        """Raises OracleUnstable if a marker is beyond the Mach limit at this velocity of the body, (n,)."""
         lattice = self.fluid.lattice
         if lattice.mach(self.body.fastest(self.boundary.corners)) > MACH:  # the boxes' corners: no marker is faster
             check_speed(lattice, self.boundary.fastest_marker(velocity), f"coupled: a marker at t = {self.time:.4g} s")
 
     def place_markers(self) -> None:
-        """Where the body is, into what the device reads.
+        """Writes the pose of the body into the block that the device reads.
 
         Raises:
             ConfigError: a marker is so near to a face that its kernel would read beyond it.
@@ -116,11 +117,11 @@ class FluidStructure:
         self.boundary.place_markers(self.body, self.fluid.origin_lu)
 
     def assemble_response(self) -> None:
-        """The device begins to work out K and b0, the water's answer to any velocity of the body."""
+        """Starts the computation of K and b0, the water's response to any velocity of the body, on the device."""
         self._queue("response")
 
     def solve(self, fixed=None, value=None) -> None:
-        """The body's side of the equation, and the launch of its solution; arguments as `step`'s.
+        """Assembles the body's side of the equation and launches its solution; arguments as `step`.
 
         Raises:
             ConfigError: `fixed` or `value` of another shape or not finite, or a value without `fixed`.
@@ -136,13 +137,13 @@ class FluidStructure:
         self._queue("solution")
 
     def push_water(self) -> None:
-        """Launch the force, and the fluid's step under it. Several tanks come so far before one of them waits."""
+        """Launches the force and the fluid's step under it. Several tanks can reach this point before one of them waits."""
         self._queue("water")
         if self.interior:  # what no launch waits for comes behind them
             self.gain += self.body.gain
 
     def advance(self) -> np.ndarray:
-        """Wait for the velocity, (n,), and let MuJoCo take it."""
+        """Waits for the velocity, (n,), and steps MuJoCo to it."""
         if self.graphs is not None:
             self.graphs.wait()
         velocity = self.boundary.velocity.copy()  # the device writes there again in the next step
@@ -153,36 +154,36 @@ class FluidStructure:
         return velocity
 
     def scope(self):
-        """The stream of this tank: whatever else looks at its arrays or moves them does so inside.
+        """Stream of this tank: all other code that reads or changes its arrays runs inside this context.
 
         Raises:
-            ConfigError: the water is on its way to the end of the tick behind the fish's (`Run.ahead`).
+            ConfigError: the device already computes the next tick (`Run.ahead`), so that the water is ahead of the fish.
         """
         if self.ahead:
             raise ConfigError(f"coupled: the water is ahead of the fish's t = {self.time:.4g} s; take a run with ahead = False")
         return self.behind_what_is_queued()
 
     def behind_what_is_queued(self):
-        """`scope` for what shall see the water after all that was queued, wherever the fish is."""
+        """Like `scope`, but without its check: code inside sees the water after all queued work, wherever the fish is."""
         return nullcontext() if self.graphs is None else wp.ScopedStream(self.graphs.stream)
 
     def come_behind(self, other: "FluidStructure") -> None:
-        """What is queued here from now on waits for all that was queued for the other; the host does not."""
+        """Makes later work of this tank wait for all that is queued for the other one; the host does not wait."""
         if self.graphs is not None and other.graphs is not None:
             self.graphs.stream.wait_stream(other.graphs.stream)
 
     def wait_for_water(self) -> None:
-        """Until the device has done all that was queued for this tank."""
+        """Waits until the device has done all that was queued for this tank."""
         if self.graphs is not None:
             wp.synchronize_stream(self.graphs.stream)
 
     def join_stream(self) -> None:
-        """From here on, who looks at the arrays outside `scope` sees them after the step; the host does not wait."""
+        """Makes readers outside `scope` see the arrays after the step; the host does not wait."""
         if self.graphs is not None:
             self.graphs.join_stream()
 
     def launch(self, part: Part) -> None:
-        """The kernels of one part of a step, in their order; no look at the host, so that a graph can hold them."""
+        """Queues the kernels of one part of a step in their order. It does not wait for the host, so a graph can hold them."""
         if part == "response":
             if self.early is not None:
                 self.early.begin(int(self.boundary.view["box"][0]), self.boundary.box_shape[0])
@@ -201,7 +202,7 @@ class FluidStructure:
             self.boundary.clear_force(self.fluid.force)
 
     def _queue(self, part: Part) -> None:
-        """Launch a part, from a graph where there are graphs."""
+        """Launches a part of a step, from a graph if there are graphs."""
         if self.graphs is None:
             self.launch(part)
         else:
@@ -210,8 +211,8 @@ class FluidStructure:
     def take_wrench(self, seconds: float) -> tuple[np.ndarray, np.ndarray]:
         """Mean wrench of the water on every link over the last `seconds` (since the last call), each (L, 6).
 
-        World frame, N, and N m about the link's origin. First the impulse that the markers exchanged (raw), then with the
-        momentum of the interior water added: the force of the real water on a hull that holds none.
+        World frame, N, and N m about the link's origin. The first is the impulse that the markers exchanged (raw). The second
+        also has the momentum of the interior water: it is the force of real water on a hull without water inside.
 
         Raises:
             ConfigError: no positive number of seconds.
@@ -225,11 +226,11 @@ class FluidStructure:
 
 
 class Graphs:
-    """Parts of steps of one fluid, captured for each of its phases, on a stream of their own."""
+    """Parts of the steps of one fluid, captured for each of its phases, on a stream of their own."""
 
     def __init__(self, fluid: Fluid):
         self.fluid, self.device = fluid, fluid.device
-        # ahead of other streams' kernels: what one tank waits for is small, and the water of another fills the device
+        # higher priority than other streams: one tank waits for small kernels while the water of another fills the device
         self.stream, self.solved = wp.Stream(self.device, priority=-1), wp.Event(self.device)
         self.here = nullcontext() if wp.get_cuda_device_count() == 1 else wp.ScopedDevice(self.device)
         self.warm: set[tuple[Part, int]] = set()
@@ -238,10 +239,10 @@ class Graphs:
         wp.synchronize_device(self.device)  # the arrays were made on another stream
 
     def launch(self, part: Part, queue: Callable[[], None], variant: Hashable = 0) -> None:
-        """Queue it: launch by launch the first time in a phase, which loads the modules, and from a graph ever after.
+        """Queues a part: launch by launch the first time in a phase, which loads the modules, later from a graph.
 
         Args:
-            queue: makes the launches. variant: what they depend on besides the phase.
+            queue: makes the launches. variant: key of everything besides the phase on which the launches depend.
         """
         fluid = self.fluid
         if fluid.flow is not self.flow:  # a new background flow has new launches
@@ -268,15 +269,16 @@ class Graphs:
             self.stream.record_event(self.solved)
 
     def join_stream(self) -> None:
+        """Makes the device's own stream wait for this one; the host does not wait."""
         self.device.stream.wait_stream(self.stream)
         self.joined = True
 
     def wait(self) -> None:
-        """Until the velocity is on the host."""
+        """Waits until the velocity is on the host."""
         wp.synchronize_event(self.solved)
 
     def idle(self) -> bool:
-        """Has the device done all that was queued here?"""
+        """Returns True if the device has done all that was queued here."""
         return bool(self.stream.is_complete)
 
     def _capture(self, queue: Callable[[], None]) -> tuple[wp.Graph, int]:

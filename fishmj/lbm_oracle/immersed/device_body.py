@@ -1,11 +1,11 @@
-"""The body's own part of the steps that it does without the host: its equation, its motion, the water inside it.
+"""The body's part of steps without the host: its equation, its motion, the water inside it.
 
-    begin     what the host sent -> state; only what it sends anew where the state is the device's own        once
+    begin     data from the host -> state; only the commands if the device keeps its own state                once
     follow    v+ -> state -> pose, box, fastest corner                                                        a step
     equation  M + dt D and right-hand side                                                                    a step
     give_back state, torques, rates, wrenches -> the host's memory, and last the number of the run             once
 
-Each is one block of threads, a thread for each link and each degree of freedom; alone on the CPU. The formulas are those of
+Each is one block of threads, a thread for each link and each degree of freedom; one thread on the CPU. The formulas are those of
 `articulated_body.py` (M, bias, servos) and of `link_dynamics.py` (the water inside the links).
 """
 
@@ -34,7 +34,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})  # unrolled f
 
 @wp.struct
 class Inside:
-    """The water inside L links, and the boxes round their markers; float64, SI."""
+    """Water inside L links, and boxes round their markers; float64, SI."""
 
     dt: wp.float64
     counts: int  # whether its gain does
@@ -66,15 +66,27 @@ return seen;
 
 
 @wp.func_native(_TOUCH.format(step=4))  # a cache sector of 32 bytes
-def touch(values: wp.array(dtype=wp.float64), me: int, threads: int) -> int: ...
+def touch(values: wp.array(dtype=wp.float64), me: int, threads: int) -> int:
+    """Loads one double of each cache sector, so that all sectors are fetched at once.
+
+    Returns a value that depends on the loads.
+    """
+    ...
 
 
 @wp.func_native(_TOUCH.format(step=8))
-def touch(values: wp.array(dtype=wp.int32), me: int, threads: int) -> int: ...  # noqa: F811  an overload
+def touch(values: wp.array(dtype=wp.int32), me: int, threads: int) -> int:  # noqa: F811  an overload
+    """Loads one integer of each cache sector, so that all sectors are fetched at once.
+
+    Returns a value that depends on the loads.
+    """
+    ...
 
 
 @wp.func_native("if (seen == 0x5bd1e995 && values.shape[0] < 0) values.data[0] = 0.0;")  # never; a load without a use is left out
-def use(seen: int, values: wp.array(dtype=wp.float64)): ...
+def use(seen: int, values: wp.array(dtype=wp.float64)):
+    """Uses the result of `touch` without an effect; the compiler removes a load whose result is not used."""
+    ...
 
 
 @wp.func
@@ -86,14 +98,14 @@ def touch_all(
     me: int,
     threads: int,
 ):
-    """Load all that follows needs at once: beside water that steps, one load behind another takes long."""
+    """Loads all later inputs at once: while the water steps, one load after another is slow."""
     a, b = touch(whole, me, threads), touch(real, me, threads)
     use(a ^ b ^ touch(state, me, threads) ^ touch(block, me, threads), state)
 
 
 @wp.func
 def twist_of(t: Tree, s: Motion, l: int):
-    """Angular velocity, and velocity of the link's point at the first link's frame."""
+    """Angular velocity of link l, and velocity of its point at the first link's frame."""
     w, u = wp.vec3d(), wp.vec3d()
     for d in range(t.dofs):
         speed = t.reach[l * t.dofs + d] * s.qvel[d]
@@ -104,7 +116,7 @@ def twist_of(t: Tree, s: Motion, l: int):
 
 @wp.func
 def push_link(t: Tree, s: Motion, e: Inside, l: int):
-    """The momentum that the water inside link l gained since the step before, and its buoyancy over this one."""
+    """Writes the momentum that the water inside link l gained since the previous step, and its buoyancy over this step."""
     w, u = twist_of(t, s, l)
     turn = matrix3(s.pose, 12 * l + 3)
     p = point3(s.pose, 12 * l) - point3(s.pose, 0) + turn * point3(e.centre, 3 * l)
@@ -136,7 +148,7 @@ def balance(
     me: int,
     threads: int,
 ):
-    """M + dt D, the right-hand side and the velocity into the block that the solve reads."""
+    """Writes M + dt D, the right-hand side and the velocity into the block that the solve reads."""
     n = t.dofs
     weigh_body(t, s, me, threads)
     l = int(me)
@@ -171,7 +183,7 @@ def equation(
     real: wp.array(dtype=wp.float64),
     state: wp.array(dtype=wp.float64),
 ):
-    """The equation of a step."""
+    """Assembles the equation of a step."""
     me, threads = wp.tid(), wp.block_dim()
     touch_all(whole, real, state, block, me, threads)
     balance(t, s, e, block, at, rate, me, threads)
@@ -179,7 +191,7 @@ def equation(
 
 @wp.func
 def settle_inside(s: Motion, e: Inside, l: int):
-    """The speed along the link as measured; the first one is a state, not a gain."""
+    """Stores the measured speed of the water along the link; the first value is a state, not a gain."""
     if e.speed[l] != e.speed[l]:
         along = wp.vec3d(s.pose[12 * l + 3], s.pose[12 * l + 6], s.pose[12 * l + 9])
         linear = point3(e.last, 6 * l)
@@ -189,7 +201,7 @@ def settle_inside(s: Motion, e: Inside, l: int):
 
 @wp.func
 def look_round(t: Tree, s: Motion, e: Inside, l: int):
-    """The upright box round link l's markers, and the square of its fastest corner's speed."""
+    """Computes the upright box round link l's markers, and the square of its fastest corner's speed."""
     w, u = twist_of(t, s, l)
     place, turn = point3(s.pose, 12 * l), matrix3(s.pose, 12 * l + 3)
     far, fast = wp.float64(wp.inf), wp.float64(0.0)
@@ -214,7 +226,7 @@ def set_box(
     me: int,
     threads: int,
 ):
-    """The box of cells round the body, into the block that the markers read."""
+    """Writes the box of cells round the body into the block that the markers read."""
     l = int(me)
     while l < t.links:
         look_round(t, s, e, l)
@@ -242,9 +254,10 @@ def begin(
     kept: int,
     told: int,
 ):
-    """What the host sent, out of its own memory: the state up to number `told`, and its last; sums it has taken start from zero.
+    """Copies the host's data from the host's memory: the state up to number `told`, its last number, and the block.
 
-    The first `kept` numbers of the state go on from the steps before, and so does the block: then all sums are new.
+    With `kept` > 0 the first `kept` numbers of the state, and the block, stay as the previous steps left them. Sums restart from
+    zero if the host has read them, or if `kept` > 0.
     """
     me, threads = wp.tid(), wp.block_dim()
     k = int(me) + kept
@@ -290,9 +303,9 @@ def follow(
     real: wp.array(dtype=wp.float64),
     state: wp.array(dtype=wp.float64),
 ):
-    """The state after the step (`moves`), pose and box of cells round it; `measured` = 0: the interior water moves along.
+    """Computes the state after the step (`moves`), its pose and its box of cells.
 
-    `weighs`: the equation of the `next` step, too.
+    `measured` = 0: the interior water moves with the links. `weighs`: also assembles the equation of the `next` step.
     """
     me, threads = wp.tid(), wp.block_dim()
     touch_all(whole, real, state, block, me, threads)
@@ -323,11 +336,15 @@ def follow(
     __syncthreads();
 #endif
 """)
-def wait_for_host_memory(): ...
+def wait_for_host_memory():
+    """Waits until the block's writes to the host's memory are visible there."""
+    ...
 
 
 @wp.func_native("*(volatile double*)(values.data + i) = value;")
-def write_at_once(values: wp.array(dtype=wp.float64), i: int, value: wp.float64): ...
+def write_at_once(values: wp.array(dtype=wp.float64), i: int, value: wp.float64):
+    """Writes a number without caching, so that the host sees it."""
+    ...
 
 
 @wp.kernel
@@ -336,7 +353,10 @@ def give_back(
     on_host: wp.array(dtype=wp.float64),
     wrench: wp.array2d(dtype=wp.float64),
 ):
-    """The wrenches behind all but the last number of the state, and when these are there that one: the host waits for it."""
+    """Writes the wrenches and all but the last number of the state to the host; once these are there, the last one.
+
+    The host waits for the last number.
+    """
     me, threads, last = wp.tid(), wp.block_dim(), state.shape[0] - 1
     k = int(me)
     while k < last:
@@ -352,7 +372,7 @@ def give_back(
 
 
 def side_by_side(structs: list, kind: type, device: Any) -> wp.array:
-    """All arrays of numbers of one kind that the structs own, in one array, of which they become parts; returns it."""
+    """Packs all arrays of one number type that the structs own into one array, of which they become views; returns it."""
     owned = [(one, name) for one in structs for name in one._cls.vars if _owns(getattr(one, name), kind)]
     places = np.cumsum([0] + [-(-getattr(one, name).size // 8) * 8 for one, name in owned])  # each at the begin of a cache line
     made = wp.zeros(max(int(places[-1]), 1), dtype=kind, device=device)

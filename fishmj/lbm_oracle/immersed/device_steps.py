@@ -1,12 +1,12 @@
-"""Several coupled steps in a row that never wait for the host: the body moves on the device, too.
+"""Several coupled steps in a row without waiting for the host: the body also moves on the device.
 
     before   the host's block with the place of the body, state, servo commands of all steps    one launch of a graph
     a step   the water's response K, b0, solve  beside the interior water's speed
              F -> G, the water's step           beside v+ -> state -> pose, box -> the next step's equation, and its markers
     after    state, servo torques and joint rates of every step, wrenches, to the host          one wait, not for the water
 
-Where the commands are known a run ahead, `queue_next` sets the device to work on the next steps before the host has looked at
-these: it goes on from its own state.
+If the commands are known one run ahead, `queue_next` starts the next steps before the host has read these back: the device
+continues from its own state.
 
 The arithmetic is that of `body.py` and `link_dynamics.py`, with a thread for each link and each degree of freedom
 (`device_body.py`), and that of `kernels.py`, with a warp for each marker (`marker_warps.py`). The host's MuJoCo takes the
@@ -37,7 +37,7 @@ OFTEN = 2000  # looks at the host's memory between two at the device
 
 
 class Seen(NamedTuple):
-    """Of the steps that were done together."""
+    """Results of the steps of one run."""
 
     torque: np.ndarray  # (S, A) N m, of the servos, at the start of each step
     rate: np.ndarray  # (S, n) m/s and rad/s, at the same times
@@ -45,7 +45,7 @@ class Seen(NamedTuple):
 
 
 class Queued(NamedTuple):
-    """Steps that the device has to do."""
+    """One run that the device has to do."""
 
     number: int
     command: np.ndarray  # (S, A) rad
@@ -54,12 +54,12 @@ class Queued(NamedTuple):
 
 
 class DeviceSteps:
-    """`count` steps of a coupled fish at a time.
+    """Does `count` steps of a coupled fish at a time.
 
     Args:
-        coupled: fish and water; servo gains, masses and damping of its model are taken as they are now.
+        coupled: fish and water; servo gains, masses and damping of its model are read once, now.
         count: steps that `run` does.
-        warps: the markers' kernels of `marker_warps.py`, which two passes ask for; by default on an accelerator.
+        warps: use the markers' kernels of `marker_warps.py`, which need two passes; by default on an accelerator.
 
     Raises:
         ConfigError: the explicit scheme, a body with an equation of its own, links that can part without bounds, or a model with
@@ -103,13 +103,13 @@ class DeviceSteps:
         self._threads = fsi_solve.BLOCK if device.is_cuda else 1
         fits = self.boundary.passes == PASSES and (device.is_cuda if warps is None else warps)
         self._warps = MarkerWarps(self.boundary, self.fluid.f.dtype) if fits else None
-        # ahead of other tanks' water: a few small blocks at a time, for which everything else waits
+        # higher priority than other tanks' water: a few small blocks at a time, for which everything else waits
         self._side = wp.Stream(device, priority=-1) if device.is_cuda else None
         self._queued: list[Queued] = []
         self._runs = 0
 
     def _motions_of(self, body: ImmersedBody, here: dict[str, wp.array], first: Motion) -> list:
-        """The state in each step: its own commands and torques, all else is used again."""
+        """State structs of all steps: each has its own commands and torques; all other arrays are shared."""
         device, n, size = self.fluid.device, body.dofs, max(body.model.nu, 1)  # an array without entries cannot be cut
         again = ("screw", "drift", "momentum", "arm", "turned", "force", "mass_matrix", "bias", "passive")
         shared = {name: getattr(first, name) for name in again} | {"qpos": here["qpos"], "qvel": here["qvel"], "pose": first.pose}
@@ -120,7 +120,7 @@ class DeviceSteps:
         return made
 
     def _inside_of(self, body: ImmersedBody, here: dict[str, wp.array], k: int) -> Inside:
-        """The water inside in step k: each measures a speed of its own, all else is used again."""
+        """Interior water in step k: each step measures a speed of its own; all other arrays are shared."""
         e: Any = Inside()  # its fields are Warp's
         corners, water, device = self.boundary.corners, body.water, self.fluid.device
         make = lambda values: wp.array(np.ascontiguousarray(values, float).reshape(-1), dtype=wp.float64, device=device)
@@ -140,7 +140,7 @@ class DeviceSteps:
         return e
 
     def run(self, command: np.ndarray, held: np.ndarray | None = None) -> Seen:
-        """`count` steps; arguments as of `queue`, raises as `queue` and `finish`."""
+        """Does `count` steps; arguments as `queue`, raises as `queue` and `finish`."""
         self.queue(command, held)
         try:
             return self.finish()
@@ -148,14 +148,15 @@ class DeviceSteps:
             self.coupled.join_stream()
 
     def queue(self, command: np.ndarray, held: np.ndarray | None = None) -> None:
-        """Set the device to work on them; the host may look after another tank meanwhile.
+        """Starts the steps on the device; the host may serve another tank meanwhile.
 
         Args:
-            command: (count, A) rad, of the servos in each step. held: (n,) 1 where the velocity is zero in all of them.
+            command: (count, A) rad, targets of the servos in each step.
+            held: (n,) 1 for velocities that are zero in all of them.
 
         Raises:
-            ConfigError: not a command for every step and servo; or a marker is so near to a face that its kernel would read
-                beyond it, at the start.
+            ConfigError: not a command for every step and servo; or a marker is so near to a face at the start that its kernel
+                would read beyond it.
         """
         body, command = self.coupled.body, self._checked(command)
         fixed = np.zeros(body.dofs) if held is None else np.asarray(held, float)
@@ -168,12 +169,12 @@ class DeviceSteps:
         self._send(command, fixed, 0)
 
     def queue_next(self, command: np.ndarray) -> None:
-        """The steps behind those that were queued and not finished, from the state that the device will be in then.
+        """Queues the steps that follow those under way, from the state in which the device will then be.
 
-        What is held stays so.
+        The same velocities stay held.
 
         Raises:
-            ConfigError: not a command for every step and servo; or there are no such steps, or two sets of them.
+            ConfigError: not a command for every step and servo; no steps are under way, or two sets of them are.
         """
         if not self.goes_on or len(self._queued) != 1:
             raise ConfigError(f"steps on the device: {len(self._queued)} sets under way; `queue_next` goes behind one")
@@ -181,12 +182,12 @@ class DeviceSteps:
 
     @property
     def goes_on(self) -> bool:
-        """Can the next steps be queued behind those under way?"""
+        """Returns True if the next steps can be queued behind those under way."""
         return self._warps is not None
 
     @property
     def under_way(self) -> int:
-        """Sets of steps that were queued and not finished."""
+        """Number of sets of steps that were queued and not finished."""
         return len(self._queued)
 
     def _checked(self, command: np.ndarray) -> np.ndarray:
@@ -196,7 +197,7 @@ class DeviceSteps:
         return numbers("steps on the device: command", command, shape)
 
     def _send(self, command: np.ndarray, fixed: np.ndarray, kept: int) -> None:
-        """What the host says anew of every set of steps, and their launch."""
+        """Writes the host's input of one set of steps, and launches them."""
         self._runs += 1
         told = self._mail[self._runs % 2].told
         told["applied"][:], told["total"][:], told["fastest"][:] = self.coupled.body.applied, 0.0, 0.0
@@ -208,19 +209,19 @@ class DeviceSteps:
             self.coupled.graphs.launch("steps", self.launch, (self.count, kept, self._runs % 2))
 
     def ready(self) -> bool:
-        """Is the state on the host that the oldest of the steps under way end in? The water may still be under way."""
+        """Returns True if the final state of the oldest steps under way is on the host. The water may still be under way."""
         number = self._queued[0].number
         return self.coupled.graphs is None or self._mail[number % 2].found["done"][0] == number
 
     def finish(self, audit: bool = False) -> Seen:
-        """Wait for the state, and hand it to MuJoCo; the water may still be under way (`FluidStructure.join_stream`).
+        """Waits for the state and hands it to MuJoCo; the water may still be under way (`FluidStructure.join_stream`).
 
         Args:
-            audit: MuJoCo does the same steps first, and the two are compared; nothing may be queued behind them.
+            audit: MuJoCo does the same steps first, and both results are compared; nothing may be queued behind them.
 
         Raises:
-            SimDiverged: a velocity is not finite or runs away, or (`audit`) MuJoCo found something else. The body is then as it
-                was before; the water is not.
+            SimDiverged: a velocity is not finite or too large, or (`audit`) MuJoCo found something else. The body is then as
+                before; the water is not.
         """
         graphs = self.coupled.graphs
         while not self.ready():
@@ -242,7 +243,7 @@ class DeviceSteps:
         return Seen(torque.copy(), rate.copy(), float(found["fastest"][0]))
 
     def _judge(self) -> None:
-        """Raise SimDiverged for a state that MuJoCo cannot take."""
+        """Raises SimDiverged for a state that MuJoCo cannot take."""
         body, found, time = self.coupled.body, self.found, self.coupled.time
         speed, within = np.abs(found["qvel"]), f"within {self.count} steps from t = {time:.4g} s"
         if not speed.max() < RUNAWAY:  # nan is never less
@@ -252,7 +253,7 @@ class DeviceSteps:
             raise SimDiverged(message, time=time, term="coupling", link=joint)
 
     def _take(self) -> None:
-        """The state at the end, into MuJoCo's."""
+        """Copies the final state into MuJoCo's."""
         body, found, d = self.coupled.body, self.found, self.coupled.body.data
         d.qpos[:], d.qvel[:] = found["qpos"], found["qvel"]
         mujoco.mj_normalizeQuat(body.model, d.qpos)
@@ -267,10 +268,10 @@ class DeviceSteps:
         self.coupled.steps, self.coupled.together = self.coupled.steps + self.count, self.count
 
     def _audit(self, command: np.ndarray, held: np.ndarray) -> None:
-        """MuJoCo's own steps, `mj_step` to the velocity of each, beside what the device did; the body is put back.
+        """Compares MuJoCo's own steps, `mj_step` to the velocity of each, with the device's; the body is put back.
 
-        Compared: servo torques of every step, the state at the end, and in the last step the velocity that MuJoCo's masses and
-        forces give with the response of the water that the device found there.
+        Compared are the servo torques of every step, the final state, and in the last step the velocity that follows from
+        MuJoCo's masses and forces with the response of the water that the device found.
 
         Raises:
             SimDiverged: they differ by more than `AGREES`.
@@ -314,10 +315,10 @@ class DeviceSteps:
             body.place(qpos, qvel, speed)
             body.momentum[:] = momentum
 
-    # launches: no look at the host, so that a graph can hold them -------------------------------------------------------
+    # launches: none waits for the host, so that a graph can hold them ---------------------------------------------------
 
     def launch(self) -> None:
-        """Queue all of it."""
+        """Queues all steps."""
         boundary, fluid, tree = self.boundary, self.fluid, self._tree
         block, at, wrench = boundary.host, boundary.layout, boundary.wrench_sum
         number, kept = self._queued[-1].number, self._queued[-1].kept
@@ -360,7 +361,7 @@ class DeviceSteps:
         self._join(self._side)
 
     def _follow(self, k: int, moves: int) -> None:
-        """Queue the state after step k, or the pose of the state as it is, and the equation of the step that comes then."""
+        """Queues the state after step k (`moves`), or the pose of the present state, and the equation of the following step."""
         coming = k + moves
         weighs, coming = int(coming < self.count), min(coming, self.count - 1)
         block, at, measured = self.boundary.host, self.boundary.layout, int(self.boundary.interior is not None)
@@ -369,19 +370,19 @@ class DeviceSteps:
         self._launch(device_body.follow, [*args, *self._all, self._state])
 
     def _place(self) -> None:
-        """Queue where the markers are, after `follow`."""
+        """Queues the markers' positions, after `follow`."""
         if self._warps is not None:
             self._warps.place()
 
     def _weigh(self, k: int) -> None:
-        """Queue the body's equation of step k."""
+        """Queues the body's equation of step k."""
         block, at, rate = self.boundary.host, self.boundary.layout, self._rates[k]
         args = [self._tree, self._motions[k], self._insides[k], block, at, rate, *self._all, self._state]
         self._launch(device_body.equation, args)
 
     @contextmanager
     def _beside(self, stream: "wp.Stream | None") -> Iterator[None]:
-        """Launches inside come behind what was queued so far, and beside what will be, until `_join`."""
+        """Launches inside come after all work queued so far, and run in parallel with later work until `_join`."""
         if stream is None:
             yield
             return
@@ -398,7 +399,7 @@ class DeviceSteps:
 
 
 class _Mail:
-    """What the host sends of the state and what comes back: by name in the host's own memory, and as the device sees them."""
+    """Blocks of pinned memory between host and device: fields by name on the host, flat arrays on the device."""
 
     def __init__(self, sizes: dict[str, int], wrenches: int, device: Any):
         whole = sum(sizes.values())

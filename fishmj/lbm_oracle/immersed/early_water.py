@@ -1,10 +1,10 @@
-"""On the CPU: water that this step's force cannot reach is stepped while the markers ask the water round them.
+"""On the CPU, water out of reach of this step's force is stepped while the markers read the water round them.
 
     response, solve, spread      one core: small kernels in one thread
-    far planes of x              the other cores, from the step's begin on
+    far planes of x              the other cores, from the start of the step
     near planes                  all cores, as soon as the force is known
 
-A plane of x needs the last step's water only, so the parts may come in any order: every figure is the same to the bit.
+A plane of x needs the last step's water only, so the parts may come in any order: every number is the same to the bit.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ SMALL = 2  # so many of them, those at the end, are halved: all cores end togeth
 
 
 class EarlyWater:
-    """One step of a `Fluid` in parts, on several cores."""
+    """Does one step of a `Fluid` in parts, on several cores."""
 
     def __init__(self, fluid: Fluid):
         self.fluid, self._grain = fluid, max(THINNEST, fluid.shape[0] // (SHARE * fluid.threads))
@@ -29,7 +29,7 @@ class EarlyWater:
         self._lock, self._working = Lock(), 0  # threads that look for parts
 
     def begin(self, first: int, count: int) -> None:
-        """Start on all but `count` world planes of x from `first` on, which hold all cells that a force may reach."""
+        """Starts all planes except `count` world planes of x from `first` on, which hold all cells that a force may reach."""
         size, grain = self.fluid.shape[0], self._grain
         low = first // grain * grain
         wide = -(-(first + count) // grain) * grain - low
@@ -38,7 +38,7 @@ class EarlyWater:
         self._begin(self._parts(self._near[0] + self._near[1], size - self._near[1]))
 
     def finish(self) -> None:
-        """The rest of the step, the force being known; then it is counted."""
+        """Does the rest of the step once the force is known, and counts the step."""
         self._begin(self._parts(*self._near, small=SMALL * self._grain))
         with self._lock:
             self._working += 1
@@ -48,7 +48,7 @@ class EarlyWater:
         self.fluid.skip(1)
 
     def _parts(self, first: int, count: int, small: int = 0) -> list[Any]:
-        """The launches of so many world planes; the last `small` of them in half parts, so that all cores end together."""
+        """Launches for so many world planes; the last `small` of them in half parts, so that all cores end together."""
         made = []
         for start, planes in pieces(first, count, self.fluid.shape[0]):
             low, end = start, start + planes
@@ -59,7 +59,7 @@ class EarlyWater:
         return made
 
     def _begin(self, parts: Iterable[Any]) -> None:
-        """Let all other cores look for these, too; a thread more than there are cores would keep one waiting in its part."""
+        """Offers the parts to all other cores; one thread more than there are cores would delay one of them."""
         with self._lock:
             self._waiting.extend(parts)
             more = self.fluid.threads - 1 - self._working
@@ -67,7 +67,7 @@ class EarlyWater:
         self._workers += [pool().submit(self._work) for _ in range(more)]
 
     def _work(self) -> None:
-        """Part after part until none waits."""
+        """Runs part after part until none is left."""
         while True:
             with self._lock:
                 if not self._waiting:

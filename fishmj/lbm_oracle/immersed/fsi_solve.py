@@ -1,7 +1,7 @@
 """Small dense work on the device: K and b0 from the markers, the joint-space solve, and the wrench on every link.
 
-Sums run in float64 and in a fixed order (chunks of markers, then chunks), so that a run repeats to the bit on the CPU and
-no atomics of these sums differ on a GPU.
+Sums run in float64 and in a fixed order (markers of a chunk, then chunks) without atomics. They repeat to the bit, on the CPU
+and on a GPU.
 """
 
 import warp as wp
@@ -24,7 +24,7 @@ OVER_WARP = """
 
 @wp.kernel
 def fetch(sent: wp.array(dtype=wp.float64), host: wp.array(dtype=wp.float64)):
-    """What the host sent, out of its own memory."""
+    """Copies the host's block from the host's memory."""
     k = wp.tid()
     host[k] = sent[k]
 
@@ -47,12 +47,14 @@ def response_part(
 
 
 @wp.func_native(OVER_WARP)
-def over_warp(x: wp.float64) -> wp.float64: ...
+def over_warp(x: wp.float64) -> wp.float64:
+    """Sum of x over the lanes of a warp."""
+    ...
 
 
 @wp.func
 def over_chunks(part: wp.array3d(dtype=wp.float64), i: int, j: int, lane: int, lanes: int):
-    """sum_c part[c, i, j], by the lanes of a warp together; by one thread on the CPU."""
+    """Sum over c of part[c, i, j], by the lanes of a warp together; by one thread on the CPU."""
     s = wp.float64(0.0)
     c = int(lane)
     while c < part.shape[0]:
@@ -75,19 +77,27 @@ def response_total(part: wp.array3d(dtype=wp.float64), scale: wp.float64, lanes:
     __syncthreads();
 #endif
 """)
-def wait_for_block(): ...
+def wait_for_block():
+    """Waits for all threads of the block; does nothing on the CPU."""
+    ...
 
 
 @wp.func_native("return values.data[i];")  # plain: Warp's own index folds and multiplies, in loops that wait for each load
-def read(values: wp.array(dtype=wp.float64), i: int) -> wp.float64: ...
+def read(values: wp.array(dtype=wp.float64), i: int) -> wp.float64:
+    """Plain load of a double."""
+    ...
 
 
 @wp.func_native("return values.data[i];")
-def read(values: wp.array(dtype=wp.int32), i: int) -> wp.int32: ...  # noqa: F811  an overload
+def read(values: wp.array(dtype=wp.int32), i: int) -> wp.int32:  # noqa: F811  an overload
+    """Plain load of an integer."""
+    ...
 
 
 @wp.func_native("values.data[i] = value;")
-def write(values: wp.array(dtype=wp.float64), i: int, value: wp.float64): ...
+def write(values: wp.array(dtype=wp.float64), i: int, value: wp.float64):
+    """Plain store of a double."""
+    ...
 
 
 @wp.func
@@ -101,7 +111,7 @@ def gather(
     me: int,
     threads: int,
 ):
-    """[A + K | right - b0] into `rows`; a prescribed velocity replaces its row."""
+    """Assembles [A + K | right - b0] in `rows`; a prescribed velocity replaces its row."""
     n, k, i = at.dofs, int(me), int(me)
     while k < n * n:
         row = k // n
@@ -124,11 +134,11 @@ def gather(
 
 @wp.func
 def pivot_row(rows: wp.array(dtype=wp.float64), step: wp.array(dtype=int), p: int, n: int) -> int:
-    """Of the rows that no step before p took, the first with the greatest entry in column p."""
+    """First row with the greatest entry in column p, of the rows that no earlier step took."""
     found, greatest = int(n), wp.float64(0.0)
     for i in range(n):
         size = wp.abs(read(rows, (n + 1) * i + p))
-        # >= p: a thread that is ahead may have entered this step's own choice
+        # >= p: a faster thread may already have written this step's choice
         if read(step, i) >= p and (found == n or size > greatest):
             found, greatest = i, size
     return found
@@ -148,14 +158,14 @@ def solve_block(
     me: int,
     threads: int,
 ):
-    """`solve` by thread `me` of a block of so many `threads`, all of which call it."""
+    """Does the work of `solve` in thread `me` of a block of `threads`, all of which call it."""
     n = at.dofs
     wide = n + 1
     across = wp.min(threads, wp.static(WARP))
     column, row, down = me % across, me // across, threads // across
     gather(host, at, water, implicit, rows, step, me, threads)
     wait_for_block()
-    # pivots, though M is symmetric: K is so only without slip, and a row that a tether replaced is not
+    # pivots although M is symmetric: K is symmetric only without slip, and a row that a tether replaced is not
     for p in range(n):
         found = pivot_row(rows, step, p, n)  # every thread finds the same: one wait less than if one told the others
         if me == 0:
@@ -184,7 +194,7 @@ def solve_block(
     while k < n:
         x = read(rows, wide * pivots[k] + n)
         v[k] = x
-        # the explicit scheme pushes the water by the old velocity, which is what makes it explicit
+        # the explicit scheme pushes the water with the old velocity
         target[k] = wp.where(implicit == 0 and host[at.fixed + k] < wp.float64(0.5), host[at.before + k], x)
         k += threads
 
@@ -201,14 +211,14 @@ def solve(
     v: wp.array(dtype=wp.float64),
     target: wp.array(dtype=wp.float64),
 ):
-    """(A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
+    """Solves (A + K) v = right - b0 by elimination with pivots; prescribed velocities replace their rows.
 
-    One block of threads for any number n of degrees of freedom; a thread alone on the CPU. The loops run at run time: unrolled
-    for n, as the matrix in the registers of one thread wants them, they take minutes to compile from n = 18 on.
+    One block of threads for any number n of degrees of freedom; one thread on the CPU. The loops are not unrolled: unrolled for
+    n, with the matrix in the registers of one thread, they take minutes to compile from n = 18 on.
 
     Args:
         implicit: 0 is the explicit coupling (the water sees the old velocity), kept to show that it fails.
-        rows: n (n + 1), the matrix and the right-hand side by rows. step: (n,) in which each row is the pivot's.
+        rows: n (n + 1), the matrix and the right-hand side by rows. step: (n,) step in which each row is the pivot row.
         pivots: (n,) row of each step.
     """
     solve_block(host, at, water, implicit, rows, step, pivots, v, target, wp.tid(), wp.block_dim())
@@ -228,7 +238,7 @@ def wrench(
 ):
     """part[c, l] = impulse (3) of the water on link l and its moment (3) about the link's origin, before scaling to SI.
 
-    A marker of the bend zone pushes on its two links by its share.
+    A marker of the bend zone acts on its two links by its share.
     """
     c, l = wp.tid()
     push, turn = wp.vec3d(), wp.vec3d()
@@ -261,7 +271,7 @@ def add_wrench(
     total: wp.array2d(dtype=wp.float64),
     on_host: wp.array2d(dtype=wp.float64),
 ):
-    """total[l] += scale sum_c part[c, l], from zero where the host has taken the sum so far; `on_host` is the host's copy."""
+    """total[l] += scale sum_c part[c, l]; it restarts from zero after the host has read the sum. `on_host` is the host's copy."""
     l, i, lane = wp.tid()
     s = over_chunks(part, l, i, lane, lanes)
     if lane == 0:

@@ -1,4 +1,4 @@
-"""The immersed boundary: markers pose, read the fluid, answer linearly to the body's velocity, and push back.
+"""The immersed boundary: markers take their pose, read the fluid, respond linearly to the body's velocity, and push the fluid.
 
 For marker k with position X_k, unit normal n_k, volume V_k and Jacobian J_k (U = J_k v), lattice units, rho0 = 1:
 
@@ -12,7 +12,7 @@ For marker k with position X_k, unit normal n_k, volume V_k and Jacobian J_k (U 
 Departures from the textbook (Wang, Fan, Luo 2008; Kang, Hassan 2011):
     1. the slip target is frozen over the passes, so that the tangential force does not depend on their number;
     2. the spread force is divided by the local density, so that sum(rho G) = sum(V F) to round-off;
-    3. no marker is ever looped over in Python, and nothing but v crosses to the host in a step.
+    3. Python never loops over markers, and only v is transferred to the host in a step.
 
 d is regularised: the same function interpolates and spreads, so that the two are adjoint. With r in cells:
 
@@ -23,14 +23,14 @@ d is regularised: the same function interpolates and spreads, so that the two ar
 
 Both sum to one and conserve the first moment wherever the marker lies between the cells.
 
-The water inside the hull is measured along each link, since a frictionless hull does not take it along:
+The speed of the water inside the hull is measured along each link, because a frictionless hull does not move it:
 
     s_l = sum_p w_p t_l . u*(x_p)          x_p: points of link l's own volume, t_l: its axis, sum_p w_p = 1
 
-between the eight nodes round a point. Across the link the wall is impermeable and its water moves with it; along it, only as far
-as friction and the closed ends carry it, which no ratio says beforehand.
+interpolated between the eight nodes round a point. Across the link the wall is impermeable and its water moves with it. Along the
+link only friction and the closed ends move the water, so its speed must be measured.
 
-The kernels below run one marker (and right-hand side, and plane of its cells) a thread, on CPU and GPU alike.
+Each thread of the kernels below has one marker (and one right-hand side, or one plane of its cells), on CPU and GPU alike.
 """
 
 from typing import Any, NamedTuple
@@ -80,7 +80,7 @@ def weight(x: wp.vec3, i: int, j: int, k: int, width: int) -> float:
 
 
 def check_width(width: int) -> int:
-    """`width` if there is such a kernel."""
+    """Returns `width` if there is such a kernel. Raises ConfigError."""
     if width not in WIDTHS:
         raise UnknownName("kernel width", str(width), WIDTHS)
     return width
@@ -88,7 +88,7 @@ def check_width(width: int) -> int:
 
 @wp.struct
 class CouplingArrays:
-    """Where things lie in the float64 block that the host sends every step; L links, n degrees of freedom."""
+    """Offsets of the fields in the float64 block that the host sends every step; L links, n degrees of freedom."""
 
     links: int
     dofs: int
@@ -134,7 +134,7 @@ def pose(
     store: wp.array(dtype=wp.vec3i),
     jacobian: wp.array2d(dtype=wp.vec3),
 ):
-    """Positions in the world [m], in box cells, normals, and Jacobians [cells a step per unit velocity]."""
+    """Computes positions in the world [m] and in box cells, normals, and Jacobians [cells a step per unit velocity]."""
     k = wp.tid()
     if k < 3:  # nodes where the fluid will look for a force: the box, or all of an axis that wraps round
         acts[k] = wp.where(wraps[k] == 1, corner[k], int(host[at.box + k]))
@@ -149,7 +149,7 @@ def pose(
     out = rotation * wp.vec3d(c * m[0] - sn * m[1], sn * m[0] + c * m[1], m[2])
     world[k] = x
     normal[k] = wp.vec3(float(out[0]), float(out[1]), float(out[2]))
-    # in float64 up to here and relative to the box from here on: single precision would lose the fraction of a far cell
+    # float64 up to here, relative to the box from here on: single precision would lose the fraction of a distant cell
     grid = (x - point3(host, at.origin)) / dx
     low = point3(host, at.box)
     inner = grid - low
@@ -175,11 +175,12 @@ def pose(
 def pulled(f: wp.array(dtype=Any), x: int, y: int, z: int, shape: wp.vec3i):
     """rho and rho u* of a cell, from the populations that its next step pulls.
 
-    It wraps round on every axis and knows no faces: `Boundary.place_markers` refuses a body so near to one that it mattered.
+    It wraps round on every axis and ignores faces: `Boundary.place_markers` refuses a body so near to a face that it would
+    matter.
     """
     rho, m = wp.float32(1.0), wp.vec3(0.0, 0.0, 0.0)  # populations are stored less their weight
     cells = shape[0] * shape[1] * shape[2]
-    # of the neighbour at -c, 0, c: nine instead of 57 remainders
+    # coordinates of the neighbours at -c, 0, c: nine instead of 57 remainders
     at_x = shape[1] * shape[2] * wp.vec3i(wrap(x + 1, shape[0]), wrap(x, shape[0]), wrap(x - 1, shape[0]))
     at_y = shape[2] * wp.vec3i(wrap(y + 1, shape[1]), wrap(y, shape[1]), wrap(y - 1, shape[1]))
     at_z = wp.vec3i(wrap(z + 1, shape[2]), wrap(z, shape[2]), wrap(z - 1, shape[2]))
@@ -202,12 +203,12 @@ def read_cells(
     box_u: wp.array3d(dtype=wp.vec3),
     box_rho: wp.array3d(dtype=float),
 ):
-    """u* and rho of the cells that marker k touches; markers that share a cell write the same numbers."""
+    """Computes u* and rho of the cells that marker k touches; markers that share a cell write the same numbers."""
     k, o = wp.tid()
     i, j, l = o // (width * width), (o // width) % width, o % width
     at = store[k]
     x, y, z = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
-    # only where a marker touches: velocities of the whole box would cost a second pass over memory
+    # only the cells that a marker touches: velocities of the whole box would cost a second pass over memory
     rho, m = pulled(f, x, y, z, shape)
     p = cell[k]
     bx, by, bz = first(p[0], width) + i, first(p[1], width) + j, first(p[2], width) + l
@@ -226,11 +227,11 @@ def set_target(
     wanted: wp.array2d(dtype=wp.vec3),
     force: wp.array2d(dtype=wp.vec3),
 ):
-    """First pass: wanted velocity change of marker k for right-hand side r; r = 0 is a body at rest in the fluid as it is."""
+    """First pass: wanted velocity change of marker k for right-hand side r; r = 0 is a body at rest in the present fluid."""
     k, r = wp.tid()
     n, s = normal[k], slip[k]
     change = wp.vec3(0.0, 0.0, 0.0)
-    # frozen here for all passes: a target that followed u* would make the friction depend on their number
+    # frozen for all passes: with a target that follows u*, the friction would depend on the number of passes
     if r == 0:
         p, u = cell[k], wp.vec3(0.0, 0.0, 0.0)
         x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
@@ -264,13 +265,14 @@ def spread(
         wy = wx * phi(p[1] - float(y + j), width)
         for l in range(width):
             w = wy * phi(p[2] - float(z + l), width)
-            # over the local density, so that sum rho G = sum V F: over 1, the water would gain rho times what the markers give
+            # divided by the local density, so that sum rho G = sum V F; otherwise the water would gain rho times the markers'
+            # force
             wp.atomic_add(scratch, x + i, y + j, z + l, r, (w / box_rho[x + i, y + j, z + l]) * push)
 
 
 @wp.kernel
 def fold(axis: int, period: int, scratch: wp.array4d(dtype=wp.vec3)):
-    """Cells a period apart along an axis of the box are one cell of water: each gets the sum over all of them."""
+    """Sums the cells of the box that are a period apart along an axis, and so one cell of water; each gets the sum."""
     i, j, k, r = wp.tid()
     at = wp.vec3i(i, j, k)
     total, size = wp.vec3(0.0, 0.0, 0.0), scratch.shape[axis]
@@ -292,7 +294,7 @@ def correct(
     scratch: wp.array4d(dtype=wp.vec3),
     force: wp.array2d(dtype=wp.vec3),
 ):
-    """One more pass: F_k += wanted_k - G_k."""
+    """Does one more pass: F_k += wanted_k - G_k."""
     k, r = wp.tid()
     p, got = cell[k], wp.vec3(0.0, 0.0, 0.0)
     x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
@@ -355,7 +357,7 @@ class Points(NamedTuple):
 
     @classmethod
     def of(cls, g: Geometry) -> "Points":
-        """Four a strip, at half the half-axes of its elliptic section: exact for what is quadratic across it."""
+        """Four points for each strip, at half the half-axes of its elliptic section: exact for a quadratic function across it."""
         ds = ((g.span[:, 1] - g.span[:, 0]) / g.strip_x.shape[1])[:, None]
         width, height = g.strip_w / ds, g.strip_h / ds
         area = width * height / (width * height).sum(1, keepdims=True)
@@ -378,7 +380,7 @@ def measure(
     shape: wp.vec3i,
     along: wp.array2d(dtype=float),
 ):
-    """The share of t . u* at point p that node o of the eight round it has, lattice units."""
+    """Contribution of node o, of the eight round point p, to t . u* there, lattice units."""
     p, o = wp.tid()
     frame = at.frame + 12 * link[p]
     rotation = matrix3(host, frame + 3)
@@ -386,7 +388,7 @@ def measure(
     axis = wp.vec3(float(rotation[0, 0]), float(rotation[1, 0]), float(rotation[2, 0]))
     low = wp.vec3i(int(wp.floor(x[0])), int(wp.floor(x[1])), int(wp.floor(x[2])))
     part = wp.vec3(float(x[0]) - float(low[0]), float(x[1]) - float(low[1]), float(x[2]) - float(low[2]))
-    # trilinear: the markers' kernel reaches 1.5 cells, out of a hull that is three cells wide
+    # trilinear: the markers' kernel reaches 1.5 cells and would leave a hull that is three cells wide
     i, j, k = o // 4, (o // 2) % 2, o % 2
     weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
     rho, m = pulled(f, low[0] + i, low[1] + j, low[2] + k, shape)
@@ -401,7 +403,7 @@ def mean(
     scale: wp.float64,
     speed: wp.array(dtype=wp.float64),
 ):
-    """s_l, m/s; link l's points are those from begin[l] on, up to the next link's."""
+    """Computes s_l, m/s; the points of link l begin at begin[l] and end where the next link's begin."""
     l = wp.tid()  # one thread a link in a fixed order of points: atomics would cost the repetition to the bit
     total = wp.float32(0.0)
     for p in range(begin[l], begin[l + 1]):

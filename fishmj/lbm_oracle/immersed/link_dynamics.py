@@ -1,19 +1,19 @@
-"""How the links of a body and the water inside them move: the host's arithmetic of a step, compiled.
+"""Motion of a body's links and of the water inside them: the host's arithmetic of a step, compiled.
 
     c_l = p_l + R_l r_l                            centre of link l's water, at r_l in its frame
     (u_l, w_l) = J_l v                             its motion; columns (a x (c_l - o), a) of a hinge, (a, 0) of a slide
-    h_l = (m_l (u_l + t_l (s_l - t_l . u_l)),      its momentum; s_l along the link as measured, nan for as the link moves
+    h_l = (m_l (u_l + t_l (s_l - t_l . u_l)),      its momentum; s_l: measured along the link; nan: it moves with the link
            R_l I_l R_l^T w_l)
     right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g)
 
-The boxes round the markers of every link say which part of the water they span, and how fast their corners move:
+The boxes round the markers of every link give the part of the water that they span, and the speed of their corners:
 
     x = p_l + R_l c                                 low and high corner of the upright box round all
-    first = round((middle - o) / dx - n / 2)        first of the n cells from o on whose middle lies nearest to the box's
+    first = round((middle - o) / dx - n / 2)        first of the n cells whose middle is nearest to the box's; grid from o
     speed = |u_l + w_l x R_l (c - r_l)|             of corner c, from the twist (u, w) at r_l
 
-A few hundred multiplications take about as long as one call of NumPy does; so each kernel is one call, and one thread. The
-arrays are MuJoCo's own or the `ImmersedBody`'s: nothing is copied.
+A few hundred multiplications take about as long as one call of NumPy, so each kernel is one call and one thread. The arrays
+are MuJoCo's own or the `ImmersedBody`'s: nothing is copied.
 """
 
 import ctypes
@@ -32,7 +32,7 @@ HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; one of the world's (FIXED
 
 @wp.struct
 class LinkArrays:
-    """L links, n degrees of freedom, Q coordinates; all float64 but the tables of integers."""
+    """L links, n degrees of freedom, Q coordinates; float64, except the integer tables."""
 
     links: int
     dofs: int
@@ -61,7 +61,7 @@ class LinkArrays:
 
 @wp.struct
 class LinkDynamics:
-    """What the equation of a step adds to them; `interior`: whether the interior water's gain counts."""
+    """Arrays of a step's equation; `interior`: 1 to include the interior water's gain."""
 
     body: LinkArrays
     interior: int
@@ -84,12 +84,14 @@ class LinkDynamics:
 
 
 @wp.func_native("a.data[at] = v[0]; a.data[at + 1] = v[1]; a.data[at + 2] = v[2];")
-def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d): ...
+def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
+    """Stores a vector at offset `at` of a flat array."""
+    ...
 
 
 @wp.kernel
 def move(s: LinkArrays):
-    """Pose, centres, J, twists and momenta from what `mj_step1` left."""
+    """Computes pose, centres, J, twists and momenta from the results of `mj_step1`."""
     frames, angles = s.pose, 12 * s.links
     axes = angles + s.links
     anchors = axes + 3 * s.dofs
@@ -135,12 +137,12 @@ def move(s: LinkArrays):
 
 @wp.func
 def add_interior(e: LinkDynamics):
-    """I: what the displaced water gained in the last step (if `interior`), and its buoyancy over this one."""
+    """Computes I: the gain of the displaced water in the last step (if `interior`), and its buoyancy over this step."""
     s = e.body
     for d in range(s.dofs):
         e.impulse[d] = wp.float64(0.0)
     for k in range(6 * s.links):
-        # a difference in the world's axes, not M_f a: it holds the Coriolis part by itself, and telescopes over the steps
+        # a difference in the world's axes, not M_f a: it contains the Coriolis part and telescopes over the steps
         e.gain[k] = s.now[k] - e.last[k]
         e.last[k] = s.now[k]
         push = wp.where(e.interior == 1, e.gain[k], wp.float64(0.0)) - e.weight[k]
@@ -150,7 +152,7 @@ def add_interior(e: LinkDynamics):
 
 @wp.kernel
 def assemble(e: LinkDynamics):
-    """M + dt D and the right-hand side."""
+    """Assembles M + dt D and the right-hand side."""
     add_interior(e)
     s = e.body
     n, dt = s.dofs, e.dt[0]
@@ -165,7 +167,7 @@ def assemble(e: LinkDynamics):
 
 @wp.kernel
 def inverse_force(e: LinkDynamics):
-    """The force with which MuJoCo's own step ends at the velocity found: (M + dt D) (v+ - v) / dt - f."""
+    """Computes the force with which MuJoCo's own step ends at the target velocity: (M + dt D) (v+ - v) / dt - f."""
     n = e.body.dofs
     greatest, lost = wp.float64(0.0), wp.float64(0.0)  # a greatest alone would pass over nan, which compares as false
     for i in range(n):
@@ -180,7 +182,7 @@ def inverse_force(e: LinkDynamics):
 
 @wp.kernel
 def compare(e: LinkDynamics):
-    """How far MuJoCo's step ended from it."""
+    """Computes the distance of MuJoCo's result from the target velocity, relative to 1 + the greatest target."""
     off, lost = wp.float64(0.0), wp.float64(0.0)
     for i in range(e.body.dofs):
         gap = e.body.qvel[i] - e.target[i]
@@ -190,7 +192,7 @@ def compare(e: LinkDynamics):
 
 
 def shared(values: np.ndarray, dtype=wp.float64) -> wp.array:
-    """The same memory as a flat Warp array."""
+    """Flat Warp array over the same memory."""
     flat = values.reshape(-1)
     if not np.shares_memory(flat, values):
         raise ValueError("links: only contiguous arrays are shared")
@@ -198,9 +200,9 @@ def shared(values: np.ndarray, dtype=wp.float64) -> wp.array:
 
 
 class Recorded:
-    """One thread of a kernel on the host with its one argument, to be launched again and again.
+    """One thread of a host kernel with its one argument, for repeated launches.
 
-    It calls the compiled function itself: half a microsecond, where Warp's own launch takes 1.7 to get there.
+    It calls the compiled function itself, in half a microsecond; Warp's own launch takes 1.7 before it calls.
     """
 
     def __init__(self, kernel: wp.Kernel, given):
@@ -212,12 +214,13 @@ class Recorded:
         self._bounds, self._whole = ctypes.byref(recorded.bounds), ctypes.byref(whole(argument))
 
     def launch(self) -> None:
+        """Calls the kernel."""
         self._forward(self._bounds, self._whole)
 
 
 @wp.struct
 class Boxes:
-    """Of L links, all float64."""
+    """Arrays of the boxes of L links; float64."""
 
     links: int
     at: wp.array(dtype=wp.float64)  # 24 L, c
@@ -232,7 +235,7 @@ class Boxes:
 
 @wp.kernel
 def surround(b: Boxes):
-    """One thread: a few hundred multiplications."""
+    """Computes the box round all corners, its first cell and its greatest speed; one thread, a few hundred multiplications."""
     far, fast = wp.float64(wp.inf), wp.float64(0.0)
     low, high = wp.vec3d(far, far, far), wp.vec3d(-far, -far, -far)
     for l in range(b.links):
@@ -253,10 +256,11 @@ def surround(b: Boxes):
 
 
 class Corners:
-    """Eight for every link of one body.
+    """Eight corners for every link of one body.
 
     Args:
-        at: (L, 8, 3) m, in the frames of the links. centre: (L, 3) m, the points whose twists are known, in the same frames.
+        at: (L, 8, 3) m, in the frames of the links.
+        centre: (L, 3) m, the points whose twists are known, in the same frames.
     """
 
     def __init__(self, at: np.ndarray, centre: np.ndarray):
@@ -268,7 +272,7 @@ class Corners:
 
     @classmethod
     def of(cls, markers: Markers, centre: np.ndarray) -> "Corners":
-        """Round the markers of every link of which `centre` (L, 3) has a row; a link without markers has its origin."""
+        """Corners round the markers of every link of which `centre` (L, 3) has a row; a link without markers has its origin."""
         at = np.zeros((len(centre), 8, 3))
         for i in range(len(centre)):
             mine = markers.rest[(markers.before == i)]
@@ -278,15 +282,15 @@ class Corners:
         return cls(at, centre)
 
     def set_grid(self, dx: float, corner: Sequence[float], size: Sequence[int]) -> None:
-        """Cells of dx [m] from `corner` (3,) m on, and how many (3,) there are in the box round all."""
+        """Sets the cell size dx [m], the grid's `corner` (3,) m, and the number of cells (3,) in the box round all corners."""
         self.grid, self._surround = (dx, wp.vec3d(*corner), wp.vec3d(*map(float, size))), None
 
     def look(self, pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
         """Low and high corner [m] of the upright box round all, first cell of the box of cells, greatest speed [m/s], (10,).
 
         Args:
-            pose: links' positions and rotations by rows, (12 L,) and more. twist: (L, 6). Their places in memory are remembered;
-                the answer is always written to the same one.
+            pose: links' positions and rotations by rows, (12 L,) or longer.
+            twist: (L, 6). The addresses of both are remembered; the result is always written to the same array.
         """
         if self._surround is None or self._at[0] is not pose or self._at[1] is not twist:
             boxes = Boxes()

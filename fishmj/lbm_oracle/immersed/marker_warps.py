@@ -1,13 +1,15 @@
-"""The markers' part of a step in four kernels, a warp a marker, where `boundary.py` queues thirteen.
+"""The markers' part of a step in four kernels, one warp for each marker; `boundary.py` queues thirteen kernels instead.
 
-    place     where a marker is, its Jacobian, its cells and their weights, F_j of the unit velocities: while the water steps
-    look      u* and rho of its cells, first pass F = wanted, spread into the scratch box
-    answer    second pass F <- 2 F - G, chunks of K and b0; the block that ends last adds them up and solves for v+
-    push      F0 + sum v_j F_j into the fluid's G, the wrench on the links; the scratch box is clear again
+    kernel    computes                                                     fuses (kernels.py and fsi_solve.py)
+    place     pose, Jacobian, cells, weights, F_j of unit velocities       pose, weight, set_target for r > 0
+    look      u* and rho of the cells, F = wanted, spread                  clear_force, read_cells, set_target for r = 0, spread
+    answer    second pass F <- 2 F - G, K and b0, v+                       correct, response_part, response_total, solve
+    push      F0 + sum v_j F_j into the fluid's G, wrench on the links     combine, spread_force, wrench, add_wrench
 
-The formulas are those of `kernels.py`, for two passes. A device that waits for nobody spends a step in starting kernels and in
-loads that wait for one another: here the lanes of a warp load the cells of a marker side by side, what needs no water is worked
-out before, and what the last step pushed is cleared by the next one's `look`. A CPU runs the same with one lane.
+The formulas are those of `kernels.py`, for two passes. A step that never waits for the host spends its time in starting kernels
+and in loads that wait for one another. Here the lanes of a warp load the cells of a marker side by side. `place` computes all
+that needs no water, while the water steps. `look` clears the force of the last step, and `push` clears the scratch box. A CPU
+runs the same code with one lane.
 """
 
 from functools import cache
@@ -29,7 +31,9 @@ MOST = 24  # degrees of freedom that are solved for in shared memory
 
 
 @wp.func_native(fsi_solve.OVER_WARP)
-def over_warp(x: wp.float32) -> wp.float32: ...
+def over_warp(x: wp.float32) -> wp.float32:
+    """Sum of x over the lanes of a warp."""
+    ...
 
 
 @wp.func_native("""
@@ -40,7 +44,9 @@ def over_warp(x: wp.float32) -> wp.float32: ...
 #endif
     return x;
 """)
-def over_group(x: wp.float32) -> wp.float32: ...
+def over_group(x: wp.float32) -> wp.float32:
+    """Sum of x over a group of four lanes."""
+    ...
 
 
 @wp.func_native("""
@@ -48,7 +54,9 @@ def over_group(x: wp.float32) -> wp.float32: ...
     __syncwarp();
 #endif
 """)
-def wait_for_warp(): ...
+def wait_for_warp():
+    """Waits for all lanes of the warp; does nothing on the CPU."""
+    ...
 
 
 @wp.func_native("""
@@ -65,7 +73,9 @@ def wait_for_warp(): ...
     return done.data[0] == blocks;
 #endif
 """)
-def ends_last(done: wp.array(dtype=wp.int32), blocks: int) -> int: ...
+def ends_last(done: wp.array(dtype=wp.int32), blocks: int) -> int:
+    """Returns 1 in the block that finishes last, else 0; `done` counts the finished blocks."""
+    ...
 
 
 @wp.func_native(f"""
@@ -127,12 +137,14 @@ def finish_response(
     target: wp.array(dtype=wp.float64),
     me: int,
     threads: int,
-): ...
+):
+    """Sums the chunks of K and b0 and solves (A + K) v = right - b0 by Gauss-Jordan elimination, one thread for each entry."""
+    ...
 
 
 @cache
 def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel, wp.Kernel]:
-    """`place`, `look`, `answer` and `push` for markers of this width, in water whose populations are stored as `number`."""
+    """Makes `place`, `look`, `answer` and `push` for markers of this width, in water whose populations are stored as `number`."""
     cells = width**3
     lanes, group = (LANES, GROUP) if on_gpu else (1, 1)
     module = wp.get_module(f"{__name__}.{width}_{lanes}_{number.__name__}")
@@ -162,6 +174,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple
         weights: wp.array(dtype=float),
         force: wp.array2d(dtype=wp.vec3),
     ):
+        """Computes, without the water: pose and Jacobian (`pose`), kernel weights (`weight`), and F_j, j > 0 (`set_target`)."""
         tid = wp.tid()
         k, lane = tid // wp.static(lanes), tid % wp.static(lanes)
         b, a, s = before[k], after[k], share[k]
@@ -173,7 +186,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple
         point = point3(host, at.frame + 12 * b) + rotation * local
         out = rotation * wp.vec3d(c * m[0] - sn * m[1], sn * m[0] + c * m[1], m[2])
         normal = wp.vec3(float(out[0]), float(out[1]), float(out[2]))
-        # in float64 up to here and relative to the box from here on: single precision would lose the fraction of a far cell
+        # float64 up to here, relative to the box from here on: single precision would lose the fraction of a distant cell
         low = point3(host, at.box)
         inner = (point - point3(host, at.origin)) / dx - low
         p = wp.vec3(float(inner[0]), float(inner[1]), float(inner[2]))
@@ -226,6 +239,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple
         scratch: wp.array4d(dtype=wp.vec3),
         acceleration: wp.array3d(dtype=wp.vec3),
     ):
+        """Clears the last force (`clear_force`), reads u* (`read_cells`), sets F0 (`set_target`), spreads all F (`spread`)."""
         tid = wp.tid()
         k, lane = tid // wp.static(lanes), tid % wp.static(lanes)
         if tid == 0:
@@ -241,7 +255,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple
             x, y, z = wrap(here[0] + i, shape[0]), wrap(here[1] + j, shape[1]), wrap(here[2] + l, shape[2])
             rho, momentum = pulled(f, x, y, z, shape)
             weight = weights[wp.static(cells) * k + o]
-            # over the local density, so that sum rho G = sum V F: over 1, the water would gain rho times what the markers give
+            # divided by the local density, so that sum rho G = sum V F; otherwise the water would gain rho times the force
             thinned[wp.static(cells) * k + o] = weight / rho
             u += weight * (momentum / rho + body_acceleration)
             o += wp.static(lanes)
@@ -287,6 +301,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple
         v: wp.array(dtype=wp.float64),
         target: wp.array(dtype=wp.float64),
     ):
+        """Does the second pass (`correct`), sums K and b0 (`response_part`, `response_total`), and solves for v+ (`solve`)."""
         tid, threads = wp.tid(), wp.block_dim()
         me, block = tid % threads, tid // threads
         sides = at.dofs + 1
@@ -358,6 +373,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple
         acceleration: wp.array3d(dtype=wp.vec3),
         wrench: wp.array2d(dtype=wp.float64),
     ):
+        """Computes the final force (`combine`), adds it to G (`spread_force`), sums the wrench (`wrench`), clears `scratch`."""
         tid = wp.tid()
         k, lane = tid // wp.static(lanes), tid % wp.static(lanes)
         total = force[k, 0]
@@ -399,7 +415,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> tuple
 
 
 class MarkerWarps:
-    """The four kernels over the arrays of a `Boundary` with two passes; what they keep besides."""
+    """Runs the four kernels over the arrays of a `Boundary` with two passes, and owns their additional arrays."""
 
     def __init__(self, boundary: Boundary, number: type = wp.float32):
         b, device = boundary, boundary.device
@@ -417,18 +433,18 @@ class MarkerWarps:
         self._part = empty((blocks, b.dofs, b.rhs), wp.float64)
 
     def begin(self) -> None:
-        """Queue a clear scratch box: whoever else used it left it as it was."""
+        """Queues the clearing of the scratch box, which another user may have left filled."""
         self.boundary.scratch.zero_()
 
     def place(self) -> None:
-        """Queue the first kernel: what follows from the place of the body in `boundary.host`, without the water."""
+        """Queues `place`: all that follows from the pose of the body in `boundary.host` without the water."""
         b, lat = self.boundary, self.boundary.lattice
         args = [b.host, b.layout, b.rest, b.rest_normal, b.pivot, b.before, b.after, b.share, b.moves, b.slides, b.slips]
         found = [b.world, b.normal, b.store, b.jacobian, self._low_cell, self._weights, b.force]
         self._launch(self._place, self._threads, [*args, lat.dx, lat.dt, wp.vec3i(*b.shape), *found])
 
     def look(self, f: wp.array, corner: wp.array, acts: wp.array, acceleration: wp.array) -> None:
-        """Queue the second; arguments as `Boundary.assemble_response`'s, and the fluid's G, cleared where it was spread."""
+        """Queues `look`; arguments as `Boundary.assemble_response`, and the fluid's G, in which the last force is cleared."""
         b = self.boundary
         args = [b.host, b.layout, b.slips, b.volume, wp.vec3i(*b.shape), wp.vec3i(*b.box_shape), b.wraps, corner, f]
         args += [b.body_acceleration, b.normal, b.store, self._low_cell, self._weights]
@@ -436,7 +452,7 @@ class MarkerWarps:
         self._launch(self._look, self._threads, [*args, *found, acceleration])
 
     def answer(self) -> None:
-        """Queue the third: K, b0 and v+."""
+        """Queues `answer`: K, b0 and v+."""
         b, lat = self.boundary, self.boundary.lattice
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx * lat.velocity
         args = [b.host, b.layout, b.count, self._chunk, b.jacobian, b.volume, self._low_cell, self._weights, b.scratch, scale]
@@ -444,7 +460,7 @@ class MarkerWarps:
         self._launch(self._answer, self._answering, args)
 
     def push(self, acceleration: wp.array) -> None:
-        """Queue the fourth: the force into the fluid's G, and the wrench on the links."""
+        """Queues `push`: the force into the fluid's G, and the wrench on the links."""
         b, lat = self.boundary, self.boundary.lattice
         args = [b.host, b.layout, b.before, b.after, b.share, b.volume, b.world, b.store, self._low_cell, self._thinned, b.force]
         args += [b.target, wp.vec3i(*b.shape), lat.mass * lat.velocity, b.final, b.scratch, acceleration, b.wrench_sum]

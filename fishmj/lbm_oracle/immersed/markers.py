@@ -1,21 +1,21 @@
-"""Lagrangian markers: where the immersed body touches the fluid, in the straight pose, about one marker a cell.
+"""Lagrangian markers: points where the immersed body touches the fluid, in the straight pose, about one marker in each cell.
 
-A section of height h and width w becomes an ellipse of markers; where it is too thin for two sides (half-width after
-retraction below `SHEET` cells, with `edges` below 0, or behind `fin_from`) it becomes one row of a sheet in the middle
-plane. Side fins are sheets.
+A section of height h and width w becomes an ellipse of markers. A section that is too thin for two sides becomes one row of a
+sheet in the middle plane: half-width after retraction below `SHEET` cells (with `edges`: below 0), or behind `fin_from`. Side
+fins are sheets.
 
 The kernel spreads a marker's force over 1.5 (3-point) or 2 (4-point) cells each way, so the body acts fatter than its
 markers: they are drawn in along the normal by `hydro_offset` cells, at most `CLAMP` of the local half-thickness, and
 sheets are shortened by it on their free edges (docs/solver/coupling.md has the measurement).
 
-`Sharpness` draws hulls and rims in by other lengths and lets water slip on the markers so far that it sticks where the wall is.
-In a shear g |y| on both sides of a sheet the regularised force makes the velocity g (phi * |y|) - g k, which the interpolation
-sees as zero, with k = E |r - r'| for two independent draws from the kernel: the water sticks k cells in front of the sheet on
-either side. A slip length of k makes the sheet as thin as it is: u - U = k g,
-and the force on the water is 2 nu g = 2 nu (u - U) / k.
+`Sharpness` draws hulls and rims in by other lengths. It also lets water slip on the markers just so far that the no-slip point
+lies on the wall. In a shear g |y| on both sides of a sheet the regularised force makes the velocity g (phi * |y|) - g k. The
+interpolation sees this as zero, with k = E |r - r'| for two independent draws from the kernel: the no-slip point lies k cells in
+front of the sheet on either side. A slip length of k corrects this: u - U = k g, and the force on the water is
+2 nu g = 2 nu (u - U) / k.
 
-Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it belongs with weight 1 - share to the link
-before and with weight share to the link behind (`mjcf.skin`), so the hull bends without gaps.
+Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it belongs with weight 1 - share to the link before
+the hinge and with weight share to the link behind it (`mjcf.skin`), so the hull bends without gaps.
 """
 
 from dataclasses import dataclass, replace
@@ -43,12 +43,13 @@ KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angl
 
 @dataclass(frozen=True, kw_only=True)
 class Sharpness:
-    """How markers stand for walls and sheets, lengths in cells; the default is what shipped data were made with.
+    """Lengths, in cells, that place markers relative to walls and sheets; the defaults are those of the shipped data.
 
-    hull: how far hulls are drawn in along their normal. rim: how far sheets are drawn in at their free edges, in their plane.
-    None: both as `offset_of` has it. hull_slip, sheet_slip: slip lengths where the water sticks (slip = 0); a wall with a slip
-    ratio has its friction from that. edges: hulls are drawn in by the whole length however thin they are; a section ends above
-    and below in an edge that is drawn in as a rim is, the less the rounder it is; a marker faces all the ways that its arc does.
+    hull: inset of hulls along their normal. rim: inset of sheets at their free edges, in their plane. None: both from
+        `offset_of`.
+    hull_slip, sheet_slip: slip lengths for no-slip walls (slip = 0); a wall with a slip ratio has its friction from that ratio.
+    edges: hulls are drawn in by the whole length, however thin they are. A section then ends above and below in an edge, which is
+    drawn in like a rim, less if it is rounder; a marker on it has all the normals of its arc.
     """
 
     hull: float | None = None
@@ -58,7 +59,7 @@ class Sharpness:
     edges: bool = False
 
     def __post_init__(self):
-        """Raises ConfigError for a length that is none."""
+        """Raises ConfigError for an invalid length."""
         for name in ("hull", "rim"):
             if getattr(self, name) is not None:
                 numbers(f"sharpness: {name}", getattr(self, name))
@@ -66,14 +67,17 @@ class Sharpness:
             numbers(f"sharpness: {name}", getattr(self, name), low=0.0)
 
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
-        """Cells that hulls and rims are drawn in by; a `hydro_offset` that is given holds for both."""
+        """Insets of hulls and of rims, cells; a given `hydro_offset` holds for both."""
         plain = offset_of(width, slip, hydro_offset)
         if hydro_offset is not None:
             return plain, plain
         return plain if self.hull is None else self.hull, plain if self.rim is None else self.rim
 
     def slip_length(self, sheet: np.ndarray, thick=0.0) -> np.ndarray:
-        """(N,) cells; `sheet` (N,) marks those of sheets, which stand for half a thickness of `thick` (N,) cells."""
+        """Slip lengths (N,) cells.
+
+        `sheet` (N,) marks markers of sheets, which stand for half a thickness of `thick` (N,) cells.
+        """
         return np.where(sheet, np.maximum(self.sheet_slip - thick, 0.0), self.hull_slip)
 
 
@@ -87,7 +91,7 @@ EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
 class Markers:
     """N markers of one body; positions are in the frame of the link `before`, in the straight pose.
 
-    pivot is the hinge in the same frame: position = pivot + Rz(share angle) (rest - pivot), then the frame of `before`.
+    `pivot` is the hinge in the same frame: position = pivot + Rz(share angle) (rest - pivot), then the frame of `before`.
     """
 
     rest: np.ndarray  # (N, 3) m
@@ -101,7 +105,7 @@ class Markers:
     slip_length: np.ndarray | None = None  # (N,) cells, where the water sticks; None: 0
 
     def __post_init__(self):
-        """Raises ConfigError for arrays of other shapes or types, and for numbers that no marker has."""
+        """Raises ConfigError for arrays of other shapes or types, and for invalid numbers."""
         n = len(np.atleast_1d(np.asarray(self.area, object)))
         checked: dict[str, np.ndarray] = {
             "rest": numbers("markers: rest", self.rest, (n, 3)),
@@ -150,7 +154,7 @@ class Markers:
 
 
 def offset_of(width: int, slip: float = 0.0, hydro_offset: float | None = None) -> float:
-    """Retraction in cells: as given, else the measured one of the kernel of that width (3 or 4) at that slip ratio."""
+    """Retraction in cells: `hydro_offset` if given, else the measured one of the kernel of that `width` (3 or 4) at that slip."""
     if width not in HELD:
         raise UnknownName("kernel width", str(width), HELD)
     numbers("markers: slip", slip, low=0.0, high=1.0)
@@ -163,7 +167,7 @@ def offset_of(width: int, slip: float = 0.0, hydro_offset: float | None = None) 
 def sphere_markers(
     radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None, sharpness: Sharpness = PLAIN
 ) -> Markers:
-    """A sphere of `radius` m about the origin of link 0: points of a golden spiral, equal areas of about dx^2."""
+    """Markers of a sphere of `radius` m about the origin of link 0: points of a golden spiral, equal areas of about dx^2."""
     numbers("sphere: radius", radius, low=0.0), numbers("sphere: dx", dx, low=1e-300)
     r = radius - sharpness.insets(width, slip, hydro_offset)[0] * dx
     if r <= dx:
@@ -191,8 +195,11 @@ def fish_markers(
     """Markers of a fish for cells of size dx [m].
 
     Args:
-        slip: ratio that the boundary will have; a sliding wall acts thinner. width: of the kernel, 3 or 4.
-        hydro_offset: cells; the measured one by default. spacing: cells between markers. sharpness: of hulls and sheets.
+        slip: slip ratio of the boundary; a wall with slip acts thinner.
+        width: points of the kernel, 3 or 4.
+        hydro_offset: inset in cells; the measured one by default.
+        spacing: cells between markers.
+        sharpness: insets and slip lengths of hulls and sheets.
 
     Raises:
         ConfigError: nothing of the fish is left at this dx.
@@ -211,7 +218,7 @@ def chain_markers(
     spacing: float = 1.0,
     sharpness: Sharpness = PLAIN,
 ) -> Markers:
-    """`fish_markers` of a chain that is taken as it is: it may have more links than a description of a robot."""
+    """Markers of a chain of any number of links; arguments as `fish_markers`."""
     numbers("markers: dx", dx, low=1e-300), numbers("markers: spacing", spacing, low=1e-3)
     checked_kind("markers: sharpness", sharpness, Sharpness, needed=True)
     g = geometry_of(robot)
@@ -243,7 +250,7 @@ def chain_markers(
 
 
 def _profile(robot: Robot, g: Geometry):
-    """Function of the station behind the nose [m] -> half-height, half-width [m]; and the station where the plate begins."""
+    """Returns the function station behind the nose [m] -> half-height, half-width [m]; and the station where the plate begins."""
     fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])
     rows = np.concatenate([np.array(link.sections) + [front, 0, 0] for link, front in zip(robot.links, fronts, strict=False)])
     rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 1e-9])]
@@ -277,15 +284,15 @@ def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: 
 
 
 def _edge_inset(a: float, b: float, inset: float, rim: float, dx: float) -> float:
-    """How far the ends of a section of half-height a and half-width b are drawn in.
+    """Inset of the ends of a section of half-height a and half-width b.
 
-    As a rim where the radius there, b^2 / a, is far below a cell, as a hull where it is far above.
+    It is the rim's if the radius there, b^2 / a, is far below a cell, and the hull's if it is far above.
     """
     return inset + (rim - inset) / (1.0 + b * b / (a * dx * EDGE_RADIUS))
 
 
 def _even(count: float) -> int:
-    """The nearest even number: one marker more on one side, and a fish and its mirror image differ by 2.6 % in force."""
+    """Nearest even number: with an odd number, one marker more on one side makes mirrored fish differ by 2.6 % in force."""
     return 2 * round(count / 2)
 
 
@@ -299,7 +306,8 @@ def _ellipse(a: float, b: float, n: int):
 def _ring(s, a, b, slope, ds, step, edges=False):
     """One elliptical ring; `slope` are the derivatives of half-height and half-width along the body.
 
-    With `edges` their number is a multiple of four, so that none stands on an edge, and each stands for its arc (`_facing`).
+    With `edges` the number of markers is a multiple of four, so that none lies on an edge, and each stands for its arc
+    (`_facing`).
     """
     count = _ellipse(a, b, 1)[1] / step
     n = max(4, 4 * round(count / 4)) if edges else max(6, _even(count))
@@ -323,12 +331,12 @@ def _outward(a: float, b: float, turn: np.ndarray) -> np.ndarray:
 
 
 def _facing(a: float, b: float, n: int, across: np.ndarray, fine: int = 32) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What each of n markers on an ellipse stands for: index, normal and share of its area; `across` (n, 2) are normals there.
+    """Index, normal and share of the area that represent each of n markers on an ellipse; `across` (n, 2) are normals there.
 
         <n n^T> = sum_i share_i e_i e_i^T      mean over the marker's arc; e_i: its principal directions, the shares add up to 1
 
-    A marker stops the water along its normal. Where the arc turns by much, as at an edge, it faces two ways: two markers stand
-    there, each with its share, or water that should leave the hull there would slip round the edge.
+    A marker stops the water along its normal. If the arc turns by a large angle, as at an edge, it has two directions: two
+    markers stand there, each with its share. With one marker, water that should leave the hull there would slip round the edge.
     """
     normal = _outward(a, b, _ellipse(a, b, fine * n)[0]).reshape(n, fine, 2)
     shares, directions = np.linalg.eigh(np.einsum("nki,nkj->nij", normal, normal) / fine)
@@ -340,7 +348,7 @@ def _facing(a: float, b: float, n: int, across: np.ndarray, fine: int = 32) -> t
 
 
 def _cap(s, a, b, step):
-    """The nose: concentric ellipses that close the front, normal forwards."""
+    """Nose: concentric ellipses that close the front, normal forwards."""
     rings = max(1, round(min(a, b) / step))
     cols = []
     for r in range(rings):

@@ -1,8 +1,8 @@
 """A coupled run at one instant: saved, restored to the bit, or given to another fish.
 
 `save` and `restore` continue a run exactly (on the CPU to the bit; on a GPU the order of atomic additions differs from run to
-run). `reseed` puts a fish of any state into developed flow: the water was spun up once without a fish, or around another,
-and a segment that starts in it needs about a body length of swimming before its wake is its own.
+run). `reseed` puts a fish of any state into developed flow. The water was spun up once, without a fish or around another one. A
+segment that starts in it needs about a body length of swimming before the wake is that of its own fish.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ SCHEMA = "fishmj.oracle-state/1"
 
 
 def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
-    """Everything that the next step depends on; not M, K or the markers, which it makes up from these."""
+    """Complete state of a coupled run as arrays, without M, K and the markers, which follow from these."""
     body, data = coupled.body, coupled.body.data
     state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
     state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
@@ -27,7 +27,7 @@ def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
 
 
 def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
-    """Continue from a snapshot.
+    """Continues from a snapshot.
 
     Raises:
         ConfigError: it belongs to another grid or another fish.
@@ -36,12 +36,12 @@ def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
     for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.interior_speed)):
         if state[name].shape != value.shape:
             raise ConfigError(f"oracle state: {name} has shape {state[name].shape}, this fish needs {value.shape}")
-    # the water first: `place` reads nothing of it, and a grid that does not fit must leave the body as it was
+    # the water first: `place` does not read it, and a grid that does not fit must leave the body unchanged
     coupled.fluid.restore({name.removeprefix("fluid."): value for name, value in state.items() if name.startswith("fluid.")})
     data.time = float(state["time"])
     data.ctrl[:], body.applied[:] = state["ctrl"], state["applied"]
     body.place(state["qpos"], state["qvel"], state["slide"])
-    # after `place`, which takes the interior water's momentum from the pose as if nothing had sped up: the gain lags by a step
+    # after `place`, which derives the interior water's momentum from the pose as if nothing had accelerated: the gain lags a step
     body.momentum[:] = state["momentum"]
     coupled.gain = state["gain"].copy()
     coupled.steps = int(state["steps"])
@@ -49,7 +49,7 @@ def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
 
 
 def reseed(coupled: FluidStructure, qpos, qvel=None, *, water: dict[str, np.ndarray] | None = None) -> None:
-    """Start a segment with the fish at qpos (and qvel), in `water` (a fluid's snapshot), or in the water as it is."""
+    """Starts a segment with the fish at qpos (and qvel), in `water` (a fluid's snapshot), or in the present water."""
     if water is not None:
         coupled.fluid.restore(water)
     coupled.body.place(qpos, qvel)
@@ -58,14 +58,14 @@ def reseed(coupled: FluidStructure, qpos, qvel=None, *, water: dict[str, np.ndar
 
 
 def save(path: str | Path, coupled: FluidStructure, **notes) -> Path:
-    """Write a snapshot as one file with its own checksum (safetensors, no pickle)."""
+    """Writes a snapshot as one file with its own checksum (safetensors, no pickle)."""
     lattice = coupled.fluid.lattice
     meta = {"schema": SCHEMA, "dx": lattice.dx, "dt": lattice.dt, "shape": list(coupled.fluid.extent), **notes}
     return write_tensors(path, snapshot(coupled), meta)
 
 
 def load(path: str | Path, coupled: FluidStructure) -> dict:
-    """Continue a coupled run from a file; returns its notes.
+    """Continues a coupled run from a file; returns its notes.
 
     Raises:
         ConfigError: another schema, grid or fish. StoreError: the file is damaged.

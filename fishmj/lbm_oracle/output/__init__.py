@@ -1,1 +1,1 @@
-"""What a swim leaves: slices, vorticity, volumes for ParaView, pictures."""
+"""Output of a swim: slices, vorticity, volumes for ParaView, pictures."""

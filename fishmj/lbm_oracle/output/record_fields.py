@@ -1,12 +1,12 @@
-"""Fields of a run while it runs: every so often a slice with its picture, and, if asked for, the whole box for ParaView.
+"""Records fields during a run: at intervals a slice with its picture and, as an option, the whole box for ParaView.
 
     recorder = FieldRecorder("runs/a_fields", run, every=0.1)
-    recorder.look(run)          between two ticks; does something when it is time to
+    recorder.look(run)          between two ticks; writes a frame when one is due
 
     omega_z = dv/dx - du/dy        central differences, one-sided at the faces; times 1 / dt from cells to 1/s
 
-A slice is read off the device as one plane. Each file is whole or not there, and the list for ParaView names only finished ones:
-a run can be stopped at any time.
+A slice is copied from the device as one plane. Each file is complete or absent, and the list for ParaView names only finished
+files: a run can be stopped at any time.
 """
 
 from pathlib import Path
@@ -49,7 +49,7 @@ def cut(
     share: float,
     plane: wp.array2d(dtype=wp.vec3),
 ):
-    """(u, v, omega_z) [lu] of every column of the window, low corner first."""
+    """Computes (u, v, omega_z) [lu] of every column of the window, low corner first."""
     i, j = wp.tid()
     w, e = wp.max(i - 1, 0), wp.min(i + 1, s.nx - 1)
     d, n = wp.max(j - 1, 0), wp.min(j + 1, s.ny - 1)
@@ -60,7 +60,7 @@ def cut(
 
 
 def plane_of(fluid, z: float | None = None) -> np.ndarray:
-    """(nx, ny, 3) of u, v in m/s and omega_z in 1/s at height z [m], linear between planes of nodes; None: mid-depth.
+    """Plane (nx, ny, 3) of u, v in m/s and omega_z in 1/s at height z [m], linear between planes of nodes; None: mid-depth.
 
     Raises:
         ConfigError: z lies outside the water.
@@ -79,7 +79,7 @@ def plane_of(fluid, z: float | None = None) -> np.ndarray:
 
 
 def slice_of(run, z: float | None = None) -> Slice:
-    """The water of a run as it is now at height z [m]; None: mid-depth."""
+    """Slice of a run's present water at height z [m]; None: mid-depth."""
     coupled = run.coupled
     fluid = coupled.fluid
     with coupled.scope():
@@ -96,12 +96,13 @@ class FieldRecorder:
     Args:
         every: s between two frames, a whole number of bus ticks.
         z: height of the slice, m; None: mid-depth.
-        whole: the box and the fish for ParaView, too: 3 to 25 MB a frame.
+        whole: also write the box and the fish for ParaView, 3 to 25 MB a frame.
         strong: vorticity at the ends of the pictures' colour scale, 1/s.
         overwrite: replace the frames of another run in that folder.
 
     Raises:
-        ConfigError: `every` is no number of ticks, z is outside the water. StoreError: the folder holds another run's fields.
+        ConfigError: `every` is not a whole number of ticks, or z is outside the water.
+        StoreError: the folder holds another run's fields.
     """
 
     def __init__(self, folder, run: Run, *, every=0.1, z: float | None = None, whole=False, strong=STRONG, overwrite=False):
@@ -123,7 +124,7 @@ class FieldRecorder:
         self.series: list[tuple[float, list[str]]] = []
 
     def _clear(self, overwrite: bool) -> None:
-        """Frames of another run would mix with those of this one."""
+        """Removes the frames of another run, which would mix with those of this one; raises StoreError without `overwrite`."""
         old = [path for kind, end in KINDS.items() for path in (self.folder / kind).glob(f"[0-9]*{end}")]
         old += [path for path in (self.folder / SERIES, self.folder / INDEX) if path.is_file()]
         if old and not overwrite:
@@ -132,7 +133,7 @@ class FieldRecorder:
             path.unlink()
 
     def look(self, run: Run) -> bool:
-        """To be called between ticks; True when a frame was written."""
+        """Writes a frame if one is due, and returns True then; call it between ticks."""
         if run.ticks != self.frames * self.ticks:
             return False
         one = slice_of(run, self.z)
@@ -157,5 +158,5 @@ class FieldRecorder:
         vtk.write_series(self.folder / SERIES, self.series)
 
     def close(self) -> None:
-        """Let go of the figure."""
+        """Closes the figure."""
         self.picture.close()

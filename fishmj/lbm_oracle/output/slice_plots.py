@@ -1,4 +1,4 @@
-"""Pictures of slices: vorticity with the fish in it, one PNG a frame; velocity panels of a force map, one PNG a map."""
+"""Pictures of slices: vorticity with the fish in it, one PNG for each frame; velocity panels of a force map, one PNG a map."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -17,7 +17,7 @@ STYLE = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, 
 
 
 def pyplot():
-    """Matplotlib without a window, in the style of the solver's pictures."""
+    """Returns Matplotlib without a window, in the style of the solver's pictures."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -28,7 +28,7 @@ def pyplot():
 
 
 def save(figure, path: Path, *, dpi: int = 130, close: bool = True) -> Path:
-    """PNG, atomically."""
+    """Writes a figure as PNG, atomically."""
     buffer = BytesIO()
     figure.savefig(buffer, dpi=dpi, format="png")
     if close:
@@ -37,14 +37,14 @@ def save(figure, path: Path, *, dpi: int = 130, close: bool = True) -> Path:
 
 
 def outline(run) -> list[np.ndarray]:
-    """The hull seen from above, one closed line (P, 2) m."""
+    """Hull seen from above, one closed line (P, 2) m."""
     hull = skin(run.robot, spacing=0.01, around=4, smooth=True, details=False)
     rings = posed(hull, np.concatenate([run.pose[:3], run.angles()]))[:-2, :2].reshape(-1, 4, 2)
     return [np.concatenate([rings[:, 0], rings[::-1, 2]])]
 
 
 class SlicePicture:
-    """One figure that is drawn again for every frame: making the axes anew would take most of the time.
+    """One figure that is redrawn for every frame: new axes would take most of the time.
 
     strong: vorticity at the ends of the colour scale, 1/s, the same for a whole run.
     """
@@ -54,7 +54,7 @@ class SlicePicture:
         self.figure: Any = None
 
     def write(self, path: Path, one: Slice, title: str = "") -> Path:
-        """Draw the vorticity of a slice with the outline of the fish."""
+        """Draws the vorticity of a slice with the outline of the fish."""
         if self.figure is None:
             self._make(one)
         self.image.set_data(one.omega_z.T)
@@ -68,6 +68,7 @@ class SlicePicture:
         return save(self.figure, path, dpi=110, close=False)
 
     def close(self) -> None:
+        """Closes the figure."""
         if self.figure is not None:
             pyplot().close(self.figure)
 
@@ -84,13 +85,13 @@ class SlicePicture:
 
 
 def draw_fish(axis, one: Slice) -> None:
-    """The hull from above."""
+    """Draws the hull from above."""
     for link in one.outline:
         axis.fill(link[:, 0], link[:, 1], facecolor=FISH, edgecolor=FISH, lw=0.8, joinstyle="round")
 
 
 def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: float) -> Path:
-    """Magnitude of the horizontal velocity of slices with their fish, one panel each, one colour scale from 0 to `top` m/s."""
+    """Draws the horizontal speed of slices with their fish, one panel each, on one colour scale from 0 to `top` m/s."""
     plt = pyplot()
     columns = min(4, len(slices))
     rows, wide = -(-len(slices) // columns), 3.4 if len(slices) > 1 else 8.0

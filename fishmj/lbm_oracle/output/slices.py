@@ -1,13 +1,13 @@
 """A horizontal slice of the water at one instant, as one small file, and a folder of them from one run.
 
-    FOLDER/fields.json            what the run was: schema, grid, height, flow, robot
+    FOLDER/fields.json            description of the run: schema, grid, height, flow, robot
     FOLDER/slices/00012.npz       one `Slice`; velocity and vorticity as float16, 11 significant bits
     FOLDER/vorticity/00012.png    the same as a picture
     FOLDER/volume/00012.vti       the whole box for ParaView (see `volume`)
     FOLDER/fish/00012.vtp         the fish in it
     FOLDER/volume.pvd             opens both as one film
 
-NumPy only: who draws slices does not load the solver.
+NumPy only: drawing slices does not load the solver.
 """
 
 import argparse
@@ -39,7 +39,7 @@ class Slice(NamedTuple):
 
     @property
     def speed(self) -> np.ndarray:
-        """(nx, ny) m/s, magnitude of the horizontal velocity."""
+        """Magnitude of the horizontal velocity, (nx, ny) m/s."""
         return np.hypot(self.u, self.v)
 
     @property
@@ -50,7 +50,7 @@ class Slice(NamedTuple):
 
 
 def write_slice(path: str | Path, one: Slice) -> Path:
-    """Write a slice atomically; fields are kept as float16, lines of the outline are told apart by rows of NaN."""
+    """Writes a slice atomically; fields are stored as float16, rows of NaN separate the lines of the outline."""
     gap = np.full((1, 2), np.nan)
     rim = np.concatenate([part for link in one.outline for part in (link, gap)]) if one.outline else np.zeros((0, 2))
     fields = {name: np.asarray(getattr(one, name), np.float16) for name in ("u", "v", "omega_z")}
@@ -59,10 +59,10 @@ def write_slice(path: str | Path, one: Slice) -> Path:
 
 
 def read_slice(path: str | Path) -> Slice:
-    """Read a slice; fields come back as float32.
+    """Reads a slice; fields come back as float32.
 
     Raises:
-        StoreError: missing, damaged, or no slice.
+        StoreError: missing, damaged, or not a slice.
     """
     held = read_npz(path)
     lacking = [name for name in Slice._fields if name not in held]
@@ -78,7 +78,7 @@ def read_slice(path: str | Path) -> Slice:
 
 
 def slices_in(folder: str | Path) -> list[Path]:
-    """The slices of a run in the order of time.
+    """Slices of a run in the order of time.
 
     Raises:
         ConfigError: the folder holds none, or none of this schema.
@@ -96,7 +96,7 @@ def slices_in(folder: str | Path) -> list[Path]:
 
 
 def height(text: str) -> float | None:
-    """`mid` or a height in m.
+    """Height in m, or None for `mid`.
 
     Raises:
         ArgumentTypeError: neither.
@@ -110,7 +110,7 @@ def height(text: str) -> float | None:
 
 
 def add_fields(parser: argparse.ArgumentParser, *, folder: bool = True) -> None:
-    """The switches that `swim` and `forcemap` share: --fields (with a folder or without), --slice, --volume."""
+    """Adds the options that `swim` and `forcemap` share: --fields (with a folder or without), --slice, --volume."""
     if folder:
         fields = "vorticity slices (npz, PNG) while it runs, for `fishmj replay`; by default none"
         parser.add_argument("--fields", type=console.out_folder, metavar="FOLDER", help=fields)

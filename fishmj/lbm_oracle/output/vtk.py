@@ -5,7 +5,7 @@
     volume.pvd    both over time: open this one
 
 Binary parts are appended raw and compressed with zlib in blocks, as VTK's `vtkZLibDataCompressor` reads them. Mantissas are
-rounded to float16's 11 significant bits (the range stays that of float32): 69 % of what zlib leaves of a field otherwise.
+rounded to float16's 11 significant bits (the range stays that of float32), which reduces the compressed size to 69 %.
 
     Q = (|W|^2 - |S|^2) / 2 = -1/2 du_i/dx_j du_j/dx_i        S, W strain and spin; Q > 0 where the water turns; incompressible
 """
@@ -71,7 +71,7 @@ def turning(velocity: np.ndarray, dx: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rounded(field: np.ndarray) -> np.ndarray:
-    """float32 with the 12 lowest of 23 stored bits rounded away; values that are not finite stay."""
+    """Field as float32 with the 12 lowest of 23 stored bits rounded away; values that are not finite stay."""
     bits = np.ascontiguousarray(field).view(np.uint32)
     return np.where(np.isfinite(field), ((bits + np.uint32(0x800)) & np.uint32(0xFFFFF000)).view(np.float32), field)
 
@@ -84,7 +84,7 @@ class _Appended:
         self.size = 0
 
     def add(self, name: str, array: np.ndarray) -> str:
-        """Keep an array; its XML element. Arrays of one dimension less than their group's have one component."""
+        """Keeps an array and returns its XML element. Arrays of one dimension less than their group's have one component."""
         kind = NAMES[array.dtype.str[1:]]
         width = array.shape[-1] if array.ndim in (2, 4) else 1
         data = _blocks(np.ascontiguousarray(array).tobytes())
@@ -102,7 +102,7 @@ class _Appended:
 
 
 def _blocks(data: bytes) -> bytes:
-    """Count, block size, size of the last part, compressed sizes; then the blocks."""
+    """Compressed data: count, block size, size of the last part, compressed sizes; then the blocks."""
     parts = [zlib.compress(data[k : k + BLOCK], 1) for k in range(0, len(data), BLOCK)]
     header = [len(parts), BLOCK, len(data) % BLOCK, *map(len, parts)]
     return np.array(header, np.uint64).tobytes() + b"".join(parts)

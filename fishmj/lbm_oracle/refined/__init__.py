@@ -1,1 +1,1 @@
-"""A box of finer cells nested in a coarser water: finer where the body is, coarse where only its wake and the stream are."""
+"""A box of finer cells nested in a coarser water: fine cells round the body, coarse cells in its wake and in the stream."""

@@ -1,4 +1,4 @@
-"""What crosses the faces of a box of finer cells: lists of it, made once a box for the kernels of exchange.py."""
+"""Lists of the populations that cross the faces of a box of finer cells, made once for each box for exchange.py."""
 
 from functools import cache
 from typing import Any
@@ -13,7 +13,7 @@ Cells = tuple[int, int, int]
 
 @cache
 def lists_of(size: Cells, ghost: Cells) -> tuple[np.ndarray, ...]:
-    """Of a box of `size` coarse cells, what `_entering`, `_leaving` and `_covered` find: a second for a million fine cells."""
+    """Lists of `_entering`, `_leaving` and `_covered` for a box of `size` coarse cells: a second for a million fine cells."""
     coarse, width = np.array(size), np.array(ghost)
     return *_entering(coarse, width), *_leaving(coarse, width), *_covered(coarse, width)
 
@@ -25,18 +25,21 @@ def _shell(size: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def _inside(r: np.ndarray, size: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Which cells (..., 3) are in a box of `size` from (0, 0, 0) on; only axes that have `ends` count."""
+    """Mask (...) of the cells (..., 3) that are in a box of `size` from (0, 0, 0) on; only axes that have `ends` count."""
     return np.all((r >= 0) & (r < size) | ~ends, -1)
 
 
 def _words(at: np.ndarray, shape: np.ndarray, directions: Any = 0) -> np.ndarray:
-    """Cells (n, 3) of a box of `shape`, and a direction of each, (n,) int32 (exchange.py, `CELL_BITS`)."""
+    """Words (n,) int32 of cells (n, 3) of a box of `shape`, each with a direction (exchange.py, `CELL_BITS`)."""
     cells = np.ravel_multi_index(tuple(at.T), tuple(shape.tolist()))
     return (np.asarray(directions, np.int64) << CELL_BITS | cells).astype(np.uint32).view(np.int32)
 
 
 def _arriving(x: np.ndarray, steps: int, size: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Of coarse cells (n, 3), (Q, n) a bit for every child that is in the box, `size` coarse cells, `steps` fine steps later."""
+    """Bits (Q, n) of coarse cells (n, 3): one for each child that is in the box `steps` fine steps later.
+
+    `size` in coarse cells.
+    """
     bits = np.zeros((Q, len(x)), int)
     for child, r in enumerate(np.ndindex(RATIO, RATIO, RATIO)):
         for i, c in enumerate(VELOCITIES):
@@ -45,10 +48,10 @@ def _arriving(x: np.ndarray, steps: int, size: np.ndarray, ends: np.ndarray) -> 
 
 
 def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `explode` goes through, for a box of `size` coarse cells, by direction and in order of memory.
+    """Entries of `explode` for a box of `size` coarse cells, by direction and in order of memory.
 
     Returns:
-        Words of coarse cells beside the box, (n,); for each its children that count, as `explode` reads them, (n,).
+        Words (n,) of coarse cells beside the box; for each, bits (n,) of its children that count, as `explode` reads them.
     """
     ends, shape = ghost > 0, size + 2 * ghost
     x = _shell(size, ends)
@@ -62,10 +65,10 @@ def _entering(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _leaving(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `coalesce` goes through, for a box of `size` coarse cells, by direction.
+    """Entries of `coalesce` for a box of `size` coarse cells, by direction.
 
     Returns:
-        Words of coarse cells on both sides of the box's faces, (n,); for each a bit for every child x with x + c_i in it, (n,).
+        Words (n,) of coarse cells on both sides of the box's faces; for each, a bit (n,) for every child x with x + c_i in it.
     """
     ends, shape = ghost > 0, size + 2 * ghost
     x = _shell(size, ends)
@@ -76,7 +79,7 @@ def _leaving(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _covered(size: np.ndarray, ghost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `restrict` goes through, words as `_leaving`'s: all coarse cells of a box, (n,), and those at its faces, (m,)."""
+    """Entries of `restrict`, words as in `_leaving`: all coarse cells of a box, (n,), and those at its faces, (m,)."""
     cells = lambda r: _words(r + ghost, size + 2 * ghost)
     shell = _shell(size, ghost > 0)
     return cells(np.indices(tuple(size)).reshape(3, -1).T), cells(shell[_inside(shell, size, ghost > 0)])

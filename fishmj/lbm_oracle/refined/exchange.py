@@ -1,9 +1,9 @@
-"""What a box of finer cells and the coarse water round it exchange in a step.
+"""Exchange of populations between a box of finer cells and the coarse water round it, in one coarse step.
 
-Coarse node N covers two fine nodes of every axis; a fine step takes half the time, so that a lattice unit of velocity is the
-same. R is the box of whole coarse cells that are refined; the fine array has a ghost cell more on every side, and a gap along z.
-From a coarse step to the next, A and B are the fine populations at its start and half-way, d_x = +-1/4 is the place of a child x
-in its coarse cell X, and s = 0, 1 counts the fine steps:
+Coarse node N covers two fine nodes on every axis. A fine step takes half the time, so that a lattice unit of velocity is equal on
+both levels. R is the box of whole coarse cells that are refined. The fine array has one more ghost cell on every side, and a gap
+along z. A and B are the fine populations at the start and in the middle of a coarse step, E the fine populations that enter R,
+d_x = +-1/4 is the position of a child x in its coarse cell X, and s = 0, 1 counts the fine steps:
 
     explode    A_i(y) = E_i(y, 0),  B_i(y) = E_i(y - c_i, 1)                     y beside R, y + c_i in R: streamed, not collided
                E_i(w, s) = f_i(X) + [d_w + (2 s - 1) c_i / 4] . grad f_i         w in X; grad f_i by central differences
@@ -13,19 +13,29 @@ in its coarse cell X, and s = 0, 1 counts the fine steps:
     prolong    rho, rho u: linear in the coarse cell, its mean kept,   P_f = P_c - rho c_s^2 dev S          cells new in R
 
 `coalesce` writes into the coarse populations before their step, where the plain kernel of the solver pulls them. Each population
-is pulled once, the path of a child in two fine steps is 2 c_i, the coarse one, and the mean of E over the children that enter is
-f_i(X): what leaves one level enters the other, mass and momentum to round-off. The second line of `coalesce`: paths that cut an
-edge of R. Beside an edge one child in four enters in the first step, and 2 s - 1 is taken less its mean, 1/2.
+is pulled once, a child moves by 2 c_i in two fine steps, which is the coarse path, and the mean of E over the entering children
+is f_i(X). Whatever leaves one level therefore enters the other: mass and momentum are conserved to round-off. The second line of
+`coalesce` is for paths that cut an edge of R. Beside an edge one child in four enters in the first step, and 2 s - 1 is reduced
+by its mean, 1/2.
 
-What crosses is a matter of the box's size alone, and is listed once, a thread for each entry. An entry is a word: the direction,
-and the cell counted from the low corner of a box. `corner` is where in memory the fine array and R begin: (3,) fine, (3,) coarse.
+Crossings depend only on the box's size and are listed once, one thread for each entry. An entry is a word: the direction, and the
+cell counted from the low corner of a box. `corner` is the place in memory of the fine array and of R: (3,) fine, (3,) coarse.
 
 Nothing is divided by tau - 1, and the eddy viscosity may differ from cell to cell. After the collision the stress is
--2 rho c_s^2 (tau - 1) dt S; with one viscosity on both levels, (tau_f - 1/2) dt_f = (tau_c - 1/2) dt_c, the two differ by
-rho c_s^2 S dt_f, and S is known from the velocity. In `explode` and `coalesce` the places do it. f_i of the fine level at x, t
-is f_i of the coarse one less (dt_f / 2) D f_i, D = d / d t + c_i . grad, that is its value at x - c_i / 4, up to d / d t. So a
-population that enters takes the value (d_w + s c_i / 2) - c_i / 4 from the middle of its cell; what d / d t adds is of opposite
-sign in the two steps, and left out. A mean over children is right to second order the other way for the same reason.
+-2 rho c_s^2 (tau - 1) dt S. With one viscosity on both levels, (tau_f - 1/2) dt_f = (tau_c - 1/2) dt_c, the two stresses differ
+by rho c_s^2 S dt_f, and S is known from the velocity. In `explode` and `coalesce` the positions account for this. f_i of the fine
+level at x, t is f_i of the coarse one less (dt_f / 2) D f_i, D = d / d t + c_i . grad, which is its value at x - c_i / 4, up to
+d / d t. An entering population therefore takes the value at (d_w + s c_i / 2) - c_i / 4 from the middle of its cell. The terms of
+d / d t have opposite signs in the two steps and are left out. For the same reason a mean over children is second-order accurate
+in the other direction.
+
+In one dimension, with R = X0, X1 (capitals are coarse cells, small letters their children, c = +1):
+
+    coarse      | W        |[ X0       | X1       ]| Y        |
+    fine        | w0   w1  |[ a0   a1  | b0   b1  ]| y0   y1  |
+    explode       f(W) ------> w1 enters a0 in fine step 0, w0 in fine step 1
+    coalesce      A(b1) leaves in fine step 0, B(b1) in fine step 1: their mean -------> f(X1), which Y pulls
+    restrict      means of a0, a1 and of b0, b1 ------> coarse moments of X0 and X1
 
 Sources: Rohde, Kandhai, Derksen, van den Akker 2006, Int. J. Numer. Methods Fluids 51:439 (volumes, explode and coalesce); Chen,
 Filippova, Hoch, Molvig, Shock, Teixeira, Zhang 2006, Physica A 362:158 (conservation). Departures: E is linear in place of
@@ -71,39 +81,43 @@ class Nest:
 
 @wp.func
 def child_at(n: int):
-    """The place of a child in its coarse cell, 0 or 1 on every axis."""
+    """Position of child n in its coarse cell, 0 or 1 on every axis."""
     return wp.vec3i(n / 4, (n / 2) % 2, n % 2)
 
 
 @wp.func
 def offset(r: wp.vec3i):
-    """d of a child, coarse cells."""
+    """Offset d of a child from the middle of its coarse cell, in coarse cells."""
     return wp.vec3(0.5 * float(r[0]) - 0.25, 0.5 * float(r[1]) - 0.25, 0.5 * float(r[2]) - 0.25)
 
 
 @wp.func
 def beyond(s: Nest, x: wp.vec3i, axis: int):
-    """Is a coarse cell, counted from R's low corner, outside R along an axis that R does not fill?"""
+    """True if a coarse cell, counted from R's low corner, is outside R along an axis that R does not fill."""
     return s.ghost[axis] > 0 and (x[axis] < 0 or 2 * x[axis] >= s.size[axis])
 
 
 @wp.func
 def within_box(s: Nest, x: wp.vec3i):
+    """True if a coarse cell, counted from R's low corner, is inside R."""
     return not (beyond(s, x, 0) or beyond(s, x, 1) or beyond(s, x, 2))
 
 
 @wp.func_native("return (later ? second.data : first.data)[i];")
-def peek_either(first: wp.array(dtype=wp.float32), second: wp.array(dtype=wp.float32), later: int, i: int) -> wp.float32: ...
+def peek_either(first: wp.array(dtype=wp.float32), second: wp.array(dtype=wp.float32), later: int, i: int) -> wp.float32:
+    """Loads a population from the first or, if `later`, from the second array."""
+    ...
 
 
 @wp.func
 def direction_in(word: int):
+    """Direction i of a word of a list."""
     return (word >> _BITS) & 31
 
 
 @wp.func
 def cell_in(word: int, n: wp.vec3i, by: wp.vec4i):
-    """The cell of a word of a list, counted from the low corner of a box of n cells."""
+    """Cell of a word of a list, counted from the low corner of a box of n cells."""
     at = word & _CELL
     column = quotient(at, by[2], by[3])
     x = quotient(column, by[0], by[1])
@@ -112,7 +126,7 @@ def cell_in(word: int, n: wp.vec3i, by: wp.vec4i):
 
 @wp.func
 def in_fine(s: Nest, corner: vec6i, p: wp.vec3i):
-    """Where a fine cell is in memory, counted from the low corner of the fine array."""
+    """Index in memory of a fine cell, counted from the low corner of the fine array."""
     n = s.fine
     x, y, z = within(corner[0] + p[0], n[0]), within(corner[1] + p[1], n[1]), within(corner[2] + p[2], n[2])
     return (x * n[1] + y) * n[2] + z
@@ -120,7 +134,7 @@ def in_fine(s: Nest, corner: vec6i, p: wp.vec3i):
 
 @wp.func
 def in_coarse(s: Nest, corner: vec6i, x: wp.vec3i):
-    """Where a coarse cell is in memory, counted from R's low corner."""
+    """Index in memory of a coarse cell, counted from R's low corner."""
     n = s.coarse
     i, j, k = within(corner[3] + x[0], n[0]), within(corner[4] + x[1], n[1]), within(corner[5] + x[2], n[2])
     return (i * n[1] + j) * n[2] + k
@@ -128,7 +142,7 @@ def in_coarse(s: Nest, corner: vec6i, x: wp.vec3i):
 
 @wp.func
 def around(s: Nest, corner: vec6i, x: wp.vec3i):
-    """`in_coarse` of a cell, and of its neighbours behind it and ahead of it on each axis."""
+    """Index `in_coarse` of a cell, and of its neighbours behind it and ahead of it on each axis."""
     n = s.coarse
     i, j, k = within(corner[3] + x[0], n[0]), within(corner[4] + x[1], n[1]), within(corner[5] + x[2], n[2])
     here = (i * n[1] + j) * n[2] + k
@@ -148,7 +162,7 @@ def around(s: Nest, corner: vec6i, x: wp.vec3i):
 
 @wp.func
 def entry(s: Nest, x: wp.vec3i, c: wp.vec3i, second: int):
-    """(2 s - 1) / 4 of `explode`, or what stands for it beside an edge of R."""
+    """Factor (2 s - 1) / 4 of `explode`, or its replacement beside an edge of R."""
     k = 2.0 * float(second) - 1.0
     edges = int(0)  # noqa: UP018  a variable to Warp
     for a in range(3):
@@ -163,8 +177,8 @@ def entry(s: Nest, x: wp.vec3i, c: wp.vec3i, second: int):
 def end_of(s: Nest, p: wp.vec3i, here: int):
     """-1 or 1 for a ghost cell at the low or high end of z whose sector of the memory has nothing of R in it, else 0.
 
-    The other end's ghost may be there. What is written for one spoils nothing of the other's: no population enters at both ends,
-    and eight velocities are three sectors. Those of 16 bits fill none.
+    The ghost of the other end may be in that sector. A write for one end destroys nothing of the other: no population enters at
+    both ends, and eight velocities are three sectors. Velocities of 16 bits fill no sector.
     """
     if s.gap >= 8 and p[2] == 0 and here % 8 == 7:
         return -1
@@ -175,6 +189,7 @@ def end_of(s: Nest, p: wp.vec3i, here: int):
 
 @wp.func
 def loaded(f: wp.array(dtype=float), n: wp.vec3i, here: int):
+    """Loads all populations of a cell."""
     q = vec19()
     for i in range(_Q):
         q[i] = peek(f, i * n[0] * n[1] * n[2] + here)
@@ -183,6 +198,7 @@ def loaded(f: wp.array(dtype=float), n: wp.vec3i, here: int):
 
 @wp.func
 def stored(f: wp.array(dtype=float), n: wp.vec3i, here: int, q: vec19):
+    """Stores all populations of a cell."""
     for i in range(_Q):
         poke(f, i * n[0] * n[1] * n[2] + here, q[i])
 
@@ -201,10 +217,11 @@ def explode(
     f_second: wp.array(dtype=float),
     u_second: wp.array(dtype=Any),
 ):
-    """What the two fine steps pull out of ghost cells, in the copies that they read: a thread for a coarse cell and a direction.
+    """Writes the populations that the two fine steps pull out of ghost cells: one thread for a coarse cell and a direction.
 
     Bits 0 to 7 of `children` are set for each child from which a population enters R in the first step, 8 to 15 in the second.
-    Those at rest stand for the velocity, which the gradients beside a ghost cell ask for: a bit for each child that is one.
+    Entries of direction 0 write the velocity, which the gradients beside a ghost cell need: one bit for each child that is a
+    ghost cell.
     """
     t = wp.tid()
     o = six(corner)
@@ -261,7 +278,8 @@ def coalesce(
     f_second: wp.array(dtype=float),
     f: wp.array(dtype=float),
 ):
-    """Coarse cells on both sides of R's faces: the populations that the next coarse step pulls out of R, and along its edges.
+    """Writes the populations that the next coarse step pulls out of R, and along its edges: coarse cells on both sides of R's
+    faces.
 
     A bit of `later` is set for each child x with x + c_i in R.
     """
@@ -300,7 +318,7 @@ def strain(dx: wp.vec3, dy: wp.vec3, dz: wp.vec3):
 
 @wp.func
 def loaded_pair(f: wp.array(dtype=float), cells: int, here: int):
-    """Two neighbours along z, the first at an even place."""
+    """Loads all populations of two neighbours along z, the first at an even place."""
     q = mat219()
     for i in range(_Q):
         both = peek_pair(f, i * cells + here)
@@ -320,7 +338,7 @@ def restrict(
     f: wp.array(dtype=float),
     u: wp.array(dtype=Any),
 ):
-    """Coarse cells of R from their children, two neighbours along z at once: the first is at an even place."""
+    """Computes coarse cells of R from their children, two neighbours along z at once: the first is at an even place."""
     x = cell_in(cells[wp.tid()], s.shell, s.by_shell) - s.ghost
     o = six(corner)
     fine_cells = s.fine[0] * s.fine[1] * s.fine[2]
@@ -369,7 +387,7 @@ def prolong(
     f_fine: wp.array(dtype=float),
     u_fine: wp.array(dtype=Any),
 ):
-    """The fine cells of R from the coarse level, but for those in a box of coarse cells that keep what they have.
+    """Computes the fine cells of R from the coarse level, except those in a box of coarse cells that stay as they are.
 
     kept_low: that box's low corner, counted from R's.
     """
@@ -404,7 +422,7 @@ def prolong(
 def change_step(
     f: wp.array(dtype=float), u: wp.array(dtype=Any), r: float, f_out: wp.array(dtype=float), u_out: wp.array(dtype=Any)
 ):
-    """Every cell for a time step r times as long: rho - 1 times r^2, u and P times r (run/time_refinement.py)."""
+    """Converts every cell to a time step r times as long: rho - 1 times r^2, u and P times r (run/time_refinement.py)."""
     here = wp.tid()
     cells = u.shape[0]
     q = vec19()

@@ -3,12 +3,12 @@
     step 2 n      explode into the ghosts of both steps, fine step, coalesce into the coarse populations
     step 2 n + 1  fine step, coarse step, restrict, the finest box first                       (exchange.py)
 
-A `RefinedFluid` is the fine level, with all that a `Fluid` offers: a body is coupled to it, and steps with it. `outer` is the
+A `RefinedFluid` is the fine level, with the interface of a `Fluid`: a body is coupled to it and steps with it. `outer` is the
 coarse level, which may be a window, and may itself be refined. Between two coarse steps (`whole`) the box may move by whole
-coarse cells. What it leaves is in the coarse cells already; what it comes to cover is made from them.
+coarse cells. The coarse cells already hold the water that it leaves, and newly covered fine cells are computed from them.
 
-Only the rim of a box is restricted, a coarse cell wide: that is as far as the coarse cells outside, and `explode`, see into it.
-The coarse cells behind it hold what flows there without the body, until the box moves or is asked (`restrict`, `complete`).
+Only the rim of a box is restricted, one coarse cell wide: the coarse cells outside, and `explode`, read no deeper. The coarse
+cells behind the rim hold the flow without the body, until the box moves or a caller asks for them (`restrict`, `complete`).
 """
 
 from dataclasses import replace
@@ -36,7 +36,10 @@ SECTOR = 8  # numbers that an accelerator's memory reads and writes at once
 
 
 def fine_lattice(coarse: Lattice, numbers: int = 0) -> Lattice:
-    """Half the cell, half the step; fine nodes 2 N and 2 N + 1 share the coarse cell N, along z with `numbers` more."""
+    """Lattice of half the cell and half the step.
+
+    Fine nodes 2 N and 2 N + 1 share the coarse cell N, along z with `numbers` more.
+    """
     dx = coarse.dx / RATIO
     x, y, z = (c - dx / 2 for c in coarse.corner)
     return replace(coarse, dx=dx, dt=coarse.dt / RATIO, corner=(x, y, z - numbers * dx))
@@ -46,16 +49,18 @@ class RefinedFluid(Fluid):
     """The finer box in `outer`, with steps of half its dt.
 
     Args:
-        outer: the coarse water, at rest or developed; the box begins with what is there.
-        low: (3,) world node of `outer` at the box's low corner. size: (3,) coarse cells of the box.
-        linear: False explodes uniformly (Rohde et al. 2006), kept to show what that costs.
-        numbers: along z the world node N of `outer` holds 2 N + `numbers` and the next of this level; by default so many that the
-            box begins at a multiple of 8: no two rows of it then share a sector of the memory.
+        outer: coarse water, at rest or developed; the box starts from its state.
+        low: (3,) world node of `outer` at the box's low corner.
+        size: (3,) coarse cells of the box.
+        linear: False explodes uniformly (Rohde et al. 2006), kept to show the cost of that.
+        numbers: along z the world node N of `outer` holds nodes 2 N + `numbers` and 2 N + `numbers` + 1 of this level. By default
+            the box begins at a multiple of 8: no two of its rows then share a sector of the memory.
 
     Attributes:
-        size_lu: (3,) `size`. embedded: numbers of the axes that the box does not fill.
-        extent: (3,) cells of the box and a ghost cell on every side of it but along an axis that it fills.
-        shape: of the arrays; along z `extent` or more, up to a multiple of 8.
+        size_lu: (3,) `size`.
+        embedded: indices of the axes that the box does not fill.
+        extent: (3,) cells of the box, plus a ghost cell on each side except along an axis that it fills.
+        shape: shape of the arrays; along z `extent` or more, up to a multiple of 8.
 
     Raises:
         ConfigError: the box does not fit into `outer` with two cells to spare, or half precision.
@@ -111,7 +116,7 @@ class RefinedFluid(Fluid):
         self.prolong()
 
     def _fills(self, low: np.ndarray) -> np.ndarray:
-        """(3,) whether a box at `low` fills an axis from end to end; it must be periodic."""
+        """Mask (3,) of the axes that a box at `low` fills from end to end; such an axis must be periodic."""
         shape, first = np.array(self.outer.extent), self.outer.origin_lu
         room = _room(self.outer)
         fills = self.size_lu == shape
@@ -130,6 +135,7 @@ class RefinedFluid(Fluid):
 
     @property
     def extent(self) -> Cells:
+        """Cells of the box and its ghosts, (3,)."""
         return _cells(RATIO * self.size_lu + 2 * self._ghost)
 
     def _stepped(self) -> tuple[Cells, Cells]:
@@ -137,29 +143,30 @@ class RefinedFluid(Fluid):
 
     @property
     def first_lu(self) -> np.ndarray:
-        """(3,) world node of this level at the box's low corner."""
+        """World node (3,) of this level at the box's low corner."""
         return self.origin_lu + self._ghost
 
     @property
     def low_lu(self) -> np.ndarray:
-        """(3,) world node of the coarse level at the box's low corner."""
+        """World node (3,) of the coarse level at the box's low corner."""
         return (self.first_lu - self._numbers) // RATIO
 
     @property
     def whole(self) -> bool:
-        """Are both levels at the same time?"""
+        """Returns True if both levels are at the same time."""
         return self.steps % RATIO == 0
 
     def set_flow(self, flow: Flow) -> None:
+        """Changes the background flow of all levels from now on; raises as `Fluid.set_flow`."""
         super().set_flow(flow)
         if flow is not self.outer.flow:
             self.outer.set_flow(flow)
 
     def set_steps(self, steps: int) -> None:
-        """The clocks of both levels.
+        """Sets the clocks of both levels.
 
         Raises:
-            ConfigError: no whole number of coarse steps.
+            ConfigError: not a whole number of coarse steps.
         """
         if steps % RATIO:
             raise ConfigError(f"refined: {steps} steps are no whole number of coarse ones; expected a multiple of {RATIO}")
@@ -167,7 +174,7 @@ class RefinedFluid(Fluid):
         self.outer.set_steps(steps // RATIO)
 
     def settle(self) -> None:
-        """Undisturbed background flow everywhere on both levels."""
+        """Sets the undisturbed background flow everywhere on both levels."""
         if self._made:
             self.outer.settle()
         super().settle()
@@ -178,7 +185,7 @@ class RefinedFluid(Fluid):
         self._corner.assign(corner.astype(np.int32))  # where in memory the fine array and R begin
 
     def stream_collide(self) -> None:
-        """One fine time step, and every second time a coarse one."""
+        """Does one fine time step, and every second time a coarse one."""
         self._advance()
         for box in self.boxes:  # the finest first: coarser cells are made of its
             if not box.whole:
@@ -186,7 +193,7 @@ class RefinedFluid(Fluid):
             box._restrict(box._rim)
 
     def _advance(self) -> None:
-        """The same, but the coarse cells in a box stay as their own step leaves them."""
+        """Like `stream_collide`, but the coarse cells in the box stay as their own step leaves them."""
         coarse = self.outer
         if self.whole:
             self._explode()
@@ -211,11 +218,11 @@ class RefinedFluid(Fluid):
         self._exchange(exchange.coalesce, len(self._leaving), args, [self.outer.f.flatten()])
 
     def restrict(self) -> None:
-        """All coarse cells in the box from the fine ones."""
+        """Computes all coarse cells in the box from the fine ones."""
         self._restrict(self._all)
 
     def complete(self) -> None:
-        """All cells under finer boxes, of all levels."""
+        """Computes all coarse cells under finer boxes, on all levels."""
         for box in self.boxes:
             box.restrict()
 
@@ -224,7 +231,7 @@ class RefinedFluid(Fluid):
         self._exchange(exchange.restrict, len(cells), args, [self.outer.f.flatten(), self.outer.u.flatten()])
 
     def prolong(self, kept: tuple | None = None) -> None:
-        """Fine cells from the coarse ones, but for those in the box `kept` of coarse cells, (low, size)."""
+        """Computes fine cells from the coarse ones, except those in the box `kept` of coarse cells, (low, size)."""
         low, size = kept if kept is not None else NOWHERE
         args = [self._nest, self._corner, wp.vec3i(*_cells(low - self.low_lu)), wp.vec3i(*map(int, size))]
         args += [self.outer.f.flatten(), self.outer.u.flatten()]
@@ -234,7 +241,7 @@ class RefinedFluid(Fluid):
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, block_dim=BLOCK)
 
     def move(self, by: Cells) -> None:
-        """Move the box by whole coarse cells, between two coarse steps.
+        """Moves the box by whole coarse cells, between two coarse steps.
 
         Raises:
             ConfigError: in the middle of a coarse step, or out of the coarse water.
@@ -249,7 +256,7 @@ class RefinedFluid(Fluid):
         self.prolong((old, self.size_lu))
 
     def centre_on(self, point) -> bool:
-        """Move the box so that its middle comes within a coarse cell of `point` (3,) m, as far as the coarse water goes."""
+        """Moves the box until its middle is within a coarse cell of `point` (3,) m, as far as the coarse water reaches."""
         best = lowest(self.outer, point, self.size_lu)
         low = np.where(np.abs(self._offset_of(point)) >= 1, best, np.clip(self.low_lu, *_limits(self.outer, self.size_lu)))
         by = np.where(self._ghost > 0, low - self.low_lu, 0)
@@ -259,14 +266,15 @@ class RefinedFluid(Fluid):
         return True
 
     def _offset_of(self, point) -> np.ndarray:
-        """(3,) coarse cells from the middle of the box to a point in m."""
+        """Offset (3,), in coarse cells, from the middle of the box to a point in m."""
         return self.outer.lattice.to_lu(point) - (self.low_lu + (self.size_lu - 1) / 2)
 
     def shift(self, by: Cells) -> None:
+        """Raises ConfigError: the box moves by `move`, its coarse water by `outer.shift`."""
         raise ConfigError("refined: a box moves by whole coarse cells, `move`, and its coarse water by `outer.shift`")
 
     def run(self, steps: int, before=None) -> None:
-        """Fine steps without a body; on cuda in captured graphs of `period` steps."""
+        """Does fine steps without a body; on cuda in captured graphs of `period` steps."""
         self.set_box(NOWHERE)
         if before is None and self.device.is_cuda and steps >= self.period:
             graph, times = self._captured(self.period), steps // self.period
@@ -283,23 +291,23 @@ class RefinedFluid(Fluid):
 
     @property
     def period(self) -> int:
-        """Fine steps after which the copies of all levels are where they were."""
+        """Number of fine steps after which all levels read the same copies again."""
         return RATIO * (self.outer.period if isinstance(self.outer, RefinedFluid) else 2)
 
     @property
     def phase(self) -> int:
-        """Which copies the next step reads on every level, and in which half of a coarse step: a number for each case."""
+        """Index of the case: the copies that the next step reads on every level, and the half of the coarse step."""
         return self.parity + 2 * (self.steps % RATIO) + 4 * self.outer.phase
 
     def skip(self, steps: int) -> None:
-        """The host's account of steps that a graph has done."""
+        """Counts, on the host, steps that a graph has done."""
         for _ in range(steps):
             if not self.whole:
                 self.outer.skip(1)
             self.parity, self.steps = 1 - self.parity, self.steps + 1
 
     def _captured(self, stride: int) -> wp.Graph:
-        """A graph of a whole period from the present phase on; capturing does not run it."""
+        """Captures a graph of a whole period from the present phase on, without running it."""
         key = self.phase
         if key not in self._graphs:
             for kernel in (exchange.explode, exchange.coalesce, exchange.restrict):
@@ -315,16 +323,16 @@ class RefinedFluid(Fluid):
 
     @property
     def boxes(self) -> "list[RefinedFluid]":
-        """Of finer cells, the finest first."""
+        """All boxes of finer cells, the finest first."""
         return [self, *(self.outer.boxes if isinstance(self.outer, RefinedFluid) else [])]
 
     @property
     def levels(self) -> list[Fluid]:
-        """All of them, the finest first; the last is the water round all boxes."""
+        """All levels, the finest first; the last is the water round all boxes."""
         return [*self.boxes, self.boxes[-1].outer]
 
     def totals(self) -> np.ndarray:
-        """Mass less that of still water, kg, and momentum, (3,) kg m/s, of all levels together, each place once."""
+        """Mass less that of still water, kg, and momentum, (3,) kg m/s, of all levels; each place counts once."""
         sums, hole = np.zeros(len(VELOCITIES)), None
         for level in self.levels:
             counts = np.ones(level.shape, bool)
@@ -339,28 +347,33 @@ class RefinedFluid(Fluid):
         return np.concatenate([[sums.sum()], VELOCITIES.T @ sums * self.lattice.velocity])
 
     def box_slices(self) -> tuple[slice, slice, slice]:
-        """Where the box is in arrays of the fine level that begin at its low corner (`velocity`, `pressure`): without ghosts."""
+        """Slices of the box, without ghosts, in arrays of the fine level from its low corner on (`velocity`, `pressure`)."""
         x, y, z = (slice(int(g), int(n - g)) for g, n in zip(self._ghost, self.extent, strict=True))
         return x, y, z
 
     def begin_survey(self) -> None:
+        """Queues a survey of every level and returns at once."""
         super().begin_survey()
         self.outer.begin_survey()
 
     def surveyed(self) -> Survey:
-        """Extremes of both levels; the mass is scaled: its mean over the cells of this level is that of the coarse water."""
+        """Extremes of both levels.
+
+        The mass is scaled so that its mean over the cells of this level is that of the coarse water.
+        """
         fine, coarse = super().surveyed(), self.outer.surveyed()
         mass = coarse.mass / self.outer.cells * self.cells
         speed, lost = max(fine.speed, coarse.speed), fine.lost + coarse.lost
         return Survey(min(fine.rho_min, coarse.rho_min), max(fine.rho_max, coarse.rho_max), speed, mass, lost)
 
     def finer(self, factor: int) -> Fluid:
+        """Raises OracleUnstable: finer steps need one level; use a `RefinedRun`, or half the dt."""
         raise OracleUnstable(
             "refined: this run takes finer steps on one level only; take a `RefinedRun`, or half the dt", limit="mach"
         )
 
     def finer_levels(self, factor: int) -> "RefinedFluid":
-        """Undisturbed water on both levels, of the same cells where they are now, with steps `factor` times finer."""
+        """Undisturbed water on both levels, with the same cells at their present place and steps `factor` times finer."""
         outer = self.outer.finer_levels(factor) if isinstance(self.outer, RefinedFluid) else self.outer.finer(factor)
         outer._place(self.outer.origin_lu.copy())
         x, y, z = self.low_lu
@@ -368,7 +381,7 @@ class RefinedFluid(Fluid):
         return RefinedFluid(outer, (x, y, z), _cells(self.size_lu), **same)
 
     def take_outer(self, other: "RefinedFluid") -> None:
-        """All coarser water of another box of the same cells and another time step: its place, clock and state."""
+        """Takes place, clock and state of all coarser water from another box of the same cells and another time step."""
         mine, theirs = self.outer, other.outer
         r = mine.lattice.dt / theirs.lattice.dt
         args = [theirs.f.flatten(), theirs.u.flatten(), r]
@@ -380,7 +393,9 @@ class RefinedFluid(Fluid):
             mine.take_outer(theirs)
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """Of both levels, those of the coarse one under `outer.`; fields of this one by world node, as without `numbers`.
+        """Complete state of both levels. The coarse level's arrays are under `outer.`.
+
+        This level's are by world node, without `numbers`.
 
         Raises:
             ConfigError: in the middle of a coarse step.
@@ -394,7 +409,7 @@ class RefinedFluid(Fluid):
         return state | {"origin": origin} | {f"outer.{name}": value for name, value in self.outer.snapshot().items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Continue from a snapshot, bit for bit; the coarse clock follows the fine one.
+        """Continues from a snapshot, bit for bit; the coarse clock follows the fine one.
 
         Raises:
             ConfigError: it was taken in boxes of other shapes, or holds one level only.
@@ -420,7 +435,7 @@ def _cells(n) -> Cells:
 
 
 def lowest(outer: Fluid, point, size) -> Cells:
-    """World node of the low corner of a box of `size` cells of `outer` round `point` (3,) m, as near as its room allows."""
+    """World node (3,) of the low corner of a box of `size` cells of `outer`, as near to `point` (3,) m as the room allows."""
     point = numbers("refined: point", point, (3,))
     wanted = np.rint(outer.lattice.to_lu(point) - (np.array(size) - 1) / 2).astype(int)
     return _cells(np.clip(wanted, *_limits(outer, size)))
@@ -433,7 +448,7 @@ def _limits(outer: Fluid, size) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _room(outer: Fluid) -> int:
-    """Cells between the box and the ends of the coarse array."""
+    """Number of cells between the box and the ends of the coarse array."""
     return ROOM + (GHOST if isinstance(outer, RefinedFluid) else 0)
 
 

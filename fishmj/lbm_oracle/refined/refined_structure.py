@@ -1,7 +1,7 @@
 """A body in refined water: the coupled step of `FluidStructure` on the fine level.
 
-On a GPU a part of a step is captured once for each phase of the levels, four of two: which copy each level reads, and in
-which half of a coarse step (`coupling.Graphs`).
+On a GPU a part of a step is captured once for each phase of the levels: the copy that each level reads, and the half of the
+coarse step (`coupling.Graphs`). Two levels have four phases.
 """
 
 from fishmj.base.errors import ConfigError
@@ -10,7 +10,7 @@ from fishmj.lbm_oracle.refined.refined_fluid import RATIO, RefinedFluid
 
 
 class RefinedStructure(FluidStructure):
-    """One body in the box of finer cells; arguments as `FluidStructure`'s, the body's dt is the fine level's.
+    """Couples one body with the box of finer cells; arguments as `FluidStructure`. The body's dt is the fine level's.
 
     Raises:
         ConfigError: the water is not refined, or in the middle of a coarse step.
@@ -24,10 +24,10 @@ class RefinedStructure(FluidStructure):
         super().__init__(fluid, body, markers, **options)
 
     def place_markers(self) -> None:
-        """As `FluidStructure.place_markers`.
+        """Writes the pose of the body into the block that the device reads, as `FluidStructure.place_markers`.
 
         Raises:
-            ConfigError: a marker is so near to a face of the box that its kernel would read what no level knows.
+            ConfigError: a marker is so near to a face of the box that its kernel would read cells that no level fills.
         """
         fluid, found = self.fluid, self.body.corner_box(self.boundary.corners).tolist()
         lattice, first, size = fluid.lattice, fluid.first_lu.tolist(), (RATIO * fluid.size_lu).tolist()

@@ -1,7 +1,7 @@
 """The box of water: a fixed tank, or a window that follows the fish.
 
-A window moves by whole cells. Its velocities stay those of the world: there is no fictitious force and nothing is interpolated.
-The fish keeps `lead` of the window's length ahead of it; the lead turns with the heading no faster than `TURN`.
+A window moves by whole cells. Its velocities are those of the world: there is no fictitious force and no interpolation. The fish
+keeps `lead` of the window's length ahead of it; the lead turns with the heading no faster than `TURN`.
 
 Both are centred: the tank's middle is the world's origin, mid-depth is z = 0, the plane in which the fish swims.
 """
@@ -50,8 +50,8 @@ BOXES = {  # end of a name: the first box of each domain, and those in it
 class Domain:
     """Cells (nx, ny, nz) of dx [m], time step dt [s]; `follows` makes it a window. `bottom`: `slip` or `wall`.
 
-    `sides` are the kinds of the four side faces, `open` for a current, `wall` for a basin. `fine` [m] is the size of a box round
-    the fish in which cells and steps are half as large (`refined`); None: there is none. `finer`: boxes in it, each in the last.
+    `sides`: kind of the four side faces, `open` for a current, `wall` for a basin. `fine` [m]: size of a box round the fish with
+    cells and steps half as large (`refined`); None: no such box. `finer`: further boxes, each inside the one before.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Domain:
     finer: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self):
-        """Raises ConfigError, UnknownName: a number or a kind of face that cannot be."""
+        """Raises ConfigError for an invalid number, UnknownName for an unknown kind of face."""
         what = f"domain {self.name}"
         whole_numbers(f"{what}: shape", self.shape, (3,), low=1)
         numbers(f"{what}: dx", self.dx, low=1e-300), numbers(f"{what}: dt", self.dt, low=1e-300)
@@ -83,18 +83,19 @@ class Domain:
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """m."""
+        """Size of the box, m."""
         x, y, z = (n * self.dx for n in self.shape)
         return x, y, z
 
     @property
     def lattice(self) -> Lattice:
+        """Lattice of this box."""
         x, y, z = (-(n - 1) / 2 * self.dx for n in self.shape)
         return Lattice(dx=self.dx, dt=self.dt, corner=(x, y, z))
 
     @property
     def fine_cells(self) -> tuple[int, int, int]:
-        """Coarse cells of the finer box."""
+        """Size of the finer box, in cells of this water."""
         x, y, z = (ceil(round(s / self.dx, 6)) for s in self.fine or (0.0, 0.0, 0.0))
         return x, y, z
 
@@ -111,7 +112,7 @@ class Domain:
 
     @property
     def boxes(self) -> list[tuple[int, int, int]]:
-        """Of each finer box, its size in cells of the water round it; the finest last."""
+        """Size of each finer box in cells of the water round it; the finest last."""
         found = []
         for level in self.levels[1:]:
             x, y, z = (n // RATIO for n in level.shape)
@@ -120,11 +121,12 @@ class Domain:
 
     @property
     def body_level(self) -> "Domain":
-        """The water that the body is in: this one, or the finest box as a domain of its own."""
+        """Water in which the body swims: this one, or the finest box as a domain of its own."""
         return self.levels[-1]
 
     @property
     def boundaries(self) -> Boundaries:
+        """Faces of this box."""
         if self.sides == "open":
             return channel(bottom=self.bottom, sponge=self.sponge)
         side = Axis(self.sides, self.sides)
@@ -140,7 +142,7 @@ class Domain:
 
 
 def tank(name: str, size, dx: float, dt: float, **more: Any) -> Domain:
-    """A fixed box of `size` (3,) m. Raises ConfigError: a length that is not positive."""
+    """Fixed box of `size` (3,) m. Raises ConfigError for a length that is not positive."""
     numbers("domain: size", size, (3,), low=1e-300), numbers("domain: dx", dx, low=1e-300)
     return Domain(name=name, shape=tuple(round(s / dx) for s in size), dx=dx, dt=dt, **more)
 
@@ -159,7 +161,7 @@ def _presets() -> dict[str, Domain]:
 
 
 def _refined() -> dict[str, Domain]:
-    """Those of them with boxes of finer cells, by names that end as `BOXES` says."""
+    """Presets with boxes of finer cells, under names that end as `BOXES` says."""
     plain, made = _presets(), {}
     for ending, (around, more) in BOXES.items():
         for name, first in around.items():
@@ -174,11 +176,11 @@ EVERY = NAMES + REFINED
 
 
 def preset(name: str) -> Domain:
-    """A box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop; paper_refined, paper_refined_twice
+    """Box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop; paper_refined, paper_refined_twice
     and so on.
 
     Raises:
-        UnknownName: none of them.
+        UnknownName: no box of that name.
     """
     table = _presets() | _refined()
     return table[checked_name("domain", name, table)]
@@ -191,9 +193,9 @@ class Follower:
         self.domain, self.heading = domain, float(heading)
 
     def follow(self, fluid, position, heading: float) -> bool:
-        """Move the window by whole cells so that the fish at `position` (3,) m with `heading` rad sits where it should.
+        """Moves the window by whole cells so that the fish at `position` (3,) m with `heading` rad keeps its place in it.
 
-        True if it moved, by a quarter of the window at most; most of the time it stays.
+        Returns True if it moved, by a quarter of the window at most; most calls do not move it.
         """
         if not self.domain.follows:
             return False

@@ -1,6 +1,6 @@
-"""A run whose fish is in a box of finer cells: its checkpoints, and ticks done again with finer steps, are of all levels.
+"""Run of a fish in a box of finer cells: checkpoints, and ticks repeated with finer steps, include all levels.
 
-The finest level's part is `time_refinement`'s; here the coarser levels follow it. `in_levels` makes such a run of any `Run`.
+`time_refinement` handles the finest level; the coarser levels follow it here. `in_levels` makes such a run of any `Run`.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ R = TypeVar("R", bound=Run)
 
 
 class OuterState(NamedTuple):
-    """A coarser level at the start of a tick, on its device."""
+    """State of a coarser level at the start of a tick, on its device."""
 
     f: wp.array
     u: wp.array
@@ -29,7 +29,7 @@ class OuterState(NamedTuple):
 
 
 def outer_states(coupled: FluidStructure) -> tuple[OuterState, ...]:
-    """Copies of the coarser levels, the finer first; none of plain water."""
+    """Copies of the coarser levels, the finer first; empty for water on one level."""
     if not isinstance(coupled, RefinedStructure):
         return ()
     with coupled.scope():
@@ -40,7 +40,7 @@ def outer_states(coupled: FluidStructure) -> tuple[OuterState, ...]:
 
 
 def restore_outer(coupled: FluidStructure, kept: tuple[OuterState, ...]) -> None:
-    """The coarser levels as they were at `outer_states`."""
+    """Restores the coarser levels from `outer_states`."""
     if not isinstance(coupled, RefinedStructure):
         return
     with coupled.scope():
@@ -53,24 +53,25 @@ def restore_outer(coupled: FluidStructure, kept: tuple[OuterState, ...]) -> None
 
 
 class RefinedRefinement(Refinement):
-    """`Refinement` for all levels: a tick is done again from `kept`, set at its start, with finer steps on each."""
+    """`Refinement` for all levels: a tick is repeated from `kept`, set at its start, with finer steps on each level."""
 
     structure = RefinedStructure
     coupled: RefinedStructure
     kept: tuple[OuterState, ...] = ()
 
     def keep(self) -> None:
-        """Copy the coarser water."""
+        """Copies the coarser water."""
         self.kept = outer_states(self.coupled)
 
     def restore(self, kept: TickState) -> None:
+        """Restores all levels to the start of the tick. Raises OracleUnstable if the coarse water was not copied."""
         super().restore(kept)
         if not self.kept:
             raise OracleUnstable("refined: no checkpoint of the coarse water; take half the dt", limit="mach")
         restore_outer(self.coupled, self.kept)
 
     def hand_over(self, giver, taker) -> None:
-        """Fish and all levels of water."""
+        """Moves the fish and all levels of water from one time step to the other."""
         super().hand_over(giver, taker)
         with taker.scope():
             taker.fluid.take_outer(giver.fluid)
@@ -78,14 +79,15 @@ class RefinedRefinement(Refinement):
         taker.steps = taker.fluid.steps  # an attempt that was given up ended anywhere: looks shall fall between two coarse steps
 
     def finer_water(self, factor: int) -> RefinedFluid:
+        """Water on all levels with steps shorter by `factor`."""
         return self.coupled.fluid.finer_levels(factor)
 
 
 class OfLevels(Run):
-    """What a run in refined water does otherwise; a base class before the kind of run (`in_levels`).
+    """Mixin for runs in refined water; a base class before the kind of run (`in_levels`).
 
     Raises:
-        ConfigError: a bus tick is no whole number of steps of the coarsest water.
+        ConfigError: a bus tick is not a whole number of steps of the coarsest water.
     """
 
     _refinement: RefinedRefinement
@@ -99,20 +101,21 @@ class OfLevels(Run):
         self._refinement = RefinedRefinement(coupled)
 
     def ticking(self, command=None) -> Iterator[None]:
+        """Advances one bus tick as `Run.ticking`; copies the coarser water first if the fish is fast."""
         if self.fastest > CAUTION * self.limit or self.ticks < self.alert:
             self._refinement.keep()
         yield from super().ticking(command)
 
 
 class RefinedRun(OfLevels, Run):
-    """A `Run` in refined water; arguments as there."""
+    """A `Run` in refined water; same arguments."""
 
 
 _KINDS: dict[type, Any] = {Run: RefinedRun}
 
 
 def in_levels(kind: Callable[..., R]) -> Callable[..., R]:
-    """That kind of run, its ticks of all levels: `in_levels(Run)(coupled, robot)` for a fish in a box of finer cells."""
+    """Class of that kind of run with ticks on all levels: `in_levels(Run)(coupled, robot)` for a fish in a box of finer cells."""
     named = cast(type, kind)
     if named not in _KINDS:
         _KINDS[named] = type(f"Refined{named.__name__}", (OfLevels, named), {})
@@ -120,5 +123,5 @@ def in_levels(kind: Callable[..., R]) -> Callable[..., R]:
 
 
 def run_of(coupled: FluidStructure, kind: Callable[..., R]) -> Callable[..., R]:
-    """The class of a run of this fish: `kind`, or the same in levels where its water has some."""
+    """Class of a run of this fish: `kind`, or `in_levels(kind)` if its water has several levels."""
     return in_levels(kind) if isinstance(coupled, RefinedStructure) else kind

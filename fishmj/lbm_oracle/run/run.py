@@ -1,4 +1,4 @@
-"""One fish in the flow solver, by bus ticks of 20 ms: what `swim`, data generation and the judge have in common.
+"""One fish in the flow solver, by bus ticks of 20 ms: the common part of `swim`, data generation and the judge.
 
     command -> clamp, quantise -> bus (latency) -> [ coupled step ] x n -> window follows -> record
 
@@ -7,8 +7,8 @@
         run.tick(gait(run.time))
     trial = run.trial()
 
-Driven by the servos, joints lag behind their commands as on the robot. `prescribed` joints follow a function of time to the
-letter, `tethered` holds the root or leads it along `root`; the torques that this takes are the reaction of servos and tether.
+With servos, joints lag behind their commands as on the robot. `prescribed` joints follow a function of time exactly. `tethered`
+holds the root or moves it along `root`. The torques that this needs are the reaction of servos and tether.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -40,24 +40,24 @@ CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of 
 
 
 class JointDriver(Protocol):
-    """Who moves the joints through one tick; made anew for each, and for every time that it is done again with finer steps."""
+    """Moves the joints through one tick; a new one for each tick, and for each repetition with finer steps."""
 
     @property
     def power(self) -> float:
-        """Mean W that the servos drew."""
+        """Mean power that the servos drew, W."""
 
     def actuate(self, step: int) -> tuple:
-        """Set the joints' torque in this step of the tick; returns `fixed` and `value` of `FluidStructure.solve`."""
+        """Sets the joints' torque in this step of the tick; returns `fixed` and `value` of `FluidStructure.solve`."""
 
     def record(self) -> None:
-        """The step's equation stands and its launches are under way."""
+        """Called when the step's equation is assembled and its launches are under way."""
 
     def follow(self) -> None:
-        """MuJoCo has taken the step."""
+        """Called after MuJoCo has done the step."""
 
 
 class Servos:
-    """The servos of the model, or joints that follow a function of time to the letter."""
+    """Servos of the model, or joints that follow a function of time exactly."""
 
     def __init__(self, run: "Run", coupled: FluidStructure, factor: int):
         self.run, self.body, self.factor = run, coupled.body, factor
@@ -65,30 +65,33 @@ class Servos:
         self.rates: list[np.ndarray] = []
 
     def actuate(self, step: int) -> tuple:
+        """Sets the servos' targets for this step; returns `fixed` and `value` of prescribed joints."""
         run = self.run
         if run.prescribed is None:
             self.body.data.ctrl[:] = run.servo_target(run.ticks * run.steps + step // self.factor)
         return run.prescribed_velocity(self.body.dt)
 
     def record(self) -> None:
+        """Records joint rates and servo torques at the start of the step."""
         self.rates.append(self.run.rates())  # and torques, of the step's begin
         self.torques.append(self.body.data.actuator_force.copy())
 
     def follow(self) -> None:
-        """Nothing to follow."""
+        """Does nothing."""
 
     @property
     def power(self) -> float:
+        """Mean power that the servos drew, W."""
         return servo_power(np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb)
 
 
 def servo_power(torque: np.ndarray, rate: np.ndarray, kb: float) -> float:
-    """P = sum max(tau (tau - k_b w) / k_b, 0), mean over the steps, W; torque N m and rate rad/s, (S, J)."""
+    """Mean servo power over the steps, P = sum max(tau (tau - k_b w) / k_b, 0), W; torque N m and rate rad/s, (S, J)."""
     return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)
 
 
 class LeftDomain(FishmjError, RuntimeError):
-    """The fish reached the edge of its box of water; everything before is kept."""
+    """Error: the fish reached the edge of its box of water; everything before is kept."""
 
 
 class Run:
@@ -99,20 +102,20 @@ class Run:
         tethered: the root does not move over ground.
         prescribed: joint angles as a function of time [s] -> (J,) rad, in place of the servos.
         latency: of commands, s; the robot's nominal one by default.
-        follow: called with the coupled fish after every step: a window moves, a tank looks after its walls. It touches the
-            water in `FluidStructure.scope` only.
-        on_device: a tick's steps are done in one, the fish's own motion on the device (`DeviceSteps`), wherever servos alone
-            drive a plain body; by default on an accelerator. `follow` is then called once a tick.
+        follow: called with the coupled fish after every step: it moves a window, or checks a tank's walls. It may use the water
+            in `FluidStructure.scope` only.
+        on_device: do all steps of a tick in one, with the fish's motion on the device (`DeviceSteps`), if only servos drive a
+            plain body; by default on an accelerator. `follow` is then called once a tick.
 
     Attributes:
-        root: of a tethered fish, its path: t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
-        ahead: the device begins the next tick before the host has looked at this one, wherever the servos' targets are known by
-            then: commands arrive a tick late at least, and the box of water stays. The same ticks, without a pause between
-            them; the water is then a tick ahead of the fish, and `FluidStructure.scope` refuses to show it. A fish whose speed
-            doubles within one tick is taken to finer steps one tick later.
+        root: path of a tethered fish, t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
+        ahead: pipelines ticks: tick n + 1 starts before the host reads tick n. Needs a command latency of one tick or more and
+            a window that does not move. The ticks are the same, without a pause between them. The water is then one tick ahead
+            of the fish, and `FluidStructure.scope` refuses to show it. A fish whose speed doubles within one tick gets finer
+            steps one tick later.
 
     Raises:
-        ConfigError: the fluid's step does not divide the bus tick, or a latency that cannot be.
+        ConfigError: the fluid's step does not divide the bus tick, or an invalid latency.
     """
 
     root: Callable[[float], np.ndarray] | None = None
@@ -150,7 +153,7 @@ class Run:
         self.begin()
 
     def begin(self) -> None:
-        """From the state as it is: no ticks, no rows, the present joint angles on the bus.
+        """Starts a run from the present state: no ticks, no rows, the present joint angles on the bus.
 
         Raises:
             ConfigError: the water is ahead of the fish.
@@ -172,34 +175,34 @@ class Run:
 
     @property
     def time(self) -> float:
-        """s since the run began."""
+        """Time since the run began, s."""
         return self.coupled.time - self.start
 
     @property
     def pose(self) -> np.ndarray:
-        """(x, y, yaw, x', y', yaw') of the reference point, tank frame, m and rad."""
+        """Pose and rates (x, y, yaw, x', y', yaw') of the reference point, tank frame, m and rad."""
         return reference_pose(self.coupled.body.model, self.coupled.body.data)
 
     def angles(self) -> np.ndarray:
-        """(J,) rad."""
+        """Joint angles (J,) rad."""
         return self.coupled.body.data.qpos[-self.joints :].copy()
 
     def rates(self) -> np.ndarray:
-        """(J,) rad/s."""
+        """Joint rates (J,) rad/s."""
         return self.coupled.body.data.qvel[-self.joints :].copy()
 
     def tick(self, command=None) -> None:
-        """Advance one bus tick after sending `command`, (J,) rad; prescribed joints take none.
+        """Advances one bus tick after sending `command`, (J,) rad; prescribed joints take none.
 
         Raises:
-            SimDiverged, OracleUnstable: fish or water left the finite numbers. LeftDomain: from `follow`.
-            What was recorded before stays.
+            SimDiverged, OracleUnstable: the state of fish or water is not finite. LeftDomain: from `follow`.
+            Rows recorded before the error stay.
         """
         for _ in self.ticking(command):
             pass
 
     def ticking(self, command=None) -> Iterator[None]:
-        """The same, pausing whenever the device has work and the host could look after another tank (`ConcurrentRuns`)."""
+        """Advances one tick; yields when the device has work and the host could serve another tank (`ConcurrentRuns`)."""
         sent = self._send(command)
         began, done = self.time, None
         begun = self.coupled.ahead  # with the device's own steps, whatever the tick before has shown
@@ -216,7 +219,7 @@ class Run:
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
     def _steps(self, coupled: FluidStructure, factor: int, give_up: bool = True) -> Generator[None, None, Tick | None]:
-        """The steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole.
+        """Does the steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole.
 
         With `give_up` it returns None as soon as a marker is too fast for them.
         """
@@ -253,8 +256,7 @@ class Run:
         return driver.power, *coupled.take_wrench(count * coupled.body.dt)
 
     def _device_steps(self, coupled: FluidStructure, factor: int) -> DeviceSteps | None:
-        """What does a tick's steps in one, or finer ones in `factor` parts; None where the host does them: by choice, or for
-        what it moves otherwise."""
+        """Steps of a whole tick on the device, or of finer ones in `factor` parts; None if the host does the steps."""
         led = self.prescribed or (self.tethered and (self.root is not None or self.coupled.ahead))
         if not self.on_device or led or type(self)._driver is not Run._driver:
             return None
@@ -266,7 +268,7 @@ class Run:
         return self._at_once.get(factor)
 
     def _steps_at_once(self, at_once: DeviceSteps, factor: int, give_up: bool) -> Generator[None, None, Tick | None]:
-        """The steps of one tick without the host, which looks after every `1 / factor` of it; as `_steps`."""
+        """Does the steps of one tick on the device; the host checks after every `1 / factor` of it. Results as `_steps`."""
         coupled, finished, later, seen = at_once.coupled, False, None, []
         audit = self.ticks == 0 or self.ticks % AUDIT == self._audited
         fastest = 0.0
@@ -300,12 +302,12 @@ class Run:
         return drawn, *coupled.take_wrench(factor * self.steps * coupled.body.dt)
 
     def _targets(self, tick: int, part: int = 0, factor: int = 1) -> np.ndarray:
-        """(S, J) rad of the servos in the steps of a tick, or in one of the `factor` parts of finer ones."""
+        """Servo targets (S, J) rad in the steps of a tick, or in one of the `factor` parts of a finer tick."""
         first = part * self.steps
         return np.array([self.servo_target(tick * self.steps + (first + i) // factor) for i in range(self.steps)])
 
     def _goes_on(self, at_once: DeviceSteps) -> bool:
-        """May the next tick begin before this one has been looked at?"""
+        """Returns True if the next tick may start before the host reads this one."""
         stays = self.follow is None or not getattr(self.follow, "moves_water", True)
         known = self.delay >= self.steps
         calm = self.fastest <= CAUTION * self.limit and self.ticks + 1 >= self.alert
@@ -313,7 +315,7 @@ class Run:
         return self.ahead and at_once.goes_on and stays and known and calm and seen and not self.tethered
 
     def _begin_next(self, at_once: DeviceSteps) -> tuple | None:
-        """Queue the tick behind the one under way; the look between both, to be judged after it."""
+        """Queues the next tick behind the one under way; returns the survey between both, which is judged after it."""
         fluid, looked = self.coupled.fluid, None
         if self.watch.due(fluid, self.steps):
             with self.coupled.behind_what_is_queued():
@@ -323,7 +325,7 @@ class Run:
         return looked
 
     def _look(self, coupled: FluidStructure) -> None:
-        """After a step, or several in one: the watch looks at the water, a window follows its fish."""
+        """Checks after a step, or after several in one: the watch surveys the water, a window follows its fish."""
         if not coupled.ahead and self.watch.due(coupled.fluid, coupled.together):
             with coupled.scope():
                 self.watch.begin(coupled.fluid)
@@ -331,26 +333,26 @@ class Run:
             self.follow(coupled)
 
     def _send(self, command) -> np.ndarray:
-        """Put a command on the bus, (J,) rad as it is sent."""
+        """Puts a command on the bus; returns it, (J,) rad, as it is sent."""
         wanted = self.prescribed(self.time) if self.prescribed else command
         sent = on_the_bus(self.robot.servo, checked_array("run: command, joint angles in rad", wanted, (self.joints,)))
         self.commands.append(sent)
         return sent
 
     def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
-        """Who moves the joints through one tick."""
+        """Driver of the joints for one tick."""
         return Servos(self, coupled, factor)
 
     @property
     def limit(self) -> float:
-        """Greatest speed of a marker that the grid's own time step takes, m/s."""
+        """Greatest speed of a marker, m/s, for the grid's own time step."""
         return MACH * self.coupled.fluid.lattice.sound
 
     def _again(self, kept: TickState) -> Generator[None, None, Tick]:
-        """The tick from its checkpoint with finer steps; counted in `refined`.
+        """Repeats the tick from its checkpoint with finer steps; counted in `refined`.
 
         Raises:
-            OracleUnstable: too fast for the finest ones, too. SimDiverged: it was not for the time step.
+            OracleUnstable: too fast for the finest steps too. SimDiverged: the time step was not the cause.
         """
         self.coupled.wait_for_water()  # the look at the last tick's end is judged first
         done = yield from self._refinement.redo(kept, self._factors(), self._steps)
@@ -361,12 +363,12 @@ class Run:
         return done
 
     def _factors(self) -> tuple[int, ...]:
-        """Factors to try, after what was seen at the end of the tick before, where no step of this one was done.
+        """Factors of refinement to try, given the survey at the end of the previous tick, before any step of this one.
 
-        Water that ended too fast for that tick's steps, faster than any marker, asks for finer ones now.
+        If the water ended too fast for that tick's steps, faster than any marker, this tick needs finer ones.
 
         Raises:
-            OracleUnstable: it was no matter of speed, or its steps were the finest.
+            OracleUnstable: speed was not the cause, or its steps were the finest.
         """
         try:
             self.watch.end()
@@ -378,11 +380,11 @@ class Run:
         return FACTORS
 
     def servo_target(self, step: int) -> np.ndarray:
-        """What the servos aim at in step `step`, (J,) rad: the newest command that is old enough."""
+        """Servo targets (J,) rad in step `step`: the newest command that is old enough."""
         return arrived(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
 
     def prescribed_velocity(self, dt: float) -> tuple:
-        """`fixed` and `value` (n,) of this step (`FluidStructure.solve`), or None for both."""
+        """Prescribed velocities of this step, `fixed` and `value` (n,) of `FluidStructure.solve`, or None for both."""
         if not (self.tethered or self.prescribed):
             return None, None
         n = self.coupled.body.dofs
@@ -397,9 +399,9 @@ class Run:
         return fixed, value
 
     def trial(self) -> Trial:
-        """Everything so far in the log's schema: commands at the start of each tick, the rest at its end, wrenches as means.
+        """All ticks so far in the log's schema: commands at the start of each tick, the rest at its end, wrenches as means.
 
-        Where a run stopped, its last ticks are left out if water that blew up has thrown the fish faster than a log may say.
+        If a run stopped because water that failed threw the fish faster than a log allows, those last ticks are left out.
 
         Raises:
             LogError: nothing was recorded yet.
@@ -412,7 +414,7 @@ class Run:
         before = np.concatenate([self.first[None], q[:-1]])  # at the start of each tick
         flow = flow_at_links(self.coupled.fluid.flow, self.robot, before, self.start + began)
         servo, planar = self.robot.servo, [0, 1, 5]
-        # with prescribed joints what the servos would have drawn is not known
+        # with prescribed joints the servos' power is not known
         drawn = None if self.prescribed else (servo.voltage, (power + servo.idle_power) / servo.voltage)
         tables = log_tables(began, t, cmd, q, v, flow, whole[:, :, planar], raw[:, :, planar], drawn)
         return Trial(about(self, tables), tables)
@@ -422,8 +424,12 @@ def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = 
     """Tables of the log's schema from T ticks of a fish with J joints and L links.
 
     Args:
-        began, t: s, begin and end of a tick. command: (T, J) rad. q, v: (T, 3 + J) at its end. flow: (T, L, 2) m/s at its start.
-        whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water. power: V, and A (T,), where servos drove.
+        began, t: start and end of each tick, s.
+        command: (T, J) rad.
+        q, v: (T, 3 + J) at the end of each tick.
+        flow: (T, L, 2) m/s at its start.
+        whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water.
+        power: voltage V, and current A (T,), if servos drove the joints.
     """
     place, joint, rate = dict(zip(("x", "y", "yaw"), q[:, :3].T, strict=True)), q[:, 3:], v[:, 3:]
     wrench: dict[str, np.ndarray] = {}
@@ -452,11 +458,11 @@ def flow_at_links(flow: Flow, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.
 
 
 class ConcurrentRuns:
-    """Runs that tick together in one process; one that stops (see `Run.stopped`) is left as it is, the others go on.
+    """Runs that tick together in one process; one that stops (see `Run.stopped`) stays as it is, the others continue.
 
-    The host looks after one tank while the device works on another's water: every tank has its own stream, `tick` goes round and
-    finishes one step of each and begins its next. Tanks share nothing, so that results do not depend on their number or order.
-    `ahead`: nobody looks at the water between two ticks (`Run.ahead`).
+    The host serves one tank while the device works on another's water. Every tank has its own stream; `tick` visits all tanks,
+    finishes one step of each and begins its next. Tanks share nothing, so results do not depend on their number or order.
+    `ahead`: no caller reads the water between two ticks (`Run.ahead`).
     """
 
     def __init__(self, runs: Sequence[Run], *, ahead: bool = False):
@@ -468,11 +474,13 @@ class ConcurrentRuns:
 
     @property
     def swimming(self) -> list[int]:
-        """Numbers of the runs that have not stopped."""
+        """Indices of the runs that have not stopped."""
         return [i for i, run in enumerate(self.runs) if not run.stopped]
 
     def tick(self, commands=None) -> list[int]:
-        """One bus tick of all; commands (B, J) rad, or None for prescribed joints. Returns the numbers still swimming.
+        """Advances all runs by one bus tick; commands (B, J) rad, or None for prescribed joints.
+
+        Returns the indices still swimming.
 
         Raises:
             ConfigError: not one command for every tank.
@@ -482,7 +490,7 @@ class ConcurrentRuns:
         return self.swimming
 
     def ticking(self, commands=None) -> Iterator[None]:
-        """The same, pausing after every round: others' tanks may have their turn."""
+        """Advances all runs by one tick; yields after every round, so that other tanks can have their turn."""
         if commands is not None and len(commands) != len(self.runs):
             raise ConfigError(f"tanks: {len(commands)} commands for {len(self.runs)} tanks; stopped ones count")
         going = {i: self.runs[i].ticking(None if commands is None else commands[i]) for i in self.swimming}

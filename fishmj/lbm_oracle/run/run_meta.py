@@ -1,4 +1,4 @@
-"""What a log says of the run in the flow solver that made it."""
+"""Metadata in a log about the flow-solver run that made it."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from fishmj.mjcf.identity import identity
 
 
 def about(run, tables: dict) -> dict:
-    """What a reader must know about the run."""
+    """Metadata of the run: water, immersed boundary, robot, flow and push."""
     fluid, edge = run.coupled.fluid, run.coupled.boundary
     flow, lattice = fluid.flow, fluid.lattice
     (x, y, turn), c, s = run.pushed, np.cos(run.first[2]), np.sin(run.first[2])
@@ -47,7 +47,7 @@ def about(run, tables: dict) -> dict:
 
 
 def plausible(rows: list[tuple]) -> list[tuple]:
-    """Rows of a run without those at its end that are faster than a log may say; one at least."""
+    """Rows of a run without the last ones that are faster than a log allows; at least one row."""
     last, bounds = len(rows), shipped_bounds()
     while last > 1:
         pose, rate = rows[last - 1][3], rows[last - 1][5]

@@ -1,4 +1,4 @@
-"""A fish in a box of water, put together: movement, domain, flow, markers, coupling and what happens at the edge."""
+"""A fish in a box of water: movement, domain, flow, markers, coupling, and the action at the edge of the box."""
 
 from dataclasses import dataclass, field, replace
 from math import inf, pi, radians
@@ -35,7 +35,7 @@ class Gait:
 
     A travelling wave over J joints: frequency Hz, amplitude, lag from joint to joint and bias in rad, ramp s.
 
-    amplitude and bias are one number or one a joint.
+    amplitude and bias are one number, or one for each joint.
     """
 
     joints: int = 3
@@ -46,7 +46,7 @@ class Gait:
     ramp: float = 1.0
 
     def __post_init__(self):
-        """Raises ConfigError: a number that cannot be, or not one for each joint."""
+        """Raises ConfigError for an invalid number, or not one number for each joint."""
         whole_numbers("gait: joints", self.joints, low=1)
         for name, low in (("frequency", 1e-300), ("ramp", 0.0), ("lag", -inf)):
             numbers(f"gait: {name}", getattr(self, name), low=low)
@@ -58,7 +58,7 @@ class Gait:
 
     @classmethod
     def of_the_paper(cls, second: bool = True, joints: int = 3) -> "Gait":
-        """The calibration swim: 1 Hz, 30 deg on all joints; `second` with 60 deg lag, otherwise in phase."""
+        """Calibration swim of the paper: 1 Hz, 30 deg on all joints; `second` with 60 deg lag, otherwise in phase."""
         lag = constant("calibration", "phase_lag_second_deg" if second else "phase_lag_deg")[0]
         amplitude = radians(constant("calibration", "amplitude_deg"))
         return cls(joints=joints, frequency=constant("calibration", "frequency"), amplitude=amplitude, lag=radians(lag))
@@ -72,11 +72,11 @@ class Gait:
 
 @dataclass(frozen=True, kw_only=True)
 class SwimSetup:
-    """What a run is made of.
+    """Set-up of a run in the flow solver.
 
-    slip: ratio quoted at the paper's grid, 1 = the water slides along the hull. pose: (x, y, yaw) m, rad of the reference point.
+    slip: ratio quoted at the paper's grid, 1 = frictionless hull. pose: (x, y, yaw) m, rad of the reference point.
     joints: (J,) rad. width, passes, hydro_offset, spacing, sharpness: of the immersed boundary. robot: description, path or name.
-    storage: of the populations, float32 or float16.
+    storage: type of the populations, float32 or float16.
     """
 
     domain: Domain = field(default_factory=lambda: preset("window"))
@@ -95,7 +95,7 @@ class SwimSetup:
     storage: str = "float32"
 
     def __post_init__(self):
-        """Raises ConfigError: an object of another class, or numbers that cannot be."""
+        """Raises ConfigError for an object of another class, or for invalid numbers."""
         for name, kind in (("domain", Domain), ("flow", Flow), ("sharpness", Sharpness)):
             checked_kind(f"oracle: {name}", getattr(self, name), kind, needed=True)
         numbers("oracle: pose", self.pose, (3,))
@@ -103,7 +103,7 @@ class SwimSetup:
             numbers("oracle: joints", self.joints, (None,), low=-pi, high=pi)
 
     def assembled(self, body: ImmersedBody) -> FluidStructure:
-        """Fish and water at t = 0, the undisturbed flow, the fish at rest over ground; whether it would run is not looked at."""
+        """Fish and water at t = 0, undisturbed flow, the fish at rest over ground; does not check if the set-up would run."""
         robot, domain, slip, width = load_robot(self.robot), self.domain, self.slip, self.width
         level = domain.body_level
         if domain.fine and self.storage != "float32":
@@ -139,7 +139,7 @@ class SwimSetup:
         return made
 
     def coupled(self, body: ImmersedBody | None = None) -> FluidStructure:
-        """The same with the fish of the description, unless another body of its links is given.
+        """Fish and water as `assembled`, with the fish of the description unless another body of its links is given.
 
         Raises:
             OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
@@ -151,7 +151,7 @@ class SwimSetup:
         return made
 
     def run(self, **options) -> Run:
-        """The same as a run by bus ticks; options are those of `Run`."""
+        """Run by bus ticks of this set-up; options are those of `Run`."""
         made, edge = self.coupled(), DomainWatch(self.domain, self.pose[2])
         run = run_of(made, Run)(made, self.robot, follow=edge, **options)
         run.boundary_name = boundary_name(self.sharpness)
@@ -159,7 +159,7 @@ class SwimSetup:
 
 
 class DomainWatch:
-    """What happens after a step, or several in one: a window follows the fish, and a fish too close to a face ends the run."""
+    """Action after a step, or after several in one: a window follows the fish, and a fish too close to a face ends the run."""
 
     def __init__(self, domain: Domain, heading: float = 0.0):
         self.every = max(LOOK, RATIO ** len(domain.boxes))  # steps: a box moves between two steps of the water round it
@@ -167,11 +167,11 @@ class DomainWatch:
 
     @property
     def moves_water(self) -> bool:
-        """Does a window, or a box of finer cells, follow the fish?"""
+        """Returns True if a window, or a box of finer cells, follows the fish."""
         return self.domain.follows or bool(self.domain.fine)
 
     def __call__(self, coupled: FluidStructure) -> None:
-        """Raises LeftDomain when a marker is nearer than the margin."""
+        """Moves the water if needed. Raises LeftDomain if a marker is nearer to a face than the margin."""
         looks = coupled.steps // self.every - (coupled.steps - coupled.together) // self.every
         if not looks:
             return
@@ -189,7 +189,7 @@ class DomainWatch:
             )
 
     def follow(self, coupled: FluidStructure) -> bool:
-        """Move a window so that the middle of the fish sits where it should, and boxes of finer cells; True if one moved."""
+        """Moves a window so that the middle of the fish keeps its place in it, and boxes of finer cells; True if one moved."""
         body, fluid = coupled.body, coupled.fluid
         low, high = body.bounds(coupled.boundary.corners)
         middle, heading = 0.5 * (low + high), float(reference_pose(body.model, body.data)[2])

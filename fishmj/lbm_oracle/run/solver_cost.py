@@ -1,4 +1,4 @@
-"""What swims take on a CPU: cells times steps over the rate at which a core updates cells; asked for before hours of it begin."""
+"""Time of swims on a CPU, cells times steps over the rate of a core; asks before work that takes hours."""
 
 from collections.abc import Iterable
 from math import prod
@@ -16,20 +16,22 @@ Work = Iterable[tuple[Domain, float]]  # boxes, and s of water in each
 
 
 def cpu_seconds(work: Work, cores: int = 0) -> float:
-    """Wall clock on so many cores, by default those of this machine."""
+    """Wall-clock time [s] on so many cores, by default those of this machine."""
     return sum(prod(box.shape) * water / box.dt for box, water in work) / (RATE * min(cores or usable_cores(), MOST))
 
 
 def agree(
     verb: str, device: str, work: Work, *, instead: str, tanks: int = 1, flag: str = "--device cpu", asked: bool = False
 ) -> None:
-    """Refuse, or have agreed to, what takes a CPU too long or does not fit into its memory.
+    """Asks before work that takes a CPU too long or does not fit into its memory; refuses it without a terminal.
 
     Args:
-        device: as asked for; one by name is agreed to. tanks: boxes side by side. asked: the time was agreed to otherwise.
+        device: the user's option; a device by name counts as agreed.
+        tanks: number of boxes side by side.
+        asked: the user has already agreed to the time.
 
     Raises:
-        TooMuch: nobody agreed.
+        TooMuch: the user did not agree.
     """
     work = list(work)
     if device.startswith("cuda") or not work:

@@ -1,12 +1,12 @@
-"""Which water of the flow solver a figure was made in: box and grid, slip ratio, immersed boundary.
+"""Named waters of the flow solver: box and grid, slip ratio, immersed boundary.
 
-`PLAIN` is what `--water lbm` means by itself, the paper's tank and grid, where the shipped fitted water and the published tables
-come from. `REFERENCE` is the water for judging, asked for by name (`--water lbm --reference`); it stays so, another one gets
-another `name`. Grid, slip ratio and boundary were chosen by what half the cell changes; a real fish's swims judged them
+`PLAIN` is the meaning of `--water lbm` alone: the paper's tank and grid, the source of the shipped fitted water and the published
+tables. `REFERENCE` is the water for judging, selected by name (`--water lbm --reference`). It never changes; another water gets
+another `name`. Grid, slip ratio and boundary were chosen by the effect of half the cell; a real fish's swims judged them
 (docs/solver/results.md, "The reference water").
 
 `BOUNDARIES` are the treatments of the immersed boundary that have a name (`--boundary`); Python takes any `Sharpness`. Another
-kind of treatment enters as a field with its default, that `immersed` hands on.
+kind of treatment is a new field with a default, which `immersed` passes on.
 """
 
 from collections.abc import Callable
@@ -27,32 +27,32 @@ BOUNDARIES = {
 
 
 def boundary_name(sharpness: Sharpness) -> str:
-    """Its name in `BOUNDARIES`, else its lengths."""
+    """Name of the boundary in `BOUNDARIES`, else its lengths."""
     lengths = repr(sharpness).replace(", edges=False", "")  # as in records from before there were edges
     return next((name for name, known in BOUNDARIES.items() if known == sharpness), lengths)
 
 
 def boundary_entry(sharpness: Sharpness) -> dict[str, str]:
-    """What the set-up of a table or data set says of it: its name, and nothing where it is plain, as of those made before."""
+    """Entry for the boundary in the set-up of a table or data set; empty for the plain boundary, as in older files."""
     return {} if sharpness == markers.PLAIN else {"boundary": boundary_name(sharpness)}
 
 
 def robot_entry(robot: Robot) -> dict[str, str]:
-    """What the set-up of a table says of the swimmer: its name, and nothing for the shipped fish, as of those made before."""
+    """Entry for the swimmer in the set-up of a table; empty for the shipped fish, as in older files."""
     return {} if robot == load_robot("fish") else {"robot": robot.name}
 
 
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
-    """The option `--boundary` of a command; add: of its parser."""
+    """Adds the option `--boundary` to a command; `add` is its parser's method."""
     words = "treatment of the hull. rims: fins drawn in. sharp: hulls too, and slip lengths, for --slip 0. edges: as sharp, and"
     words += " the edges of hulls, for tails 1 to 5 cells thick. Default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
 
 
 class SolverWater(NamedTuple):
-    """Box of water by name for a tank, and for a fish that swims away; slip ratio of the hull at the paper's grid.
+    """Boxes of water by name, for a tank and for a fish that swims away; slip ratio of the hull at the paper's grid.
 
-    width, passes, sharpness: of the immersed boundary (`SwimSetup`). storage: of the populations, float32 or float16.
+    width, passes, sharpness: of the immersed boundary (`SwimSetup`). storage: type of the populations, float32 or float16.
     """
 
     name: str
@@ -66,17 +66,18 @@ class SolverWater(NamedTuple):
 
     @property
     def box(self) -> Domain:
+        """Domain of the tank."""
         return preset(self.domain)
 
     @property
     def immersed(self) -> dict[str, Any]:
-        """Options of the immersed boundary, of `SwimSetup`, and the storage where it is not single precision."""
+        """Options of `SwimSetup`: the immersed boundary, and the storage if it is not single precision."""
         edge = {"width": self.width, "passes": self.passes, "sharpness": self.sharpness}
         return edge | ({} if self.storage == "float32" else {"storage": self.storage})
 
     @property
     def label(self) -> str:
-        """For tables and file names: `paper, slip 1`; the reference by its name, too, and a boundary that is not plain."""
+        """Label for tables and file names, `paper, slip 1`; also the reference's name, and a boundary that is not plain."""
         named = "" if self.name == PLAIN.name else f"{self.name}, "
         edge = "" if self.sharpness == markers.PLAIN else f", boundary {boundary_name(self.sharpness)}"
         stored = "" if self.storage == "float32" else f", {self.storage}"
@@ -97,14 +98,15 @@ def asked_for(
     who: str, reference: bool, domain: str | None, slip: float | None, plain: str | None = None, *, boundary: str | None = None,
     storage: str | None = None,
 ) -> SolverWater:  # fmt: skip
-    """The water that options ask for.
+    """Water that the options select.
 
     Args:
-        who: the verb, for the message. domain, slip, boundary, storage: as given, None where they were not. plain: its box
-            without one.
+        who: the verb, for the message.
+        domain, slip, boundary, storage: the options, None if not given.
+        plain: the verb's default box.
 
     Raises:
-        ConfigError: the reference, and another box, slip ratio or boundary.
+        ConfigError: the reference together with another box, slip ratio or boundary.
     """
     if not reference:
         box, edge = domain or plain or PLAIN.domain, BOUNDARIES[boundary or "plain"]

@@ -5,11 +5,11 @@
 
     for found in spread(swum, keys, devices_of("cuda:all")): book.add(found)
 
-On one device the work runs here. On several, each process asks for a key whenever it has room, so that a slow one takes fewer;
-none takes more than its part of what is left. No result depends on the process that made it: seeds belong to keys. The caller
-alone writes, as each result comes, so that an interrupted command loses what is under way and nothing else.
+On one device the work runs in this process. On several, each process asks for a key whenever it has room, so that a slow one
+takes fewer; none takes more than its part of the rest. No result depends on the process that made it: seeds belong to keys. Only
+the caller writes, as each result arrives, so that an interrupted command loses only the work under way.
 
-Processes, because a step is a queue of small launches: the host's part of it (Python) is what a second device would wait for.
+Processes are used because a step is a queue of small launches: in one process a second device would wait for the host's Python.
 """
 
 import sys
@@ -31,9 +31,11 @@ PATIENCE = 5.0  # s that a process has to end before it is killed
 
 
 class Waiting(Protocol):
-    """What is to be done: a deque, or the part of it that other processes leave to this one; false when there is none now."""
+    """Work to be done: a deque, or this process's part of it; false if there is none now."""
 
-    def popleft(self) -> Any: ...
+    def popleft(self) -> Any:
+        """Removes and returns the next key."""
+        ...
 
 
 GoOn = Callable[[float], bool]
@@ -41,20 +43,20 @@ Work = Callable[[Waiting, str, GoOn], Iterator[Any]]  # asks `waiting` only wher
 
 
 def always(done: float) -> bool:
-    """A `go_on` that never ends the work."""
+    """Returns True: a `go_on` that never ends the work."""
     return True
 
 
 def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn = always) -> Iterator[Any]:
-    """What `work` yields, as it comes.
+    """Yields the results of `work` as they arrive.
 
     Args:
-        work: called once a device. On several, it and all keys and results can be pickled, as a function of a module (or a
-            `partial` of one) can. Results are not in the order of the keys.
-        go_on: called often with what `work` reports of unfinished keys, summed over devices; False gives these up and ends.
+        work: called once for each device. On several devices, `work`, keys and results must be picklable, as a function of a
+            module (or a `partial` of one) is. Results are not in the order of the keys.
+        go_on: called often with the progress that `work` reports of unfinished keys, summed over devices; False ends the work.
 
     Raises:
-        ConfigError: what cannot be sent to a process; a process that died. Whatever `work` raises.
+        ConfigError: something cannot be sent to a process, or a process died. All errors of `work`.
     """
     todo = keys if isinstance(keys, deque) else deque(keys)
     if len(devices) == 1 or len(todo) == 1:
@@ -74,14 +76,14 @@ def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn 
 
 
 class _Process:
-    """One at work: how many keys it has in hand, and what it has reported of them."""
+    """One worker process: its number of keys in hand, and its reported progress on them."""
 
     def __init__(self, pipe: Connection, process, device: str):
         self.pipe, self.process, self.device = pipe, process, device
         self.held, self.done, self.ended = 0, 0.0, False
 
     def send(self, work: Work) -> None:
-        """What it does. Raises ConfigError: it cannot be sent."""
+        """Sends the work to the process. Raises ConfigError if it cannot be sent."""
         try:
             self.pipe.send(work)
         except OSError as error:
@@ -90,13 +92,13 @@ class _Process:
             raise ConfigError(f"device {self.device}: the work cannot be sent to a process: {error}; use one device") from error
 
     def died(self) -> ConfigError:
-        """The error that says so."""
+        """Error for a process that died."""
         self.process.join(PATIENCE)
         how = f"its process ended with exit code {self.process.exitcode}"
         return ConfigError(f"device {self.device}: {how}; the same command goes on, with fewer --tanks if memory ran out")
 
     def end(self) -> None:
-        """Wait for it where it is through, else end it: it keeps nothing that is not sent."""
+        """Waits for the process if it has finished, else ends it: it holds nothing that was not sent."""
         if self.ended:
             self.process.join(PATIENCE)
         self.process.kill()
@@ -105,7 +107,7 @@ class _Process:
 
 
 class _Said(NamedTuple):
-    """A message of a process: want, made, done, failed, broken or end, and what goes with it."""
+    """Message of a process: want, made, done, failed, broken or end, with its value."""
 
     what: str
     value: Any = None
@@ -117,7 +119,7 @@ def _begun(device: str, share: tuple[int, int]) -> _Process:
 
 
 def _served(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:
-    """Answer the processes until all have ended."""
+    """Answers the processes until all have ended."""
     while busy := [one for one in side if not one.ended]:
         ready = wait([one.pipe for one in busy], timeout=LOOK)
         for one in (one for one in busy if one.pipe in ready):
@@ -141,7 +143,7 @@ def _served(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:
 
 
 def _give(one: _Process, side: list[_Process], todo: deque) -> None:
-    """A key, unless this process has its part of what is left: (True, key), or (False, whether to ask again)."""
+    """Sends a key, or no key if this process has its part of the rest: (True, key), or (False, ask again or not)."""
     part = ceil((len(todo) + sum(other.held for other in side)) / len(side))
     if todo and one.held < part:
         one.held += 1
@@ -151,7 +153,7 @@ def _give(one: _Process, side: list[_Process], todo: deque) -> None:
 
 
 def _error(device: str, said: _Said) -> Exception:
-    """What went wrong in a process, as the error that it was where it is one of ours."""
+    """Error of a process, of its original type if that is one of fishmj's."""
     if said.what == "broken":
         return RuntimeError(f"on device {device}:\n{said.value}")
     kind, message = said.value
@@ -166,7 +168,7 @@ def _error(device: str, said: _Said) -> Exception:
 
 
 class _Asked:
-    """`Waiting` in a process: asks for the next key, again only after one was finished or where nothing is in hand."""
+    """`Waiting` in a process: asks for the next key; asks again after one was finished, or if none is in hand."""
 
     def __init__(self, pipe: Connection):
         self.pipe, self.found, self.more, self.full = pipe, deque[Any](), True, False
@@ -188,7 +190,10 @@ class _Asked:
 
 
 def _serve(pipe: Connection, device: str, share: tuple[int, int], own: dict[str, list[str]]) -> None:
-    """The process of one device. own: code of the user's that the other one has loaded, by kind, which the work may need."""
+    """Main function of the process of one device.
+
+    own: the user's code that the parent loaded, by kind, which the work may need.
+    """
     processes.ends_with_its_parent()
     if device.startswith("cpu"):
         processes.bind(*share)
@@ -211,7 +216,7 @@ def _serve(pipe: Connection, device: str, share: tuple[int, int], own: dict[str,
 
 
 class _Told:
-    """`go_on` in a process: reports now and then; it is ended from outside."""
+    """`go_on` in a process: reports from time to time; the parent ends the process."""
 
     def __init__(self, pipe: Connection, clock: Callable[[], float] = time.monotonic):
         self.pipe, self.clock, self.last = pipe, clock, clock()

@@ -1,10 +1,10 @@
-"""Checked before step one: does this box resolve what it is asked to?
+"""Checks before the first step that a box resolves the requested swim.
 
     Ma, tau                   limits of the scheme (`fluid.guard`), which `Fluid` itself checks, too
     spacing 0.5 to 1.4 dx     of the markers; measured to make no difference inside
     4 cells                   between the fish and the faces, at least
 
-A refusal names the nearest set-up that would pass.
+An error names the nearest set-up that would pass.
 """
 
 from math import inf
@@ -29,14 +29,14 @@ class Line(NamedTuple):
 
 
 def memory(cells: int) -> float:
-    """MB of two copies of populations and velocity, and the force."""
+    """Memory of two copies of populations and velocity, and of the force, MB."""
     from fishmj.lbm_oracle.fluid.fluid import BYTES_PER_CELL
 
     return cells * BYTES_PER_CELL / 2**20
 
 
 def table(domain: Domain, *, subgrid: str = "wale", spacing: float | None = None) -> list[Line]:
-    """The numbers of a box; `spacing` of the markers in m."""
+    """Numbers of a box, one line each; `spacing` of the markers in m."""
     lat, cells = domain.lattice, domain.shape[0] * domain.shape[1] * domain.shape[2]
     lines = [
         Line("cells", cells, "1", " x ".join(map(str, domain.shape))),
@@ -67,8 +67,8 @@ def check(
     """Warnings for a set-up that may run; `speed` is the fastest expected [m/s], `clearance` of the fish from the faces [cells].
 
     Raises:
-        ConfigError, UnknownName: no such number or subgrid model. OracleUnstable: it would not run; the message has the numbers
-            and the nearest set-up that would pass.
+        ConfigError, UnknownName: an invalid number or subgrid model.
+        OracleUnstable: it would not run; the message has the numbers and the nearest set-up that would pass.
     """
     for name, value in (("speed", speed), ("spacing", spacing), ("clearance", clearance)):
         if value is not None:

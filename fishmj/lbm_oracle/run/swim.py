@@ -37,6 +37,7 @@ INTERRUPTED = "interrupted"  # of `Run.stopped`
 
 
 def main(argv: list[str]) -> int:
+    """Runs the verb `swim`; returns its exit code."""
     args = _parser().parse_args(argv)
     if args.volume and args.fields is None:
         raise ConfigError("lbm_oracle swim: --volume is of --fields; add --fields FOLDER, or leave it out")
@@ -78,10 +79,11 @@ def main(argv: list[str]) -> int:
 
 
 def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder=None, kept: "LastGood | None" = None) -> float:
-    """Swim with progress; returns seconds of wall time. A run that stops early says why in `run.stopped`.
+    """Swims with a progress line; returns the wall time in s. A run that stops early has the reason in `run.stopped`.
 
     Args:
-        recorder: writes fields between ticks (see `record_fields`). kept: looks after the last sound state.
+        recorder: writes fields between ticks (see `record_fields`).
+        kept: keeps the last sound state.
     """
     start, ticks = time.perf_counter(), round(seconds / run.robot.timing.bus_dt)
     with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar, _between_ticks() as asked:
@@ -112,7 +114,7 @@ def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder
 
 
 def _words(args, run: Run) -> str:
-    """Of an interrupt that a tick keeps waiting: writes the trial of those before it, in another thread."""
+    """Text for an interrupt during a long tick; writes the trial of the ticks before it, in another thread."""
     if not args.out or not run.rows:
         return "nothing was kept" + ("" if args.out else ": with --out FOLDER the trial is")
     return f"the trial up to then is in {write_trial(args.out, run.trial(), overwrite=args.overwrite)}"
@@ -120,7 +122,7 @@ def _words(args, run: Run) -> str:
 
 @contextmanager
 def _between_ticks() -> Iterator[list[int]]:
-    """A list that fills on Ctrl-C or SIGTERM, so that no tick is left half done; asked twice, Ctrl-C interrupts at once."""
+    """Yields a list that fills on Ctrl-C or SIGTERM, so that no tick is left half done; a second Ctrl-C interrupts at once."""
     asked: list[int] = []
 
     def hear(number, frame) -> None:
@@ -142,7 +144,7 @@ def _between_ticks() -> Iterator[list[int]]:
 
 
 def _recorder(args, run: Run):
-    """What writes the fields, or None."""
+    """Recorder of the fields, or None."""
     if args.fields is None:
         return None
     from fishmj.lbm_oracle.output.record_fields import FieldRecorder
@@ -152,7 +154,7 @@ def _recorder(args, run: Run):
 
 
 def figures(run: Run, frequency: float) -> dict:
-    """Speed over ground, direction, yaw and power over the last two beats (or what there is), and the mean force on the fish.
+    """Speed over ground, direction, yaw and power over the last two beats (or all there is), and the mean force on the fish.
 
     `course` is the direction of the path; `thrust` the mean force along the heading, of interest for a tethered fish.
     """
@@ -252,12 +254,11 @@ def _parser() -> console.Parser:
 
 
 class LastGood:
-    """The last state of a run that was certainly sound, at most two looks of the watch old: a blow-up can be looked at, or
-    started again with a smaller step.
+    """Keeps the last sound state of a run, at most two surveys of the watch old: for a look at a failure, or a restart with
+    a smaller step.
 
-    A state is sound when the watch has found the water well *after* it. The newest one that was seen only before a look is a
-    candidate; the look that comes next makes it the last good one. Both stay on the device until they are needed:
-    164 bytes a cell of every level.
+    A state is sound if the watch found the water well *after* it. The newest state since the last survey is a candidate; the next
+    survey makes it the last good one. Both stay on the device until they are needed: 164 bytes a cell of every level.
     """
 
     def __init__(self) -> None:
@@ -266,13 +267,13 @@ class LastGood:
         self.looks = 0
 
     def look(self, run: Run) -> None:
-        """To be called after every tick."""
+        """Updates the states; call it after every tick."""
         if run.watch.looks > self.looks or self.candidate is None:
             self.looks, self.good = run.watch.looks, self.candidate
             self.candidate = checkpoint(run.coupled), outer_states(run.coupled)
 
     def save(self, path: str | Path, run: Run) -> str:
-        """Put the run back to its last good state and write it; "" where there was none: the water failed at once."""
+        """Puts the run back to its last good state and writes it; returns "" if there is none: the water failed at once."""
         if self.good is None:
             return ""
         body, outer = self.good

@@ -1,10 +1,10 @@
-"""A tick that is too fast for the grid's time step is done again from its start with a finer one; the trial goes on.
+"""Repeats a tick that is too fast for the grid's time step from its start with a finer step; the trial continues.
 
     dt' = r dt, r = 1/2 or 1/4:   rho' - 1 = r^2 (rho - 1),   u' = r u,   P' = r P
 
-Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay what they are; the non-equilibrium stress P is a rate of strain
-and scales like u where the collision relaxes fully (tau near 1/2, as in water). Mach numbers fall by r.
-The finer water has the same cells, and takes its memory when it is first needed.
+Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay unchanged. The non-equilibrium stress P is a rate of strain and scales
+like u if the collision relaxes fully (tau near 1/2, as in water). Mach numbers fall by r. The finer water has the same cells, and
+its memory is allocated at the first use.
 """
 
 from collections.abc import Callable, Generator
@@ -29,7 +29,7 @@ Steps = Callable[[FluidStructure, int], Generator[None, None, Tick | None]]
 
 @cache
 def _rescale(dtype: type, velocity: type) -> wp.Kernel:
-    """The kernel for populations and velocities that are kept in these types."""
+    """Kernel for populations and velocities that are stored in these types."""
 
     @wp.kernel(module="unique", module_options={"max_unroll": 32, "enable_backward": False})
     def rescale(
@@ -39,7 +39,7 @@ def _rescale(dtype: type, velocity: type) -> wp.Kernel:
         f_out: wp.array(dtype=dtype),
         u_out: wp.array(dtype=velocity),
     ):
-        """Moments of every cell for another time step."""
+        """Converts the moments of every cell to another time step."""
         cell = wp.tid()
         cells = u.shape[0]
         q = vec19()
@@ -56,7 +56,7 @@ def _rescale(dtype: type, velocity: type) -> wp.Kernel:
 
 
 class TickState(NamedTuple):
-    """A coupled fish at the start of a tick, the water still on its device."""
+    """State of a coupled fish at the start of a tick, the water still on its device."""
 
     f: wp.array
     u: wp.array
@@ -70,7 +70,7 @@ class TickState(NamedTuple):
 
 
 def checkpoint(coupled: FluidStructure) -> TickState:
-    """Copy what the next step depends on."""
+    """Copies everything on which the next step depends."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
     solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.interior_speed.copy()
     with coupled.scope():
@@ -79,7 +79,7 @@ def checkpoint(coupled: FluidStructure) -> TickState:
 
 
 def restore(coupled: FluidStructure, kept: TickState) -> None:
-    """Back to a checkpoint, and to the coupled fish's own time step."""
+    """Goes back to a checkpoint, and to the coupled fish's own time step."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
     body.set_step(fluid.lattice.dt)
     with coupled.scope():
@@ -93,7 +93,7 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
 
 
 class Refinement:
-    """The finer waters of one coupled fish, and the ticks that are done again in them."""
+    """Repeats ticks of one coupled fish in waters with finer steps."""
 
     structure: type[FluidStructure] = FluidStructure  # of the finer waters
 
@@ -102,10 +102,12 @@ class Refinement:
         self._finer: dict[int, FluidStructure] = {}
 
     def redo(self, kept: TickState, factors: tuple[int, ...], steps: Steps) -> Generator[None, None, Tick | None]:
-        """The tick from its checkpoint with the first of `factors` whose steps take it; None: a marker is too fast for all.
+        """Repeats the tick from its checkpoint with the first of `factors` that is fine enough.
+
+        None: a marker is too fast for all.
 
         Raises:
-            SimDiverged, OracleUnstable: what the finest steps raised.
+            SimDiverged, OracleUnstable: the error of the finest steps.
         """
         for factor in factors:
             self.restore(kept)
@@ -124,19 +126,19 @@ class Refinement:
         return None
 
     def restore(self, kept: TickState) -> None:
-        """Back to the start of the tick."""
+        """Goes back to the start of the tick."""
         restore(self.coupled, kept)
 
     def hand_over(self, giver: FluidStructure, taker: FluidStructure) -> None:
-        """Fish and water from one time step to the other."""
+        """Moves fish and water from one time step to the other."""
         hand_over(giver, taker)
 
     def finer_water(self, factor: int) -> Fluid:
-        """The water with steps shorter by `factor`."""
+        """Water with steps shorter by `factor`."""
         return self.coupled.fluid.finer(factor)
 
     def _fine(self, factor: int) -> FluidStructure:
-        """The same body in finer water: made once, since its arrays are as large as the first ones; its state is not set."""
+        """The same body in finer water: made once, because its arrays are as large as the first ones; its state is not set."""
         if factor not in self._finer:
             old = self.coupled
             water = self.finer_water(factor)
@@ -148,7 +150,7 @@ class Refinement:
 
 
 def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
-    """Move fish and water from one time step to the other; wrenches stay where they were summed."""
+    """Moves fish and water from one time step to the other; wrenches stay with the fish that summed them."""
     r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
     a, b = giver.fluid, taker.fluid
     taker.come_behind(giver)

@@ -22,17 +22,17 @@ TASKS_BY_DOMAIN = {fish.DOMAIN: tuple(_OWN)}
 
 
 def load(domain_name: str, task_name, task_kwargs=None, environment_kwargs=None, visualize_reward: bool = False):
-    """An environment by name.
+    """Makes an environment by name.
 
     Args:
-        task_name: in the domain "fish" also a task of one's own: `module:Name`, `file.py:Name`, or its class. Loading it runs it.
+        task_name: in the domain "fish" also your own task: `module:Name`, `file.py:Name`, or its class. Loading it runs it.
         task_kwargs: `random` (seed or RandomState), `root`, and the fields of `fishmj.tasks.episode.TaskOptions`.
         environment_kwargs: for `dm_control.rl.control.Environment`, for example `flat_observation=True`.
         visualize_reward: colour the target by the reward.
 
     Raises:
         UnknownName: no such domain or task, here or in dm_control.
-        ConfigError: an impossible option. OwnCodeError: a task of one's own that is none.
+        ConfigError: an invalid option. OwnCodeError: your own object is not a task.
     """
     own = domain_name == fish.DOMAIN and (not isinstance(task_name, str) or plugins.is_reference(task_name))
     if not own and (domain_name, task_name) not in ALL_TASKS:
@@ -50,10 +50,10 @@ def load(domain_name: str, task_name, task_kwargs=None, environment_kwargs=None,
 
 
 def register() -> None:
-    """Add the tasks to dm_control's domain `fish` and to its task lists; a second call changes nothing.
+    """Adds the tasks to dm_control's domain `fish` and to its task lists; a second call changes nothing.
 
     They are not in dm_control's `BENCHMARKING`, which promises rewards from 0 to 1; the paper's reward may be negative.
-    Names that somebody took from `dm_control.suite` before (`from dm_control.suite import ALL_TASKS`) do not change.
+    Names imported from `dm_control.suite` before (`from dm_control.suite import ALL_TASKS`) do not change.
     """
     for name, factory in _OWN.items():
         if name not in _dm.fish.SUITE:

@@ -59,7 +59,7 @@ def angle_of_attack(random=None, environment_kwargs=None, root="planar", **setti
 
 
 def environment(name: Any, random, environment_kwargs, root: str, setting: dict) -> control.Environment:
-    """One dm_control environment of a task by name, or of one's own (tasks.reference).
+    """Makes one dm_control environment of a task by name, or of the user's own (tasks.reference).
 
     `setting` has the options of the task and of `TaskOptions`. Its `water` is as `fishmj.water.choice` names it; "lbm" is the
     flow solver, whose options (domain, slip, device, finer) are in `solver`; those of "hybrid" are in `hybrid`, a
@@ -92,7 +92,7 @@ def environment(name: Any, random, environment_kwargs, root: str, setting: dict)
 
 
 def environment_options(given: Any) -> dict:
-    """`environment_kwargs` for `dm_control.rl.control.Environment`. Raises ConfigError, UnknownName: none that a user has."""
+    """Returns `environment_kwargs` for `dm_control.rl.control.Environment`. Raises ConfigError, UnknownName for other options."""
     options = dict(table_of("environment_kwargs", given or {}))
     for key in options:
         if key in OURS:
@@ -101,7 +101,7 @@ def environment_options(given: Any) -> dict:
 
 
 def table_of(where: str, given: Any, known: Iterable[str] | None = None) -> dict:
-    """Returns a table of keyword arguments. Raises ConfigError: no dict, or a key that is not known."""
+    """Returns a table of keyword arguments. Raises ConfigError if it is not a dict, or a key is not known."""
     if not isinstance(given, dict):
         raise ConfigError(f"suite: {where} = {shown_value(given)}; expected a dict of options")
     for key in given if known is not None else ():
@@ -113,7 +113,7 @@ class FishTask(base.Task):
     """Observation, reward, start and end of one course.
 
     Attributes:
-        scenario: what was drawn for the running episode (batch of one): start, flow, fish, camera. Never observed.
+        scenario: draws of the running episode (batch of one): start, flow, fish, camera. Never observed.
         trace: the bus ticks of the control step just taken; None at the start.
     """
 
@@ -128,7 +128,7 @@ class FishTask(base.Task):
         self._start(rules.scenario(rules.draws(np.random.RandomState(0), 1)), np.zeros((1, rules.n_obs)))
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Draw fish, flow, start and target; everything at rest over ground."""
+        """Draws fish, flow, start and target; everything at rest over ground."""
         self.begin(physics, self.rules.scenario(self.rules.draws(self.random, 1)))
         super().initialize_episode(physics)
 
@@ -146,7 +146,7 @@ class FishTask(base.Task):
         physics.send(commands[0])
 
     def after_step(self, physics: Physics) -> None:
-        """Move the target, take the camera's pictures, draw the sensors' noise; then colours, if wanted."""
+        """Moves the target, takes the camera's pictures, draws the sensors' noise; then sets colours, as an option."""
         trace = physics.trace()
         if trace.pose.shape[1]:
             self.count += 1

@@ -1,4 +1,4 @@
-"""The fish as MuJoCo moves it, in a fitted water that the flow solver corrects while it swims, as a dm_control `Physics`."""
+"""dm_control `Physics` of a fish that MuJoCo moves in a fitted water, which the flow solver corrects while it swims."""
 
 from typing import Any
 
@@ -9,10 +9,10 @@ from fishmj.water.flow import BOXES, Current, Flow
 
 
 class HybridPhysics(Physics):
-    """A fish whose water is corrected; make one with `HybridPhysics.corrected`. Every episode begins with the water as fitted.
+    """A fish with corrected water; make one with `HybridPhysics.corrected`. Every episode begins with the water as fitted.
 
     Attributes:
-        hybrid: what was corrected (`fishmj.engines.hybrid.Hybrid.report`).
+        hybrid: the corrections (`fishmj.engines.hybrid.Hybrid.report`).
     """
 
     hybrid: Any
@@ -20,7 +20,7 @@ class HybridPhysics(Physics):
 
     @classmethod
     def corrected(cls, rules: TaskSpec, options: Any = None, oracle: Any = None) -> "HybridPhysics":
-        """A straight fish; options: `fishmj.engines.hybrid.HybridOptions`; oracle: another better water than the flow solver."""
+        """Straight fish; options: `fishmj.engines.hybrid.HybridOptions`; oracle: a better water other than the flow solver."""
         from fishmj.engines.hybrid import Hybrid
 
         setting = rules.setting
@@ -31,7 +31,7 @@ class HybridPhysics(Physics):
         return physics
 
     def begin(self, pose, params: FishParams, current: Current) -> None:
-        """As of `Physics`; nothing is corrected yet."""
+        """Starts an episode as `Physics.begin`, without corrections."""
         super().begin(pose, params, current)
         self._given = params, current
         self.hybrid.reset()

@@ -3,11 +3,11 @@
     planar root   Q_water - M_a a goes into qfrc_applied before each mj_step
     free root     the water's wrench on every link goes into xfrc_applied (`water.link_wrench`)
 
-Both are the callback's step to round-off and share nothing in the process: any number of environments and threads may run side
+Both equal the callback's step to round-off and share nothing in the process: any number of environments and threads may run side
 by side.
 
-A `Physics` carries more than MuJoCo's state: commands under way, tail attachment, the flow. `copy`, a deep copy and a pickle take
-all of it along; `get_state` and `set_state` mean MuJoCo's part only.
+A `Physics` holds more than MuJoCo's state: commands under way, tail attachment, the flow. `copy`, a deep copy and a pickle
+include all of it; `get_state` and `set_state` cover MuJoCo's part only.
 """
 
 import copy
@@ -92,7 +92,7 @@ PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm",
 
 @dataclass
 class Swim:
-    """What a fish is and remembers beyond MuJoCo's data, batch axis of 1. Arrays are replaced, never written to."""
+    """Constants and memory of a fish beyond MuJoCo's data, batch axis of 1. Arrays are replaced, never written to."""
 
     robot: Robot
     chain: chain.Chain
@@ -122,7 +122,7 @@ class Physics(dm_mujoco.Physics):
 
     @classmethod
     def of(cls, robot: Robot, root: str = "planar") -> "Physics":
-        """A straight fish at rest in still water. Raises UnknownName: a root that does not exist."""
+        """Straight fish at rest in still water. Raises UnknownName for a root that does not exist."""
         physics = cls.from_model(wrapper.MjModel(passive_slot.compiled(build_scene(robot, root))))
         ch = chain.chain_of(robot)
         free = root == "free"
@@ -144,13 +144,13 @@ class Physics(dm_mujoco.Physics):
 
     @classmethod
     def _evaluator(cls, robot: Robot, ch: chain.Chain):
-        """The water's forces of a physics step."""
+        """Function for the water's forces in a physics step."""
         return evaluator(robot, ch)
 
-    # ---- what a task does with it ----
+    # ---- methods for a task ----
 
     def begin(self, pose, params: FishParams, current: Current) -> None:
-        """Put this fish (a batch of one) at rest at pose (3,) [m, rad] in this flow. Call inside `reset_context`."""
+        """Puts this fish (a batch of one) at rest at pose (3,) [m, rad] in this flow. Call inside `reset_context`."""
         self._personalise(params)
         self.data.qpos[:] = reference_qpos(self.model.ptr, pose, params.zero[0])
         self.data.qvel[:] = 0.0
@@ -172,7 +172,7 @@ class Physics(dm_mujoco.Physics):
         self.send(np.asarray(control, float)[None])
 
     def step(self, n_sub_steps: int = 1) -> None:
-        """Advance by physics steps. Raises dm_control's PhysicsError when the fish leaves the finite numbers."""
+        """Advances by physics steps. Raises dm_control's PhysicsError if the state of the fish is not finite."""
         with self.check_invalid_state():
             for _ in range(n_sub_steps):
                 self._step_planar() if self.free_water is None else self._step_free(self.free_water)
@@ -191,15 +191,15 @@ class Physics(dm_mujoco.Physics):
         return reference_pose(self.model.ptr, self.data.ptr)[3:]
 
     def joint_angles(self) -> np.ndarray:
-        """What the encoders read, (J,) rad."""
+        """Encoder readings, (J,) rad."""
         return self.data.qpos[-self.model.nu :] - self.swim.params.zero[0]
 
     def joint_rates(self) -> np.ndarray:
-        """(J,) rad/s."""
+        """Joint rates (J,) rad/s."""
         return self.data.qvel[-self.model.nu :].copy()
 
     def target_position(self) -> np.ndarray:
-        """(2,) m."""
+        """Position of the target (2,) m."""
         return self.data.mocap_pos[0, :2].copy()
 
     def place_target(self, position) -> None:
@@ -211,7 +211,7 @@ class Physics(dm_mujoco.Physics):
         return np.array(self.swim.current.mean[0])
 
     def trace(self) -> engines.Trace:
-        """The bus ticks since the last `send`, one control step at most, as the engines' Trace with a batch of one."""
+        """Trace of the bus ticks since the last `send`, one control step at most, as the engines' Trace with a batch of one."""
         if not self.swim.rows:
             empty, joints = np.zeros((1, 0, 3)), np.zeros((1, 0, self.model.nu))
             return engines.Trace(empty, joints, joints, empty, empty[..., 0])
@@ -220,7 +220,7 @@ class Physics(dm_mujoco.Physics):
     # ---- the loop ----
 
     def _next_tick(self) -> None:
-        """Take the next command from the queue and look the flow up, both constant over the tick."""
+        """Takes the next command from the queue and looks up the flow, both constant over the tick."""
         s = self.swim
         sent = quantise(np, s.robot, s.pending[:1]) if len(s.pending) else s.buffer[0, -1:]
         s.buffer = np.concatenate([s.buffer[:, 1:], sent[None]], 1)
@@ -277,11 +277,11 @@ class Physics(dm_mujoco.Physics):
             s.rows = (*s.rows, row)[-s.keep :]
 
     def _unwrapped(self, yaw: float) -> float:
-        """yaw, by whole turns next to the last one recorded."""
+        """yaw, shifted by whole turns next to the last one recorded."""
         return float(yaw + 2 * np.pi * np.round((self.swim.yaw - yaw) / (2 * np.pi)))
 
     def _personalise(self, params: FishParams) -> None:
-        """Write one fish's masses and gains into the model, starting from the nominal ones."""
+        """Writes one fish's masses and gains into the model, starting from the nominal ones."""
         model = self.model.ptr
         for name, value in self._nominal.items():
             getattr(model, name)[:] = value
@@ -291,18 +291,18 @@ class Physics(dm_mujoco.Physics):
         if self.free_water is not None:
             self.free_water.swimmer = engines.swimmer(FishParams(*(a[0] for a in params)))
             nominal = FreeWater(self.swim.robot).geometry
-            # a robot is trimmed after it is built: buoyancy follows each link's own weight
+            # a robot is trimmed after it is built: the buoyancy of each link follows its own weight
             self.free_water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])
 
     def copy(self, share_model: bool = False) -> "Physics":
-        """A copy that swims on by itself. Raises ConfigError: of a fish whose water has one swim."""
+        """Independent copy. Raises ConfigError for a fish in a water that allows only one swim."""
         own = self._own()
         new = super().copy(share_model)
         vars(new).update(own, swim=copy.copy(self.swim), free_water=copy.deepcopy(self.free_water))
         return new
 
     def _own(self) -> dict[str, Any]:
-        """What this class adds to dm_control's."""
+        """Attributes that this class adds to dm_control's. Raises ConfigError as `copy`."""
         if self.alone:
             raise ConfigError(f"suite: a fish in {self.alone} cannot be copied; load another environment with the same seed")
         return {name: getattr(self, name) for name in ("swim", "free_water", "_nominal", "legacy_step")}
@@ -317,7 +317,7 @@ class Physics(dm_mujoco.Physics):
 
 
 def evaluator(robot: Robot, ch: chain.Chain):
-    """The water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
+    """Function for the water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
     rest, params = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.nominal_params(robot, 1)
     still = np.zeros((1, robot.n_joints)), np.zeros((1, ch.n, 2)), np.zeros((1, 2))
     added = engines.Extensions.of(robot)

@@ -1,8 +1,8 @@
-"""The fish as the flow solver moves it, as a dm_control `Physics`.
+"""dm_control `Physics` of a fish in the flow solver.
 
-The solver swims its own copy of the fish, one bus tick at a time. MuJoCo's data here take over its pose and velocity, so that
-observations, rendering and named accessors read as in every other water. Each episode fills a tank of its own and holds the
-fish for a second first, until the stream has found its way round it.
+The solver moves its own copy of the fish, one bus tick at a time. MuJoCo's data here take over its pose and velocity, so that
+observations, rendering and named accessors work as in every other water. Each episode fills a tank of its own and first holds
+the fish for a second, until the stream round it has developed.
 """
 
 from typing import Any
@@ -30,10 +30,10 @@ class SolverPhysics(Physics):
 
     @classmethod
     def in_tank(cls, rules: TaskSpec, options: dict) -> "SolverPhysics":
-        """A straight fish; `options` are those of `fishmj.engines.lbm.Engine`: domain, slip, device, finer.
+        """Straight fish; `options` are those of `fishmj.engines.lbm.Engine`: domain, slip, device, finer.
 
         Raises:
-            ConfigError: a robot with effects that have no place in the solver.
+            ConfigError: a robot with effects that cannot act in the solver.
         """
         physics = cls.of(rules.robot)
         physics._solver, physics._setting = options, rules.setting
@@ -42,10 +42,10 @@ class SolverPhysics(Physics):
 
     @classmethod
     def _evaluator(cls, robot: Robot, ch: Chain) -> None:
-        """Nothing to compile: the solver has the forces."""
+        """Returns None: the solver computes the forces."""
 
     def begin(self, pose, params: FishParams, current: Current) -> None:
-        """Fill a tank with this flow, with this fish at rest at pose (3,) [m, rad]. Call inside `reset_context`."""
+        """Fills a tank with this flow, with this fish at rest at pose (3,) [m, rad]. Call inside `reset_context`."""
         from fishmj.engines.lbm import Engine
 
         super().begin(pose, params, current)
@@ -55,10 +55,10 @@ class SolverPhysics(Physics):
         self.fish.q[:, 3:] = params.zero  # the encoders read zero
 
     def step(self, n_sub_steps: int = 1) -> None:
-        """Advance by physics steps, whole bus ticks only.
+        """Advances by physics steps, whole bus ticks only.
 
         Raises:
-            ConfigError: part of a bus tick. PhysicsError: the fish left the tank, or its water the finite numbers.
+            ConfigError: part of a bus tick. PhysicsError: the fish left the tank, or its water is not finite.
         """
         s = self.swim
         ticks, part = divmod(n_sub_steps, s.steps)

@@ -5,7 +5,7 @@
     env  = gymnasium.make("fishmj/StationHold-v0")
     envs = gymnasium.make_vec("fishmj/StationHold-v0", num_envs=64)
 
-`import fishmj` is what brings the names in (fishmj/tasks/gym_ids.py). Without it Gymnasium imports what stands before a colon:
+`import fishmj` registers the names (fishmj/tasks/gym_ids.py). Without it Gymnasium imports the module before a colon:
 "fishmj.tasks.gym:fishmj/StationHold-v0".
 """
 

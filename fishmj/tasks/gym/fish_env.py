@@ -30,13 +30,13 @@ from fishmj.tasks.reference import named
 from fishmj.tasks.station_hold import spans
 
 SIDE = 480  # pixels
-# Bounds of the observations, which Gymnasium wants finite: several times what a fish reaches inside the domain, so the clip
-# to them never acts on a sound simulation. Target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s.
+# Bounds of the observations, which Gymnasium requires to be finite: several times the values inside the domain, so that clipping
+# never acts on a sound simulation. Target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s.
 LARGEST = (20.0, 10.0, 50.0, np.pi, 50.0)
 
 
 class Picture:
-    """Draws one fish in the task's tank, as a film of its replay does; needs no screen. Raises MissingExtra without OpenCV."""
+    """Draws one fish in the task's tank, as in a film of its replay; needs no screen. Raises MissingExtra without OpenCV."""
 
     def __init__(self, robot: Robot):
         self.view = FromAbove((SIDE, SIDE), (0.0, 0.0), SIDE / (2 * constant("task", "bound")), (SIDE / 2, SIDE / 2))
@@ -52,7 +52,7 @@ class Picture:
 def rules_of(task: Any, options: dict) -> TaskSpec:
     """Rules from the keyword arguments of `gymnasium.make`: fields of `TaskOptions` and of the task's course.
 
-    task: a name, or one's own as `module:Name`, `file.py:Name` or class; loading it runs it.
+    task: a name, or your own as `module:Name`, `file.py:Name` or class; loading it runs it.
 
     Raises:
         ConfigError, UnknownName: an option or a task that does not exist.
@@ -69,7 +69,7 @@ def observation_space(rules: TaskSpec) -> spaces.Box:
 
 
 def clipped(seen, space: spaces.Box) -> np.ndarray:
-    """Observations as the space declares them: float32, inside its bounds."""
+    """Observations in the form that the space declares: float32, inside its bounds."""
     return np.clip(seen, space.low, space.high).astype(np.float32)
 
 
@@ -79,11 +79,11 @@ def action_space(rules: TaskSpec) -> spaces.Box:
 
 
 def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
-    """What `reset(options=...)` fixes of n starts, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
+    """Starts that `reset(options=...)` fixes, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
 
     Raises:
-        ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose where the
-            episode would end at once.
+        ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose at which
+            the episode would end at once.
     """
     widths = {"pose": (3,), "target": (2,), "speed": (), "direction": ()}
     own = getattr(rules.course, "decides", ())
@@ -113,12 +113,12 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
 
 
 def start_distance(episodes: Episodes) -> np.ndarray:
-    """Distances (n,) m to the targets where the episodes began; of use while they are at their start."""
+    """Distances (n,) m to the targets at the start of the episodes; valid while they are at their start."""
     return np.linalg.norm(episodes.scenario.launch.start.pose[:, :2] - episodes.target, axis=-1)
 
 
 def _at_zero(actions: Any, rows: np.ndarray) -> Any:
-    """Actions with those of the fish `rows` (n,) bool at zero; anything else than numbers as it is, for the step to refuse."""
+    """Actions with those of the fish `rows` (n,) bool at zero; values that are not numbers stay, and the step refuses them."""
     try:
         given = np.asarray(actions, float)
     except (TypeError, ValueError):
@@ -127,7 +127,7 @@ def _at_zero(actions: Any, rows: np.ndarray) -> Any:
 
 
 class _Fish:
-    """What both environments share."""
+    """Common part of both environments."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}
     rules: TaskSpec
@@ -136,7 +136,7 @@ class _Fish:
     _picture: Picture | None = None
 
     def _settle(self, task: Any, engine: Any, n: int, render_mode: str | None, options: dict) -> None:
-        """Check the arguments and make the episodes of n fish."""
+        """Checks the arguments and makes the episodes of n fish."""
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"gym: render_mode = {render_mode!r}; expected None or 'rgb_array'")
         self.rules, self.render_mode = rules_of(task, options), render_mode
@@ -152,7 +152,7 @@ class _Fish:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """As `gymnasium.make` sets it; `max_episode_steps` is the length of these episodes in control steps."""
+        """Spec that `gymnasium.make` sets; `max_episode_steps` is the length of these episodes in control steps."""
         return self._spec
 
     @spec.setter
@@ -165,7 +165,7 @@ class _Fish:
         return self._picture.draw(self.episodes.fish.q[i], self.episodes.target[i])
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the drawing, which is made again when it is asked for: OpenCV cannot be copied."""
+        """State without the drawing, which is made again on demand: OpenCV cannot be copied."""
         return {**self.__dict__, "_picture": None}
 
     def _need_reset(self) -> None:
@@ -174,12 +174,12 @@ class _Fish:
 
 
 class FishEnv(_Fish, gymnasium.Env):
-    """See `docs/train/tasks.md`. A deep copy or a pickle goes on as the original does, to the bit.
+    """One fish as a Gymnasium environment (docs/train/tasks.md). A deep copy or a pickle continues like the original, to the bit.
 
     Args:
-        task: station_hold, figure_eight, angle_of_attack, or one's own (docs/simulate/your_own_code.md).
+        task: station_hold, figure_eight, angle_of_attack, or your own (docs/simulate/your_own_code.md).
         engine: "compiled" (extra `fast`) or "planar" (closed form), "batch" (MuJoCo C, a tenth as fast), or an engine.
-            None takes "compiled" where numba is installed, else "planar"; the attribute `engine` says which it is.
+            None takes "compiled" if numba is installed, else "planar"; the attribute `engine` has its name.
         render_mode: None or "rgb_array".
         options: fields of `tasks.episode.TaskOptions` and of the task's course.
 
@@ -198,13 +198,13 @@ class FishEnv(_Fish, gymnasium.Env):
         return self.begin(self.rules.scenario(self.rules.draws(self.np_random, 1), **fixed))
 
     def begin(self, scenario: EpisodeDraw):
-        """Start this very episode; what `reset` does with a drawn one."""
+        """Starts this episode; `reset` does the same with a drawn one."""
         self._begun = True
         self.episodes.begin(scenario)
         return self._observe(), {"distance": float(start_distance(self.episodes)[0]), "power": 0.0, "diverged": False}
 
     def step(self, action):
-        """One control step."""
+        """Does one control step."""
         self._need_reset()
         out = self.episodes.step([action])
         info = {"distance": float(out.distance[0]), "power": float(out.power[0]), "diverged": bool(out.diverged[0])}
@@ -220,10 +220,10 @@ class FishEnv(_Fish, gymnasium.Env):
 
 
 class FishVectorEnv(_Fish, vector.VectorEnv):
-    """Many fish; each has its own random numbers: fish i of `reset(seed=s)` lives the episodes of `FishEnv.reset(seed=s + i)`.
+    """Many fish; each has its own random numbers: fish i of `reset(seed=s)` has the episodes of `FishEnv.reset(seed=s + i)`.
 
     Args:
-        num_envs: how many. The others as of `FishEnv`.
+        num_envs: number of fish. The others as for `FishEnv`.
         autoreset_mode: "NextStep" (Gymnasium's default: the step after an end resets), "SameStep" (the last observation is in
             info["final_obs"]), "Disabled" (call reset with options={"reset_mask": (n,) bool}).
         max_episode_steps: control steps after which an episode is truncated, if it is not shorter anyway; -1 for no such limit.
@@ -257,12 +257,12 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """The generator of each fish."""
+        """Random generator of each fish."""
         return tuple(self._rngs)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The seed of each fish."""
+        """Seed of each fish."""
         return tuple(self._seeds)
 
     def reset(self, *, seed=None, options: dict | None = None):
@@ -270,10 +270,10 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
 
         Args:
             seed: int, or one (or None) for each fish.
-            options: the others fix pose, target, speed and direction: one value for all fish, or a row for each of the n.
+            options: further options fix pose, target, speed and direction: one value for all fish, or a row for each of the n.
 
         Returns:
-            Observations (n, 5 + 2 J): of fish that do not restart the last ones again. Info of those that restart: `_key` is
+            Observations (n, 5 + 2 J); fish that do not restart have their last ones again. Info of fish that restart: `_key` is
             True for them, and the value of the others is 0.
         """
         mask, options = np.ones(self.num_envs, bool), options or {}
@@ -290,7 +290,7 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         return self._observe(np.flatnonzero(mask)), self._info(mask, mask)
 
     def step(self, actions):
-        """One control step of all fish; of those that restart the action is ignored."""
+        """Does one control step of all fish; the actions of fish that restart are ignored."""
         self._need_reset()
         if self.mode is AutoresetMode.DISABLED and self._over.any():
             raise ResetNeeded(
@@ -310,11 +310,11 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         return self._observe(fresh), reward, terminated, truncated, {**info, **final}
 
     def render(self):
-        """One picture a fish, or None without a render mode."""
+        """Pictures, one for each fish, or None without a render mode."""
         return None if self.render_mode is None else tuple(self._draw(i) for i in range(self.num_envs))
 
     def _mask(self, mask) -> np.ndarray:
-        """Which fish a reset starts, (n,) bool."""
+        """Mask (n,) bool of the fish that a reset starts."""
         mask = np.asarray(mask)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise ConfigError(
@@ -348,7 +348,7 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         return {"final_obs": final, "_final_obs": over.copy(), "final_info": info, "_final_info": over.copy()}
 
     def _observe(self, rows=None) -> np.ndarray:
-        """Observations (n, n_obs) float32; only fish `rows` are looked at anew, with their own sensor noise."""
+        """Observations (n, n_obs) float32; only fish `rows` are observed again, with their own sensor noise."""
         rows = np.arange(self.num_envs) if rows is None else rows
         normals = np.zeros((self.num_envs, self.rules.n_obs))
         for i in rows:
@@ -357,7 +357,7 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         return self._seen.copy()
 
     def _info(self, known, fresh, out: StepResult | None = None) -> dict:
-        """Info of the fish `known` (n,) bool: of an episode's start where `fresh`, else of the step `out`; 0 of the others."""
+        """Info of the fish `known` (n,) bool: of an episode's start if `fresh`, else of the step `out`; 0 for the others."""
         rest = np.zeros(self.num_envs)
         distance, power, diverged = (rest, rest, rest > 0) if out is None else (out.distance, out.power, out.diverged)
         start = start_distance(self.episodes) if fresh.any() else rest

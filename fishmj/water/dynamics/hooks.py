@@ -1,13 +1,13 @@
-"""Where something may be added to the swimming fish: the sites that `planar_chain.step` calls when it is given hooks.
+"""Hooks of `planar_chain.step`: the sites at which effects may add to the swimming fish.
 
     fish(ch, sw)                masses and coefficients
-    flow(ch, q, flow)           water velocity at each link, and how it turns along the link
+    flow(ch, q, flow)           water velocity at each link, and its gradient along the link
     servos(ch, sw, q, v, target) -> (drive, damping beyond back-EMF) of each joint
     water(ch, sw, q, k, hydro)  forces of the water on each link
     body(ch, sw, q, k, rhs, m)  forces and added masses of the whole body, into rhs and m
     end(ch, sw, v, drive)       memory for the next step
 
-`Effects` puts the effects of the catalogue there. Water that they move is a straight line along each link,
+`Effects` puts the effects of the catalogue there. The velocity of water that they move is linear along each link,
 
     U(s) = U_c + (s - s_c) dU/ds,   DU/Dt = (U(x + e U, t + e) - U(x, t)) / e   at its centre
 
@@ -23,10 +23,11 @@ AHEAD = 0.02  # s, e
 
 
 class Effects:
-    """The sites of one physics step for an ordered set of effects.
+    """Sites of one physics step for an ordered set of effects.
 
     Args:
-        active: the effects. parameters, memory: flat lists in its order, scalars or arrays of one batch shape.
+        active: the effects.
+        parameters, memory: flat lists in its order, scalars or arrays of one batch shape.
         wet: 0 on a bench in air.
     """
 
@@ -38,9 +39,11 @@ class Effects:
         self.stream: list = []  # m/s2, DU/Dt of what effects move at each link, along it and across
 
     def fish(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer):
+        """Chain and swimmer with the masses and coefficients that the effects change."""
         return tuple(self.session.fish(Constants(ch, sw)))
 
     def flow(self, ch: planar_chain.Chain, q, flow):
+        """Water velocity at each link (m/s) with its gradient along the link (1/s), including the effects' water."""
         if not self.session.acts("flow"):
             return flow
         out, time = [], self.session.time
@@ -56,6 +59,7 @@ class Effects:
         return out
 
     def servos(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, q, v, target):
+        """Drive torque (N m) and damping beyond back-EMF (N m s/rad) of each joint."""
         drives, resists, xp = [], [], self.xp
         for j in range(ch.n - 1):
             angle, rate = q[3 + j], v[3 + j]
@@ -71,6 +75,7 @@ class Effects:
         return drives, resists
 
     def water(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, q, k: planar_chain.Links, hydro):
+        """Forces of the water on each link (N, N, N m), including those of the effects and of moved water."""
         if self.session.acts("water"):
             given = LocalWater(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time, self._instant(ch, sw, k))
             hydro = self.session.water(given, ch.dt).forces
@@ -80,12 +85,13 @@ class Effects:
         return [tuple(f + g for f, g in zip(force, more, strict=True)) for force, more in zip(hydro, push, strict=True)]
 
     def _instant(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, k: planar_chain.Links) -> list:
-        """Per-link force of the added mass that goes with velocities, (F_t, F_n, moment)."""
+        """Per-link force of the added mass at given velocities, (F_t, F_n, moment)."""
         bias = planar_chain.bias_forces(ch, sw, k, rigid=False)
         parts = [strip_forces.reactive(ch.strips, sw.water, i, k.u[i], k.w[i], k.omega[i], k.own[i]) for i in range(ch.n)]
         return [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(bias, parts, strict=True)]
 
     def body(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, q, k: planar_chain.Links, rhs, m) -> None:
+        """Adds forces (N, N m) and added masses (kg, kg m2) of the effects on the whole body to rhs and m."""
         for j, torque in enumerate(self.passive):
             rhs[3 + j], rhs[2 + j] = rhs[3 + j] + torque, rhs[2 + j] - torque
         if not self.session.acts("body"):
@@ -107,6 +113,7 @@ class Effects:
                 m[i] = [a + b.added * c for a, c in zip(m[i], row, strict=True)]
 
     def end(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, v, drive):
+        """Memory of the effects for the next step, given the servos' current."""
         # the motor's current (drive - kb w) / K times the duty drive V_nominal / (V stall torque); nothing flows back
         amps = (self.xp.maximum(d / self.supply[j] * (d - sw.kb[j] * v[3 + j]), 0.0) for j, d in enumerate(drive))
         current = sum(amps) / (ch.torque * ch.motor)
@@ -120,7 +127,7 @@ def centres(xp, ch: planar_chain.Chain, q) -> list:
 
 
 def links(xp, ch: planar_chain.Chain, q) -> list:
-    """(x, y, cos, sin) of every link: its origin in the world [m] and its direction."""
+    """Position of the origin in the world [m] and direction of every link: (x, y, cos, sin)."""
     heading, x, y = q[2], q[0], q[1]
     out = [(x, y, xp.cos(heading), xp.sin(heading))]
     for i in range(1, ch.n):

@@ -36,7 +36,7 @@ class Chain(NamedTuple):
 
 
 class Swimmer(NamedTuple):
-    """What may differ from fish to fish (domain randomisation). Lists of scalars or arrays of one batch shape."""
+    """Constants that may differ from fish to fish (domain randomisation). Lists of scalars or arrays of one batch shape."""
 
     mass: Any  # [N] factor on mass and inertia
     kp: Any  # [N-1] N m/rad
@@ -47,7 +47,7 @@ class Swimmer(NamedTuple):
 
 
 class Links(NamedTuple):
-    """Kinematics of every link in head axes, one list entry a link."""
+    """Kinematics of every link in head axes, one list entry for each link."""
 
     t: list  # (tx, ty)
     n: list  # (nx, ny)
@@ -59,7 +59,7 @@ class Links(NamedTuple):
 
     @property
     def own(self) -> list:
-        """Yaw rate in the world."""
+        """Yaw rate of each link in the world, rad/s."""
         return self.rates or self.omega
 
 
@@ -84,7 +84,7 @@ def chain_of(robot: Robot, geometry: Geometry | None = None) -> Chain:
 
 
 def nominal(robot: Robot) -> Swimmer:
-    """The calibrated fish without randomisation, as lists of floats."""
+    """Calibrated fish without randomisation, as lists of floats."""
     links, s = len(robot.links), robot.servo
     kp, kv, kb, zero = ([value] * (links - 1) for value in (s.kp, s.kv, s.kb, 0.0))
     return Swimmer([1.0] * links, kp, kv, kb, zero, strip_forces.coefficients(robot.water, links))
@@ -93,7 +93,7 @@ def nominal(robot: Robot) -> Swimmer:
 def kinematics(xp, ch: Chain, q, v, flow) -> Links:
     """Link axes and relative velocities. flow: N pairs of world-frame water velocity at each link [m/s].
 
-    A third entry is the turning of the water along the link, n . dU/ds [1/s]; the pair is then the velocity at its origin.
+    A third entry is the velocity gradient along the link, n . dU/ds [1/s]; the pair is then the velocity at the link's origin.
     """
     cp, sp = xp.cos(q[2]), xp.sin(q[2])
     vel = (cp * v[0] + sp * v[1], cp * v[1] - sp * v[0])
@@ -226,7 +226,7 @@ def generalised(xp, ch: Chain, heading, f):
 
 
 class Step(NamedTuple):
-    """What one physics step yields, component lists."""
+    """Result of one physics step, component lists."""
 
     q: list
     v: list
@@ -238,7 +238,7 @@ class Step(NamedTuple):
 
 
 def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hooks=None) -> Step:
-    """One physics step of ch.dt.
+    """Does one physics step of ch.dt.
 
     Args:
         q, v: 2 + N generalised positions and velocities (m, rad; world frame).
@@ -246,10 +246,10 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         target: commanded encoder angle of each joint, rad.
         flow: N pairs, water velocity at each link, m/s, world frame.
         ambient: pair, DU/Dt of the uniform part of the flow, m/s2.
-        hooks: what is added to the fish at the sites of hooks.py; None adds nothing and costs nothing.
+        hooks: additions to the fish at the sites of hooks.py; None adds nothing and costs nothing.
     """
     h = ch.dt
-    # kept: MuJoCo, which `applied` is for, has the robot as described, not as the hooks change it
+    # kept: `applied` is for MuJoCo, which has the robot as described, without the changes of the hooks
     given = (ch, sw)
     if hooks is not None:
         ch, sw = hooks.fish(ch, sw)
@@ -259,8 +259,8 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         drive, resist = servo_drive(xp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
     else:
         drive, resist = hooks.servos(ch, sw, q, v, target)
-    # every force at the velocities before the step, without what goes with the acceleration: that stands in the matrix, because
-    # an added mass of up to 22 times M, lagged by a step, blows up at any step size
+    # all forces at the velocities before the step, except those proportional to the acceleration: these are in the matrix,
+    # because an added mass of up to 22 times M, lagged by a step, is unstable at any step size
     hydro = water_forces(xp, ch, sw, k, q[2], ambient, attached)
     if hooks is not None:
         hydro = hooks.water(ch, sw, q, k, hydro)
@@ -273,7 +273,7 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
     damp_joints(ch, v, drive, [kb + r for kb, r in zip(sw.kb, resist, strict=True)], rhs, m)
     a = solve(m, rhs)
     if hooks is None:
-        # without hooks MuJoCo lacks the water alone, Q - M_a a; hooks may add to anything, so there the whole balance is taken
+        # without hooks MuJoCo lacks only the water, Q - M_a a; hooks may change any term, so the whole balance is used then
         added = mass_matrix(ch, sw, k, rigid=False)
         inertia = [sum(added[max(r, c)][min(r, c)] * a[c] for c in range(ch.n + 2)) for r in range(ch.n + 2)]
         applied = generalised(xp, ch, q[2], [f - g for f, g in zip(gather(ch, k, hydro), inertia, strict=True)])
@@ -284,7 +284,7 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
     # with the new velocity: semi-implicit Euler keeps the energy of a swinging joint bounded, explicit Euler feeds it
     q_new = [qi + h * vi for qi, vi in zip(q, v_new, strict=True)]
     last = ch.n - 1
-    # from the motion before the step, as in `Handle.step`: so all engines take the same step to round-off
+    # from the motion before the step, as in `Handle.step`, so that all engines do the same step to round-off
     x_new = strip_forces.attachment(xp, ch.strips, sw.water, k.u[last], k.w[last], k.omega[last], attached, h)
     power = electrical_power(xp, sw, v, drive)
     memory = () if hooks is None else tuple(hooks.end(ch, sw, v, drive))
@@ -292,7 +292,7 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
 
 
 def damp_joints(ch: Chain, v, drive, damping, rhs, m) -> None:
-    """Add each joint's torque, drive - D w, to rhs and its damping h D to m; implicit, as MuJoCo's Euler does.
+    """Adds each joint's torque, drive - D w, to rhs and its damping h D to m; implicit, as MuJoCo's Euler does.
 
     Joint j sits between links j and j + 1.
     """
@@ -304,7 +304,7 @@ def damp_joints(ch: Chain, v, drive, damping, rhs, m) -> None:
 
 
 def missing(xp, ch: Chain, sw: Swimmer, q, v, target, k: Links, a) -> list:
-    """What MuJoCo, which knows the rigid fish and its servos, lacks of the acceleration a: (M + h D) a - drive + D w - c."""
+    """Force that MuJoCo, with the rigid fish and its servos, lacks for the acceleration a: (M + h D) a - drive + D w - c."""
     rhs = gather(ch, k, bias_forces(ch, sw, k, water=False))
     m = mass_matrix(ch, sw, k, water=False)
     damp_joints(ch, v, servo_drive(xp, ch, sw, q, v, target), sw.kb, rhs, m)
@@ -313,9 +313,9 @@ def missing(xp, ch: Chain, sw: Swimmer, q, v, target, k: Links, a) -> list:
 
 
 def solve(m, rhs):
-    """x in A x = rhs for a symmetric positive definite A given by its lower triangle (LDL^T, unrolled)."""
+    """Solves A x = rhs for a symmetric positive definite A given by its lower triangle (LDL^T, unrolled); returns x."""
     size = len(rhs)
-    # LDL^T and not Cholesky: no square root, and the reciprocal of a pivot is reckoned once for a whole column
+    # LDL^T and not Cholesky: no square root, and the reciprocal of a pivot is computed once for a whole column
     low = [[None] * size for _ in range(size)]
     inv = [None] * size
     for j in range(size):
@@ -330,8 +330,8 @@ def solve(m, rhs):
             # the product L_ij D_j is wanted twice below, so both stand in the table
             low[i][j] = (value * inv[j], value)  # (L_ij, L_ij D_j)
     x = list(rhs)
-    # L y = b, then D L^T x = y. No pivoting: A is a mass matrix plus damping, positive definite, and an exchange of rows would
-    # depend on values, which straight-line code for a whole batch cannot do
+    # L y = b, then D L^T x = y. No pivoting: A is a mass matrix plus damping, positive definite, and a row exchange would depend
+    # on values, which straight-line code for a whole batch cannot do
     for i in range(size):
         for k in range(i):
             x[i] = x[i] - low[i][k][0] * x[k]

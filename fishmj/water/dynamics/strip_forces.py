@@ -8,9 +8,9 @@ reactive     f_n = -mu (n.a - Omega u),  f_t = s mu w Omega,  c_z = -s mu w u   
              doi 10.1017/S002211201000649X; mu = k rho pi/4 h^2 per length. The part with n.a is the added mass.
              s = 1 on the head, whose nose is closed. The other links have no front end of their own: pressure acts across
              a straight piece and its axial force is the suction that a free leading edge would have (Polhamus 1966, NASA
-             TN D-3767), of which they recover the share s. The two terms with s do no work together.
+             TN D-3767), of which they recover the share s. Together the two terms with s do no work.
 cross-flow   f_n = -1/2 rho Cn h |w| w                                        Taylor 1952, doi 10.1098/rspa.1952.0159
-             on the last link (1 - h x) Cn: flow that stays attached does not separate (h = 0 unless a description says so)
+             on the last link (1 - h x) Cn: attached flow does not separate (h = 0 unless a description says so)
 friction     f_t = -1/2 rho Cf P sqrt(u^2 + w^2) u                            P = perimeter
 head form    F_t = -1/2 rho Ca A |u| u,  Ca differs forwards and backwards
 linear       F_t = -c_i u, by wetted area                                     laminar, or the Reynolds number's part of Cf
@@ -37,7 +37,7 @@ SMOOTH = 1e-8  # m2/s2 inside square roots, keeps gradients finite at rest
 
 
 class Coefficients(NamedTuple):
-    """Parameters of the strip model. Lists have one entry a link; entries may be arrays (a batch of fish)."""
+    """Parameters of the strip model. Lists have one entry for each link; entries may be arrays (a batch of fish)."""
 
     k: Any  # [N] added mass over rho pi/4 h^2
     cn: Any  # [N] cross-flow drag
@@ -72,7 +72,7 @@ class Strips(NamedTuple):
 
 
 def coefficients(water: dict, n_links: int) -> Coefficients:
-    """Read a `[water]` table. Raises ConfigError where it is incomplete or not passive."""
+    """Reads a `[water]` table. Raises ConfigError if it is incomplete or not passive."""
     table = {key: value for key, value in water.items() if key not in NO_COEFFICIENT}
     for key in ("stall_angle", "stall_width"):
         if f"{key}_deg" in table:
@@ -95,7 +95,7 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
 
 
 def strips(geometry: Geometry, rho: float = 1000.0, water: dict | None = None) -> Strips:
-    """The constant part of the water model as plain floats. water: the `[water]` table, for its `edge_place` and the like."""
+    """Constant part of the water model as plain floats. water: the `[water]` table, for its `edge_place` and similar keys."""
     table = SHAPE | {key: number for key, number in (water or {}).items() if number is not None}
     rows = lambda a: tuple(tuple(float(v) for v in row) for row in a)
     line = lambda a: tuple(float(v) for v in a)
@@ -117,7 +117,7 @@ def strips(geometry: Geometry, rho: float = 1000.0, water: dict | None = None) -
 
 
 def linear_parts(wetted, whole) -> tuple:
-    """N entries: a linear drag shared out by wetted area (N, K) among the links. whole: N s/m, may be traced."""
+    """Linear drag of N links, N s/m: `whole` divided among them by wetted area (N, K); `whole` may be traced."""
     areas = [float(np.sum(row)) for row in wetted]
     return tuple(whole * (area / sum(areas)) for area in areas)
 
@@ -125,7 +125,7 @@ def linear_parts(wetted, whole) -> tuple:
 def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega, rate=None):
     """Velocity part of the added-mass force on link i: (F_t, F_n, moment).
 
-    rate: of the link itself, where the water turns and omega is relative to it; default omega.
+    rate: yaw rate of the link itself, if the water turns and omega is relative to it; default omega.
     """
     rate = omega if rate is None else rate
     m0, m1 = c.k[i] * s.mu[i][0], c.k[i] * s.mu[i][1]
@@ -150,7 +150,7 @@ def resistive(xp, s: Strips, c: Coefficients, i: int, u, w0, omega):
 
 
 def with_held_tail(s: Strips, c: Coefficients, attached) -> Coefficients:
-    """The coefficients while the tail's flow is attached: what does not separate has no cross-flow drag, (1 - h x) C_n."""
+    """Coefficients while the tail's flow is attached: attached flow has no cross-flow drag, (1 - h x) C_n."""
     if s.held is None:
         return c
     return c._replace(cn=[*c.cn[:-1], (1.0 - s.held * attached) * c.cn[-1]])
@@ -170,7 +170,7 @@ def trailing_edge(xp, s: Strips, c: Coefficients, u, w0, omega, attached):
 
 
 def attachment(xp, s: Strips, c: Coefficients, u, w0, omega, attached, dt):
-    """Advance the attachment state x of the tail by dt, exactly for frozen flow. Stays in [0, 1]."""
+    """Advances the attachment state x of the tail by dt, exactly for frozen flow. Stays in [0, 1]."""
     w = w0 + omega * s.edge_x
     speed = xp.sqrt(u * u + w * w + SMOOTH)
     alpha = xp.arctan2(xp.sqrt(w * w + SMOOTH), u)
@@ -188,7 +188,7 @@ def ambient(s: Strips, c: Coefficients, i: int, du_t, du_n):
 def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n, attached, rate=None):
     """All forces on link i except those proportional to the body's own acceleration: (F_t, F_n, moment)."""
     # the body's own acceleration is left out: its factor is the added mass, which the caller puts into the matrix. The stream's
-    # acceleration is known beforehand, so it is a force
+    # acceleration is known in advance, so it is a force
     if i == len(s.mu) - 1:
         c = with_held_tail(s, c, attached)
     parts = [reactive(s, c, i, u, w0, omega, rate), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
@@ -196,6 +196,6 @@ def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n
         # a blunt nose has a wake of its own; the links behind have no front
         parts.append((head_form(xp, s, c, u), 0.0, 0.0))
     if i == len(s.mu) - 1:
-        # the wake takes momentum along at the last edge alone: between links the body goes on (Lighthill 1971)
+        # the wake carries momentum away at the last edge only: between links the body continues (Lighthill 1971)
         parts.append(trailing_edge(xp, s, c, u, w0, omega, attached))
     return tuple(sum(column) for column in zip(*parts, strict=True))

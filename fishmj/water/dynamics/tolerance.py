@@ -1,4 +1,4 @@
-"""How far a swim may be off: shares of the record, and floors where it is small."""
+"""Tolerances of a swim: shares of the recorded movement, and floors for small movements."""
 
 import numpy as np
 
@@ -7,6 +7,6 @@ WINDOW = 0.5  # s, over which the movement of a short stretch is compared
 
 
 def of_movement(surge, sway, yaw_rate, floors: float = 1.0, xp=np) -> tuple:
-    """Of a velocity ahead and to the left, m/s, and of a yaw rate, rad/s, as recorded; the floors `floors` times as high."""
+    """Tolerances of a recorded velocity ahead and to the left, m/s, and of a yaw rate, rad/s; `floors` multiplies the floors."""
     (share, floor), (turn, still) = TOLERANCE["speed"], TOLERANCE["yaw"]
     return share * xp.hypot(surge, sway) + floors * floor, turn * xp.abs(yaw_rate) + floors * still

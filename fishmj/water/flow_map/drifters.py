@@ -4,7 +4,7 @@
     U      mean of the tracks' mean velocities, its interval by Student's t over tracks
     u_rms^2 = mean of |v_k - mean|^2 / 2 - variance of the slope that the fixes' scatter makes,   TI = u_rms / max(U, 0.1 m/s)
 
-A marker moves with the eddy that it is in, so windows of one track are not independent: the tracks are. It shows no length scale.
+A marker moves with its eddy, so windows of one track are not independent, but tracks are. It does not give a length scale.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ NO_LENGTH = "a drifter moves with its eddy: a length scale needs a probe that st
 
 
 def turbulence_of_drifts(tracks: Sequence[np.ndarray]) -> Turbulence:
-    """What drifts of one marker, or of several, say together.
+    """Turbulence from drifts of one marker, or of several.
 
     Args:
         tracks: each (T, 3): t s, x m, y m in the tank frame.
@@ -51,7 +51,7 @@ def turbulence_of_drifts(tracks: Sequence[np.ndarray]) -> Turbulence:
 
 
 def _slopes(track: np.ndarray) -> np.ndarray:
-    """(K, 3): velocity x, y m/s of each window, and the variance of either that the scatter of its fixes makes."""
+    """Velocity x, y m/s of each window, and the variance of either from the scatter of its fixes, (K, 3)."""
     t, rows = track[:, 0] - track[0, 0], []
     for k in range(int(t[-1] / WINDOW + 1e-9) if len(t) else 0):
         part = track[(t >= k * WINDOW) & (t < (k + 1) * WINDOW)]

@@ -1,8 +1,8 @@
-"""What the water of a tank is like at each setting of its pump: a TOML file, read where a flow is asked for.
+"""Flow of a tank at each setting of its pump: a TOML file, read by options that take a flow.
 
     schema = "fishmj.flow_map/1"        [[setting]]  pump, speed [m/s], intensity (TI), length [m], direction [rad], intervals
 
-Between two settings every number is on the straight line; beyond the first and the last nothing is known, and nothing is guessed.
+Between two settings every number is interpolated linearly; beyond the first and the last there is no extrapolation.
 """
 
 from collections.abc import Sequence
@@ -29,9 +29,10 @@ class Setting(NamedTuple):
     """One measured setting of the pump.
 
     Attributes:
-        pump: in the map's unit. speed: m/s. intensity: TI. length: m, None where it was not measured; `why` then says why.
-        direction: rad, where the water moves to, tank frame. method: "probe" or "drifters". seconds: of record.
-        independent: independent samples. noise: m/s, of the probe. sources: names of files.
+        pump: setting in the map's unit. speed: m/s. intensity: TI.
+        length: m, None if it was not measured; `why` then has the reason.
+        direction: rad, towards which the water moves, tank frame. method: "probe" or "drifters". seconds: length of the record.
+        independent: number of independent samples. noise: m/s, of the probe. sources: names of files.
     """
 
     pump: float
@@ -57,7 +58,7 @@ class Water(NamedTuple):
     direction: float
 
     def flow(self, seed: int = 0, box: int = 0) -> Flow:
-        """As a background flow of the simulators, whose length scales are those of their presets."""
+        """Background flow of the simulators with these numbers; its length scale is that of the nearest preset."""
         return Flow(
             speed=self.speed,
             direction=self.direction,
@@ -69,7 +70,7 @@ class Water(NamedTuple):
 
 
 def preset_for(lengths: Sequence[float | None]) -> tuple[str, str]:
-    """The preset of turbulence whose length scale is nearest to measured ones [m], by ratio, and a line that says so."""
+    """Preset of turbulence whose length scale is nearest to measured ones [m], by ratio, and a line that names both."""
     known = [length for length in lengths if length is not None]
     if not known:
         return SPATIAL[0], f"no length scale was measured; turbulence {SPATIAL[0]}, L {LENGTH[SPATIAL[0]]:g} m, is taken"
@@ -80,7 +81,7 @@ def preset_for(lengths: Sequence[float | None]) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class FlowMap:
-    """The measured settings, by rising pump setting. unit: of the setting. origin: "measured" or "synthetic"."""
+    """Measured settings, by rising pump setting. unit: of the setting. origin: "measured" or "synthetic"."""
 
     settings: tuple[Setting, ...]
     unit: str = ""
@@ -93,12 +94,12 @@ class FlowMap:
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """m/s, from the slowest to the fastest setting."""
+        """Mean speeds of the slowest and the fastest setting, m/s."""
         found = [s.speed.value for s in self.settings]
         return min(found), max(found)
 
     def at(self, pump: float) -> Water:
-        """The water at a setting.
+        """Water at a pump setting.
 
         Raises:
             ConfigError: outside of the measured settings.
@@ -117,10 +118,10 @@ class FlowMap:
         )
 
     def for_speed(self, speed: float) -> Water:
-        """The water at the setting that makes a mean speed, m/s.
+        """Water at the setting that makes a mean speed, m/s.
 
         Raises:
-            ConfigError: slower or faster than what was measured, or a faster pump makes slower water somewhere.
+            ConfigError: slower or faster than all measured settings, or a faster pump makes slower water somewhere.
         """
         speeds = [s.speed.value for s in self.settings]
         if any(b <= a for a, b in zip(speeds, speeds[1:], strict=False)):
@@ -136,7 +137,7 @@ class FlowMap:
         return self.at(float(np.interp(speed, speeds, [s.pump for s in self.settings])))
 
     def write(self, path: str | Path) -> Path:
-        """The file, in one step."""
+        """Writes the file atomically; returns its path."""
         rows = [_as_table(s) for s in self.settings]
         head = {"schema": SCHEMA, "origin": self.origin, "unit": self.unit}
         blocks = [dumps(head), *("[[setting]]\n" + dumps(row) for row in rows)]
@@ -144,10 +145,10 @@ class FlowMap:
 
     @classmethod
     def read(cls, path: str | Path) -> "FlowMap":
-        """The map of a file.
+        """Reads the map of a file.
 
         Raises:
-            ConfigError: no such file, not TOML, another schema, or a setting that lacks a number or has one that cannot be.
+            ConfigError: no such file, not TOML, another schema, or a setting with a missing or invalid number.
         """
         table = read_toml(path)
         if table.get("schema") != SCHEMA:

@@ -1,4 +1,4 @@
-"""Records of the water: what a probe wrote down, in a lab's own columns, and what `deploy track` saw of a drifting marker."""
+"""Records of the water: a probe's table with a lab's own columns, and drifts of a marker recorded by `deploy track`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ SHORTEST = 64  # samples of a record
 
 
 class Probe(NamedTuple):
-    """Evenly sampled records (T, C) m/s, of one file, their step s, and the share of samples that were taken for spikes."""
+    """Evenly sampled records (T, C) m/s of one file, their step s, and the share of samples treated as spikes."""
 
     records: list[np.ndarray]
     dt: float
@@ -27,11 +27,12 @@ class Probe(NamedTuple):
 
 
 def read_probe(path: Path, time: str, components: Sequence[str], factor: float, rate: float | None = None) -> Probe:
-    """A table of velocities.
+    """Reads a table of velocities.
 
     Args:
-        time: name of the column of times, s; "" where rows come evenly at `rate` Hz. components: names of the columns of
-            velocity, along x and, where there are, y and z. factor: from their unit to m/s.
+        time: name of the column of times, s; "" for rows that are evenly spaced at `rate` Hz.
+        components: names of the columns of velocity, along x and, if measured, y and z.
+        factor: factor from their unit to m/s.
 
     Raises:
         LogError: not a table, no such column, times that do not rise, too few rows, or too many spikes.
@@ -100,7 +101,7 @@ def _despiked(t: np.ndarray, values: np.ndarray, path: Path) -> tuple[np.ndarray
 
 
 def _even(t: np.ndarray, values: np.ndarray, dt: float) -> np.ndarray:
-    """On an even grid of step dt; where the stamps are even already, as they are."""
+    """Values on an even grid of step dt; unchanged if the stamps are even already."""
     if np.abs(np.diff(t) - dt).max() < 0.02 * dt:
         return values
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)

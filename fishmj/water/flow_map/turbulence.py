@@ -7,9 +7,9 @@
     noise     = R(0) - (R(1) + (R(1) - R(2)) / (2^(2/3) - 1)), not below 0: in the inertial range R falls as tau^(2/3)
                 (Kolmogorov), and white noise stands at lag 0 alone
 
-Intervals are those of a delete-one-group jackknife (Efron & Tibshirani 1993, chapter 11) over groups of `APART` integral times at
-least, which are taken to be independent; of TI and L on their logarithms. Samples closer than two integral times are not
-independent: a record of N samples tells as much as seconds / (2 T_int) of them.
+Intervals come from a delete-one-group jackknife (Efron & Tibshirani 1993, chapter 11) over groups of at least `APART` integral
+times, which are taken to be independent; for TI and L on their logarithms. Samples closer than two integral times are not
+independent: a record has as much information as seconds / (2 T_int) independent samples.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ STUDENT = (2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
 
 
 class Measured(NamedTuple):
-    """A number with its 95 % interval; NaN where the record is too short for one."""
+    """A number with its 95 % interval; NaN if the record is too short for one."""
 
     value: float
     low: float
@@ -44,13 +44,13 @@ class Measured(NamedTuple):
 
 
 class Turbulence(NamedTuple):
-    """What a point's water is like.
+    """Turbulence of the water at one point.
 
     Attributes:
-        speed: m/s. direction: rad, where the water moves to, in the axes of the components. intensity: TI. length: m, None where
-            the record cannot tell; `why` then says why, and what would.
-        noise: m/s, of the probe, each component; NaN where it cannot be told.
-        seconds: of all records. independent: independent samples in them.
+        speed: m/s. direction: rad, towards which the water moves, in the axes of the components. intensity: TI.
+        length: m, None if the record is too short; `why` then has the reason, and the length of a sufficient record.
+        noise: m/s, of the probe, each component; NaN if it cannot be estimated.
+        seconds: of all records. independent: number of independent samples in them.
     """
 
     speed: Measured
@@ -64,10 +64,11 @@ class Turbulence(NamedTuple):
 
 
 def turbulence_of(records: Sequence[np.ndarray], dt: float) -> Turbulence:
-    """What records of one point, one setting, say together.
+    """Turbulence from records of one point at one setting.
 
     Args:
-        records: each (T, C) m/s, evenly sampled: along x and, where measured, y and z. dt: s.
+        records: each (T, C) m/s, evenly sampled: along x and, if measured, y and z.
+        dt: s.
 
     Raises:
         ConfigError: too short for any interval, or a record without a movement.
@@ -100,7 +101,7 @@ def turbulence_of(records: Sequence[np.ndarray], dt: float) -> Turbulence:
 
 
 class Figures(NamedTuple):
-    """Of some groups: m/s, 1, m, s, m/s, and the correlation at lag 1."""
+    """Statistics of some groups: m/s, 1, m, s, m/s, and the correlation at lag 1."""
 
     speed: float
     intensity: float
@@ -111,7 +112,7 @@ class Figures(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """What a group adds: samples (), sum (C,), sums of lagged products (K, C) and how many each has (K,), about `middle` (C,)."""
+    """Sums of one group: samples (), sum (C,), sums of lagged products (K, C) and their counts (K,), about `middle` (C,)."""
 
     samples: int
     total: np.ndarray
@@ -121,9 +122,9 @@ class _Part(NamedTuple):
 
 
 def integral_time(rho: np.ndarray, dt: float) -> float:
-    """s, integral of a correlation (K,) from lag 0 up to its first zero, or `TAIL` times the lag at which it is 1 / e.
+    """Integral [s] of a correlation (K,) from lag 0 to its first zero, or to `TAIL` times the lag at which it is 1 / e.
 
-    A long tail of a short record is chance: without the second bound a few such records give many times the true scale.
+    The tail of a short record is chance: without the second bound a few such records give many times the true scale.
     """
     below = np.flatnonzero(rho <= 0.0)
     if len(below) and below[0] == 0:
@@ -139,7 +140,7 @@ def integral_time(rho: np.ndarray, dt: float) -> float:
 
 
 def noise_variance(covariance: np.ndarray) -> float:
-    """White noise in the covariances (K,) of lags 0, 1, 2, ..; NaN where neighbours hardly know of each other."""
+    """White noise in the covariances (K,) of lags 0, 1, 2, ..; NaN if neighbouring samples are hardly correlated."""
     r0, r1, r2 = covariance[:3]
     if r1 < SMOOTH * r0:
         return float("nan")
@@ -164,7 +165,7 @@ def _products(x: np.ndarray, lags: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _correlation(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Correlation (K,) of the first component, of sums and counts."""
+    """Correlation (K,) of the first component, from sums and counts."""
     lags = min(len(counts) for _, counts in parts)
     covariance = np.sum([p[:lags, 0] for p, _ in parts], 0) / np.sum([c[:lags] for _, c in parts], 0)
     noise = noise_variance(covariance)
@@ -172,14 +173,14 @@ def _correlation(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 
 def _without(covariance: np.ndarray, noise: float) -> np.ndarray:
-    """The covariance with the noise taken off lag 0."""
+    """Covariance without the noise at lag 0."""
     clean = covariance.copy()
     clean[0] -= np.nan_to_num(noise)
     return clean
 
 
 def _groups(record: np.ndarray, least: float, dt: float, seconds: float) -> list[np.ndarray]:
-    """A record in groups of `least` s at least, no more than `GROUPS` of all records together."""
+    """Splits a record into groups of at least `least` s, no more than `GROUPS` of all records together."""
     samples = max(int(np.ceil(max(least, seconds / GROUPS * (1 - 1e-9)) / dt)), 1)
     count = max(len(record) // samples, 1)
     return list(np.array_split(record, count)) if len(record) >= samples else []
@@ -191,7 +192,7 @@ def _part(group: np.ndarray, middle: np.ndarray, most: int) -> _Part:
 
 
 def _figures(parts: Sequence[_Part], dt: float) -> Figures:
-    """The figures of groups together."""
+    """Statistics of groups together."""
     lags = min(len(p.pairs) for p in parts)
     count = sum(p.samples for p in parts)
     off = np.sum([p.total for p in parts], 0) / count  # mean about `middle`
@@ -201,7 +202,7 @@ def _figures(parts: Sequence[_Part], dt: float) -> Figures:
     noises = np.array([noise_variance(c) for c in covariance.T])
     variance = covariance[0] - np.nan_to_num(noises)
     rho = _without(covariance[:, 0], noises[0]) / variance[0]
-    # the mean is the record's own, so that every covariance is too small by its variance, 2 T_int / T of it
+    # the mean is the record's own, so every covariance is too small by the variance of that mean, 2 T_int / T
     time = integral_time(rho, dt)
     lost = min(2 * time / (count * dt), 0.5)
     time = integral_time(rho + (1 - rho) * lost, dt)
@@ -211,7 +212,7 @@ def _figures(parts: Sequence[_Part], dt: float) -> Figures:
 
 
 def jackknifed(whole: float, without: Sequence[float], positive: bool = False) -> Measured:
-    """A figure and its interval from what it is without each group."""
+    """Value with its interval, from the values without each group."""
     n = len(without)
     t = STUDENT[min(n, len(STUDENT) + 4) - 5]
     if positive:
@@ -227,7 +228,7 @@ def jackknifed(whole: float, without: Sequence[float], positive: bool = False) -
 
 
 def _no_length(found: Figures, scale: float, dt: float, seconds: float) -> str:
-    """Why a record has no length scale, and what would have one; "" where it has."""
+    """Reason for the missing length scale of a record, and the length of a sufficient record; "" if there is a length scale."""
     time = max(found.time, scale)
     if found.speed < SLOWEST:
         return f"the water stands still ({found.speed:.3f} m/s): nothing carries the eddies past the probe"
