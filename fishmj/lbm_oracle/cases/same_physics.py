@@ -2,7 +2,7 @@
 
 The state was made on a CPU. It uses all parts of a free swim: open faces, sponge, turbulent inflow, eddy viscosity, markers with
 partial slip, the coupled solve, the servos. A backend that computes the same differs only by the growth of round-off in 200
-steps. One that leaves out a term, or uses a slightly different number, differs by more (studies/solver/NOTES.md has both figures).
+steps. One that leaves out a term, or uses a slightly different number, differs by more (both figures: studies/solver/NOTES.md).
 
 python -m fishmj.lbm_oracle cases same_physics --device cuda
 python -m fishmj.lbm_oracle.cases.same_physics --why "markers are drawn in by another length"      makes it anew, on the CPU
