@@ -14,7 +14,7 @@ from fishmj.deploy.loop.swim import Plan, Rig, Swim
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.deploy.tracker.fix import Fix
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 DT = 0.02
 COVARIANCE = np.diag([1e-6, 1e-6, 1e-5])

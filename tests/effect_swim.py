@@ -5,7 +5,7 @@ import numpy as np
 from fishmj.effects import EffectStack
 from fishmj.effects.sites import Measured
 from fishmj.effects.stack import delivered
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
 

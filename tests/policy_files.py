@@ -7,8 +7,8 @@ from safetensors.numpy import save
 
 from fishmj.base.store.arrays import _digest
 from fishmj.control.policy import SCHEMA, structure_sha256
-from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.identity import water_identity
 
 ROBOT = load_robot("fish")

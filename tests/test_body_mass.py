@@ -11,7 +11,7 @@ from fishmj import effects
 from fishmj.effects import EffectStack
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.gap.commands.mjcf_patch import mjcf
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics.hooks import Effects
 from fishmj.water.dynamics.planar_chain import chain_of
 

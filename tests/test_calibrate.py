@@ -33,7 +33,7 @@ from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
 from fishmj.log.toml import dumps
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 
 ROOT = Path(__file__).resolve().parent.parent

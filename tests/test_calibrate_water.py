@@ -20,7 +20,7 @@ from fishmj.gap.calibrate.least_squares import FreeParameter, Minimum, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, carried_thrust, physical
 from fishmj.gap.models.swimming_fish import ServoStand, SwimmingFish
 from fishmj.log import SCHEMA, Trial, excitation, numbered, write_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water import prior
 from fishmj.water.choice import in_water, label
 from fishmj.water.dynamics import planar_chain, strip_forces

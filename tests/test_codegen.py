@@ -11,7 +11,7 @@ numba = pytest.importorskip("numba", reason='the compiled engine needs pip insta
 from fishmj import engines
 from fishmj.base.errors import ConfigError
 from fishmj.engines import codegen, fast_math, numba_build
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 
 

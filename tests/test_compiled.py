@@ -22,7 +22,7 @@ from fishmj import engines
 from fishmj.base.errors import ConfigError, MissingExtra
 from fishmj.base.machine_code import cache_folder
 from fishmj.engines import FishParams, compiled, numba_build, planar
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import draw, table_of
 

@@ -13,7 +13,7 @@ from fishmj.control.adrc import Observer
 from fishmj.control.cpg import Cpg, Rates
 from fishmj.control.estimator import StateEstimator, hermite, turned
 from fishmj.control.policy import FOLDER, Policy
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 ROBOT = load_robot("fish")
 LAG = np.radians(gains_of("gait")["lag_deg"])

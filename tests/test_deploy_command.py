@@ -33,7 +33,8 @@ from fishmj.log.excitation import LEAD
 from fishmj.log.export import _KIND
 from fishmj.log.foxglove import SCHEMAS
 from fishmj.log.importers.messages import KEPT
-from fishmj.mjcf.description import RigSpec, load_robot
+from fishmj.mjcf.description import RigSpec
+from fishmj.mjcf.reading import load_robot
 from studies.tracker import cases
 from tests.deploying import Bench
 

@@ -228,7 +228,7 @@ def test_a_camera_that_fails_is_named_where_the_robot_is_not_armed_and_where_a_s
 
 def test_fault_25_a_policy_of_another_structure_is_refused_when_it_is_loaded():
     from fishmj.control.learned import LearnedController
-    from fishmj.mjcf.description import load_robot
+    from fishmj.mjcf.reading import load_robot
 
     with pytest.raises(ConfigError, match="robot tendon_fish has 9 and 2"):
         LearnedController(load_robot("tendon_fish"), "station")

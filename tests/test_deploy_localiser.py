@@ -22,7 +22,7 @@ from fishmj.deploy.loopback.shared_frames import FrameWriter
 from fishmj.deploy.tracker.apriltag import AprilTagTracker
 from fishmj.deploy.tracker.calibration import overhead
 from fishmj.deploy.tracker.fix import Fix
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from tests.deploying import Bench
 
 ROOT = Path(__file__).resolve().parent.parent

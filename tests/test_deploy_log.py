@@ -21,7 +21,7 @@ from fishmj.deploy.loop.supervisor import Condition
 from fishmj.deploy.loop.trial_log import FIRST, Rows, TrialLog, recovered
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.log import read_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from tests.deploying import Bench
 
 META = {"origin": "measured", "robot": "fish"}

@@ -13,7 +13,7 @@ from fishmj.deploy.monitor.monitor import BLOCK, Blocks, Monitor, reference_of, 
 from fishmj.deploy.monitor.picture import drawn
 from fishmj.deploy.monitor.statistics import Cusums, learn, long_run_deviation, run_length, threshold
 from fishmj.log import Trial, write_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from studies.monitor.side_by_side import blocks_of
 from studies.monitor.swims import swim
 

@@ -25,7 +25,7 @@ from fishmj.deploy.monitor.live import Beside, LiveMonitor, Watched, watched_of
 from fishmj.deploy.monitor.monitor import Alarm
 from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.log import Trial, read_trial, write_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow
 from studies.monitor.swims import swim
 from tests.deploying import Bench

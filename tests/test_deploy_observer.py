@@ -7,7 +7,7 @@ from fishmj.deploy.loop.limits import Limiter, towards_zero
 from fishmj.deploy.loop.observer import RATE_WINDOW, Observer
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.deploy.tracker.fix import Fix
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold
 
 ROBOT, DT = load_robot("fish"), 0.02

@@ -30,7 +30,7 @@ from fishmj.gap.__main__ import main as gap
 from fishmj.gap.calibrate.__main__ import main as calibrate
 from fishmj.log import excitation, read_trial, write_dataset
 from fishmj.log.dataset import take
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from tests.deploying import FakeClock, FakeEyes, FakeRobot
 
 ROOT = Path(__file__).resolve().parent.parent

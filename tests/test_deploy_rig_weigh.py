@@ -10,7 +10,7 @@ from fishmj.deploy.rig import rig_prompt, rig_weigh
 from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.gap.laboratory.virtual_robot.weighing import masses
 from fishmj.log import measurements
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 SCALES = ["0.744", "0.745", "0.744"] + ["0.168"] * 3 + ["0.102"] * 3 + ["0.086"] * 3
 REST = ["", "0.1822", "0.1825", "0.1821", "", "1.2", "0.3", "15.9", "15.91", "15.89"]

@@ -23,7 +23,7 @@ from fishmj.deploy.loopback import faults
 from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
 from fishmj.deploy.loopback.settings import Settings, make_robot
 from fishmj.log import excitation, read_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow
 
 ROOT = Path(__file__).resolve().parent.parent

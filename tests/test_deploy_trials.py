@@ -26,7 +26,7 @@ from fishmj.deploy.trials.trials import Session, counts, cut, name_of, order, st
 from fishmj.evaluate import metrics, protocol
 from fishmj.evaluate.report import trials_csv
 from fishmj.log import Trial, read_trial, write_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow_map.flow_map import FlowMap
 from tests.deploying import FakeClock, FakeEyes, FakeRobot
 from tests.test_deploy_flow_map import MAP

@@ -16,7 +16,7 @@ from fishmj import mjcf
 from fishmj.base.errors import ConfigError, DescriptionError
 from fishmj.log.toml import dumps
 from fishmj.mjcf import Fin, Link, Robot, Servo, Timing, description, load_robot
-from fishmj.mjcf.description import robot_from_dict
+from fishmj.mjcf.reading import robot_from_dict
 from fishmj.sim import Sim
 
 NAN, INF = math.nan, math.inf

@@ -22,7 +22,7 @@ from fishmj.effects.randomise import draw
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
 from fishmj.effects.stack import arrivals, delivered, gusts, noise
 from fishmj.log import excitation
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
 

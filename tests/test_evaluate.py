@@ -8,7 +8,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.control import gains_of
 from fishmj.evaluate import metrics
 from fishmj.evaluate.metrics import Result
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 
 ROBOT = in_water(load_robot("fish"), "structured")

@@ -15,7 +15,7 @@ from fishmj.base import console
 from fishmj.evaluate import __main__ as command
 from fishmj.evaluate import metrics, report
 from fishmj.log import read_trial, stacked
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.view.replay import write_html
 
 ROBOT = load_robot("fish")

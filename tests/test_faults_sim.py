@@ -10,7 +10,8 @@ import pytest
 from fishmj import engines, mjcf
 from fishmj.base.errors import ConfigError, InjectionError, MissingExtra, SimDiverged, UnknownName
 from fishmj.log import read_trial
-from fishmj.mjcf.description import Timing, check_timing
+from fishmj.mjcf.description import Timing
+from fishmj.mjcf.reading import check_timing
 from fishmj.sim import Sim
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Flow, stack

@@ -8,7 +8,7 @@ from fishmj.base.calib import resolve
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import read_npz
 from fishmj.control.policy import Policy
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12345678\n"
 

@@ -9,8 +9,8 @@ from firmware_library import COMPILER, FIRMWARE, SOURCES, STRICT, compiled, need
 
 from fishmj.deploy.protocols import fishmj1, lx_bus, servo_counts
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState
-from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.identity import structure_of
+from fishmj.mjcf.reading import load_robot
 
 pytestmark = needs_compiler
 ALLOWED = {"memcpy", "memset", "memmove", "memcmp", "tanhf"}  # of the standard library

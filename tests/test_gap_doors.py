@@ -31,7 +31,7 @@ from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, write_dataset
 from fishmj.log.dataset import read_dataset, take
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 RUNS = ("gait_fast", "steps", "chirp")
 SMALL = SimulatedNull(runs=48)

@@ -18,7 +18,7 @@ from fishmj.gap.terms import select
 from fishmj.gap.terms.library import CURVES, library, model_with_terms, one_sided, sensor_terms
 from fishmj.gap.terms.select import terms_of
 from fishmj.gap.thresholds import thresholds
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 RUNS = ("gait_fast", "turn_left", "tow_oblique")
 STILL = dict.fromkeys(BodyMotion._fields, 0.0)

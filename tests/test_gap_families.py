@@ -18,7 +18,7 @@ from fishmj.gap.bench.rows import keep
 from fishmj.gap.laboratory.generators import detectability
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.log import excitation
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 ALL = families.NAMES
 

@@ -13,7 +13,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.structural_error import widths
 from fishmj.gap.search.likelihood import Likelihood
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 from studies.structural_error import formula_error
 

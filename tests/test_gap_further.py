@@ -17,7 +17,7 @@ from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import ModelResponse
 from fishmj.gap.search.stepwise import Beyond, CrossValidated, Selection, required_gain, split
 from fishmj.gap.thresholds import frozen, thresholds
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 
 RUNS = ("gait_fast", "chirp", "turn_left")

@@ -12,7 +12,7 @@ from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterS
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import matched_water
 from fishmj.gap.records.movement import pace
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 FISH = load_robot("fish")
 

@@ -23,7 +23,7 @@ from fishmj.gap.terms.stronger import is_own_formula
 from fishmj.gap.thresholds import frozen, residual_allowed, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.workflow import investigate
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 
 @pytest.fixture(scope="module")

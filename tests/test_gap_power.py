@@ -14,7 +14,7 @@ from fishmj.gap.bench.drawn_robots import every, number_of
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 DRAG = Case("x", "single", {"quadratic_drag": {"coefficient": 0.5}}, 1.0, ("gait",), 7, 20.0)
 

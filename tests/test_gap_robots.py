@@ -26,7 +26,7 @@ from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_dataset
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 SOME = ("command_latency", "servo_gain", "viscous_friction", "joint_zero_offset", "camera_scale")
 

@@ -23,7 +23,7 @@ from fishmj.hydro_fit.record import KICK
 from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_bundle
 from fishmj.log.excitation import Excitation
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 
 @pytest.fixture

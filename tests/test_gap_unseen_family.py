@@ -18,7 +18,7 @@ from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.thresholds import frozen
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from studies.structural_error.__main__ import Healthy
 from studies.structural_error.sample import SOLVER
 from studies.structural_error.unseen_family import level

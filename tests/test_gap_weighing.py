@@ -22,7 +22,7 @@ from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.workflow import investigate
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 RUNS = ("gait", "turn_left", "burst_and_coast")
 TURNS = {"yaw_inertia": {"inertia": 0.006}}

@@ -15,7 +15,8 @@ from fishmj.gap.laboratory.generators.swim import Run
 from fishmj.gap.laboratory.generators.trials import record, robot_of
 from fishmj.log import excitation
 from fishmj.log.excitation import Excitation
-from fishmj.mjcf.description import Link, Robot, load_robot
+from fishmj.mjcf.description import Link, Robot
+from fishmj.mjcf.reading import load_robot
 
 ROOM = Path(generators.__file__).parent
 SHORT = Excitation(id="short", commands=excitation.get("gait").commands[:150], about="three seconds of a beat")

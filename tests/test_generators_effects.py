@@ -18,8 +18,8 @@ from fishmj.gap.laboratory.generators.trials import robot_of
 from fishmj.gap.laboratory.generators.weighing import weight
 from fishmj.log import excitation
 from fishmj.log.excitation import Excitation
-from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.geometry import geometry_of
+from fishmj.mjcf.reading import load_robot
 
 BEAT = Excitation(
     id="beat", start=(0.4, -0.3, 0.2), commands=excitation.get("turn_left").commands[:230], about="4.6 s of a turning beat"

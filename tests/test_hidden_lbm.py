@@ -22,7 +22,8 @@ from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log import excitation
 from fishmj.log.trial import stacked
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 TINY = Domain(name="tiny", shape=(56, 36, 20), dx=0.02, dt=0.004, follows=True)
 FLICK = excitation.Excitation(id="flick", commands=np.repeat([[0.0] * 3, [0.4, 0.3, -0.2]], [10, 45], 0), about="a step")

@@ -6,7 +6,7 @@ import pytest
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.loopback import bodies
 from fishmj.gap.laboratory.virtual_robot import ClosedLoopRobot
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
 from fishmj.water.flow import Flow
 

@@ -12,7 +12,7 @@ from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.protocols import fishmj1, mish
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.deploy.protocols.servo_counts import RAD_PER_COUNT
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 TICK, CLOCK = 0.02, 1000.0  # s, s by which the host's clock is ahead
 

@@ -18,12 +18,12 @@ from fishmj import cli, control
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, DescriptionError, FishmjError
 from fishmj.mjcf import geometry_of, load_robot
-from fishmj.mjcf.description import robot_from_dict
 from fishmj.mjcf.new import __main__ as verb
 from fishmj.mjcf.new.answers import QUESTIONS
 from fishmj.mjcf.new.fish_toml import Fish, toml_of
 from fishmj.mjcf.new.shape import cut, joints_of, read_sections, typical
 from fishmj.mjcf.priors import water_prior
+from fishmj.mjcf.reading import robot_from_dict
 from fishmj.mjcf.servos import SHELF
 from fishmj.sim import Sim
 

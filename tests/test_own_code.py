@@ -23,7 +23,7 @@ from fishmj.gap.commands.hide import main as plant
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.laboratory.virtual_robot.__main__ import main as hide
 from fishmj.log import read_trial, write_dataset
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks.episode import TaskOptions, TaskSpec
 from fishmj.tasks.reference import EpisodeStart, course_of
 from fishmj.tasks.station_hold import draw_start

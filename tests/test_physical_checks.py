@@ -14,7 +14,7 @@ from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_tria
 from fishmj.log.__main__ import main as log
 from fishmj.log.dataset import read_bundle
 from fishmj.log.trial_check import Plausible
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 ROOT = Path(__file__).resolve().parent.parent
 COUNT = np.radians(0.24)

@@ -287,7 +287,7 @@ def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsy
     from argparse import Namespace
     from dataclasses import replace
 
-    from fishmj.mjcf.description import load_robot
+    from fishmj.mjcf.reading import load_robot
     from fishmj.view.play.__main__ import controller_of
 
     asked, fish = Namespace(controller=None, anyway=False), load_robot("fish")

@@ -20,9 +20,9 @@ from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy, structure_sha256
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.log import read_trial
-from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import HydroModel
 
 EVIL_COMMAND = "fishmj train --out '</script><script>alert(1)</script><img src=x onerror=alert(1)>'"

@@ -27,10 +27,11 @@ from fishmj.deploy.protocols.messages import ServoFault
 from fishmj.deploy.protocols.servo_bus import BUSES, X_TABLE, x_fault
 from fishmj.deploy.rig import rig_experiment
 from fishmj.mjcf import servo_buses
-from fishmj.mjcf.description import RigSpec, load_robot
+from fishmj.mjcf.description import RigSpec
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.new import __main__ as new
 from fishmj.mjcf.new.answers import sheet_file
+from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.servos import SHELF
 from fishmj.water.identity import water_identity
 from tests.deploying import FakeClock

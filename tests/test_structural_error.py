@@ -25,7 +25,7 @@ from fishmj.gap.search import likelihood
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import ModelResponse
 from fishmj.gap.thresholds import frozen
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 
 NULL = SimulatedNull(runs=12)

@@ -8,7 +8,7 @@ from fishmj import control
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.control.policy import Policy
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.train.__main__ import main
 from fishmj.train.begin import SIGMA, begin_with, begun
 from fishmj.train.settings import change, preset

@@ -7,8 +7,8 @@ import pytest
 
 from fishmj import engines
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
 from fishmj.water import choice
 from fishmj.water.choice import chosen, in_water, label, residual_of

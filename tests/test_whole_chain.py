@@ -8,7 +8,7 @@ from fishmj.deploy.camera.localiser import InStep
 from fishmj.deploy.loopback.lockstep import FixNoise, LockstepClock, PoseTracker
 from fishmj.deploy.loopback.settings import Settings, make_robot
 from fishmj.evaluate import protocol
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold
 from fishmj.tasks.sensing import estimate
 from studies.tracker.error_statistics import LAGS, autocovariance

@@ -24,7 +24,7 @@ from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.records.records import record_of
 from fishmj.log import read_trial
 from fishmj.log.dataset import take
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from studies.whole_loop import __main__ as study
 from studies.whole_loop import gains, latency, robots, steps, swims
 from studies.whole_loop.steps import Fault, Loop

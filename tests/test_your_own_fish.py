@@ -10,7 +10,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.__main__ import records_of
 from fishmj.hydro_fit.segment_dataset import open_dataset
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.train.build import robot_for
 from fishmj.train.settings import change, preset
 from fishmj.water.hydro_model import HydroModel

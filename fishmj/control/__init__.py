@@ -26,7 +26,8 @@ from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.control.policy import SHIPPED, is_policy
 from fishmj.control.policy import shipped as shipped_policies
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 
 

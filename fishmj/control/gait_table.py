@@ -15,7 +15,8 @@ import numpy as np
 from fishmj import engines
 from fishmj.base import console
 from fishmj.control.cpg import Cpg, Rates
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow, stack
 
 FREQUENCIES = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # Hz

@@ -9,8 +9,9 @@ import numpy as np
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import nearest
 from fishmj.control.policy import FOLDER, Policy, PolicyBody, PolicyFit, file_of, fit
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.water.identity import water_identity
 

@@ -16,7 +16,8 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import shown_value
 from fishmj.engines.extensions import Extensions, bus_rows, with_effects
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Current

@@ -19,7 +19,8 @@ from fishmj.base.errors import MissingExtra, SimDiverged
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar import arrived, link_centres, quantise
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Current, sample
 

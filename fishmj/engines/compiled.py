@@ -40,7 +40,8 @@ from fishmj.engines import (
     ticks_per,
 )
 from fishmj.engines.extensions import Extensions
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import strip_forces
 from fishmj.water.flow import Current
 

@@ -21,7 +21,7 @@ from fishmj.effects import Effect, EffectStack
 from fishmj.effects.effect import CLOCKS, Parameter
 from fishmj.effects.sites import Measured
 from fishmj.effects.stack import delivered
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
 

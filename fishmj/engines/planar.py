@@ -14,7 +14,8 @@ from jax import lax
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar_columns import begun, columns, pairs
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import centres
 from fishmj.water.flow import Current, sample

@@ -20,7 +20,8 @@ from fishmj import effects
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects import Effect
 from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 
 WATER = "the solver is the water"

@@ -31,7 +31,8 @@ from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option
 from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
-from fishmj.mjcf.description import COMMAND_PATHS, check_timing, load_robot
+from fishmj.mjcf.description import COMMAND_PATHS
+from fishmj.mjcf.reading import check_timing, load_robot
 from fishmj.water import choice
 from fishmj.water.flow import PRESETS
 

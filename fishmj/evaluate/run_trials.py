@@ -26,7 +26,8 @@ from fishmj.control.learned import LearnedController
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.protocol import Trials
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.water.choice import LBM, in_water

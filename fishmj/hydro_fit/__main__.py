@@ -12,7 +12,8 @@ from fishmj.base.store import sha256
 from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
 
 DATA = OWN / "hydro"

@@ -2,8 +2,9 @@
 
 from typing import TYPE_CHECKING, Any
 
-from fishmj.mjcf.description import Fin, Link, RigSpec, Robot, Servo, Timing, load_robot
+from fishmj.mjcf.description import Fin, Link, RigSpec, Robot, Servo, Timing
 from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.mjcf.reading import load_robot
 
 if TYPE_CHECKING:
     from fishmj.mjcf.model import build, build_spec, mjcf_xml

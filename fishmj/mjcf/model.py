@@ -17,9 +17,10 @@ import numpy as np
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.units import WATER_DENSITY, WATER_VISCOSITY, G
 from fishmj.mjcf import passive_slot
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.drawing import colour_of, fin_plates, loft
 from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.mjcf.reading import load_robot
 
 ROOTS = ("planar", "free")
 DYNAMIC_VISCOSITY = WATER_DENSITY * WATER_VISCOSITY  # Pa s

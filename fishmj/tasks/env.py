@@ -18,7 +18,8 @@ from fishmj import engines
 from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked, checked_kind, checked_name, checked_names, shown_value
 from fishmj.engines import FishParams, FishState
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import DrawOptions, slide
 from fishmj.tasks.reference import StepTruth, course_of

@@ -26,7 +26,8 @@ from fishmj import engines
 from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.base.options import checked, checked_bounds, checked_name, checked_names
 from fishmj.engines import FishParams, FishState, Steps, Trace
-from fishmj.mjcf.description import COMMAND_PATHS, Robot, check_timing, load_robot
+from fishmj.mjcf.description import COMMAND_PATHS, Robot
+from fishmj.mjcf.reading import check_timing, load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, options_of
 from fishmj.tasks.sensing import Sensors, readings

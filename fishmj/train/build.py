@@ -11,8 +11,9 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.control.policy import Policy, structure_sha256
 from fishmj.engines import fastest, with_effects
-from fishmj.mjcf.description import COMMAND_PATHS, check_timing, load_robot
+from fishmj.mjcf.description import COMMAND_PATHS
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.mjcf.reading import check_timing, load_robot
 from fishmj.tasks.reference import COURSES, course_of
 from fishmj.tasks.station_hold import N_START, episode_steps, visible
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers

@@ -7,7 +7,7 @@ Operations are those of the matrix products: 2 a weight forwards, 6 forwards and
 
 from fishmj.base import cost
 from fishmj.base.cores import usable_cores
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.train.build import config_of, pick_engine, robot_for
 from fishmj.train.settings import Settings
 from fishmj.water.choice import residual_of

@@ -24,7 +24,7 @@ from fishmj.deploy.monitor.monitor import BLOCK, RATE
 from fishmj.deploy.monitor.prediction import channels
 from fishmj.deploy.monitor.statistics import learn
 from fishmj.gap.laboratory.virtual_robot.trials import EFFECTS
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from studies.monitor import results
 from studies.monitor.loopback_swims import swim
 from studies.monitor.results import Watched

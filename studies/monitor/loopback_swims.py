@@ -26,7 +26,7 @@ from fishmj.deploy.loopback.virtual_body import VirtualBody
 from fishmj.deploy.monitor.rows import as_heard
 from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.log import read_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow
 from studies.monitor.swims import ARENA, HEALTHY, HOLD, Effects, Tables
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fishmj.control.learned import LearnedController
 from fishmj.gap.laboratory.virtual_robot import ClosedLoopRobot, plant
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks.sensing import estimate
 
 HOLD = 60.0  # s, at each target

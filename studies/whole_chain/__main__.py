@@ -31,7 +31,7 @@ from fishmj.control.learned import LearnedController
 from fishmj.deploy.loopback.bodies import FITTED, VIRTUAL
 from fishmj.evaluate import metrics, protocol, run_trials
 from fishmj.evaluate.protocol import Trials
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 from studies.whole_chain.chain import MARKS, SECONDS, swum
 from studies.whole_chain.direct import AsSensed, in_second_robot, observation_noise

@@ -23,7 +23,7 @@ from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.loopback.settings import Settings, artist_of, calibration_of, make_robot
 from fishmj.deploy.tracker.fix import Fix, Tracker, wrapped
 from fishmj.evaluate.protocol import Trials
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from studies.tracker.error_statistics import autocovariance
 
 SECONDS = 30.0

@@ -20,7 +20,8 @@ from fishmj.deploy.loopback import bodies
 from fishmj.deploy.loopback.virtual_body import VirtualBody
 from fishmj.deploy.protocols import servo_counts
 from fishmj.evaluate.protocol import Trials
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.sensing import slope_weights
 from studies.whole_chain.chain import SECONDS, figures

@@ -24,7 +24,7 @@ from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.workflow import investigate
 from fishmj.log.dataset import take
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from studies.whole_loop import steps
 from studies.whole_loop.steps import Fault, Loop
 

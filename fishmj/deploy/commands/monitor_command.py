@@ -12,7 +12,7 @@ from fishmj.deploy.monitor.statistics import LEAST_BLOCKS
 from fishmj.log import Trial, read_trial
 from fishmj.log.dataset import take
 from fishmj.log.folder import FLAT_FILE, META_FILE
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 EXAMPLES = """examples:
   fishmj deploy monitor runs/swim_07                             learns from the first 5 minutes, watches the rest

@@ -28,8 +28,9 @@ from fishmj.deploy.loop.trial_log import TrialLog, refuse_taken
 from fishmj.deploy.loop.way_out import way_out
 from fishmj.deploy.monitor.live import LiveMonitor, Watched, monitor_options, watched_of
 from fishmj.deploy.tracker.calibration import Calibration
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow_map.flow_map import FlowMap
 
 SWITCH = 5e-4  # s that another thread may keep the loop waiting where it holds the interpreter; Python's own 5 ms are too long

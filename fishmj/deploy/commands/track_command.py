@@ -5,8 +5,9 @@ from pathlib import Path
 from fishmj.base import console
 from fishmj.deploy.loop import wiring
 from fishmj.deploy.tracker.video import track_video
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.reading import load_robot
 
 EXAMPLES = """examples:
   fishmj deploy track swim.mp4 --calibration tank.toml --out runs/swim --overlay swim.overlay.mp4

@@ -40,8 +40,9 @@ from fishmj.deploy.trials.trials import HOST, KEPT, Place, Session, condition_of
 from fishmj.evaluate import protocol
 from fishmj.evaluate.protocol import MeasuredTrials
 from fishmj.log import Trial
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow_map.flow_map import FlowMap, Water
 
 Wire = Callable[[Any, Robot, ExitStack], wiring.Wired]

@@ -37,7 +37,8 @@ from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.deploy.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
 from fishmj.deploy.tracker.fix import Tracker
 from fishmj.mjcf import geometry_of, servo_buses
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 SERVO_BUS = "servo-bus"
 PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)

@@ -16,7 +16,8 @@ from collections.abc import Mapping
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.loopback.body import Body, Effects
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow
 
 VIRTUAL, FITTED, STRUCTURED, SOLVER = "virtual", "fitted", "structured", "lbm"

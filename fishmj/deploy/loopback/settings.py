@@ -11,7 +11,8 @@ from fishmj.deploy.loopback.faults import Fault
 from fishmj.deploy.loopback.firmware import PROTOCOLS, SERVO_BUS
 from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.tracker.calibration import Calibration, overhead
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow
 
 SIZE, SCALE, HEIGHT = (1280, 720), 2.8e-3, 3.0  # px, m/px and m: the camera over the tank where none is given

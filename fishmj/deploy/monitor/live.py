@@ -30,7 +30,8 @@ from fishmj.deploy.monitor.statistics import LEAST_BLOCKS
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.log import read_trial
 from fishmj.log.folder import META_FILE
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 EVERY = 0.5  # s between two deliveries
 DRAIN, LEAVE = 60.0, 1.0  # s that the other process may take for what is still on its way; the same after Ctrl-C

@@ -23,7 +23,8 @@ from fishmj.deploy.monitor.live import OVER
 from fishmj.deploy.monitor.monitor import Monitor, has, reference_of
 from fishmj.deploy.monitor.statistics import Reference
 from fishmj.log import Trial, read_trial
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 LOOK = 3.0  # s of rows after which it is clear what this robot measures
 BELOW = 10  # niceness: the loop comes first

@@ -21,7 +21,8 @@ from fishmj.deploy.loop.way_out import way_out
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.deploy.tracker.fix import Fix
 from fishmj.log import Trial, read_trial, write_trial
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 Wire = Callable[..., wiring.Wired]
 RAW, CUT = "host", "trials"  # folders below --out: the host's whole logs, and what goes into the data set

@@ -17,8 +17,9 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.units import G
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.log import measurements
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
+from fishmj.mjcf.reading import load_robot
 
 REPEATS = 3
 SWINGS = 10  # of the pendulum that are timed together: a stopwatch errs by 0.1 s

@@ -41,8 +41,9 @@ from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
+from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import DrawnFlow, Flow, shifted

@@ -28,7 +28,7 @@ from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import HydroModel, shipped
 
 DEFAULT = ("dob", "pi", "pd", "adrc-c1", "station-sac", "station", "drift")

@@ -31,7 +31,7 @@ from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 ALONE = ("second", "lbm", "log")  # benchmarks of their own
 SOLVER = "solver"  # a family whose robots are swum beforehand

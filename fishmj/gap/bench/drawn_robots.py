@@ -19,7 +19,8 @@ from fishmj.gap.bench import families
 from fishmj.gap.bench.cases import STRENGTH, Case, dealt
 from fishmj.gap.laboratory.generators.detectability import BOUND
 from fishmj.log import excitation
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 LOGS = 6  # of a session, drawn once a robot
 OFF = 7  # of ten robots of a family that carry one

@@ -205,7 +205,7 @@ def warmed(names: set[str]) -> None:
     from fishmj.gap.calibrate.water_plant import WaterPlant
     from fishmj.gap.models.swimming_fish import SwimmingFish
     from fishmj.gap.records.records import record_of
-    from fishmj.mjcf.description import load_robot
+    from fishmj.mjcf.reading import load_robot
 
     robot = load_robot("fish")
     for plant in (SwimmingFish(robot), WaterPlant(robot)):

@@ -18,7 +18,7 @@ from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.terms.library import model_with_terms
 from fishmj.gap.terms.select import terms_of
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 RATE = (
     "tail rate squared",

@@ -21,7 +21,7 @@ from fishmj.gap.commands.hide import with_lost_rows
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compiled, investigate
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 SESSION = ("gait_fast", "chirp", "steps", "turn_left")
 LATE = 0.05  # s

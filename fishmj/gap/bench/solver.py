@@ -20,7 +20,7 @@ from fishmj.engines import in_water
 from fishmj.gap.bench.cases import Case
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.log import Trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 WATER = "swift-base"
 

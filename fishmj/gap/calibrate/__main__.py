@@ -7,7 +7,7 @@ from pathlib import Path
 from fishmj.base import console, interrupt
 from fishmj.base.console import Command
 from fishmj.base.errors import ConfigError
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 CHECKED = Path("runs") / "calibrate" / "check"  # finished robots of `check`
 RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)

@@ -20,7 +20,7 @@ from fishmj.effects import calibration
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.gap.calibrate.least_squares import ParameterEstimate
 from fishmj.log.limits import bare
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 
 def start(out: Path, model: str) -> str:

@@ -19,7 +19,8 @@ from fishmj.gap.progress import shown
 from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import compiled
 from fishmj.log import physical_checks
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 
 Answer = dict[str, Any]

@@ -36,7 +36,8 @@ from fishmj.gap.wording import title
 from fishmj.log import Trial, physical_checks
 from fishmj.log.dataset import Taken
 from fishmj.log.excitation import PERIOD
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import label, residual_of
 
 SHIPPED = "fish"  # what the null sets swam as, which say a name only

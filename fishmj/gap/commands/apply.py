@@ -22,7 +22,7 @@ from fishmj.gap.commands.check import gaps
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, pair, title
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 
 UNSEEN = "records that nothing was fitted to"

@@ -21,7 +21,8 @@ from fishmj.gap.records.records import record_of
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.wording import level
 from fishmj.log import Trial
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED, as_described
 
 SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off

@@ -27,7 +27,8 @@ from fishmj.gap.wording import level
 from fishmj.gap.workflow import Inquiry, compiled, investigate
 from fishmj.log import Trial
 from fishmj.log.dataset import Taken
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED, as_described
 
 

@@ -34,7 +34,7 @@ from fishmj.gap.records import datasets
 from fishmj.log import Trial, excitation, numbered
 from fishmj.log.dataset import Taken
 from fishmj.log.trial import stacked
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 RATES = {"joint": "network.period", "pose": "camera.period", "power": "meter.period"}
 GENERATORS = ("independent", "log", "lbm", *generators.NAMES)

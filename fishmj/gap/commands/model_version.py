@@ -21,7 +21,7 @@ from fishmj.base.store import write_text
 from fishmj.effects import calibration, get
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.log.toml import dumps
-from fishmj.mjcf.description import load_robot, robot_from_dict
+from fishmj.mjcf.reading import load_robot, robot_from_dict
 
 
 def digest(path: "str | Path") -> str:

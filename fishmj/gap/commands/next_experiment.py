@@ -27,7 +27,7 @@ from fishmj.gap.records.datasets import BUNDLE, page_in
 from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import compiled, investigate
 from fishmj.log import excitation
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED, as_described
 
 

@@ -13,7 +13,8 @@ from fishmj.base.calib import calib_folder, read_toml
 from fishmj.gap.models.kernel import Kernel
 from fishmj.gap.models.swimming_fish import Constant, SwimmingFish
 from fishmj.gap.records.records import Record
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water import prior
 from fishmj.water.dynamics import planar_chain, strip_forces
 

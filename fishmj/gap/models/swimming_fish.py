@@ -24,7 +24,8 @@ from fishmj.effects.sites import Measured
 from fishmj.gap.models.kernel import Kernel, hermite, linear
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
 

@@ -27,8 +27,9 @@ import numpy as np
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.skin import bend
 
 HELD = {3: 0.7, 4: 0.9}  # cells that markers are drawn in where the water sticks, by the width of the kernel

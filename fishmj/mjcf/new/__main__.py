@@ -129,10 +129,10 @@ def main(argv: list[str]) -> int:
 def finish(args, files: dict[str, Path], fish, seen) -> int:
     """Checks the description after reading it back, writes all files, and prints the findings. Returns the exit code."""
     from fishmj.base import store
-    from fishmj.mjcf.description import robot_from_dict
     from fishmj.mjcf.new.fish_picture import picture
     from fishmj.mjcf.new.fish_toml import robot_of, toml_of
     from fishmj.mjcf.new.swim_check import checks, swim_of
+    from fishmj.mjcf.reading import robot_from_dict
     from fishmj.sim import Sim
 
     text = toml_of(robot_of(fish), fish)

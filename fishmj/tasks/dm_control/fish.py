@@ -23,8 +23,8 @@ from dm_env import specs
 from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked_name, shown_value
 from fishmj.engines import Trace
-from fishmj.mjcf.description import load_robot
 from fishmj.mjcf.model import ROOTS
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.dm_control.hybrid_physics import HybridPhysics
 from fishmj.tasks.dm_control.physics import Physics

@@ -18,7 +18,8 @@ from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import write_trial
 from fishmj.log.folder import META_FILE
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.view.play.live_session import Keyboard, LiveSession, press
 from fishmj.view.replay.live_view import LOCAL, LiveView, check_host
 from fishmj.water import choice

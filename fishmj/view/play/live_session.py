@@ -16,8 +16,9 @@ from fishmj.control import Controller
 from fishmj.control.learned import LearnedController
 from fishmj.engines.planar import link_centres
 from fishmj.log import SCHEMA, Trial, numbered
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import identity
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
 from fishmj.water.choice import HYBRID, NONE, in_water, label

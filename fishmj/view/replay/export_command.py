@@ -10,8 +10,9 @@ from fishmj.base.errors import ConfigError
 from fishmj.log import export
 from fishmj.log.foxglove import Solid
 from fishmj.log.trial import TABLES, Trial, stacked
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.drawing import solids
+from fishmj.mjcf.reading import load_robot
 from fishmj.view.replay.scene import named_robot
 
 EXAMPLES = """examples:

@@ -19,8 +19,9 @@ from fishmj.base.calib import shipped
 from fishmj.base.errors import ConfigError, FishmjError, LogError, MissingExtra, StoreError
 from fishmj.lbm_oracle.output.slices import Slice, read_slice, slices_in
 from fishmj.log import Trial, stacked
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256, structure_of
+from fishmj.mjcf.reading import load_robot
 
 FPS = 50.0
 LONGEST = 3600.0  # s of one log; a page holds 50 frames of each of them

@@ -25,7 +25,8 @@ from fishmj.gap.bench.drawn_robots import FIRST
 from fishmj.gap.laboratory.generators.detectability import BOUND
 from fishmj.log import excitation
 from fishmj.log.excitation import PERIOD, Excitation
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 SOLVER = "solver"  # name of the family, in rows and in the structural error
 SCHEMA = "fishmj.solver_family/1"

@@ -23,7 +23,8 @@ from fishmj.base.store import read_npz, write_npz
 from fishmj.gap.laboratory.generators.family import Effects
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 BOUND = 5.0
 HEALTHY = 8  # robots of the family

@@ -18,7 +18,8 @@ from fishmj.gap.laboratory.generators.fish import Fish, healthy
 from fishmj.gap.laboratory.generators.swim import STEP, Recording, swim
 from fishmj.log import SCHEMA, Trial, excitation, numbered
 from fishmj.log.excitation import Excitation
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 LINKS = (2, 8)  # that a fish may have
 PLACED = (0.0015, 0.005)  # m, rad: how well the fish is put at its start (chosen)

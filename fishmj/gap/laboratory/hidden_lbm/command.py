@@ -25,7 +25,7 @@ from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import PERIOD, Excitation
 from fishmj.log.folder import write_trial
-from fishmj.mjcf.description import load_robot
+from fishmj.mjcf.reading import load_robot
 
 SCHEMA = "fishmj.hidden/1"
 TANK_STEPS = 5834.0  # a second: twelve tanks of two million cells on one H200 (studies/solver/NOTES.md)

@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
     from fishmj.gap.laboratory.virtual_robot.trials import generate, trial_name
     from fishmj.gap.laboratory.virtual_robot.weighing import page
-    from fishmj.mjcf.description import load_robot
+    from fishmj.mjcf.reading import load_robot
 
     buildable(load_robot(args.model), args.model)
     effects, runs = parse(args.plant, args.seed), _runs(args.excitations, args.logs)

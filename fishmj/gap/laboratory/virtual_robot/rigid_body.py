@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.laboratory.virtual_robot.constants import HullConstants
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
+from fishmj.mjcf.reading import load_robot
 
 STATIONS = 16
 PANEL = 4  # Gauss points between two drawn sections

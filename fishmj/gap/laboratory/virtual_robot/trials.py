@@ -21,7 +21,8 @@ from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, RobotC
 from fishmj.gap.laboratory.virtual_robot.simulate import Recording, at_rest, run
 from fishmj.log import SCHEMA, Trial, excitation, numbered
 from fishmj.log.excitation import Excitation
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 
 EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")

@@ -43,7 +43,8 @@ from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run import flow_at_links
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel

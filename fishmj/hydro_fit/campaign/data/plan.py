@@ -29,7 +29,8 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.segment_dataset import SPLITS, split_hashes
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import BOXES, Flow
 
 DRAWS = 9

@@ -29,8 +29,9 @@ from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import boundary_entry
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
 from fishmj.log import SCHEMA, Trial
-from fishmj.mjcf.description import Robot, load_robot
+from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
+from fishmj.mjcf.reading import load_robot
 
 DOUBT = 1.5  # s before water fails that are not kept: a held fish's water left the measured speeds 1.3 s before it failed
 SANE = 20.0  # m/s, rad/s: a faster fish was no longer sound
