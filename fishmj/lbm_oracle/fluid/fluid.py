@@ -115,23 +115,18 @@ class Fluid:
         clock: (1,) int32, steps done.
 
     Args:
-        boundaries: kinds of the six faces.
-        subgrid: eddy viscosity, `wale` or `none`.
+        boundaries: kinds of the six faces. subgrid: eddy viscosity, `wale` or `none`. cw: WALE's constant.
         flow: background flow, which enters through open faces; still water by default.
-        body_acceleration: (3,) m/s2, everywhere.
-        cw: WALE's constant.
-        omega_bulk: rate at which the trace of the stress relaxes.
+        body_acceleration: (3,) m/s2, everywhere. omega_bulk: rate at which the trace of the stress relaxes.
         blend: share of the stress that is taken from the velocity gradient in a step of this grid (collide.py), 0 to 1. 0 is
             allowed in order to show that it fails. `blend_at` keeps the loss in a second equal for another step.
-        dtype: storage of the populations.
-        threads: slabs on a CPU; all cores by default.
+        dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
 
     Arrays are indexed by world node modulo shape. `step` and `run` check the water every 50 steps (`watch`).
 
     Raises:
-        ConfigError, UnknownName: invalid arguments.
-        OracleUnstable: a set-up that would not stay stable: a flow or a wall beyond Mach 0.3, tau below 0.5005 without an eddy
-            viscosity. `step` and `run` raise it when the water leaves the limits of `watch`.
+        ConfigError, UnknownName: invalid arguments. OracleUnstable: an unstable set-up (flow or a wall beyond Mach 0.3, tau
+            below 0.5005 without an eddy viscosity); from `step` and `run`, water beyond the limits of `watch`.
     """
 
     def __init__(
@@ -266,8 +261,7 @@ class Fluid:
         """Changes the background flow from now on; the water inside follows through the sponge.
 
         Raises:
-            ConfigError: not a `Flow`.
-            OracleUnstable: the flow is faster than the Mach limit of this grid.
+            ConfigError: not a `Flow`. OracleUnstable: the flow is faster than the Mach limit of this grid.
         """
         checked_kind("fluid: flow", flow, Flow, needed=True)
         check_speed(self.lattice, flow.speed, "fluid: background flow")
@@ -370,10 +364,7 @@ class Fluid:
         return args + [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
-        """Does `steps` steps without a body; on cuda in a captured graph.
-
-        `before` is called before every step and forbids a graph.
-        """
+        """Does `steps` steps without a body, on cuda in a graph; `before` is called before every step and forbids the graph."""
         whole_numbers("fluid: steps", steps, low=0)
         self.set_box(NOWHERE)
         if before is None and self.device.is_cuda and steps >= 4:
