@@ -33,7 +33,7 @@ STREAMS = "0b62f72826c3f69cffcc5e1ec632c483d844b5ee2ad952876fb6f311a6f29445"  # 
 EDGED = "8d1566379f522052afc1869614e2bd3c600135bae1a091e6c0ef7b90241a1b46"  # an option, edges of hulls; the rest to the bit
 TREES = "a49ee31bb533b9700cbc0e882b344be74349a904f5cbd0fa116445696fbb3cc3"  # bodies of any shape, checks; a fish to the bit
 CHECKED = "3f5d5c786db440eda181170c089b18802b7fee14a50425a13bee6734b368ec5e"  # every object and number is checked; to the bit
-ROOMS = "1e988ff7032b6f6969bc28ad3d0f7f763537eee62cd14229108fcd237f7190f0"  # imports of moved modules, no other line
+ROOMS = "e9e86576e9e2d74b532ae597dde80d9adbc213fc0e50627dc4d6cc974ec94984"  # imports of moved modules, no other line
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS)
 SAME = dict.fromkeys(LATER, SHIPPED)
 
