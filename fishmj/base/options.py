@@ -265,9 +265,7 @@ def out_file(text: str) -> Path:
 
 
 def out_folder(text: str) -> Path:
-    """The `type=` of an option that names a folder to write into; one that cannot be written is refused before the work
-    starts.
-    """
+    """The `type=` of an option that names a folder to write into; an unwritable one is refused before the work starts."""
     where = path(text)
     if _is(where, Path.exists) and not _is(where, Path.is_dir):
         raise argparse.ArgumentTypeError(f"{where}: is a file; name a folder to write into")

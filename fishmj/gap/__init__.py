@@ -5,14 +5,14 @@
 Rooms, in the order in which they build on each other (tests/test_architecture.py reads this table: imports go down it only):
 
     0   laboratory                     independent robots that make blind test data
-    1   wording, progress, thresholds  names and numbers in words; progress; every constant that decides, from data/calib/gap.toml
-    1   records                        what was measured, as a residual on one layout
-    2   verdict, null, models          the five answers as data; what a healthy robot leaves; the models that are questioned
-    3   search, localise               forward stepwise selection on cross-validated likelihood; where the residual lies, in words
-    4   decide, terms                  the gates of a verdict, rivals, intervals; forces as typed terms, where no effect explains
-    5   experiment                     which experiment separates the explanations that are left
+    1   wording, progress, thresholds  names and numbers in words; progress; every deciding constant, from data/calib/gap.toml
+    1   records                        measurements as a residual on one layout
+    2   verdict, null, models          the five answers as data; the residual of a healthy robot; the questioned models
+    3   search, localise               forward stepwise selection on cross-validated likelihood; place of the residual, in words
+    4   decide, terms                  the gates of a verdict, rivals, intervals; forces as typed terms, if no effect explains it
+    5   experiment                     the experiment that separates the remaining explanations
     6   workflow                       from a data set to a verdict
-    7   report                         the page, and every figure on it as JSON
+    7   report                         the page, and all its figures as JSON
     8   commands                       the commands of `fishmj gap`
     9   calibrate, measured            servo, latency, slip, water and mass from logs; robots that others measured
    10   bench                         the blind benchmarks and their baselines

@@ -1,8 +1,8 @@
-"""One trial in memory, a dictionary of meta data and event tables with their own stamps; and the schema `fishmj.log/1`: which
-tables a trial may hold, their columns, units and meta keys.
+"""One trial in memory, and the schema `fishmj.log/1` of its tables, columns, units and meta keys.
 
-A template such as `j#` stands for `j1, j2, .. jN`; all templates of one table share N. Angles are radians, times seconds
-on the clock that `clock.<table>` names, positions metres in the tank frame.
+A trial is a dictionary of meta data and event tables with their own stamps. A template such as `j#` stands for `j1, j2, .. jN`;
+all templates of one table share N. Angles are radians, times seconds on the clock that `clock.<table>` names, positions metres
+in the tank frame.
 """
 
 import re

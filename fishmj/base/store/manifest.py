@@ -100,9 +100,7 @@ def shipped(path: str | Path) -> Path:
 
 
 def left_out(path: str | Path) -> str:
-    """End of an error message: source of the files below `data/` that the package leaves out; "" in a checkout, or for other
-    paths.
-    """
+    """End of an error message: source of the `data/` that the package leaves out; "" in a checkout, or for other paths."""
     if OWN in ROOTS or Path(path).parts[:1] != ("data",):
         return ""
     return f"; fishmj's own data/ is whole {SOURCES} only"
