@@ -64,7 +64,7 @@ Main = Callable[[list[str]], int | None]
 
 
 def run(main: Main, argv: Sequence[str] | None = None) -> int:
-    """Call `main(argv)` and turn whatever happens into an exit code; errors are one line on stderr.
+    """Calls `main(argv)` and converts every outcome to an exit code; errors are one line on stderr.
 
     A bad description is one line for each of its errors. With `--json` among the arguments an error is also one JSON object on
     stdout: {"error", "kind", "exit"}, and of a bad description "errors", the list.
@@ -327,13 +327,13 @@ class CommandGroup:
 
 
 def say(*lines: str) -> None:
-    """Print lines for a human, at once; control characters are left out."""
+    """Prints lines for a human, at once; control characters are left out."""
     for line in lines:
         terminal.put(printable(line), sys.stdout)
 
 
 def warn(message: str) -> None:
-    """Print one line on stderr that does not stop the command."""
+    """Prints one line on stderr that does not stop the command."""
     terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
 
 
@@ -346,7 +346,7 @@ def confirmed(question: str) -> bool:
 
 
 def emit_json(value: Any) -> None:
-    """Print one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
+    """Prints one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
     terminal.put(json.dumps(plain(value), allow_nan=False), sys.stdout)
 
 

@@ -194,7 +194,7 @@ class Trial:
 
 
 def numbered(template: str, values) -> Table:
-    """Spread `(T, N)` values over columns: `numbered("j#", q)` -> {"j1": (T,), .., "jN": (T,)}."""
+    """Spreads `(T, N)` values over columns: `numbered("j#", q)` -> {"j1": (T,), .., "jN": (T,)}."""
     values = np.asarray(values)
     if values.ndim != 2 or template.count("#") != 1:
         raise ConfigError(f"numbered({template!r}): expected (T, N) values and one '#', got shape {values.shape}")

@@ -141,7 +141,7 @@ def drawn_of(args) -> dict:
 
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
-    """Hashes of the search's inputs, and the records outside every decision (or outside every fit): the input of gap apply."""
+    """Hash of the search's inputs, and the records outside every decision (or outside every fit): the input of gap apply."""
     apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
     seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
     held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]

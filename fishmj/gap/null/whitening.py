@@ -39,7 +39,7 @@ class RecordWhitening(NamedTuple):
     parts: tuple[tuple[slice, np.ndarray, np.ndarray], ...]  # of records that have such rows: samples, U (m_l, k), g (k,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Whiten (..., m)."""
+        """Whitens (..., m)."""
         z = x / self.d
         for where, u, g in self.parts:
             z[..., where] -= ((z[..., where] @ u) * (1.0 - g)) @ u.T
@@ -76,7 +76,7 @@ class Whitening(NamedTuple):
     g: np.ndarray  # (k,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Whiten (..., m)."""
+        """Whitens (..., m)."""
         y = self.alone(x)
         return y - ((y @ self.u) * (1.0 - self.g)) @ self.u.T
 
