@@ -165,7 +165,7 @@ def _fail(
 
 
 def _one_line(text: str) -> str:
-    """One line that a terminal can show, its middle left out where it is very long."""
+    """One line that a terminal can show; the middle of a very long one is left out."""
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
     return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 
@@ -372,7 +372,7 @@ class Progress:
             bar.update(done, reward=0.4)
 
     The time left comes from the last `MEMORY` seconds of progress. Until the first progress a command may have compiled: that
-    rate is an upper bound of the time left, said as `at most`, and counts no more with the second.
+    rate gives an upper bound of the time left, shown as `at most`, and no longer counts after the second.
     """
 
     def __init__(

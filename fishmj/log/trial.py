@@ -176,7 +176,7 @@ class Trial:
         return look_up(self.meta, key, default)
 
     def table(self, name: str) -> Table:
-        """Table `name`, or one error that says which tables there are."""
+        """Table `name`; raises LogError with the existing tables if it is missing."""
         table_spec(name)
         if name not in self.tables:
             raise LogError(

@@ -165,7 +165,7 @@ def differences(one: Robot, other: Robot) -> list[str]:
     return out
 
 
-# ----------------------------------------------------------------------------------------------------------------- enough to tell
+# -------------------------------------------------------------------------------------------------------------- sufficient data
 FEWEST, SHORTEST, QUIETEST = 2, 2.0, np.radians(1.0)  # records, s, rad of command from end to end
 NEXT = 4  # excitations to suggest
 

@@ -46,8 +46,8 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     errors = np.array([e.formula_error(stage[place]) if by_stage else limits.formula_error for place in places])
     form = errors * np.abs(c.row[places] - e.model.null[places])
     form = form / np.sqrt(1.0 + form**2 * np.sum((jacobian[:, weighed] / e.d[weighed]) ** 2, 1))
-    # The mean of what null runs would give is taken off: a model that is late by itself does not make the robot late.
-    # Where healthy swims are known, that is known of the records already.
+    # The mean estimate from null runs is subtracted: a delay of the model itself does not make the robot late.
+    # With known healthy swims, the records include this already.
     usual = spurious.mean(0) if e.drawn else 0.0
     values = np.clip(c.row[places] - usual, low[places], high[places])
     return values, np.sqrt(np.mean((spurious - usual) ** 2, 0) + sampling**2 + form**2)

@@ -1,6 +1,6 @@
 """From the rounds to an answer, and to a report with every figure behind it.
 
-TOO_FEW_GROUPS  fewer than `LEAST_GROUPS` groups: no test over them can be sure of anything, what was found is tentative
+TOO_FEW_GROUPS  fewer than `LEAST_GROUPS` groups: no test over them is conclusive, and the findings are tentative
 NOT_REPEATABLE  the baseline's error is no larger than 1.5 times the scatter of replicates
 AGREES          the same for the sensors' noise
 UNEXPLAINED     nothing is accepted; or, on records that no parameter saw, less than `CLOSURE` of the excess is gone, or more than

@@ -1,6 +1,6 @@
 """Hidden effects on disk: a data set of trials, and its truth in another file.
 
-The truth file is JSON with what was planted, the seed and the hash of the data set's manifest. It may not lie in the data set.
+The truth file is JSON with the planted effects, the seed and the hash of the data set's manifest. It may not lie in the data set.
 """
 
 import re
