@@ -64,7 +64,7 @@ Main = Callable[[list[str]], int | None]
 
 
 def run(main: Main, argv: Sequence[str] | None = None) -> int:
-    """Call `main(argv)` and turn whatever happens into an exit code; errors are one line on stderr.
+    """Calls `main(argv)` and converts every outcome to an exit code; errors are one line on stderr.
 
     A bad description is one line for each of its errors. With `--json` among the arguments an error is also one JSON object on
     stdout: {"error", "kind", "exit"}, and of a bad description "errors", the list.
@@ -165,7 +165,7 @@ def _fail(
 
 
 def _one_line(text: str) -> str:
-    """One line that a terminal can show, its middle left out where it is very long."""
+    """One line that a terminal can show; the middle of a very long one is left out."""
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
     return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 
@@ -327,13 +327,13 @@ class CommandGroup:
 
 
 def say(*lines: str) -> None:
-    """Print lines for a human, at once; control characters are left out."""
+    """Prints lines for a human, at once; control characters are left out."""
     for line in lines:
         terminal.put(printable(line), sys.stdout)
 
 
 def warn(message: str) -> None:
-    """Print one line on stderr that does not stop the command."""
+    """Prints one line on stderr that does not stop the command."""
     terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
 
 
@@ -346,7 +346,7 @@ def confirmed(question: str) -> bool:
 
 
 def emit_json(value: Any) -> None:
-    """Print one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
+    """Prints one JSON value on one line. Arrays become lists, paths text, and NaN and infinity null."""
     terminal.put(json.dumps(plain(value), allow_nan=False), sys.stdout)
 
 
@@ -372,7 +372,7 @@ class Progress:
             bar.update(done, reward=0.4)
 
     The time left comes from the last `MEMORY` seconds of progress. Until the first progress a command may have compiled: that
-    rate is an upper bound of the time left, said as `at most`, and counts no more with the second.
+    rate gives an upper bound of the time left, shown as `at most`, and no longer counts after the second.
     """
 
     def __init__(

@@ -61,7 +61,7 @@ class Number:
 
 
 def checked(where: str, value: Any, low: float = -math.inf, high: float = math.inf, *, whole: bool = False) -> Any:
-    """Returns `value`, an argument of a Python call, where it is a finite number from `low` to `high`.
+    """Returns `value`, an argument of a Python call, if it is a finite number from `low` to `high`.
 
     Raises:
         ConfigError: it is not; begins with `where`, the name of the argument.
@@ -109,7 +109,7 @@ def checked_kind(where: str, value: Any, kind: type, *, needed: bool = False) ->
 
 
 def checked_name(kind: str, value: Any, known: Iterable[str]) -> str:
-    """Returns `value` where it is one of the names `known`. Raises UnknownName."""
+    """Returns `value` if it is one of the names `known`. Raises UnknownName."""
     if not isinstance(value, str) or value not in known:
         raise UnknownName(kind, value, known)
     return value
@@ -236,14 +236,14 @@ _DEVICES = r"cuda:all|cpu(,cpu)+|cuda(:\d{1,3})?(,cuda(:\d{1,3})?)+"
 
 
 def device(text: str) -> str:
-    """The `type=` of an option that names where to compute: auto, cpu, cuda or cuda:N."""
+    """The `type=` of an option that names the device of the computation: auto, cpu, cuda or cuda:N."""
     if re.fullmatch(_DEVICES, text):
         raise argparse.ArgumentTypeError(f"got {shown(text)}, several devices; expected one: auto, cpu, cuda or cuda:N")
     return _device(text, "auto, cpu, cuda, cuda:N")
 
 
 def devices(text: str) -> str:
-    """The same where work is spread over several: also cuda:all, or a list of one kind, cuda:0,cuda:1 or cpu,cpu."""
+    """The `type=` of an option that names one device or several: also cuda:all, or a list such as cuda:0,cuda:1 or cpu,cpu."""
     return text if re.fullmatch(_DEVICES, text) else _device(text, "auto, cpu, cuda, cuda:N, cuda:all, cuda:0,cuda:1, cpu,cpu")
 
 
@@ -265,9 +265,7 @@ def out_file(text: str) -> Path:
 
 
 def out_folder(text: str) -> Path:
-    """The `type=` of an option that names a folder to write into; one that cannot be written is refused before the work
-    starts.
-    """
+    """The `type=` of an option that names a folder to write into; an unwritable one is refused before the work starts."""
     where = path(text)
     if _is(where, Path.exists) and not _is(where, Path.is_dir):
         raise argparse.ArgumentTypeError(f"{where}: is a file; name a folder to write into")

@@ -133,7 +133,7 @@ def takes(what: str, function: Any, shape: str, count: int) -> None:
 
 
 def _module(name: str, what: str) -> ModuleType:
-    """Import a module by dotted name (also from the working folder) or by file."""
+    """Imports a module by dotted name (also from the working folder) or by file."""
     try:
         return _from_file(Path(name), what) if name.endswith(".py") else _by_name(name, what)
     except OwnCodeError:

@@ -19,8 +19,11 @@ class ServoDrive(NamedTuple):
 
 
 class Gear(NamedTuple):
-    """One joint after the drive. torque is added explicitly; resist is a damping [N m s/rad] taken implicitly, so friction
-    written as the secant F(|rate|)/|rate| is stable at any step."""
+    """One joint after the drive.
+
+    torque is added explicitly. resist is a damping [N m s/rad] taken implicitly, so friction written as the secant
+    F(|rate|)/|rate| is stable at any step.
+    """
 
     drive: Any  # N m, may be changed
     angle: Any

@@ -1,14 +1,14 @@
-"""Which experiment would decide between the explanations that are left: how far each would set two of them apart, and in words.
+"""Chooses the experiment that best separates the remaining explanations: expected distance of every pair, and advice in words.
 
     z     = S^-1/2 (y_i - y_j)        predictions of both, on planned stamps
-    S     = null of that experiment + sum_k s_k^2 t_k t_k^T (parameters k of both, as far as data leave them open) + form error
+    S     = null of that experiment + sum_k s_k^2 t_k t_k^T (parameters k of both, within their uncertainty) + form error
     sigma = |z|
 
-What the constants of the fish or another value of either explanation could make up for does not count, so |z| is the expected
-distance in standard deviations (T-optimal design, Atkinson & Fedorov 1975, nuisance integrated out).
+Differences that the constants of the fish or another value of either explanation could compensate do not count, so |z| is the
+expected distance in standard deviations (T-optimal design, Atkinson & Fedorov 1975, nuisance integrated out).
 
-A hypothesis is one explanation with its fitted row and how far each parameter may be off. `to_plain` and `from_plain` carry it
-through a report, so that a longer look later needs no data.
+A hypothesis is one explanation with its fitted row and the uncertainty of each parameter. `to_plain` and `from_plain` carry it
+through a report, so that a later, longer calculation needs no data.
 """
 
 from dataclasses import replace
@@ -53,11 +53,12 @@ class Hypothesis(NamedTuple):
 
     @property
     def label(self) -> str:
+        """Names of the effects, joined by +."""
         return " + ".join(self.names)
 
 
 class ExperimentScore(NamedTuple):
-    """What one experiment promises."""
+    """Expected result of one experiment."""
 
     excitation: str
     seconds: float
@@ -66,7 +67,7 @@ class ExperimentScore(NamedTuple):
     worth: float  # sum over pairs of weights times sigma^2, a second
 
     def text(self) -> str:
-        """As a recommendation."""
+        """Recommendation as a sentence."""
         a, b = (title(side) for side in self.pair)
         expected = f"expected separation {self.sigma:.0f} sigma"
         return f"Run `{self.excitation}` ({self.seconds:.0f} s): {expected}; would decide between {a} and {b}."
@@ -87,7 +88,7 @@ def experiment_scores(
 
 
 def experiment_score(model, sides: list[Hypothesis], record: Record, null: SimulatedNull) -> ExperimentScore:
-    """One experiment."""
+    """Expected separation by one experiment."""
     layout = ResidualLayout([record])
     e = Likelihood(model, [record], null.residuals(model, [record], layout), FORM_ERROR)
     rows = np.concatenate([model.null[None], *(np.concatenate([s.row[None], s.moves]) for s in sides)])
@@ -109,7 +110,7 @@ def experiment_score(model, sides: list[Hypothesis], record: Record, null: Simul
 
 
 def planned_record(run: Excitation, like: Record) -> Record:
-    """The record that an experiment will give, all zeros where there will be measurements."""
+    """Planned record of an experiment, with zeros in place of measurements."""
     steps = round(excitation.PERIOD / like.dt)
 
     def sensor(old: Sensor | None) -> Sensor | None:
@@ -137,7 +138,7 @@ def planned_record(run: Excitation, like: Record) -> Record:
 
 
 def hinted_experiments(sides: list[Hypothesis]) -> tuple[str, ...]:
-    """A handful of experiments worth a look: what the catalogue says separates the sides, then those of the standard session."""
+    """A few promising experiments: the catalogue's for these sides, then those of the standard session."""
     found: list[str] = []
     for a, b in combinations(sides, 2):
         for one, other in ((x, y) for p, q in ((a, b), (b, a)) for x in p.names for y in q.names):
@@ -149,13 +150,13 @@ def hinted_experiments(sides: list[Hypothesis]) -> tuple[str, ...]:
 
 
 def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
-    """The same with weights that add up to 1, none below a twentieth before: a rival that is listed is possible."""
+    """The sides with weights that add up to 1, each at least a twentieth before: a listed rival is possible."""
     weights = np.maximum([s.weight for s in sides], 0.05)
     return [s._replace(weight=float(w)) for s, w in zip(sides, weights / weights.sum(), strict=True)]
 
 
 def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent) -> Verdict:
-    """A CLASS verdict with the next experiment of a quick look, and its rivals' values, so that a longer look needs no data."""
+    """A CLASS verdict with the next experiment from a quick calculation, and its rivals' values for a longer one without data."""
     sides = [] if verdict.next_experiment else normalise_weights(hypotheses_of(e, found, verdict))
     if len(sides) < 2:
         return verdict
@@ -166,7 +167,7 @@ def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNu
 
 
 def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
-    """The best experiment in words; where none of the library decides, a weighing that does, or else what to do."""
+    """The best experiment in words; if none of the library decides, a weighing that does, or other advice."""
     best = next((p for p in found if p.sigma >= ENOUGH), None)
     if best:
         return best.text()
@@ -182,7 +183,7 @@ def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
 
 
 def hypotheses_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothesis]:
-    """What is left: the best, then each listed rival in its place; where none is listed, the next of the last round."""
+    """Remaining explanations: the best, then each listed rival in its place; without rivals, the next of the last round."""
     if not found.steps:
         return []
     near = found.near
@@ -202,7 +203,7 @@ def hypotheses_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hyp
 
 
 def hypothesis(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
-    """A candidate with how far its parameters may be off."""
+    """A candidate with the uncertainty of its parameters."""
     moves = np.repeat(c.row[None], len(c.places), 0)
     for k, (place, spread) in enumerate(zip(c.places, estimate(e, c)[1], strict=True)):
         moves[k, place] += spread

@@ -1,9 +1,9 @@
-"""How a stage of a search tells how far it is: a bar on a command line, nothing from Python.
+"""Progress of the stages of a search: a bar on a command line, none from Python.
 
 with bars(96, "null runs", "runs") as bar:
     bar.update(1)
 
-A search may end before its last round: `at_most` says so of the time left.
+A search may end before its last round: `at_most` marks the time left as an upper bound.
 """
 
 from collections.abc import Callable
@@ -14,29 +14,29 @@ from fishmj.base import console
 
 
 class Bar(Protocol):
-    """What a stage reports to."""
+    """Interface of a progress bar."""
 
     def update(self, done: float, **fields: Any) -> None:
-        """Report `done` of the total that the stage was announced with."""
+        """Reports `done` of the announced total."""
 
 
 Bars = Callable[..., AbstractContextManager[Bar]]  # (total, what is done, its unit, at_most: whether it may end before)
 
 
 class Quiet:
-    """A bar that nobody sees."""
+    """An invisible bar."""
 
     def update(self, done: float, **fields: Any) -> None:
-        """Nothing."""
+        """Does nothing."""
 
 
 def silent(total: float, label: str, unit: str = "", at_most: bool = False) -> AbstractContextManager[Bar]:
-    """For callers from Python."""
+    """Invisible bar, for callers from Python."""
     return nullcontext(Quiet())
 
 
 def shown(total: float, label: str, unit: str = "", at_most: bool = False) -> console.Progress:
-    """For a command line: there from the start, at nothing done."""
+    """Progress bar for a command line, shown from the start at zero."""
     bar = console.Progress(total, label, unit, at_most=at_most)
     bar.update(0)
     return bar

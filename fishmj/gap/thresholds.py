@@ -32,15 +32,15 @@ RENAMED = {
 
 @dataclass(frozen=True)
 class Gates:
-    """Of a verdict, and of what a round of the selection must gain (twice the log likelihood of records not seen).
+    """Gates of a verdict, and the required gain of a selection round (twice the log likelihood of held-out records).
 
-    A first effect must gain `gain` (`calibrated_gain` of a calibrated model), or `min_joint_gain` on all records at once and on
+    A first effect must gain `gain` (`calibrated_gain` for a calibrated model), or `min_joint_gain` on all records at once and on
     each fold given the others. A further one
 
         max(gain + min_gain_per_sample m, min_gain_fraction (gain so far))
 
-    where m is the length of z, and only the share `uncontested_discount` of the second summand where nothing else comes near.
-    What gains more than `certain_gain` is no chance.
+    where m is the length of z, and only the share `uncontested_discount` of the second summand if no other candidate comes near.
+    A gain above `certain_gain` rules out chance.
     A rival is a candidate behind the best by less than `margin` of the gain and `rival_margin_abs`, or one that wins more than
     1 - `p_best` of the bootstrap draws. adequacy, closure, residual, form, size, transfer: see decide/decide.py.
     """
@@ -66,7 +66,7 @@ class Gates:
     finalists: int
 
 
-# All of them, by table of the file. But for the gates, the shipped file says which names a table has and of which kind.
+# All thresholds, by table of the file. Except for the gates, the shipped file defines the names and types of a table.
 Thresholds = namedtuple(
     "Thresholds",
     "gates fit likelihood model_error cross_validation stepwise decide secondary intervals library equivalence terms stronger"
@@ -76,10 +76,10 @@ Thresholds = namedtuple(
 
 @cache
 def thresholds(name: str | Path = "gap") -> Thresholds:
-    """The thresholds of a shipped file by name, or of a TOML of one's own.
+    """The thresholds of a shipped file by name, or of the user's own TOML.
 
     Raises:
-        ConfigError: an unknown table or key, or a value of another kind.
+        ConfigError: an unknown table or key, or a value of another type.
     """
     path = resolve(name)
     given = read_toml(path)
@@ -93,7 +93,7 @@ def thresholds(name: str | Path = "gap") -> Thresholds:
 
 
 def _table(given: Any, shipped: dict, where: str) -> dict:
-    """One table: what is given over what is shipped."""
+    """One table: given values over the shipped ones."""
     if not isinstance(given, dict):
         raise ConfigError(f"{where}: got {given!r:.40}, expected a table of thresholds")
     old = [key for key in given if key in RENAMED and RENAMED[key] in shipped]
@@ -106,7 +106,7 @@ def _table(given: Any, shipped: dict, where: str) -> dict:
 
 
 def _value(entry: Any, shipped: Any, where: str) -> Any:
-    """A number or a list of numbers, written as it is or as { value, unit, source }, of the kind that is shipped."""
+    """A number or a list of numbers, plain or as { value, unit, source }, of the shipped type."""
     value: Any = entry.get("value") if isinstance(entry, dict) else entry
     number = lambda x: isinstance(x, int | float) and not isinstance(x, bool)
     if isinstance(shipped, list):
@@ -119,17 +119,17 @@ def _value(entry: Any, shipped: Any, where: str) -> Any:
 
 
 def frozen() -> Gates:
-    """The gates as shipped: how they were set stands beside each in the file."""
+    """The gates as shipped; the file states the origin of each."""
     return thresholds().gates
 
 
 def residual_allowed(checks: dict, gates: Gates) -> float:
-    """The |z|^2 / m of records predicted without their fold that may be left, by the gates of a verdict.
+    """Largest allowed |z|^2 / m of records predicted without their fold, by the gates of a verdict.
 
-        residual <= R,   or, where form <= F,   residual - 1 <= F^2 (adequacy - 1)
+        residual <= R,   or, if form <= F,   residual - 1 <= F^2 (adequacy - 1)
 
     S holds the form error in steps of 1.4, and in a gap of a thousand times the floor a fiftieth of it shows. A formula that was
-    found right to within F, what a formula may be wrong by, may leave F of what it explains.
+    found right to within F, the allowed error of a formula, may leave F of its gain.
     """
     if checks.get("form", np.inf) > gates.form:
         return gates.residual

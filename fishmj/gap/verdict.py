@@ -1,4 +1,4 @@
-"""The five answers, and the form in which they are written down."""
+"""The five answers, and their form on disk."""
 
 from dataclasses import asdict, dataclass, field
 
@@ -30,15 +30,15 @@ class Named:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a search found. Gaps are |z|^2 / m (search/likelihood.py): healthy robots leave about 1, up to `gap_allowed` agrees.
-    Those of measured robots (gap/measured) are mean squares in units of the floor.
+    """Result of a search. Gaps are |z|^2 / m (search/likelihood.py): healthy robots leave about 1, up to `gap_allowed` agrees.
 
-    effects: named or, with UNEXPLAINED, tentative. rivals: what else could be meant, and instead of which. tentative: further
-    effects that helped a little, but that could be others. terms: with UNEXPLAINED, forces that would describe the gap, best
-    first (terms/). gap_unseen_before, gap_after_unseen: on records that took no part in any decision. explained: share of the
-    excess of twice the log likelihood, each record predicted without its fold, with what the formulas may be wrong by granted;
+    Those of measured robots (gap/measured) are mean squares in units of the floor.
+    effects: named or, with UNEXPLAINED, tentative. rivals: alternatives, each with the effect that it would replace. tentative:
+    further effects with a small gain that could be others. terms: with UNEXPLAINED, forces that describe the gap, best
+    first (terms/). gap_unseen_before, gap_after_unseen: on records outside every decision. explained: share of the
+    excess of twice the log likelihood, each record predicted without its fold, with the allowed error of the formulas;
     it is no share of the gap, and the residual may grow beside it. over_floor: its mean square over the floor before and after,
-    of the records searched and those unseen. steps: the rounds, decide.step_table.
+    of the searched and the unseen records. steps: the rounds, decide.step_table.
     """
 
     answer: str
@@ -62,18 +62,20 @@ class Verdict:
 
     @property
     def searched(self) -> bool:
-        """Whether rounds are told: a search made this, not the protocol of measured data (gap/measured)."""
+        """Returns True if a search with rounds made this, not the protocol of measured data (gap/measured)."""
         return bool(self.steps)
 
     @property
     def taken(self) -> bool:
-        """Whether the gap is told with what is listed in the model: it gained more than chance on records that did not see it."""
+        """Returns True if the gap includes the listed effects: they gained more than chance on held-out records."""
         return bool(self.effects) and "closure" in self.gates
 
     @property
     def shrinks(self) -> bool:
-        """Whether the gap gets smaller with what was found, wherever it was measured, and so does the residual over the floor:
-        what healthy robots are granted grows with what was found, the floor does not."""
+        """Returns True if the found effects lower the gap of all measured records, and the residual over the floor.
+
+        The allowance of healthy robots grows with the found effects, the floor does not.
+        """
         rounds = [s["over_floor"] for s in self.steps if s["accepted"] and s.get("over_floor")]
         gaps = [(self.gap_before, self.gap_after), (self.gap_unseen_before, self.gap_after_unseen)]
         pairs = [*gaps, *self.over_floor.values(), *rounds[-1:]]
@@ -81,31 +83,33 @@ class Verdict:
 
     @property
     def gap(self) -> tuple[float, float | None]:
-        """The one pair that is said of a finding: the gap of all records searched as the model is, and with what was taken; None
-        where nothing was. Terminal, page, JSON and `gap apply` say this one."""
+        """The reported pair: gap of all searched records with the present model, and with the taken effects; None without any.
+
+        Terminal, page, JSON and `gap apply` report this one.
+        """
         return self.gap_before, self.gap_after if self.taken else None
 
     def plain(self) -> dict:
-        """As nested dictionaries, for JSON. A round is `accepted` where the residual of records unseen shrinks, too."""
+        """Nested dictionaries, for JSON. A round is `accepted` only if the residual of held-out records shrinks, too."""
         before, after = self.gap
         steps = [s | {"taken": s["accepted"], "accepted": s["accepted"] and lowers(s.get("over_floor"))} for s in self.steps]
         return asdict(self) | {"steps": steps, "gap_after": before if after is None else after}
 
     def told(self) -> str:
-        """What it does that was found: a percentage with what it is of; none beside a gap that does not shrink."""
+        """Effect of the finding: a percentage with its reference; none beside a gap that does not shrink."""
         if not self.shrinks:
             return LIKELIER if self.searched else "does not lower the gap"
         kind = LIKELIHOOD if self.searched else "what lies above the floor"
         return f"explains {percent(self.explained)} of {kind}, on records that it was not fitted to"
 
     def gaps(self) -> list[str]:
-        """The gap in words, before and after what was taken; as it is where nothing was; and whether unseen records agree."""
+        """The gap in words, before and after the taken effects, or the present one; and the agreement of unseen records."""
         where = "on the records searched" if self.searched else "on records kept aside"
         unit = f"|z|^2 / m; {self.yardstick()}" if self.searched else FLOOR
         return [moved(*self.gap, where, unit, self.shrinks), *self.unseen()]
 
     def yardstick(self) -> str:
-        """What the size of the gap says by itself: a gap as healthy robots leave is none only where nothing was found in it."""
+        """Meaning of the gap's size alone: a gap like that of healthy robots is none only if no effect was found in it."""
         after = self.gap[1]
         if self.answer == "UNEXPLAINED" and after is not None and after <= self.gap_allowed < self.gap_before:
             return f"healthy robots leave up to {level(self.gap_allowed)}; that little is left, but by no formula that holds"
@@ -114,7 +118,7 @@ class Verdict:
         return f"no more than the {level(self.gap_allowed)} that healthy robots leave, but not like theirs"
 
     def unseen(self) -> list[str]:
-        """Whether the gap shrinks with what was taken on records that no decision saw; nothing where there are none."""
+        """Sentence on the gap with the taken effects on records outside every decision; empty without such records."""
         if not (self.searched and self.taken) or self.gap_unseen_before is None or self.gap_after_unseen is None:
             return []
         does = "shrinks" if self.gap_after_unseen < self.gap_unseen_before else "does not shrink"
@@ -142,7 +146,7 @@ class Verdict:
         return "\n".join(lines)
 
     def standing(self, e: Named) -> list[tuple[str, float]]:
-        """(name, P(best)) of an effect and of what could be meant instead of it, largest first."""
+        """(name, P(best)) of an effect and of its alternatives, largest first."""
         mine = [r for r in self.rivals if r.get("instead_of", self.effects[-1].name) == e.name]
         rivals = [(str(r["name"]), float(r["p_best"])) for r in mine]
         return sorted([(e.name, e.p_best), *rivals], key=lambda pair: -pair[1])
@@ -154,12 +158,12 @@ LIKELIER = "makes records that it was not fitted to likelier, its formula's erro
 
 
 def lowers(pair: "tuple[float, float] | None") -> bool:
-    """Whether what was (before, after) got smaller; True where it was not measured."""
+    """Returns True if the value of (before, after) got smaller, or was not measured."""
     return pair is None or pair[1] < pair[0]
 
 
 def moved(before: float, after: float | None, where: str, unit: str, shrinks: bool) -> str:
-    """A gap in words; after: None where nothing was changed. shrinks: so does the residual."""
+    """A gap in words; after: None if nothing was changed. shrinks: True if the residual does too."""
     if after is None:
         return f"{pair(before, None)} {where} ({unit})"
     said = ", it grows" if after > before else ""
@@ -169,8 +173,11 @@ def moved(before: float, after: float | None, where: str, unit: str, shrinks: bo
 
 
 def said(taken: bool, gain: float, over_floor: "tuple[float, float] | None") -> str:
-    """One round in words. taken: into the model, for its gain. over_floor: before and after, of records predicted without their
-    fold."""
+    """One round in words.
+
+    taken: True if the effect went into the model, for its gain. over_floor: before and after, of records predicted without their
+    fold.
+    """
     text = f"gain {number(gain)} in twice the log likelihood of records not seen"
     if not taken:
         return f"{text}, not enough"

@@ -1,4 +1,4 @@
-"""How names and numbers of an answer are said, the same in a terminal and on a page."""
+"""Words for the names and numbers of an answer, the same in a terminal and on a page."""
 
 import math
 
@@ -18,28 +18,28 @@ def title(name: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """With a capital and a full stop; nothing stays nothing."""
+    """Text with a capital and a full stop; an empty text stays empty."""
     return text[:1].upper() + text[1:].rstrip(".") + "." if text else ""
 
 
 def number(value: float) -> str:
-    """Three significant digits."""
+    """A number with three significant digits."""
     shown = f"{value:.3g}"
     return f"{float(shown):.0f}" if 100 <= abs(value) < PLAIN else shown
 
 
 def level(value: float) -> str:
-    """A mean square over what is expected, three digits."""
+    """A mean square over its expectation, with three digits."""
     return number(value) if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 
 def pair(before: float, after: float | None) -> str:
-    """A gap before and after; as it is where nothing was changed."""
+    """A gap before and after; only the present one if nothing was changed."""
     return f"gap {level(before)}" + ("" if after is None or after == before else f" -> {level(after)}")
 
 
 def percent(share: float) -> str:
-    """As one reads it; never all where a little is left."""
+    """A share in readable percent; never 100 % if a little is missing."""
     shown = f"{100 * share:.0f}"
     return f"{shown} %" if shown != "100" or share >= 1.0 else f"{min(100 * share, 99.9):.1f} %"
 
@@ -55,7 +55,7 @@ def quantity(value: float, unit: str, low: float | None = None, high: float | No
 
 
 def sizes(name: str, parameters: dict, alone: bool = False) -> str:
-    """What an effect came out at. parameters: of a `verdict.Named`. alone: without its name."""
+    """Estimated values of an effect in words. parameters: of a `verdict.Named`. alone: without its name."""
     many = len(parameters) > 1
     values = [f"{title(k) + ' ' if many else ''}{quantity(p.value, p.unit, p.low, p.high)}" for k, p in parameters.items()]
     return f"{'' if alone else title(name) + ' '}{', '.join(values)}"

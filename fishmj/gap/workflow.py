@@ -27,11 +27,11 @@ from fishmj.log.replicates import RATIO, groups
 
 @dataclass(frozen=True)
 class Inquiry:
-    """Everything that one search leaves behind, for the report.
+    """All results of one search, for the report.
 
-    unseen: (L,) bool over `records`, those that took no part in any decision; `apart` is their likelihood. held: bool over the
-    others, which are those of `evidence`: the first fold, for the report's pictures. synthetic: a trial says that it was
-    simulated.
+    unseen: (L,) bool over `records`, those outside every decision; `apart` is their likelihood. held: bool over the
+    others, which are those of `evidence`: the first fold, for the report's pictures. synthetic: True if a trial states that it
+    was simulated.
     """
 
     verdict: Verdict
@@ -63,17 +63,18 @@ def investigate(
     admit: Callable[[Likelihood], None] = lambda e: None,
     notes: tuple[str, ...] = (),
 ) -> Inquiry:
-    """Find what the model of `model` is missing in `trials`.
+    """Finds the missing effects of `model` in `trials`.
 
     Args:
-        null: how null runs are drawn. page: of weighings, log/measurements.py.
-        mass_known: the description's mass counts as weighed where the page has no scales.
-        healthy: the swims that its water was calibrated to (search/healthy_swims.py), by which it is known how much of a gap is
-            usual and what this robot may still differ by; None: nobody knows.
-        further: after CLASS, look for the experiment that decides; after UNEXPLAINED, for the terms that describe what is left.
+        null: settings of the null runs. page: of weighings, log/measurements.py.
+        mass_known: the description's mass counts as weighed if the page has no scales.
+        healthy: result of the calibration swims (search/healthy_swims.py): the usual gap of this robot and its remaining
+            uncertainty; None: not measured.
+        further: after CLASS, search for the deciding experiment; after UNEXPLAINED, for the terms that describe the rest.
         bars: progress of a stage (watch.py). admit: sees the likelihood before the search, may raise. notes: kept for the report.
+
     Raises:
-        LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with a number that is none.
+        LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with an invalid number.
     """
     gates = gates or frozen()
     null = null or SimulatedNull()
@@ -132,7 +133,7 @@ def investigate(
 
 
 def compiled(model, say: Callable[[str], None]) -> None:
-    """Have the model's step as machine code, and say how long that took: it is in no bar's time left."""
+    """Compiles the model's step to machine code, and reports the duration, which no bar's time left includes."""
     if "kernel" not in vars(model):
         say("compiling the model's kernel: some 12 s on one core the first time, then cached")
         begin = time.monotonic()
@@ -149,7 +150,7 @@ def set_aside(records: list[Record], seed: int) -> np.ndarray:
 
 
 def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
-    """Why a gap cannot be named because replicates differ from each other as much as from the model; "" when they do not.
+    """Reason that a gap cannot be named because replicates differ from each other as much as from the model; else "".
 
     Mean square of the residual over its variance between replicates, the median over the channels that show a gap: a slow random
     drift may by chance lead all replicates of one channel the same way.

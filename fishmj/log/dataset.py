@@ -62,7 +62,7 @@ class Dataset:
 
 
 def read_dataset(folder: str | Path, *, verify: bool = True) -> Dataset:
-    """Open a data set; with `verify` every file is hashed against the manifest first.
+    """Opens a data set; with `verify` every file is hashed against the manifest first.
 
     Raises:
         LogError: the folder holds no trial. StoreError: no manifest, or files missing or changed (all are listed).
@@ -209,7 +209,7 @@ def write_dataset(
 
 
 def write_bundle(path: "str | Path", trials: Iterable[Trial]) -> Path:
-    """Write trials (synthetic or measured) into one file, atomically.
+    """Writes trials (synthetic or measured) into one file, atomically.
 
     Raises:
         LogError: no trial, two of one name, or a value that is not finite.

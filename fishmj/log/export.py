@@ -53,7 +53,7 @@ def export(
     shape: Shape = lambda trial: (),
     done: Done = lambda count, total: None,
 ) -> list[dict]:
-    """Write a trial, a data set or a bundle in another form.
+    """Writes a trial, a data set or a bundle in another form.
 
     Args:
         to: "mcap", "csv" or "parquet". out: for one trial the file (mcap) or the folder; for a data set the folder.

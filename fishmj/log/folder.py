@@ -108,7 +108,7 @@ def faults(path: Path) -> list[str]:
 def write_trial(
     folder: str | Path, trial: Trial, *, overwrite: bool = False, form: str = "auto", precision: str = "auto"
 ) -> Path:
-    """Check a trial and write it as a folder, in one step: all of it or nothing.
+    """Checks a trial and writes it as a folder, in one step: all of it or nothing.
 
     Args:
         overwrite: replace an existing trial folder (never a folder that is no trial).

@@ -1,8 +1,8 @@
-"""One trial in memory, a dictionary of meta data and event tables with their own stamps; and the schema `fishmj.log/1`: which
-tables a trial may hold, their columns, units and meta keys.
+"""One trial in memory, and the schema `fishmj.log/1` of its tables, columns, units and meta keys.
 
-A template such as `j#` stands for `j1, j2, .. jN`; all templates of one table share N. Angles are radians, times seconds
-on the clock that `clock.<table>` names, positions metres in the tank frame.
+A trial is a dictionary of meta data and event tables with their own stamps. A template such as `j#` stands for `j1, j2, .. jN`;
+all templates of one table share N. Angles are radians, times seconds on the clock that `clock.<table>` names, positions metres
+in the tank frame.
 """
 
 import re
@@ -176,7 +176,7 @@ class Trial:
         return look_up(self.meta, key, default)
 
     def table(self, name: str) -> Table:
-        """Table `name`, or one error that says which tables there are."""
+        """Table `name`; raises LogError with the existing tables if it is missing."""
         table_spec(name)
         if name not in self.tables:
             raise LogError(
@@ -194,7 +194,7 @@ class Trial:
 
 
 def numbered(template: str, values) -> Table:
-    """Spread `(T, N)` values over columns: `numbered("j#", q)` -> {"j1": (T,), .., "jN": (T,)}."""
+    """Spreads `(T, N)` values over columns: `numbered("j#", q)` -> {"j1": (T,), .., "jN": (T,)}."""
     values = np.asarray(values)
     if values.ndim != 2 or template.count("#") != 1:
         raise ConfigError(f"numbered({template!r}): expected (T, N) values and one '#', got shape {values.shape}")

@@ -159,7 +159,7 @@ class Implausible(LogError):
 
 
 def check_table(name: str, table: Table, place: Place, bounds: Plausible | None = None) -> list[str]:
-    """Raise `LogError` for the first breach of the schema; return notes about gaps and extra columns.
+    """Raises `LogError` for the first breach of the schema; returns notes about gaps and extra columns.
 
     Args:
         bounds: on magnitude; the shipped ones when None.
@@ -189,7 +189,7 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
 
 
 def check_columns(name: str, spec: TableSpec, columns: list[str], place: Place) -> list[str]:
-    """Raise for a missing column; return the columns that the schema does not name."""
+    """Raises for a missing column; returns the columns that the schema does not name."""
     missing = [column for column in spec.fixed if column not in columns]
     counts = {template: _count(template, columns) for template in spec.numbered}
     n = max([1, *counts.values()])
@@ -204,7 +204,7 @@ def check_columns(name: str, spec: TableSpec, columns: list[str], place: Place) 
 
 
 def check_meta(meta: dict, where: str) -> list[str]:
-    """Raise `LogError` for an impossible value; return a note that lists the missing keys."""
+    """Raises `LogError` for an impossible value; returns a note that lists the missing keys."""
     schema = meta.get("schema", SCHEMA)
     if schema != SCHEMA:
         raise LogError(f"{where}: schema = {schema!r}; expected {SCHEMA!r}. Convert the trial or use the fishmj that wrote it")

@@ -227,7 +227,7 @@ class WaterBlock(TomlTable):
 
 
 class EffectBlock(TomlTable):
-    """Effect that calibration or the search added; leave it out at first (simulate/effects.md)."""
+    """Effect from calibration or gap search; leave it out at first (docs/simulate/effects.md)."""
 
     name: str = _field("of the catalogue", "", "the name of an effect", REQUIRED, max_length=64)
     parameters: dict[str, Any] = _field("by name", "", "a table of name = { value, low, high }", {})

@@ -45,7 +45,7 @@ class Geometry:
 
 
 def geometry_of(robot: Robot, stations: int | None = None) -> Geometry:
-    """Integrate the sections of `robot`; `stations` strips a link (default: its water table, else 6)."""
+    """Integrates the sections of `robot`; `stations` strips a link (default: its water table, else 6)."""
     k = int(stations or robot.water.get("stations", 6))
     rho = robot.density_water
     n = len(robot.links)

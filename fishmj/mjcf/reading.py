@@ -37,7 +37,7 @@ def load_robot(source: "str | Path | Robot" = "fish") -> Robot:
 
 
 def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
-    """Build and check a robot from a parsed TOML table; `where`, its file, begins the messages. Raises as `load_robot`."""
+    """Builds and checks a robot from a parsed TOML table; `where`, its file, begins messages. Raises as `load_robot`."""
     table = {"name": _name_of(Path(where))} | dict(table)
     notes = _examined(table, where)
     servo = _in_radians(table.get("servo", {}))

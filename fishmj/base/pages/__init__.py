@@ -99,5 +99,5 @@ def part(name: str, *given: Any, **options: Any) -> Markup:
 
 # (rows, left=1): rows as of `console.table`; the first `left` columns are words and stand to the left, the others numbers
 table = partial(part, "table")
-# (PNG bytes or an SVG element, caption, below=True): below=False where the caption stands above, and is only read aloud
+# (PNG bytes or an SVG element, caption, below=True): with below=False the caption is above, and is only read aloud
 figure = partial(part, "figure")

@@ -28,7 +28,7 @@ _BROKEN = (  # what NumPy and zipfile raise on damaged input
 
 
 def write_npz(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
-    """Replace a compressed `.npz` archive atomically; object arrays are refused (they would need pickle)."""
+    """Replaces a compressed `.npz` archive atomically; object arrays are refused (they would need pickle)."""
     arrays = {name: np.asarray(value) for name, value in arrays.items()}
     for name, value in arrays.items():
         _refuse(path, name, value, "O")
@@ -85,7 +85,7 @@ def read_npz(path: str | Path, *, widened: bool = False) -> dict[str, np.ndarray
 
 
 def write_tensors(path: str | Path, arrays: dict[str, np.ndarray], meta: dict) -> Path:
-    """Write named arrays and a JSON `meta` as one safetensors file that carries its own sha256.
+    """Writes named arrays and a JSON `meta` as one safetensors file that carries its own sha256.
 
     Shapes survive as they are, 0-d included. Raises StoreError for object or text arrays and for a failed write.
     """
@@ -221,7 +221,7 @@ class Checkpoints:
         return sorted(found, key=lambda p: int(p.stem[5:]), reverse=True)
 
     def save(self, step: int, arrays: dict[str, np.ndarray], meta: dict) -> Path:
-        """Write step `step`, then drop the oldest beyond `keep`."""
+        """Writes step `step`, then drops the oldest beyond `keep`."""
         path = write_tensors(self.folder / f"step_{int(step):012d}.safetensors", arrays, {**meta, "step": int(step)})
         for old in self.paths()[self.keep :]:
             old.unlink(missing_ok=True)

@@ -24,7 +24,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def write_bytes(path: str | Path, data: bytes) -> Path:
-    """Replace `path` by `data` atomically; parent folders are made.
+    """Replaces `path` by `data` atomically; parent folders are made.
 
     Raises:
         StoreError: could not be written; `errno` is kept, the old file is untouched, no temporary file stays.
@@ -49,7 +49,7 @@ def write_bytes(path: str | Path, data: bytes) -> Path:
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Replace a UTF-8 text file atomically."""
+    """Replaces a UTF-8 text file atomically."""
     try:
         return write_bytes(path, text.encode("utf-8"))
     except UnicodeEncodeError as error:
@@ -57,7 +57,7 @@ def write_text(path: str | Path, text: str) -> Path:
 
 
 def write_json(path: str | Path, value) -> Path:
-    """Replace a JSON file atomically. NumPy values become plain ones, NaN and infinity become null."""
+    """Replaces a JSON file atomically. NumPy values become plain ones, NaN and infinity become null."""
     return write_text(path, json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n")
 
 
@@ -91,7 +91,7 @@ def put_in_place(temporary: Path, place: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames inside `folder` durable."""
+    """Makes renames inside `folder` durable."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -115,7 +115,7 @@ def plain(value):
 
 
 def read_json(path: str | Path):
-    """Parse one JSON file.
+    """Parses one JSON file.
 
     Raises:
         StoreError: missing, no plain file, or not JSON.

@@ -56,7 +56,7 @@ class Manifest:
 
     @classmethod
     def read(cls, folder: str | Path) -> "Manifest":
-        """Read `folder/manifest.json`; paths that leave the folder are refused."""
+        """Reads `folder/manifest.json`; paths that leave the folder are refused."""
         path = Path(folder) / MANIFEST
         table = read_json(path)
         files = table.get("files") if isinstance(table, dict) else None
@@ -71,7 +71,7 @@ class Manifest:
         return cls(dict(files), meta if isinstance(meta, dict) else {})
 
     def write(self, folder: str | Path) -> Path:
-        """Write `folder/manifest.json` atomically."""
+        """Writes `folder/manifest.json` atomically."""
         return write_json(Path(folder) / MANIFEST, {"meta": self.meta, "files": self.files})
 
     def check(self, folder: str | Path) -> list[Change]:
@@ -85,7 +85,7 @@ class Manifest:
         return changes
 
     def verify(self, folder: str | Path) -> None:
-        """Raise one `StoreError` that lists every change."""
+        """Raises one `StoreError` that lists every change."""
         if changes := self.check(folder):
             lines = "\n  ".join(map(str, changes))
             count = f"{len(changes)} of {len(self.files)} files"
@@ -100,9 +100,7 @@ def shipped(path: str | Path) -> Path:
 
 
 def left_out(path: str | Path) -> str:
-    """End of an error message: source of the files below `data/` that the package leaves out; "" in a checkout, or for other
-    paths.
-    """
+    """End of an error message: source of the `data/` that the package leaves out; "" in a checkout, or for other paths."""
     if OWN in ROOTS or Path(path).parts[:1] != ("data",):
         return ""
     return f"; fishmj's own data/ is whole {SOURCES} only"

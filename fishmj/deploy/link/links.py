@@ -169,7 +169,7 @@ class Fishmj1Link:
         return found
 
     def _answered(self, t: float, robot: float) -> None:
-        """Updates the robot's clock from an answer with its time `robot`, received at t; of two open questions one was lost."""
+        """Updates the robot's clock from an answer with its time `robot`, received at t; one of two open questions was lost."""
         asked, self._asked = self._asked, []
         if len(asked) == 1 and (self.robot_clock is None or t - asked[0] < self.robot_clock.round_trip):
             self.robot_clock = RobotClock((asked[0] + t) / 2 - robot, t - asked[0])

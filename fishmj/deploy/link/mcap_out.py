@@ -8,7 +8,7 @@ from fishmj.mjcf.drawing import solids
 
 
 def write(folder: Path, robot: Robot) -> Path:
-    """Write FOLDER.mcap beside a trial folder.
+    """Writes FOLDER.mcap beside a trial folder.
 
     Raises:
         MissingExtra: mcap is not installed. StoreError: the file is there, or the disk refuses.

@@ -47,7 +47,7 @@ class UdpTransport:
         self._open = threading.Event()
 
     def open(self) -> None:
-        """Bind the socket and start to listen.
+        """Binds the socket and starts to listen.
 
         Raises:
             ConfigError: no such host, or the port of this computer is taken.

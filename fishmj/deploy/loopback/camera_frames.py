@@ -260,7 +260,7 @@ class FrameArtist:
         return layers
 
     def _paste(self, image: np.ndarray, layers: list[Drawn], shifts: list[np.ndarray], centre=None) -> None:
-        """Draw layers into `image`, averaged over the shifts (3,) m, m, rad about `centre`."""
+        """Draws layers into `image`, averaged over the shifts (3,) m, m, rad about `centre`."""
         cv2, total = self.cv2, None
         counts = np.cumsum([0, *(len(layer.points) for layer in layers)])
         heights = sorted({layer.height for layer in layers})

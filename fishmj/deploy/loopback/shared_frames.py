@@ -90,7 +90,7 @@ class FrameWriter(_Ring):
         return self.finish(slot)
 
     def begin(self, slot: int) -> None:
-        """Mark a slot as being written."""
+        """Marks a slot as being written."""
         self.numbers[slot][0] = 2 * self.count + 1
 
     def finish(self, slot: int) -> int:

@@ -69,7 +69,7 @@ def header(policy: Policy, digest: str, name: str = "") -> str:
 
 
 def write_header(source: str | Path, out: str | Path) -> Path:
-    """Write the C header of a policy, atomically. source: shipped name, path, or folder of a training. Returns `out`.
+    """Writes the C header of a policy, atomically. source: shipped name, path, or folder of a training. Returns `out`.
 
     Raises:
         UnknownName: no such policy. StoreError: damaged file, or `out` cannot be written. ConfigError: not a policy, or too wide.

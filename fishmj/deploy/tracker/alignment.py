@@ -33,7 +33,8 @@ class Pattern:
     """
 
     def __init__(self, image: np.ndarray, inside: np.ndarray, low, outline: np.ndarray, height: float, blur: float):
-        """
+        """Blurs the pattern for both passes of the alignment.
+
         Args:
             image: (rows, columns) values. inside: the same shape, 1 where the pattern is known, else 0.
             blur: standard deviation of the spot that camera and pixel make of a point, m.

@@ -143,7 +143,7 @@ class Calibration:
         return _projected(self.matrix, np.stack([bent_x, bent_y], 1))
 
     def write(self, path: str | Path) -> Path:
-        """Write a TOML file. Raises StoreError."""
+        """Writes a TOML file. Raises StoreError."""
         table = {"schema": SCHEMA, "size": list(self.size)}
         table |= {name: getattr(self, name).tolist() for name in NEEDED[1:]}
         table |= {name: getattr(self, name) for name in ("refractive_index", "lag", "marks_rms", "notes")}

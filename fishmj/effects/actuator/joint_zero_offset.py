@@ -16,7 +16,7 @@ def servo(xp, p, s, memory, h):
 
 
 def measure(xp, p, seen):
-    """The log has what the encoder reads: angle - o."""
+    """The log holds the encoder's reading: angle - o."""
     offsets = xp.stack([of(p, j) + 0.0 for j in range(seen.joint.shape[-1])], axis=-1)
     return seen._replace(joint=seen.joint - offsets)
 

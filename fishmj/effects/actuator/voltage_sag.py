@@ -11,7 +11,7 @@ LEAST = 0.3  # of it is left: boards switch off below
 def servo(xp, p, s, memory, h):
     """(limit, k_p, k_v)' = (limit, k_p, k_v) V / V_oc, V = V_oc - R I: the controller sets a duty, the supply the voltage.
 
-    The no-load speed limit / k_b falls with it. I = sum d i is what motors (one step ago) and boards draw from the supply: the
+    The no-load speed limit / k_b falls with it. I = sum d i is the current of motors (one step ago) and boards: the
     motor's current i falls with V, the duty d does not.
     """
     share = xp.maximum(1.0 - p.resistance * (s.current + BOARDS) / OPEN, LEAST)
@@ -19,7 +19,7 @@ def servo(xp, p, s, memory, h):
 
 
 def measure(xp, p, seen):
-    """P' = P - I_b (V_oc - V): the boards draw I_b at any voltage. P = V (I + I_b) + I_b (V_oc - V) tells V."""
+    """P' = P - I_b (V_oc - V): the boards draw I_b at any voltage. P = V (I + I_b) + I_b (V_oc - V) determines V."""
     motors = seen.power - BOARDS * OPEN
     unloaded = OPEN - p.resistance * BOARDS
     volts = (unloaded + xp.sqrt(xp.maximum(unloaded * unloaded - 4.0 * p.resistance * motors, 0.0))) / 2.0

@@ -1,6 +1,6 @@
-"""The blind benchmark: data in which something is hidden or nothing is, and a score of what the search says about it.
+"""The blind benchmark: data with a hidden effect or without one, and a score of the search's answers.
 
     fishmj gap bench --cases 400 --seed 3 --out runs/bench
 
-Generators are independent of the model that is questioned. Thresholds come from `data/calib/gap.toml`, frozen before.
+The generators are independent of the questioned model. Thresholds come from `data/calib/gap.toml`, frozen before.
 """

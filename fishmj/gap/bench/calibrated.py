@@ -1,8 +1,7 @@
-"""A robot's model before anything was hidden in it: its description, the water calibrated to the robot's own free swims.
+"""A robot's model before anything was hidden in it: its description, and the water calibrated to the robot's own free swims.
 
-The swims are other experiments than those that are searched, as docs/search/calibrate.md asks for them: gaits at several
-frequencies and amplitudes, turns to both sides, coasting. What a calibration found is kept on disk, under the hash of all that
-made it.
+The swims are other experiments than the searched ones, as docs/search/calibrate.md asks: gaits at several
+frequencies and amplitudes, turns to both sides, coasting. A calibration is kept on disk, under the hash of all its inputs.
 """
 
 import hashlib
@@ -33,7 +32,7 @@ WEST = (-1.4, 0.0, 0.0)
 
 
 def _beat(name: str, frequency: float, amplitude: float, bias: float = 0.0, seconds: float = 10.0) -> Excitation:
-    """A gait of one's own; Hz, deg, deg."""
+    """A gait as an experiment; Hz, deg, deg, s."""
     commands = excitation.gait(frequency, np.radians(amplitude), excitation.LAG, np.radians(bias), seconds)
     return Excitation(
         id=name, commands=commands, about="free swim to calibrate water by", start=(0.0, 0.0, 0.0) if bias else WEST
@@ -60,10 +59,10 @@ class Calibrated(NamedTuple):
 
 
 def calibrated(family: str, seed: int, robot: Robot) -> Calibrated:
-    """Of the healthy robot of a seed, from disk or made now.
+    """Calibrated model of the healthy robot of a seed, from disk or made now.
 
     Raises:
-        LogError: the swims say nothing. SimDiverged: the robot left the finite numbers.
+        LogError: the swims contain no information. SimDiverged: the robot left the finite numbers.
     """
     return kept(kept_at(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
 
@@ -74,7 +73,7 @@ def swims(family: str, seed: int, robot: Robot) -> list[Trial]:
 
 
 def kept(path: Path, family: str, robot: Robot, swims: Callable[[], list[Trial]]) -> Calibrated:
-    """What was found is read from `path`, or found by the swims and put there. Raises as `calibrated`."""
+    """Reads the calibration at `path`, or fits it to the swims and writes it there. Raises as `calibrated`."""
     try:
         found = read_json(path)
     except StoreError:
@@ -86,7 +85,7 @@ def kept(path: Path, family: str, robot: Robot, swims: Callable[[], list[Trial]]
 
 
 def kept_at(family: str, seed: int, robot: Robot) -> Path:
-    """Where what was found is kept."""
+    """Path of a kept calibration."""
     swims = [
         [run.id, run.start, run.push, hashlib.sha256(run.commands.tobytes()).hexdigest()]
         for run in families.runs_of(SWIMS, robot)

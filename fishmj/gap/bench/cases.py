@@ -1,4 +1,4 @@
-"""Which cases a benchmark has: drawn from its seed, so that a reader's own seed is a fresh benchmark."""
+"""Cases of a benchmark, drawn from its seed, so that another seed is a fresh benchmark."""
 
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ class Case(NamedTuple):
 
 
 def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small: bool = False) -> list[Case]:
-    """`count` cases. small: usual noise and half a session only, for a quick look."""
+    """Draws `count` cases. small: only usual noise and half a session, for a quick look."""
     from fishmj.gap.laboratory.virtual_robot import EFFECTS
 
     shares = kinds or KINDS
@@ -62,7 +62,7 @@ def spread(count: int, shares: dict[str, float], rng) -> list[str]:
 
 
 def dealt(deck: list[str], pool: list[str], rng) -> str:
-    """The next card of a shuffled deck: every effect comes up before one comes up twice."""
+    """Next card of a shuffled deck: every effect comes up before one comes up twice."""
     if not deck:
         deck.extend(str(n) for n in rng.permutation(pool))
     return deck.pop()

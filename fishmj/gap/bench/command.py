@@ -3,8 +3,8 @@
 fishmj gap bench --cases 40 --small --jobs 0 --out bench
 
 With --generator families, or some of them, robots are drawn: half of them the shipped fish, half a chain of 2 to 6 links. Each is
-calibrated to free swims of its own, then something is hidden in it; the null is told to leave its family out. It exits 1 below
-its aims, but with --small.
+calibrated to its own free swims, then something is hidden in it. The null leaves its family out. The command exits with 1 below
+its aims, except with --small.
 
 fishmj gap bench --generator families --jobs 0 --shard 0/4 --out bench0        a quarter of it, one of four machines
 fishmj gap bench --score bench0 bench1 bench2 bench3                            all of it
@@ -49,6 +49,7 @@ ALLOWED = 1  # wrong names, and false alarms, that a quick run may have
 
 
 def main(argv: list[str]) -> int:
+    """Runs and scores the benchmark. Returns the exit code."""
     parser = console.parser("gap bench", __doc__)
     add = parser.add_argument
     many = f"how many, 1 to {MOST} (default {CASES}; of families {family_command.CASES}, {family_command.FEW} with --small)"
@@ -115,7 +116,7 @@ def main(argv: list[str]) -> int:
         dealt = f"{args.cases} cases of these kinds{' and effects' if args.effects else ''}"
         raise ConfigError(f"gap bench: no case is left: {dealt}, every {shards}th from {index}; take more --cases")
     if args.generator != "log":
-        # once, before processes begin
+        # once, before the processes start
         compiled(fish(args.model) if args.generator == "second" else solver.plant(), console.say)
     rows = judged(todo, args.out, ask, jobs)
     result = score(list(rows))
@@ -135,7 +136,7 @@ def main(argv: list[str]) -> int:
 
 
 def refuse(args, names: tuple[str, ...]) -> None:
-    """Raise ConfigError where an option does not go with families."""
+    """Raises ConfigError for an option that does not go with families."""
     mixed = [name for name in args.generator if name in ALONE]
     if mixed:
         raise ConfigError(f"gap bench: --generator {','.join(args.generator)}: {', '.join(mixed)} is scored alone; {SECOND_TOO}")
@@ -145,7 +146,7 @@ def refuse(args, names: tuple[str, ...]) -> None:
 
 
 def refuse_solver(args) -> None:
-    """Raise ConfigError where an option does not go with the family of the flow solver."""
+    """Raises ConfigError for an option that does not go with the family of the flow solver."""
     if args.generator != [SOLVER] or not args.sets:
         together = f"its rows and those of other families are scored together by --score (got {','.join(args.generator)})"
         raise ConfigError(f"gap bench: --generator {SOLVER} and --sets DIR go together, alone; {together}")
@@ -156,10 +157,10 @@ def refuse_solver(args) -> None:
 
 
 def agree(args, many: int, jobs: int) -> None:
-    """Have weeks agreed to, before a case is drawn; of the flow solver there are as many as are shipped.
+    """Asks for agreement to weeks of work before a case is drawn; the flow solver has only the shipped cases.
 
     Raises:
-        TooMuch: nobody agreed.
+        TooMuch: not agreed.
     """
     if args.generator == "lbm":
         return
@@ -171,12 +172,12 @@ def agree(args, many: int, jobs: int) -> None:
 
 
 def _kinds(text: str) -> dict[str, float]:
-    """The `type=` of --kinds: their shares."""
+    """The `type=` of --kinds: kinds of cases with their shares."""
     return {name: cases.KINDS[name] for name in console.Listed(console.OneOf(tuple(cases.KINDS)))(text)}
 
 
 def _effects(text: str) -> tuple[str, ...]:
-    """The `type=` of --effects: what any generator can hide."""
+    """The `type=` of --effects: effects that any generator can hide."""
     known = {name: None for family in families.NAMES for source in families.pool(family) for name in source}
     from fishmj.gap.laboratory.virtual_robot import EFFECTS
 
@@ -184,13 +185,15 @@ def _effects(text: str) -> tuple[str, ...]:
 
 
 def hiding_any(dealt: list, effects: tuple[str, ...] | None) -> list:
-    """The cases in which one of `effects` is hidden; all of them for None. They are chosen after they were dealt, so that a case
-    is the same with and without."""
+    """Cases in which one of `effects` is hidden; all of them for None.
+
+    They are chosen after all cases were drawn, so that a case is the same with and without the option.
+    """
     return [one for one in dealt if effects is None or set(effects) & set(one.case.effects)]
 
 
 def shard_of(text: str) -> tuple[int, int]:
-    """The `type=` of --shard."""
+    """The `type=` of --shard: (index, number of shards)."""
     index, _, count = text.partition("/")
     if not (index.isdecimal() and count.isdecimal() and int(index) < int(count) <= MOST):
         raise argparse.ArgumentTypeError(f"got {text[:40]!r}, expected I/N with I from 0 to N - 1, such as 0/4")
@@ -198,7 +201,7 @@ def shard_of(text: str) -> tuple[int, int]:
 
 
 def asked(args) -> tuple[list, Callable]:
-    """(cases of the generator, what makes a row of one)."""
+    """(cases of the generator, function that makes the row of one)."""
     kinds = args.kinds
     if args.generator == "log":
         return [one for one in logs.draw(args.cases, args.seed) if one.kind in kinds], logs.run
@@ -212,12 +215,12 @@ def asked(args) -> tuple[list, Callable]:
 
 
 def seen(plant: Callable, weighed: bool, one: solver.Given) -> dict:
-    """Row of a case. plant: gives what is questioned, when it is needed."""
+    """Row of a case. plant: gives the questioned model, when it is needed."""
     return run(plant(), one.case, frozen(), one.null, one.trials, weighed)
 
 
 def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
-    """Rows of all cases, those that `out` holds already read from there. what: is done, for the bar."""
+    """Rows of all cases; those in `out` are read from there. what: name of the work, for the bar."""
     rows = {}
     if out:
         out.mkdir(parents=True, exist_ok=True)
@@ -233,14 +236,14 @@ def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str
 
 
 def words(out: Path | None, done: int, of: int) -> str:
-    """What an interrupted benchmark says."""
+    """Message of an interrupted benchmark."""
     if out is None:
         return "nothing was kept: with --out DIR every finished case is"
     return f"{out} holds {done} of {of} cases; {interrupt.again()}"
 
 
 def told(result: dict) -> list[str]:
-    """The score in lines."""
+    """Score as lines of text."""
     lines = []
     for key, value in result.items():
         if isinstance(value, dict):

@@ -2,10 +2,10 @@
 
     robots(200, 3, ("foil", "ellipsoid"))      [BenchRobot] with 200 cases in sum
 
-Calibration and null runs belong to a robot, so that a robot carries some six cases: one with nothing hidden, three singles, a
-pair, in seven of ten a fault outside the catalogue. Many a single is too small to be seen among healthy robots: of those, and of
-pairs of which one is, one in `SPARSE` is searched (`searched`), which is drawn before anything is asked. Of two robots of a
-family one is the shipped fish, the other a chain that is drawn: 2 to 6 links, lengths, masses and servos within `RANGES`.
+Calibration and null runs belong to a robot, so a robot carries about six cases: one with nothing hidden, three singles, a
+pair, in seven of ten a fault outside the catalogue. Many singles are too small to be seen among healthy robots. Of those, and of
+pairs with such an effect, one in `SPARSE` is searched (`searched`), drawn before the search. Of two robots of a family one is
+the shipped fish, the other a drawn chain: 2 to 6 links, lengths, masses and servos within `RANGES`.
 """
 
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ FIRST = 100_000_000  # seed of the first robot: beyond those of null runs, below
 
 
 class BenchRobot(NamedTuple):
-    """One robot. drawn: whether its description is; seed: of its constants, its noise and its description."""
+    """One robot. drawn: True for a drawn description; seed: of its constants, its noise and its description."""
 
     id: str
     family: str
@@ -55,7 +55,7 @@ class BenchRobot(NamedTuple):
 
 
 def robots(many: int, seed: int, names: tuple[str, ...], kinds, logs: int = LOGS) -> list[BenchRobot]:
-    """Robots with `many` cases of these kinds in sum; the last one may carry fewer than it would. More cases keep the earlier."""
+    """Robots with `many` cases of these kinds in sum; the last one may carry fewer. A larger `many` keeps the earlier robots."""
     out: list[BenchRobot] = []
     left = many
     for robot in every(seed, names, logs):
@@ -69,7 +69,7 @@ def robots(many: int, seed: int, names: tuple[str, ...], kinds, logs: int = LOGS
 
 
 def every(seed: int, names: tuple[str, ...], logs: int) -> Iterator[BenchRobot]:
-    """Robots without end: the families in turn, each time in another order."""
+    """Endless robots: the families in turn, in another order each time."""
     decks: dict[tuple[str, str], list[str]] = {(name, kind): [] for name in names for kind in ("single", "off")}
     for turn in count():
         order = np.random.default_rng([seed, 11, turn, len(names)]).permutation(len(names))
@@ -95,19 +95,19 @@ def _carries(rng, place: int) -> list[str]:
 
 
 def number_of(case: Case) -> int:
-    """Of a case among those of its robot."""
+    """Number of a case among those of its robot."""
     return int(case.id.rpartition("-")[2])
 
 
 def searched(case: Case, each: dict[str, float]) -> bool:
-    """Whether a search is made. each: how detectable each of the hidden effects is, by the generator."""
+    """Returns True if a case is searched. each: mean square of each hidden effect, by the generator."""
     if case.kind not in ("single", "pair") or min(each.values()) > BOUND:
         return True
     return int(np.random.default_rng([case.seed, 16, number_of(case)]).integers(SPARSE)) == 0
 
 
 def _hidden(family: str, kinds: list[str], decks: dict, rng) -> Iterator[tuple[str, dict]]:
-    """What each case hides: (kind, {name: values})."""
+    """Hidden effects of each case: (kind, {name: values})."""
     able = families.pool(family)
     for kind in kinds:
         source = able.off if kind == "off" else able.catalogued
@@ -121,7 +121,7 @@ def _hidden(family: str, kinds: list[str], decks: dict, rng) -> Iterator[tuple[s
 
 # ------------------------------------------------------------------------------------------------------------------- descriptions
 class Described(NamedTuple):
-    """A robot's true description. redraws: chains that were given up before; speed: body lengths a second in its own water."""
+    """A robot's true description. redraws: number of rejected chains before it; speed: body lengths a second in its own water."""
 
     robot: Robot
     redraws: int

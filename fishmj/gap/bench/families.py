@@ -1,9 +1,9 @@
-"""The families of robots that a benchmark draws from, by one set of calls: three forms of water and the second robot.
+"""The families of robots that a benchmark draws from, behind one interface: three forms of water and the second robot.
 
     trials("foil", {"body_lift": {"coefficient": 0.4}}, runs, seed=7, robot=robot)      [Trial] of one robot
-    detectable("foil", effects, runs, seed=7, robot=robot)                              how much of it shows, by the generator
+    detectable("foil", effects, runs, seed=7, robot=robot)                              its visible size, by the generator
 
-A seed is a robot; its noise depends on the numbers of the trials, too, so that data sets of one robot differ.
+A seed is a robot. Its noise also depends on the numbers of the trials, so that data sets of one robot differ.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ NUISANCE = 0.1  # each constant by its own tolerance
 
 
 class Pool(NamedTuple):
-    """What can be hidden in a family, by name: things with `draw(rng, strength) -> {parameter: value}`."""
+    """Effects and faults that can be hidden in a family, by name: things with `draw(rng, strength) -> {parameter: value}`."""
 
     catalogued: dict[str, Any]
     off: dict[str, Any]
@@ -47,7 +47,7 @@ def pool(family: str) -> Pool:
 
 
 def runs_of(experiments, robot: Robot) -> list[Excitation]:
-    """Experiments, ids or own ones of three joints, laid on a robot's chain."""
+    """Experiments, given by id or as three-joint commands, laid on a robot's chain."""
     whats = [excitation.get(item) if isinstance(item, str) else item for item in experiments]
     return [replace(what, commands=excitation.bent(what.commands, robot.n_joints)) for what in whats]
 
@@ -55,7 +55,7 @@ def runs_of(experiments, robot: Robot) -> list[Excitation]:
 def trials(
     family: str, effects: Effects, experiments, seed: int, robot: Robot, *, first: int = 0, noise: float = 1.0
 ) -> list[Trial]:
-    """One trial an experiment. seed: of the robot; first: number of the first trial, of which its noise is.
+    """One trial an experiment. seed: of the robot; first: number of the first trial, which selects its noise.
 
     Raises:
         SimDiverged: the robot left the finite numbers.
@@ -74,7 +74,7 @@ def trials(
 
 
 def page(family: str, effects: Effects, seed: int, robot: Robot) -> dict:
-    """Of weighings."""
+    """Page of weighings of a robot."""
     from fishmj.gap.laboratory.virtual_robot.weighing import page as second
 
     if family == SECOND:
@@ -83,16 +83,16 @@ def page(family: str, effects: Effects, seed: int, robot: Robot) -> dict:
 
 
 def lengths_a_second(family: str, seed: int, robot: Robot) -> float:
-    """How fast this robot swims in its own water: the standard gait, body lengths a second."""
+    """Speed of this robot in its own water with the standard gait, body lengths a second."""
     rows = trials(family, {}, ["gait"], seed, robot, noise=0.0)[0].table("pose")
     speed, _ = pace(rows["t"], np.stack([rows[c] for c in ("x", "y", "yaw")], 1))
     return speed / robot.length
 
 
 def detectable(family: str, effects: Effects, experiments, seed: int, robot: Robot) -> dict:
-    """Mean squares of what is hidden over noise and healthy robots, as `generators.detectable` gives them.
+    """Mean squares of the hidden effects over noise and healthy robots, as of `generators.detectable`.
 
-    Of the second robot the same figure, by its own healthy robots.
+    For the second robot the same figure, from its own healthy robots.
     """
     if family != SECOND:
         return generators.detectable(family, effects, runs_of(experiments, robot), seed, 1.0, NUISANCE, robot)
@@ -107,7 +107,7 @@ def detectable(family: str, effects: Effects, experiments, seed: int, robot: Rob
 
 
 def _second_spread(experiments, robot: Robot) -> list[np.ndarray]:
-    """Variance of the second robot's healthy fish, (K, C) of every record's joints, pose and power; of one robot at a time."""
+    """Variance of the second robot's healthy fish, (K, C) of every record's joints, pose and power; one robot at a time."""
     runs = runs_of(experiments, robot)
     key = repr((robot, [(run.id, run.start, run.push, len(run.commands)) for run in runs]))
     if key not in _spreads:

@@ -1,4 +1,4 @@
-"""`gap bench --generator` over families: robots are drawn, calibrated, questioned; rows of several machines scored together."""
+"""`gap bench --generator` over families: draws, calibrates and searches robots; scores rows of several machines together."""
 
 import json
 import threading
@@ -27,18 +27,18 @@ A_CASE = 80.0  # s of a core, those included that are not searched
 
 
 def named(generators: list[str]) -> tuple[str, ...]:
-    """Families that were asked for; none of those that are benchmarks of their own."""
+    """The requested families; none for the generators with a benchmark of their own."""
     wanted = [name for one in generators for name in (families.NAMES if one == ALL else (one,))]
     return tuple(name for name in families.NAMES if name in wanted)
 
 
 def bench(args, names: tuple[str, ...]) -> int:
-    """Do what was asked for, and score it."""
+    """Runs the requested benchmark and scores it. Returns the exit code."""
     return asked(dealt(args, names), args)
 
 
 def solver(args) -> int:
-    """The same of robots of the flow solver, whose data sets are there (`--sets`)."""
+    """Runs the benchmark on robots of the flow solver, whose data sets exist (`--sets`). Returns the exit code."""
     todo = solver_sets.robots(args.sets, args.kinds, args.cases)[args.shard[0] :: args.shard[1]]
     if args.effects:
         todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
@@ -48,7 +48,7 @@ def solver(args) -> int:
 
 
 def asked(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] | None = None) -> int:
-    """Rows of robots, and their score. ask: as `judged`."""
+    """Makes the rows of robots and scores them. ask: as in `judged`. Returns the exit code."""
     jobs = args.jobs or usable_cores()
     found = done(args.out)
     left = sum(case.id not in found for robot in todo for case in robot.cases)
@@ -62,10 +62,10 @@ def asked(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] | None = 
 
 
 def dealt(args, names: tuple[str, ...]) -> list[BenchRobot]:
-    """Robots of this machine's share, each with all of its cases that were asked for.
+    """Robots of this machine's share, each with all of its requested cases.
 
     Raises:
-        ConfigError: none is left.
+        ConfigError: there are none.
     """
     (index, shards), logs = args.shard, args.logs or (SHORT if args.small else LOGS)
     many = args.cases or (FEW if args.small else power.CASES if args.power else CASES)
@@ -81,7 +81,7 @@ def dealt(args, names: tuple[str, ...]) -> list[BenchRobot]:
 
 
 def scored(rows: list[dict], args, strict: bool) -> int:
-    """Print a score; exit 1 where an aim is missed and somebody cares."""
+    """Prints a score. Returns the exit code: 1 if `strict` and an aim is missed."""
     if any(row.get("times") for row in rows):
         return rated(rows, args, strict)
     result = family_score.score(rows)
@@ -95,7 +95,7 @@ def scored(rows: list[dict], args, strict: bool) -> int:
 
 
 def rated(rows: list[dict], args, strict: bool) -> int:
-    """Print the table of power; exit 1 where an aim is missed and somebody cares."""
+    """Prints the table of power. Returns the exit code: 1 if `strict` and an aim is missed."""
     result = power.score(rows)
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
@@ -106,7 +106,7 @@ def rated(rows: list[dict], args, strict: bool) -> int:
 
 
 def together(folders: list[Path], args) -> int:
-    """Score the rows of several folders.
+    """Scores the rows of several folders.
 
     Raises:
         ConfigError: a folder without rows, or rows of two benchmarks under one id.
@@ -130,17 +130,17 @@ def together(folders: list[Path], args) -> int:
 
 
 def hiding_any(one: BenchRobot, effects: tuple[str, ...]) -> BenchRobot:
-    """The robot with those of its cases in which one of `effects` is hidden."""
+    """The robot with only those of its cases in which one of `effects` is hidden."""
     return one._replace(cases=tuple(case for case in one.cases if set(effects) & set(case.effects)))
 
 
 def done(out: Path | None) -> dict[str, dict]:
-    """Rows that are there already, by id."""
+    """Existing rows by id."""
     return {row["id"]: row for row in kept(out / "rows.jsonl")} if out else {}
 
 
 def there(row: dict | None, case: Case, one: family_rows.Asked) -> bool:
-    """Whether a case is done. Raises ConfigError where its row is of another benchmark."""
+    """Returns True if a case is done. Raises ConfigError if its row is of another benchmark."""
     if row is None:
         return False
     begun = console.plain(family_rows.begun(case, one))
@@ -154,9 +154,10 @@ def there(row: dict | None, case: Case, one: family_rows.Asked) -> bool:
 def judged(
     todo: list[BenchRobot], args, found: dict[str, dict], jobs: int, ask: Callable[..., list[dict]] | None = None
 ) -> list[dict]:
-    """Rows of all cases, found or made now. Each process writes its own down: one that is stopped loses the case it was at.
+    """Rows of all cases, from disk or made now.
 
-    ask: makes the rows of one robot, by default `family_rows.rows`.
+    Each process writes its own rows, so that an interrupted one loses only its present case. ask: makes the rows of one robot, by
+    default `family_rows.rows`.
     """
     waiting = []
     for robot in todo:
@@ -184,7 +185,7 @@ def judged(
 
 @contextmanager
 def following(look: Callable[[], None], every: float = 10.0) -> Iterator[None]:
-    """Have `look` called now and then [s]: rows are written by other processes, a robot's one after another."""
+    """Context that calls `look` every `every` s, since other processes write rows one after another."""
     stop = threading.Event()
 
     def watch_rows() -> None:
@@ -201,7 +202,7 @@ def following(look: Callable[[], None], every: float = 10.0) -> Iterator[None]:
 
 
 def warmed(names: set[str]) -> None:
-    """Compile what all processes share, once, before they begin: they then read it from disk."""
+    """Compiles the shared code once before the processes start, so that they read it from disk."""
     from fishmj.gap.calibrate.water_plant import WaterPlant
     from fishmj.gap.models.swimming_fish import SwimmingFish
     from fishmj.gap.records.records import record_of

@@ -1,9 +1,9 @@
-"""The cases of one robot, one after another: describe it, calibrate it, hide, ask, write down.
+"""The cases of one robot, one after another: describe it, calibrate it, hide, search, write.
 
     rows(Asked(robot)) -> [row]         one row a case, all in the process that calibrated the robot; kept as each is done
 
-The null runs of a robot are made for its first case and read from disk for the others. They are told to leave fish of the
-robot's own family out (`SimulatedNull.without`).
+The null runs of a robot are made for its first case and read from disk for the others. They leave out fish of the
+robot's own family (`SimulatedNull.without`).
 """
 
 import time
@@ -34,9 +34,9 @@ APART = 1000  # trials from one case of a robot to the next, so that each has no
 
 
 class Asked(NamedTuple):
-    """Work of one process: a robot with the cases that are to be done.
+    """Work of one process: a robot with its pending cases.
 
-    calibrate: its water first. weighed: with a page of weighings. out: folder of rows.jsonl.
+    calibrate: calibrate its water first. weighed: with a page of weighings. out: folder of rows.jsonl.
     """
 
     robot: BenchRobot
@@ -46,7 +46,7 @@ class Asked(NamedTuple):
 
 
 class Laps:
-    """Bars that nobody sees, which add up the process's time by stage."""
+    """Invisible progress bars that add up the process's time by stage."""
 
     def __init__(self):
         self.seconds: dict[str, float] = {}
@@ -59,12 +59,12 @@ class Laps:
 
 
 def rows(one: Asked) -> list[dict]:
-    """A row of every case. What cannot be searched, or cannot swim, says so in its row."""
+    """A row of every case. A case that cannot be searched, or cannot swim, gives the reason in its row."""
     return written(one, _rows(one))
 
 
 def written(one: Asked, found: Iterable[dict]) -> list[dict]:
-    """Rows as they are found, each put into the folder of `one` at once."""
+    """Passes rows on as they are found, each written into the folder of `one` at once."""
     made = []
     for row in found:
         made.append(console.plain(row))
@@ -86,7 +86,7 @@ def _rows(one: Asked) -> Iterator[dict]:
 
 
 def questioned(one: Asked) -> tuple[Robot, object, Healthy | None, dict]:
-    """(true description, the model that is questioned, what its own healthy swims tell, what rows say of all three)."""
+    """(true description, questioned model, result of its own healthy swims, the row's entries on all three)."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     begin = time.process_time()
@@ -106,7 +106,7 @@ def questioned(one: Asked) -> tuple[Robot, object, Healthy | None, dict]:
 
 
 def row(one: Asked, case: Case, known: Robot, model, own: Healthy | None = None) -> dict:
-    """What a row says of one case of a robot."""
+    """Entries of a row on one case of a robot."""
     robot, begin, about = one.robot, time.process_time(), {}
     try:
         if case.times:
@@ -127,8 +127,11 @@ def answered(
     case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float,
     own: Healthy | None = None,
 ) -> dict:  # fmt: skip
-    """What a row says of a search, where there is one. seen: how much of what is hidden shows, by the generator; data: CPU
-    seconds that the trials took; own: what the swims tell that it was calibrated to."""
+    """Entries of a row on a search, or on its omission.
+
+    seen: visible size of the hidden effects, by the generator; data: CPU seconds that the trials took; own: result of the swims
+    of the calibration.
+    """
     about = {"detectable": seen["all"], "each_detectable": seen["each"]}
     about |= {"noise_only": seen["noise_only"], "each_noise_only": seen["each_noise_only"]}
     if not case.times and not searched(case, seen["each"]):
@@ -145,12 +148,12 @@ def answered(
 
 
 def of_body(robot: Robot) -> dict:
-    """What a row says of a description."""
+    """Entries of a row on a description."""
     return {"links": len(robot.links), "length": robot.length, "mass": robot.mass}
 
 
 def begun(case: Case, one: Asked) -> dict:
-    """What a row says of a case before anything is asked: two rows of one id that differ in it are of two benchmarks."""
+    """Entries of a row on a case before its search. Two rows of one id that differ in them are of two benchmarks."""
     out = {"id": case.id, "kind": case.kind, "truth": case.effects, "noise": case.noise, "logs": len(case.logs)}
     out |= {"times": case.times, "drawn": case.effects} if case.times else {}
     out |= {"experiments": list(case.logs), "weighed": one.weighed, "as_described": not one.calibrate}
@@ -158,5 +161,5 @@ def begun(case: Case, one: Asked) -> dict:
 
 
 def refused(error: Exception) -> dict:
-    """Of a search that was refused: it named nothing, and agreed with nothing."""
+    """Entries of a row on a refused search: it named nothing, and agreed with nothing."""
     return {"answer": "REFUSED", "reason": str(error), "said": [], "rivals": []}

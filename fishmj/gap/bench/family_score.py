@@ -1,13 +1,13 @@
-"""What rows of several families amount to: per family and pooled, each share with its 95 % bounds, and the aims.
+"""Score of the rows of several families: by family and pooled, each share with its 95 % bounds, and the aims.
 
-    detectable      mean square of what is hidden, over the noise and what healthy robots of that family differ by, above 5
+    detectable      mean square of the hidden effect, over the noise and the scatter of healthy robots of that family, above 5
     precision       of detectable singles that are NAMED: the hidden effect and nothing beside it; a phantom counts as wrong
-    phantoms        names beside those that are hidden, of all NAMED rows with something hidden, whatever its size
-    or twins        `CLASS` counts, too, where it lists the hidden effect and what is the same by construction alone
+    phantoms        names beside the hidden ones, of all NAMED rows with something hidden, whatever its size
+    or twins        `CLASS` counts, too, if it lists only the hidden effect and those that are the same by construction
     old definition  over the noise alone (`noise_only`), the figure of the benchmark on the second robot
 
-A search that was refused counts as one that says nothing. A robot that left the finite numbers is left out, and counted; so is
-what was not searched, being too small to be seen (`drawn_robots.searched`).
+A refused search counts as a silent one. A robot that left the finite numbers is left out, and counted; so is a case that was not
+searched because its effect is too small (`drawn_robots.searched`).
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from fishmj.gap.laboratory.generators.detectability import BOUND
 
 
 class Aim(NamedTuple):
-    """A share of `scored`, where it should lie, and of how many cases (asked in sum)."""
+    """A share of `scored`, its range, and the requested number of cases in sum."""
 
     key: str
     low: float
@@ -28,7 +28,7 @@ class Aim(NamedTuple):
     asked: int
 
     def met(self, found: dict) -> bool | None:
-        """Whether the point estimate lies there; None of no case at all."""
+        """Returns True if the point estimate lies in the range; None without a case."""
         return self.low <= found["value"] <= self.high if found["n"] else None
 
 
@@ -116,7 +116,7 @@ def _mean(values: list[float]) -> float | None:
 
 
 def told(result: dict) -> list[str]:
-    """The score in lines: the pooled figures with their aims, then a table of the families and of the two kinds of model."""
+    """Score as lines of text: the pooled figures with their aims, then a table of the families and of the two kinds of model."""
     aims = {aim["aim"]: aim for aim in result["aims"]}
     lines = ["all families", *(_line(key, value, aims.get(key)) for key, value in result["pooled"].items())]
     parts = {**result["families"], **{f"model {name}": found for name, found in result["models"].items()}}
@@ -134,7 +134,7 @@ def told(result: dict) -> list[str]:
 
 
 def _cells(found: dict) -> dict:
-    """Of a family: what the aims are about, hits and cases."""
+    """Table cells of a family: the figures of the aims, as hits and cases."""
     return {aim.key.replace("_", " "): f"{found[aim.key]['hits']} of {found[aim.key]['n']}" for aim in AIMS}
 
 

@@ -1,8 +1,8 @@
-"""How often the right term is among the first two, on families that no catalogue holds.
+"""Measures how often the right term is among the first two, on families that no catalogue holds.
 
 python -m fishmj.gap.bench.free_terms --cases 70 --seed 51 --out runs/fallback
 
-RIGHT says for each family which terms count; it is fixed before a seed is run. Families whose cause is no term of the library
+RIGHT lists the terms that count for each family; it is fixed before a seed is run. Families whose cause is no term of the library
 (a draw of the current, a clock, a camera, ballast that slides, one tooth, a neighbour's drive) have none and are left out.
 """
 
@@ -44,6 +44,7 @@ FIRST = 2
 
 
 def main(argv: list[str]) -> int:
+    """Runs the cases and prints the shares. Returns the exit code."""
     parser = console.parser("gap.fallback.measure", __doc__)
     parser.add_argument("--cases", type=int, default=70, help="drawn over all families outside the catalogue")
     parser.add_argument("--seed", type=int, default=51)
@@ -59,7 +60,7 @@ def main(argv: list[str]) -> int:
 
 
 def judged(case: cases.Case) -> dict:
-    """One case: the terms, and at which place the first right one stands (0 = nowhere)."""
+    """One case: its terms, and the rank of the first right one (0 = absent)."""
     from fishmj.gap.laboratory.virtual_robot import generate
 
     plant, start, family = model_with_terms(load_robot("fish")), time.monotonic(), next(iter(case.effects))

@@ -1,11 +1,10 @@
-"""Rows of a benchmark decided again with the gate that each robot's own healthy swims allow, without a search.
+"""Decides the rows of a benchmark again with the gate that each robot's own healthy swims allow, without a search.
 
     python -m fishmj.gap.bench.gates_again docs/figures/gap/solver_21.jsonl docs/figures/gap/solver_21_own.json
 
-A search does not depend on the gate of agreement, nor on that of the residual; only the decision does. A row holds what the gates
-were asked (`gates`, `steps`), so that `AGREES` and `UNEXPLAINED` follow from it. Where the gates let a name pass, the vetoes that
-come after them have to be asked, and the answer is `SEARCH`: that takes `gap bench` itself. `NAMED` and `CLASS` stay, since the
-gate only widens.
+A search does not depend on the gate of agreement, nor on that of the residual; only the decision does. A row holds the gates'
+inputs (`gates`, `steps`), so that `AGREES` and `UNEXPLAINED` follow from it. If the gates let a name pass, the later vetoes are
+needed, and the answer is `SEARCH`: only `gap bench` itself can give it. `NAMED` and `CLASS` stay, since the gate only widens.
 """
 
 from collections.abc import Mapping
@@ -24,6 +23,7 @@ SAID = "UNEXPLAINED"  # the answer that another gate may change
 
 
 def main(argv: list[str]) -> int:
+    """Decides the rows again and prints the changed answers. Returns the exit code."""
     parser = console.parser("studies.gap_benchmark.gates_again", __doc__)
     parser.add_argument("rows", type=console.path, help="rows.jsonl of gap bench --generator")
     parser.add_argument("own", type=console.path, help="JSON: robot -> |z|^2 / m that its model leaves of its own free swims")
@@ -47,12 +47,12 @@ def main(argv: list[str]) -> int:
 
 
 def gates_of(row: Mapping, own: Mapping[str, float]) -> Gates:
-    """The gates of a row's robot, by widths that have not seen its family."""
+    """Gates of a row's robot, from structural error scales without its family."""
     return structural_error.allowed(frozen(), structural_error.widths(row["family"]), own.get(row["robot"], 0.0))
 
 
 def again(row: Mapping, gates: Gates) -> str:
-    """The answer with these gates, in the order of `decide.decide`; SEARCH where only a search can tell."""
+    """Answer with these gates, in the order of `decide.decide`; SEARCH if only a search can tell."""
     if row["answer"] != SAID:
         return row["answer"]
     checks, first = row["gates"], row["steps"][0] if row["steps"] else None

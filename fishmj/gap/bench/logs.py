@@ -1,14 +1,13 @@
-"""Cases of measured logs: a term that a robot's own records need is taken out of its fitted model, and the search looks for it.
+"""Cases of measured logs: a term that a robot's own records need is deleted from its fitted model, and the search looks for it.
 
     full model     baseline of a public set (`measured/`), and the effect that its records name
     single         one term of the full model deleted: a constant at zero and no longer fitted, or the effect
     none           nothing deleted
-    truth          the term's value in the full model, fitted to all records that take part in the search
-    true_gap       1 + (error without the term - error of the full model) / floor, all constants fitted anew both times
+    truth          the term's value in the full model, fitted to all records of the search
+    true_gap       1 + (error without the term - error of the full model) / floor, all constants refitted both times
 
-Every case draws anew which conditions, or which trajectory, are kept aside. Only terms that are an effect of the catalogue,
-formula for formula, can be deleted: with the few sets that are public that makes few cases. What else the model of a real robot
-lacks is still there.
+Every case draws anew the conditions, or the trajectory, that are kept aside. Only terms that are an effect of the catalogue,
+formula for formula, can be deleted: with the few public sets that makes few cases. Other errors of a real robot's model remain.
 """
 
 import time
@@ -29,7 +28,7 @@ TERMS = {  # set: what its full model has beyond the baseline, and what can be d
 
 
 class Deletion(NamedTuple):
-    """One case. term: effect that is deleted, "" for none."""
+    """One case. term: deleted effect, "" for none."""
 
     id: str
     kind: str
@@ -39,7 +38,7 @@ class Deletion(NamedTuple):
 
 
 def draw(count: int, seed: int) -> list[Deletion]:
-    """`count` cases: every term of every set before one comes up twice, each time with other records kept aside."""
+    """Draws `count` cases: every term of every set before one comes up twice, each time with other records kept aside."""
     deck = [(name, term) for name, (_, terms) in TERMS.items() for term in terms]
     chosen = [(*deck[i % len(deck)], seed + i // len(deck)) for i in range(count)]
     return [Deletion(f"log-{s}-{t or 'nothing'}-{k}", "single" if t else "none", s, t, k) for s, t, k in chosen]
@@ -49,7 +48,7 @@ TRAJECTORIES = ("lift_and_drop", "sin_sin", "sin_time_square", "up_and_down")  #
 
 
 def studied(case: Deletion, without: str = "") -> Study:
-    """The set split by the case's seed, a constant deleted from its baseline."""
+    """The set split by the case's seed, with a constant deleted from its baseline."""
     changes = deleted(case.set, without) if without else {}
     if case.set == "tail_fish":
         return built(shipped(case.set, changes | {"search": {"seed": case.seed}}))
@@ -76,7 +75,7 @@ def run(case: Deletion) -> dict:
 
 
 def described(verdict: Verdict) -> dict:
-    """What was said, in the form of the other generators' rows."""
+    """Entries of a row on the verdict, in the form of the other generators."""
     told = [said(effect) for effect in verdict.effects]
     out: dict = {"answer": verdict.answer, "said": told, "rivals": [r["name"] for r in verdict.rivals]}
     out |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
@@ -85,7 +84,7 @@ def described(verdict: Verdict) -> dict:
 
 
 def value(study: Study, row: np.ndarray, effect: str, constant: str, parameter: str) -> float:
-    """Of the deleted term in the full model, SI."""
+    """Value of the deleted term in the full model, SI."""
     if not constant:
         return float(row[study.plant.index(effect, parameter)])
     place = [c.name for c in study.plant.constants].index(constant)

@@ -1,11 +1,11 @@
-"""Power of the search: of each effect and generator, how often it is found at so many times what healthy robots differ by.
+"""Power of the search: by effect and generator, how often it is found at given multiples of the scatter of healthy robots.
 
-    strength    mean square of what the effect does to the logs, over the noise and what healthy robots of the family differ by
-                (`laboratory/generators/detectability.py`): `TIMES`. Its direction is drawn, its size scaled until it is there
+    strength    mean square of the effect's change in the logs, over the noise and the scatter of healthy robots of the family
+                (`laboratory/generators/detectability.py`): `TIMES`. Its direction is drawn, its size scaled to the strength
     found       `NAMED`, or a `CLASS` that lists it;  missed: `AGREES`
 
 A robot carries one case with nothing hidden, and `EFFECTS` effects at every strength. A strength that no value within the
-effect's bounds reaches, or at which the robot does not swim any more, is counted as such and not searched.
+effect's bounds reaches, or at which the robot no longer swims, is counted as such and not searched.
 """
 
 import numpy as np
@@ -52,10 +52,10 @@ def robots(many: int, seed: int, able: tuple[str, ...], effects: tuple[str, ...]
 
 
 def scaled(family: str, case: Case, robot: Robot) -> tuple[dict, float]:
-    """The effect of a case at its strength: (its values, the strength that they have). The nearest where none reaches it.
+    """The effect of a case at its strength: (values, reached strength). The nearest if none reaches it.
 
     Raises:
-        SimDiverged: the robot swims at no size that was tried.
+        SimDiverged: the robot does not swim at any tried size.
     """
     ((name, drawn),) = case.effects.items()
     spec = {p.name: p for p in catalogue.get(name).parameters}
@@ -91,12 +91,12 @@ def scaled(family: str, case: Case, robot: Robot) -> tuple[dict, float]:
 
 
 def reached(strength: float, times: float) -> bool:
-    """Whether a strength counts as `times`."""
+    """Returns True if a strength counts as `times`."""
     return times / NEAR**2 < strength < times * NEAR**2
 
 
 def found(row: dict) -> str:
-    """named, class, agrees or other: what became of the effect of a row."""
+    """Outcome for the effect of a row: named, class, agrees or other."""
     hidden = set(row["truth"])
     if row["answer"] == "NAMED" and hidden <= names(row):
         return "named"
@@ -142,7 +142,7 @@ def score(rows: list[dict]) -> dict:
 
 
 def told(result: dict) -> list[str]:
-    """The score in lines: a row for each effect and generator, named + class + agrees of n at each strength; then the shares."""
+    """Score as lines of text: a row for each effect and generator, named + class + agrees of n at each strength; the shares."""
     cells: dict[tuple, dict] = {}
     for one in result["table"]:
         line = cells.setdefault((one["effect"], one["family"]), {"effect": one["effect"], "generator": one["family"]})

@@ -4,7 +4,8 @@ python -m fishmj.gap.bench.robots pike.toml tendon_fish --seeds 3 --out runs/rob
 python -m fishmj.gap.bench.robots fish --sensors --seeds 10 --out runs/sensors
 
 Each seed is a robot of the model's kind, made by the second robot, in a session of four experiments. Without --sensors nothing is
-hidden in one set and 50 ms of latency in another; with it nothing is, and the sensors differ from the usual, as the logs state.
+hidden in one set and 50 ms of latency in another. With it nothing is hidden, and the sensors differ from the usual, as the logs
+state.
 """
 
 from pathlib import Path
@@ -47,7 +48,7 @@ SENSORS = {
 
 
 class Trying(NamedTuple):
-    """One search. model: name or TOML file."""
+    """Settings of one search. model: name or TOML file."""
 
     model: str
     condition: str
@@ -55,11 +56,12 @@ class Trying(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Of its row."""
+        """Id of the search's row."""
         return f"{Path(self.model).stem}, {self.condition}, {self.seed}"
 
 
 def main(argv: list[str]) -> int:
+    """Runs the searches and prints a table. Returns the exit code."""
     parser = console.parser("studies.gap_benchmark.robots", __doc__)
     add = parser.add_argument
     add("models", nargs="+", type=console.text, metavar="MODEL", help="names or TOML files of descriptions")
@@ -97,13 +99,13 @@ def trials_of(one: Trying) -> list:
 
 
 def value_of(made, field: str) -> float:
-    """A constant by its dotted name."""
+    """Value of a constant by its dotted name."""
     group, _, key = field.partition(".")
     return float(getattr(getattr(made, group), key))
 
 
 def row_of(one: Trying) -> dict:
-    """What a search said."""
+    """Row of a search."""
     verdict = investigate(fish(one.model), trials_of(one), gates=frozen(), null=SimulatedNull(), seed=one.seed).verdict
     row = {"id": one.id, "model": Path(one.model).stem, "condition": one.condition, "seed": one.seed}
     row |= {"answer": verdict.answer, "said": [said(effect) for effect in verdict.effects]}
@@ -111,7 +113,7 @@ def row_of(one: Trying) -> dict:
 
 
 def summary(model: str, condition: str, rows: list[dict]) -> dict:
-    """A line of the table: right answers with 95 % bounds; of a latency its values and how many intervals hold."""
+    """Line of the table: right answers with 95 % bounds; for a latency its values and the number of intervals that hold."""
     mine = [row for row in rows if (row["model"], row["condition"]) == (Path(model).stem, condition)]
     hidden = {**SENSORS, **ROBOTS}[condition].effects
     if hidden:

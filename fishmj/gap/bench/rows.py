@@ -1,11 +1,11 @@
-"""Rows of a benchmark on disk, one JSON object a line: what is done is never done again."""
+"""Rows of a benchmark on disk, one JSON object a line: finished work is never repeated."""
 
 import json
 from pathlib import Path
 
 
 def kept(path: Path) -> list[dict]:
-    """Whole lines of a file; a line that was cut off is done again."""
+    """Complete rows of a file; a truncated line is dropped, so that its case is repeated."""
     if not path.is_file():
         return []
     out = []
@@ -18,7 +18,7 @@ def kept(path: Path) -> list[dict]:
 
 
 def keep(path: Path, row: dict) -> None:
-    """Add a row, on a line of its own even where the last one was cut off."""
+    """Appends a row, on a line of its own even after a truncated one."""
     with path.open("ab+") as file:
         size = file.seek(0, 2)
         file.seek(max(size - 1, 0))

@@ -1,4 +1,4 @@
-"""One case: make the data, hide the effect, ask the search, write down what it said beside what is true."""
+"""One case: makes the data, hides the effect, runs the search, and records answer and truth."""
 
 import time
 from collections.abc import Callable
@@ -26,9 +26,9 @@ def fish(model: str = "fish"):
 
 
 def run(plant, case: Case, gates: Gates, null: SimulatedNull, trials: list[Trial] | None = None, weighed: bool = False) -> dict:
-    """One row of the benchmark. A case whose fish cannot swim (it left the finite numbers) says so.
+    """One row of the benchmark. For a fish that left the finite numbers, the row gives that as its answer.
 
-    trials: the data where another generator made them; by default the second robot does. weighed: the search also has the page
+    trials: data of another generator; by default the second robot's. weighed: the search also gets the page
     of its weighings, whose errors are the same at every noise.
     """
     from fishmj.gap.laboratory.virtual_robot import generate
@@ -49,7 +49,7 @@ def run(plant, case: Case, gates: Gates, null: SimulatedNull, trials: list[Trial
 
 
 def answered_by(verdict: Verdict) -> dict:
-    """What a row says of a search's answer."""
+    """Entries of a row on a search's answer."""
     out: dict = {
         "answer": verdict.answer,
         "said": [said(e) for e in verdict.effects],
@@ -61,7 +61,7 @@ def answered_by(verdict: Verdict) -> dict:
 
 
 def sizes(gap: Callable, plant, case: Case) -> tuple[float, dict]:
-    """(of all hidden effects together, of each alone)."""
+    """(gap of all hidden effects together, {name: gap of each alone})."""
     whole = gap(plant, case, case.effects)
     return whole, {n: gap(plant, case, {n: v}) if len(case.effects) > 1 else whole for n, v in case.effects.items()}
 
@@ -73,9 +73,9 @@ def said(effect: Named) -> dict:
 
 
 def true_gap(plant, case: Case, hidden: dict) -> float:
-    """1 + mean square of what `hidden` effects change, in units of the sensors' own noise, without noise and scatter.
+    """1 + mean square of the change by the `hidden` effects, over the sensors' own noise, without noise and scatter.
 
-    The same fish with and without its effects; every record and channel counts alike.
+    It compares the same fish with and without its effects; every record and channel counts alike.
     """
     from fishmj.gap.laboratory.virtual_robot import generate
 
@@ -95,7 +95,7 @@ def true_gap(plant, case: Case, hidden: dict) -> float:
 def beyond_gap(plant, case: Case, hidden: dict) -> float:
     """The same for the part of the change that the fish's own constants, each within its tolerance, cannot imitate.
 
-    s what the effects change, T what the constants' tolerances change, both over the noise: 1 + s (1 + T^T T)^-1 s / m.
+    With s the change by the effects, T the change by the constants' tolerances, both over the noise: 1 + s (1 + T^T T)^-1 s / m.
     """
     from fishmj.gap.laboratory.virtual_robot import generate
 

@@ -1,4 +1,4 @@
-"""What the rows of a benchmark amount to, each share with its 95 % bounds (Clopper & Pearson 1934)."""
+"""Score of the rows of a benchmark, each share with its 95 % bounds (Clopper & Pearson 1934)."""
 
 import numpy as np
 
@@ -18,24 +18,25 @@ def bounds(hits: int, n: int, level: float = 0.95) -> tuple[float, float]:
 
 
 def share(hits: int, n: int) -> dict:
-    """{"value", "hits", "n", "low", "high"}; the value of none is None."""
+    """{"value", "hits", "n", "low", "high"}; the value is None for n = 0."""
     low, high = bounds(hits, n)
     return {"value": hits / n if n else None, "hits": int(hits), "n": int(n), "low": low, "high": high}
 
 
 def names(row: dict) -> set[str]:
+    """Names of the effects in a row's answer."""
     return {e["name"] for e in row.get("said", ())}
 
 
 def same(a: str, b: str) -> bool:
-    """Equal, or of one class that no experiment of the standard session splits."""
+    """Returns True for equal names, or for two of one class that no experiment of the standard session separates."""
     from fishmj.effects.ambiguity import CLASSES
 
     return a == b or any({a, b} <= set(c.effects) for c in CLASSES)
 
 
 def twin(row: dict) -> bool:
-    """Whether all that a CLASS lists are the hidden effect and those that are the same by construction."""
+    """Returns True if a CLASS lists only the hidden effect and those that are the same by construction."""
     hidden = next(iter(row["truth"]))
     listed = names(row) | set(row["rivals"])
     return hidden in listed and all(same(name, hidden) for name in listed)
@@ -90,7 +91,7 @@ def score(rows: list[dict]) -> dict:
 
 
 def valued(effect: dict) -> bool:
-    """Whether a name comes with numbers; a correlation has none."""
+    """Returns True if a name has values; a correlation has none."""
     return all(v is not None for values in effect["values"].values() for v in values)
 
 
@@ -110,7 +111,7 @@ def relative_errors(row: dict) -> list[float]:
 
 
 def inside(row: dict) -> list[bool]:
-    """Whether each first parameter lies in its 90 % interval."""
+    """Returns True for each first parameter that lies in its 90 % interval."""
     from fishmj import effects
 
     out = []

@@ -1,11 +1,11 @@
-"""Cases of the flow solver: data sets that it made, some with an effect hidden in them, and null sets of its own fish.
+"""Cases of the flow solver: its data sets, some with a hidden effect, and null sets of its own fish.
 
-    data/gap/lbm/nulls/<name>.npz        nothing hidden            `RecordedNull` without the one in question
+    data/gap/lbm/nulls/<name>.npz        nothing hidden            `RecordedNull` without the searched set
     data/gap/lbm/planted/<name>.npz      an effect each
     data/gap/lbm/truth.json              {name: {"effects": {..}, "seed": ..}}, opened here only
 
-The search sees the model in the water that was fitted to the solver. How large a hidden effect is (`true_gap`) is told by the
-second robot, with and without it: the same constants and servos in another water.
+The search uses the model in the water that was fitted to the solver. The second robot, with and without the effect, gives the
+size of a hidden effect (`true_gap`): the same constants and servos in another water.
 """
 
 from functools import cache
@@ -26,7 +26,7 @@ WATER = "swift-base"
 
 
 class Given(NamedTuple):
-    """A case with its data, and a null that leaves them out."""
+    """A case with its data, and a null without them."""
 
     case: Case
     trials: list[Trial] | None  # None: the second robot makes them
@@ -34,12 +34,12 @@ class Given(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Of the case."""
+        """Id of the case."""
         return self.case.id
 
 
 def folder() -> Path:
-    """Of the shipped data sets."""
+    """Folder of the shipped data sets."""
     return calib_folder().parent / "gap" / "lbm"
 
 
@@ -52,10 +52,11 @@ def plant():
 
 
 def draw(where: Path | None = None) -> list[Given]:
-    """Every data set as a case; all of its experiments.
+    """Every data set as a case, with all of its experiments.
 
     Raises:
-        StoreError: the planted sets are not here, as in an installed package; a data set without its truth, or the truth of none.
+        StoreError: the planted sets are not here, as in an installed package; a data set without its truth, or a truth without a
+            set.
     """
     where = where or folder()
     if not (where / "planted").is_dir():

@@ -1,7 +1,7 @@
-"""Robots of the flow solver as a family of the benchmark: their data sets were swum before (`studies.solver_family`).
+"""Robots of the flow solver as a family of the benchmark: their data sets exist already (`studies.solver_family`).
 
-Each robot's model is calibrated to its own free swims in the solver; the search is told to leave the solver out, so that the null
-runs are the second robot's and the structural error has never seen a fish of the solver.
+Each robot's model is calibrated to its own free swims in the solver. The search leaves the solver out, so the null runs are the
+second robot's and the structural error comes from other waters.
 
     robots(folder, kinds) -> [BenchRobot]        those whose data sets are complete
     rows(Asked(robot), folder) -> [row]          as `family_rows.rows`
@@ -35,10 +35,10 @@ SHIPPED = "fish"
 
 
 def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
-    """Robots with their cases of these kinds, `many` in sum at most, of which the data sets are there.
+    """Robots with their cases of these kinds, at most `many` in sum, for which data sets exist.
 
     Raises:
-        ConfigError: there are none. StoreError: the folder is none of `studies.solver_family`.
+        ConfigError: there are none. StoreError: the folder was not made by `studies.solver_family`.
     """
     plan, known = plans.read(folder), read_json(folder / TRUTH)["cases"]
     out: list[BenchRobot] = []
@@ -57,7 +57,7 @@ def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
 
 
 def rows(one: Asked, folder: Path) -> list[dict]:
-    """A row of every case, each put down as it is done."""
+    """A row of every case, each written as it is done."""
     return written(one, _rows(one, folder))
 
 
@@ -82,10 +82,10 @@ def _rows(one: Asked, folder: Path) -> Iterator[dict]:
 
 
 def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dict | None, Healthy | None]:
-    """(the model that is questioned, how wrong its speed is on swims left out of its calibration, what these swims tell).
+    """(questioned model, its speed error on swims left out of its calibration, result of these swims).
 
     Raises:
-        LogError: the free swims say nothing.
+        LogError: the free swims contain no information.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
@@ -102,7 +102,7 @@ def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dic
 
 
 def fingerprint(trials: list[Trial]) -> str:
-    """Hash of all that was logged."""
+    """Hash of all logged values."""
     found = hashlib.sha256()
     for trial in trials:
         found.update(json.dumps(console.plain(trial.meta), sort_keys=True).encode())

@@ -1,10 +1,10 @@
-"""How well a water is calibrated where the water is not the strips': robots of every generator, free swims, the truth beside.
+"""Errors of a water calibration in waters unlike the strips: robots of every generator, free swims, and their truth.
 
     fishmj calibrate families --robots 3 --seed 1 --jobs 2 --json
 
 Each robot of a family (constants drawn from its seed, nothing hidden) swims `SWIMS`; `calibrate_trials` sees the trials and the
-shipped description, never the generator. What comes out is compared with swims left out of the fit, and with what the generator's
-own law says of prescribed motions (`generators.prescribed`). The second robot has no such figures here: its speeds alone.
+shipped description, never the generator. The result is compared with swims left out of the fit, and with the forces of the
+generator's own law in prescribed motions (`generators.prescribed`). The second robot has no such figures, only its speeds.
 """
 
 import time
@@ -68,7 +68,7 @@ def swum(family: str, swims: Iterable["str | Excitation"], seed: int, model: str
 
 
 def unseen(found: WaterFit, family: str, seed: int, model: str) -> list[HeldOut]:
-    """The same robot's swims of `UNSEEN`, as the fit to all of its swims predicts them."""
+    """The same robot's swims of `UNSEEN`, predicted by the fit to all of its swims."""
     made = [
         Excitation(id=name, commands=excitation.gait(*beat), about="between the swims that are fitted to", start=START)
         for name, beat in UNSEEN.items()
@@ -78,19 +78,19 @@ def unseen(found: WaterFit, family: str, seed: int, model: str) -> list[HeldOut]
 
 
 def errors(swim: HeldOut) -> dict[str, float | None]:
-    """Signed, relative, of one swim left out; None where the fish hardly swims, or hardly turns."""
+    """Signed relative errors of one swim left out; None if the fish hardly swims, or hardly turns."""
     speed = swim.simulated / swim.speed - 1.0 if np.isfinite(swim.speed_error) else None
     turn = swim.simulated_yaw_rate / swim.yaw_rate - 1.0 if abs(swim.yaw_rate) > TURNING else None
     return {"speed": speed, "yaw_rate": turn}
 
 
 def felt(found: WaterFit, truth: dict[str, float]) -> dict[str, list]:
-    """What the body feels: value, low, high, truth (None where there is none)."""
+    """Body-level estimates: value, low, high, truth (None without one)."""
     return {name: [e.value, e.low, e.high, truth.get(name)] for name, e in found.physical.items()}
 
 
 def mean(values: list) -> float:
-    """Of what is there, in percent; NaN of nothing."""
+    """Mean magnitude of the known values, in percent; NaN if there are none."""
     known = [abs(v) for v in values if v is not None]
     return 100.0 * float(np.mean(known)) if known else float("nan")
 
@@ -129,12 +129,12 @@ def tables(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
 
 
 def rms(values: list[float]) -> float:
-    """In percent."""
+    """Root mean square, in percent."""
     return 100.0 * float(np.sqrt(np.mean(np.square(values))))
 
 
 def main(argv: list[str]) -> int:
-    """`calibrate families`."""
+    """The command `calibrate families`. Returns the exit code."""
     parser = console.parser("calibrate families", "Calibrate the water of robots of every generator, whose water is known.")
     families = console.Listed(console.OneOf(FAMILIES), len(FAMILIES))
     parser.add_argument("--families", type=families, default=FAMILIES, metavar="A,..", help=f"default {','.join(FAMILIES)}")

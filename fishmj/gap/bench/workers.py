@@ -1,7 +1,7 @@
-"""Cases of a benchmark side by side, a process and a core each.
+"""Runs the cases of a benchmark in parallel, a process and a core each.
 
-A search by itself leaves most of a second core idle: only its rollouts share their work between threads. Each process is bound to
-one core, so that everything in it (rollouts, BLAS, null runs) keeps to one thread.
+A search leaves most of a second core idle: only its rollouts share their work between threads. Each process is bound to
+one core, so that everything in it (rollouts, BLAS, null runs) uses one thread.
 """
 
 import os
@@ -23,10 +23,10 @@ ALONE = {
 
 
 def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
-    """What is made of each, as they are done; ask and all of todo can be pickled. One job works here, in order.
+    """Results of `ask` for each of `todo`, as they are done; both must be picklable. With one job it runs here, in order.
 
     Raises:
-        what `ask` raises, once; the others are stopped where they are, as by Ctrl-C.
+        the error of `ask`, once; the others are stopped at once, as by Ctrl-C.
     """
     if jobs <= 1 or len(todo) < 2:
         yield from map(ask, todo)
@@ -49,7 +49,7 @@ def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Processes begun meanwhile find libraries set to one thread; what is set already stays."""
+    """Context in which started processes find libraries set to one thread; existing settings stay."""
     before = dict(os.environ)
     os.environ.update({key: value for key, value in ALONE.items() if key not in before})
     try:
@@ -60,7 +60,7 @@ def alone() -> Iterator[None]:
 
 
 def bound(begun) -> None:
-    """First in each process: a core of its own, and an end with the one that began it. begun: how many there are."""
+    """First call in each process: binds it to its own core, and ends it with its parent. begun: counter of the processes."""
     ends_with_its_parent()
     with begun.get_lock():
         number, begun.value = begun.value, begun.value + 1

@@ -14,7 +14,7 @@ RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 
 def fit(verb: str, argv: list[str]) -> int:
-    """One of the calibrations: servo, latency, slip, water, mass."""
+    """Runs one of the calibrations: servo, latency, slip, water, mass. Returns the exit code."""
     from fishmj.gap.calibrate.commands import VERBS
 
     again = interrupt.again("start again")
@@ -40,7 +40,7 @@ def fit(verb: str, argv: list[str]) -> int:
 
 
 def reference_grid(grid: str | None, boundary: str | None = None) -> tuple[str, str]:
-    """Grid, for a fish that swims away, and boundary of the reference water. Raises ConfigError where others are asked for."""
+    """Grid, for a fish that swims away, and boundary of the reference water. Raises ConfigError for others."""
     from fishmj.lbm_oracle.run.solver_water import REFERENCE, boundary_name
 
     if given := f"--grid {grid}" if grid is not None else f"--boundary {boundary}" if boundary else "":
@@ -96,7 +96,7 @@ def options(verb: str) -> console.Parser:
 
 
 def drawn(argv: list[str]) -> int:
-    """`check`: the second simulator makes robots, the calibration does not know of whom."""
+    """`check`: the second simulator makes robots, and the calibration does not know their numbers."""
     from fishmj.gap.calibrate.calibration_logs import Logs, PartialResults
     from fishmj.gap.calibrate.commands import check_one, check_rows
     from fishmj.gap.laboratory.hidden_lbm.calibration_trials import hidden, trials, truth

@@ -1,12 +1,12 @@
-"""Write what was calibrated into a fish TOML: the numbers where the fish reads them, and beside them where they come from.
+"""Writes calibrated numbers into a fish TOML, with their origin beside them.
 
     servo     [servo] kp, kd, speed_no_load = torque / (kd - kv);  [[effect]] coulomb_friction;  [timing] command_latency
     latency   [timing] command_latency, camera_latency
     water     [water] every coefficient, model = "structured"
-    mass      [[link]] mass, com;  [body] mass_total;  [[effect]] yaw_inertia where its interval leaves out zero
+    mass      [[link]] mass, com;  [body] mass_total;  [[effect]] yaw_inertia if its interval excludes zero
     slip      [calibration.slip] only: the strip water has no slip ratio, the flow solver takes it as --slip
 
-Lines are replaced one by one; beside a new number stands that it was calibrated, and on which logs. Everything else stays.
+Lines are replaced one by one. A comment beside a new number names the calibration and its logs. Everything else stays.
 """
 
 import re
@@ -24,7 +24,7 @@ from fishmj.mjcf.reading import load_robot
 
 
 def start(out: Path, model: str) -> str:
-    """The text to change: `out` where it exists already, else the model's."""
+    """The text to change: `out` if it exists, else the model's."""
     return (out if out.is_file() else resolve(model)).read_text(encoding="utf-8")
 
 
@@ -36,13 +36,13 @@ def write(
     effects: dict[str, ParameterEstimate],
     data: "str | Path",
 ) -> Path:
-    """Record the estimates, put the effects in, read the fish back, and only then write the file.
+    """Records the estimates, inserts the effects, reads the fish back, and only then writes the file.
 
     Args:
-        effects: {"coulomb_friction.torque": estimate}; one that is already there is replaced. data: the folder fitted to.
+        effects: {"coulomb_friction.torque": estimate}; an existing one is replaced. data: folder of the logs.
 
     Raises:
-        ConfigError: the file would not be a fish.
+        ConfigError: the file would not be a valid fish.
     """
     manifest = Path(data) / "manifest.json"
     source, evidence = Path(data).as_posix(), sha256(manifest) if manifest.is_file() else ""
@@ -65,10 +65,11 @@ def write(
 
 
 def put(text: str, table: str, values: dict, name: str = "", *, source: str = "", new: bool = False) -> str:
-    """Replace numbers of one table: `[servo]`, or the `[[link]]` block called `name`, and what the file says of their origin.
+    """Replaces numbers of one table, `[servo]` or the `[[link]]` block called `name`, and their stated origin.
 
     Args:
-        source: of the new numbers, for the comments beside them. new: lines that are missing are added.
+        source: of the new numbers, for the comments beside them. new: add missing lines.
+
     Raises:
         ConfigError: no such table or key.
     """
@@ -113,7 +114,7 @@ def _told(comment: str, source: str) -> str:
 
 
 def _relabel(lines: list[str], head: int, names: list[str], source: str, *, whole: bool) -> None:
-    """Take words for a guess off the numbers of a block that were fitted: in its header and in comments before its first key.
+    """Removes the words that mark fitted numbers of a block as guesses: in its header and in comments before its first key.
 
     whole: all numbers of the block were fitted.
     """
@@ -128,7 +129,7 @@ def _relabel(lines: list[str], head: int, names: list[str], source: str, *, whol
 
 
 def _number(old: str, value: "float | list | str") -> str:
-    """The new number; of a list, the first entry; a list and a text whole."""
+    """Text of the new number: in a list, its first entry is replaced; a new list or text replaces the whole value."""
     if isinstance(value, list):
         return f"[{', '.join(f'{entry:.6g}' for entry in value)}]"
     if isinstance(value, str):
@@ -137,7 +138,7 @@ def _number(old: str, value: "float | list | str") -> str:
 
 
 def short(value: float) -> float:
-    """Six digits: more were not measured."""
+    """The value rounded to six digits, since more were not measured."""
     return float(f"{value:.6g}")
 
 

@@ -1,8 +1,8 @@
-"""What a calibration reads, and what it keeps.
+"""Input of a calibration, and its partial results.
 
-trials      sorted by signal, medium and repeat; what is missing is said in one line
-parts       finished swims of the solver, robots drawn anew: one JSON file each, so that the same command goes on with the rest;
-            a part of other settings or another version of this package is done again
+trials      sorted by signal, medium and repeat; missing ones are reported in one line
+parts       finished swims of the solver, robots drawn anew: one JSON file each, so that the same command continues with the rest;
+            a part of other settings or another version of this package is repeated
 """
 
 import hashlib
@@ -36,7 +36,7 @@ def shipped() -> Path:
 
 
 class Logs(NamedTuple):
-    """Trials by name, and their records at the plant's step. broken: trials that were left out, and why. notes: on the folder."""
+    """Trials by name, and their records at the plant's step. broken: omitted trials with reasons. notes: on the folder."""
 
     folder: Path
     trials: dict[str, Trial]
@@ -53,10 +53,10 @@ class Logs(NamedTuple):
         return [name for name, trial in self.trials.items() if wanted(trial)]
 
     def bench(self) -> list[str]:
-        """Sine, square and impulse in both media, of trials in which a servo was told to move and its angles were measured.
+        """Sine, square and impulse in both media, from trials with moving commands and measured joint angles.
 
         Raises:
-            LogError: fewer than two signals, of which each tells what the other cannot.
+            LogError: fewer than two signals, which complement each other.
         """
         names = [name for medium in MEDIA for name in self.of(medium, SIGNALS)]
         silent = {name: why for name in names if (why := unfit(self.trials[name]))}
@@ -74,7 +74,7 @@ class Logs(NamedTuple):
 
 
 def unfit(trial: Trial) -> str:
-    """Why a trial says nothing of a servo; "" where it does."""
+    """Reason that a trial is useless for a servo fit; "" if it is useful."""
     if "joint" not in trial.tables:
         return "no table joint, a servo is calibrated by its angles"
     span = float(np.ptp(stacked(trial.table("cmd"), "c#"), axis=0).max())
@@ -84,14 +84,14 @@ def unfit(trial: Trial) -> str:
 
 
 def angles(record: Record) -> Sensor:
-    """The measured joint angles. Raises LogError where there are none."""
+    """The measured joint angles. Raises LogError without any."""
     if record.joint is None:
         raise LogError(f"trial {record.name}: no table joint; a servo is calibrated by its angles")
     return record.joint
 
 
 def read(folder: "str | Path") -> Logs:
-    """All trials of a data set that can be read, less rows of failed reads; what cannot be is in `broken`.
+    """All readable trials of a data set, without rows of failed reads; the others are in `broken`.
 
     Raises:
         LogError, StoreError: none there.
@@ -101,14 +101,14 @@ def read(folder: "str | Path") -> Logs:
 
 
 class PartialResults:
-    """The parts of one command. folder: where they are; about: what all of them depend on, besides the package's own code."""
+    """Finished parts of one command. folder: of their files; about: inputs of all of them, besides the package's own code."""
 
     def __init__(self, folder: Path, about: dict):
         self.folder = folder
         self.key = hashlib.sha256(json.dumps(plain([about, package_sha256()]), sort_keys=True).encode()).hexdigest()
 
     def find(self, name: str) -> Any:
-        """What a finished part gave, as JSON has it; None where it is not finished."""
+        """Result of a finished part, from its JSON; None if it is not finished."""
         path = self.folder / f"{name}.json"
         try:
             row = read_json(path) if path.is_file() else {}
@@ -117,11 +117,11 @@ class PartialResults:
         return row.get("found") if isinstance(row, dict) and row.get("key") == self.key else None
 
     def keep(self, name: str, found: Any) -> Any:
-        """Write what a part gave; returns it as `find` would."""
+        """Writes the result of a part; returns it as `find` would."""
         write_json(self.folder / f"{name}.json", {"key": self.key, "found": found})
         return self.find(name)
 
     def words(self, names: list[str], what: str) -> str:
-        """What an interrupted command says. names: of all its parts; what: they are."""
+        """Message of an interrupted command. names: of all its parts; what: their kind."""
         done = sum(self.find(name) is not None for name in names)
         return f"{self.folder} holds {done} of {len(names)} {what}; {interrupt.again()}"

@@ -1,5 +1,7 @@
-"""The five calibrations as the command line calls them: fit, tables, report, fish file. And how far off they are where the truth
-is known: the systematic part of every interval comes from there."""
+"""The five calibrations behind the command line: fit, tables, report, fish file; and their errors for known truths.
+
+The systematic part of every interval comes from these errors.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,24 +41,25 @@ def rows(estimates: dict[str, ParameterEstimate]) -> list[dict]:
 
 
 def said(logs: Logs, more: str = "") -> list[str]:
-    """Where the trials come from."""
+    """Origin of the trials as lines of text."""
     origins = sorted({f"{t.value('origin', '?')} ({t.value('source', '?')})" for t in logs.trials.values()})
     return [f"{len(logs.trials)} trials in {logs.folder}, origin {', '.join(origins)}", *([more] if more else [])]
 
 
 def source(args) -> str:
-    """The logs of a calibration, for the lines that hold its numbers."""
+    """The logs of a calibration, for the comments beside its numbers."""
     return Path(args.data).as_posix()
 
 
 def opened(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
-    """The trials that were asked for, of this robot; what is wrong with some of them is said.
+    """The requested trials of this robot; problems of some of them are printed.
 
     Args:
         only: physical checks that matter; all by default.
+
     Raises:
-        LogError: none can be compared, another number of joints, another robot's name that nobody agreed to, or what no robot
-            does (a joint against its command, a mirrored camera).
+        LogError: none can be compared, another number of joints, another robot's name without agreement, or impossible
+            motion (a joint against its command, a mirrored camera).
     """
     logs = read(args.data)
     broken = dict(logs.broken)
@@ -77,7 +80,7 @@ def opened(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
 
 
 def benched(args, robot: Robot) -> tuple[Logs, ServoStand]:
-    """The trials and the plant that they are compared with; what is missing is said before anything is compiled."""
+    """The trials and the plant for comparison; missing data are reported before anything is compiled."""
     logs, plant = opened(args, robot, physical_checks.JOINTS), ServoStand(robot)
     logs.bench()
     compiled(plant, console.say)
@@ -104,7 +107,7 @@ def run_servo(args) -> Answer:
 
 
 def servo_of(args, logs: Logs, plant: ServoStand, *, alone: bool = True) -> servo_fit.ServoFit:
-    """The servo's fit. Raises LogError where it must not be used, with the report that shows why."""
+    """The servo's fit. Raises LogError if it must not be used, with the report that shows the reason."""
     try:
         return servo_fit.calibrate(logs, plant, alone=alone, bars=shown)
     except servo_fit.BadFit as bad:
@@ -113,7 +116,10 @@ def servo_of(args, logs: Logs, plant: ServoStand, *, alone: bool = True) -> serv
 
 
 def servo_report(args, logs: Logs, found: servo_fit.ServoFit, refusal: str = "") -> tuple[Path, Path, Answer]:
-    """Prints and writes the tables of a servo fit; (page, picture, tables by name). refusal: why the fit must not be used."""
+    """Prints and writes the tables of a servo fit;
+
+    (page, picture, tables by name). refusal: reason that the fit must not be used.
+    """
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     apart = [
         {"medium": m, **{name: fit.estimates[name].value for name in servo_fit.FREE}, "rounds": fit.rounds}
@@ -199,7 +205,7 @@ def run_slip(args) -> Answer:
 
 
 def recomputed(args) -> Answer:
-    """One more entry for the table of solver swims."""
+    """Computes one more entry for the table of solver swims."""
     grid, ratios = args.grid or "window_coarse", args.ratios
     entry = slip.recompute(grid, ratios, args.device, args.tanks, args.report / "swims", args.boundary)
     named = [f'{key} = "{value}"' for key, value in entry.items() if isinstance(value, str)]
@@ -282,7 +288,7 @@ def run_mass(args) -> Answer:
 
 
 def plain(estimates: dict[str, ParameterEstimate]) -> dict[str, dict]:
-    """For JSON."""
+    """Estimates as plain data for JSON."""
     return {name: e._asdict() for name, e in estimates.items()}
 
 
@@ -290,12 +296,12 @@ VERBS = {"servo": run_servo, "latency": run_latency, "slip": run_slip, "water": 
 
 
 def default_report(verb: str) -> Path:
-    """Where the report goes unless it is said."""
+    """Default folder of the report."""
     return Path("runs") / "calibrate" / verb
 
 
 def check_one(true: dict[str, float], logs: Logs, plant: ServoStand) -> Off:
-    """Calibrate servo and latencies of a robot whose numbers are given."""
+    """Calibrates servo and latencies of a robot with given numbers; returns the errors."""
     found = servo_fit.calibrate(logs, plant, alone=False)
     fitted = found.estimates | {"camera_latency": servo_fit.calibrate_latency(logs, found).estimates["camera_latency"]}
     wide = {name: widened(e) for name, e in fitted.items()}
@@ -306,7 +312,7 @@ def check_one(true: dict[str, float], logs: Logs, plant: ServoStand) -> Off:
 
 
 def check_rows(robots: list[Off]) -> list[dict]:
-    """Of all robots: mean and RMS error, share inside the 90 % interval."""
+    """Rows over all robots: mean and RMS error, share inside the 90 % interval."""
     off = {name: [robot[name] for robot in robots] for name in robots[0]}
     return [
         {

@@ -60,7 +60,7 @@ def _saved(figure, path: Path) -> Path:
 
 
 def draw(found: ServoFit, path: Path) -> Path:
-    """Draw into a PNG. Raises MissingExtra without matplotlib."""
+    """Draws a servo fit into a PNG. Raises MissingExtra without matplotlib."""
     pyplot = pyplot_of("calibrate servo --report")
     media = [m for m in MEDIA if any(r.medium == m for r in found.records)]
     signals = [s for s in SIGNALS if any(r.excitation == s for r in found.records)]
@@ -83,7 +83,7 @@ def draw(found: ServoFit, path: Path) -> Path:
 
 
 def _panel(axis, found: ServoFit, repeats: list[Record], span: tuple[float, float]) -> None:
-    """One signal in one medium, every repeat as dots, and the RMS that is left."""
+    """Draws one signal in one medium, every repeat as dots, and the remaining RMS."""
     record = repeats[0]
     t = np.arange(*span, FINE)
     sent = np.arange(len(record.commands)) * record.dt
@@ -100,7 +100,7 @@ def _panel(axis, found: ServoFit, repeats: list[Record], span: tuple[float, floa
 
 
 def rms(found: ServoFit, records: list[Record]) -> float:
-    """Of all joints over whole trials, deg."""
+    """Root mean square error of all joints over whole trials, deg."""
     predicted = found.plant.predict(records, found.row)
     squares = [np.mean((angles(r).values - p["joint"][0]) ** 2) for r, p in zip(records, predicted, strict=True)]
     return float(np.degrees(np.sqrt(np.mean(squares))))
@@ -109,7 +109,7 @@ def rms(found: ServoFit, records: list[Record]) -> float:
 def report(
     folder: Path, title: str, tables: dict[str, list[dict]], picture: Path | None, notes: list[str], words: str = WORDS
 ) -> Path:
-    """One self-contained page: tables, and the picture where there is one, with `words` below it."""
+    """Writes one self-contained page: tables, and the picture if there is one, with `words` below it."""
     sections = [pages.Section(name, "", [pages.table(rows)]) for name, rows in tables.items()]
     if picture is not None:
         sections.append(pages.Section("", "", [pages.figure(picture.read_bytes(), words)]))
@@ -117,7 +117,7 @@ def report(
 
 
 def draw_water(found: WaterFit, path: Path) -> Path:
-    """Draw into a PNG. Raises MissingExtra without matplotlib."""
+    """Draws a water fit into a PNG. Raises MissingExtra without matplotlib."""
     pyplot = pyplot_of("calibrate water --report")
     figure, axes = pyplot.subplots(1, 2, figsize=(8.4, 3.9))
     shown = (("as described", "#AAAAAA", found.before), ("calibrated, swim left out", SIMULATED, found.after))
@@ -137,7 +137,7 @@ def draw_water(found: WaterFit, path: Path) -> Path:
 
 
 def draw_slip(found: Profile, path: Path) -> Path:
-    """Draw into a PNG. Raises MissingExtra without matplotlib."""
+    """Draws a slip profile into a PNG. Raises MissingExtra without matplotlib."""
     pyplot = pyplot_of("calibrate slip --report")
     names = [name for name in WINDOW if name in found.predicted]
     figure, axes = pyplot.subplots(1, len(names) + 1, figsize=(3.3 * (len(names) + 1), 2.9), squeeze=False)

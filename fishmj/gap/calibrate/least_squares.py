@@ -1,20 +1,20 @@
-"""Least squares with intervals that hold although neighbouring residuals are alike.
+"""Least squares with intervals that stay valid for correlated residuals.
 
     theta* = argmin sum_b |r_b|^2 / (s_b^2 tau_b) + sum_c ((theta_c - mean_c) / sigma_c)^2
     s_b: root mean square of block b's residual at theta*;  tau_b = 1 + 2 sum rho(k), its correlation in samples (Sokal's window)
 
-Standard deviation of a parameter, the largest of three, because a model is never the robot:
+The standard deviation of a parameter is the largest of three, because a model is never the robot:
 
     curvature   H^-1, H the normal matrix of the above
     trials      jackknife over trials:         (L - 1)/L sum_l |theta_-l - theta*|^2
-    signals     the same over kinds of trial (signal and medium): what another experiment would have said
+    signals     the same over kinds of trial (signal and medium): the effect of another experiment
 
 theta_-l is one Gauss-Newton step from theta* (Efron & Stein 1981). The interval is 90 %, with Student's t of the groups' number.
-Fewer than FEW groups tell no width (t = 6.3): there the curvature stands alone.
+Fewer than FEW groups give no width (t = 6.3): then only the curvature counts.
 
 Residuals beyond a block's `outlier` count by their size instead of their square (Huber 1964, by weights between passes), so that
 a few readings that are no angle do not pull the fit.
-What a calibration is off by although its fit is good (`data/calib/calibrate.toml`) widens every interval.
+The error of a calibration with a good fit (`data/calib/calibrate.toml`) widens every interval.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ AT_BOUND = 1e-3  # of a parameter's range
 
 
 class FreeParameter(NamedTuple):
-    """What is fitted. step: for derivatives; sigma: of the prior about `start`, inf for none."""
+    """A fitted parameter. step: for derivatives; sigma: of the prior about `start`, inf for none."""
 
     name: str
     unit: str
@@ -47,9 +47,9 @@ class FreeParameter(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Where one channel of one trial lies in the residual.
+    """Place of one channel of one trial in the residual.
 
-    group: kind of trial, for the jackknife; its blocks share a weight. sigma: what the residual may be, where that is known.
+    group: kind of trial, for the jackknife; its blocks share a weight. sigma: expected residual, if known.
     outlier: residual from which a sample counts by its size.
     """
 
@@ -61,7 +61,7 @@ class Block(NamedTuple):
 
 
 class ParameterEstimate(NamedTuple):
-    """One parameter with its 90 % interval and what decided its width."""
+    """One parameter with its 90 % interval and the cause of its width."""
 
     name: str
     unit: str
@@ -74,7 +74,7 @@ class ParameterEstimate(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """One way to tell how uncertain the parameters are: their covariance (K, K), and Student's quantile of a 90 % interval."""
+    """One estimate of the parameters' uncertainty: their covariance (K, K), and Student's quantile of a 90 % interval."""
 
     covariance: np.ndarray
     quantile: float
@@ -102,7 +102,7 @@ def fit(
     tick: Tick = lambda share: None,
     begin: np.ndarray | None = None,
 ) -> LeastSquaresFit:
-    """Fit `parameters` so that `residual` becomes small. begin: (K,) where to begin, by default at their `start`."""
+    """Fits `parameters` so that `residual` becomes small. begin: (K,) start point, by default their `start`."""
     theta = np.array([p.start for p in parameters]) if begin is None else np.array(begin)
     before, rounds = residual(theta[None])[0], 0
     weight = _weights(before, blocks)
@@ -116,7 +116,7 @@ def fit(
 
 
 class Minimum(NamedTuple):
-    """Where a descent ended. theta (K,); residual (m,) weighted; slopes (m, K) a step size; held: (K,) bool, at a bound."""
+    """End of a descent. theta (K,); residual (m,) weighted; slopes (m, K) a step size; held: (K,) bool, at a bound."""
 
     theta: np.ndarray
     cost: float
@@ -129,10 +129,10 @@ class Minimum(NamedTuple):
 def minimum(
     parameters: list[FreeParameter], residual: Residual, weight: np.ndarray, begin: np.ndarray, rounds: int, enough: float,
 ) -> Minimum:  # fmt: skip
-    """Least of |weight residual|^2 + prior, by Levenberg and Marquardt; what pushes against its bound stays there.
+    """Minimises |weight residual|^2 + prior by Levenberg and Marquardt; a parameter that pushes against its bound stays there.
 
     Args:
-        begin: (K,). rounds: at most. enough: two rounds in a row that lower the cost by a smaller share are the last.
+        begin: (K,). rounds: at most. enough: two successive rounds that lower the cost by a smaller share end the descent.
     """
     low, high, start, step, sigma = (np.array([getattr(p, key) for p in parameters]) for key in FIELDS)
     theta, small = np.array(begin, float), 0
@@ -162,7 +162,7 @@ def minimum(
 
 
 def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
-    """(m,) 1 / (s sqrt(tau)) of each block, from the blocks of its group: a long memory makes a sample worth less."""
+    """(m,) 1 / (s sqrt(tau)) of each block, from the blocks of its group: correlated samples weigh less."""
     groups: dict[str, list[Block]] = {}
     for b in blocks:
         groups.setdefault(b.group, []).append(b)
@@ -199,7 +199,7 @@ def _prior(parameters: list[FreeParameter], theta: np.ndarray) -> tuple[np.ndarr
 
 
 def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick, done: int) -> tuple[np.ndarray, int]:
-    """Levenberg and Marquardt's way down, after `done` passes; all dampings of a round are tried in one batch."""
+    """Descends by Levenberg and Marquardt, after `done` passes; tries all dampings of a round in one batch."""
     low, high = np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
     start, step = np.array([p.start for p in parameters]), np.array([p.step for p in parameters])
     sigma = np.array([p.sigma for p in parameters])
@@ -224,7 +224,7 @@ def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight,
 
 
 def _spreads(parameters, theta, r, jac, blocks) -> dict[str, Spread]:
-    """Curvature, and the jackknifes over what the blocks are of."""
+    """Curvature, and the jackknifes over trials and groups."""
     from scipy.stats import t as student
 
     step = np.array([p.step for p in parameters])
@@ -253,7 +253,7 @@ def _estimates(parameters, theta, spreads: dict[str, Spread]) -> dict[str, Param
 
 
 def bound_of(parameter: FreeParameter, value: float) -> str:
-    """ "lower" or "upper" where a fitted value lies at that bound, else ""."""
+    """ "lower" or "upper" for a fitted value at that bound, else an empty text."""
     width = parameter.high - parameter.low
     near = AT_BOUND * (width if np.isfinite(width) else abs(parameter.step))
     return "lower" if value <= parameter.low + near else "upper" if value >= parameter.high - near else ""
@@ -266,7 +266,7 @@ def _jackknife(r, jac, blocks, curve, key, groups) -> np.ndarray:
     for group in groups:
         rows = np.concatenate([np.arange(b.where.start, b.where.stop) for b in blocks if key(b) == group])
         part = jac[rows]
-        # theta* itself need not be a root of the slope where a bound holds it: the change is against it
+        # at a bound, theta* need not be a root of the slope: the change is relative to it
         rest, push = normal - part.T @ part, slope - part.T @ r[rows]
         steps.append(
             -np.linalg.solve(rest + 1e-9 * np.diag(np.diag(normal) + 1e-12), push - slope * (len(groups) - 1) / len(groups))
@@ -291,12 +291,12 @@ def correlation_length(r: np.ndarray) -> float:
 
 
 def calibration_table() -> dict:
-    """The whole of `calibrate.toml`."""
+    """The content of `calibrate.toml`."""
     return read_toml(resolve("calibrate"))
 
 
 def widened(estimate: ParameterEstimate) -> ParameterEstimate:
-    """The estimate with the systematic part of its name in sd and interval, added in squares."""
+    """The estimate with the systematic error of its name added in squares to sd and interval."""
     entry = calibration_table()["systematic"].get(estimate.name)
     if entry is None:
         return estimate

@@ -1,11 +1,11 @@
 """Masses, balance point and yaw inertia from a page of weighings (`measurements.toml`).
 
     link        mean of its weighings
-    balance     the head's centre of mass moves until the straight fish balances where it was seen to
+    balance     the head's centre of mass moves until the straight fish balances at the measured point
     pendulum    I = m g (T d/2 / 2 pi)^2 / l,   two threads of length l, d apart, turning about the vertical
-    yaw_inertia what I has beyond the described fish, as an effect of the head
+    yaw_inertia I less that of the described fish, as an effect of the head
 
-A bifilar pendulum about the other two axes would give the rest of the tensor; the fish moves in the plane, so only yaw is asked.
+A bifilar pendulum about the other two axes would give the rest of the tensor; the fish moves in the plane, so only yaw is needed.
 """
 
 from dataclasses import replace
@@ -34,7 +34,7 @@ class Weighed(NamedTuple):
 
 
 def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
-    """Read and turn into masses.
+    """Reads the page and computes the masses.
 
     Raises:
         ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are in g.
@@ -69,7 +69,7 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
 
 
 def described_as(robot: Robot, masses: np.ndarray, com: float) -> Robot:
-    """The robot with these link masses, the head's centre of mass where the straight fish balances at `com` from the nose."""
+    """The robot with these link masses, balanced at `com` from the nose (straight) by moving the head's centre of mass."""
     fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])[:-1]
     place = [link.com or (0.5 * link.length, 0.0, 0.0) for link in robot.links]
     behind = sum(float(m) * (f + c[0]) for m, f, c in list(zip(masses, fronts, place, strict=True))[1:])
@@ -80,7 +80,7 @@ def described_as(robot: Robot, masses: np.ndarray, com: float) -> Robot:
 
 
 def _yaw_inertia(robot: Robot) -> float:
-    """About the balance point of the straight fish, kg m2; every link's shape as it is described."""
+    """Inertia about the balance point of the straight fish, kg m2, with every link's described shape."""
     g = geometry_of(robot)
     x = g.origin + g.com[:, 0]
     middle = float(g.mass @ x / g.mass.sum())

@@ -1,7 +1,7 @@
 """Servo and command latency from joint angles: torque = clip(kp (c(t - delay) - q), +-T) - kd q' - F sign(q').
 
 Fitted at once on sine, square and impulse in air and water (paper: "tuned to step and transient responses"), every sample at its
-own stamp. What the water and the hull do is known to some per cent only: those constants take part with their tolerance.
+own stamp. The forces of water and hull are known to some per cent only: those constants take part with their tolerance.
 
 Latencies two ways: from the clocks alone, and against a model that has the robot's servo and water.
 
@@ -38,7 +38,7 @@ ABRUPT = ("square", "impulse")  # the heading of a steady beat lags by the water
 
 
 class ServoFit(NamedTuple):
-    """The fit on everything, on each medium alone, and what it was fitted to."""
+    """The fit on everything, on each medium alone, and its records."""
 
     plant: ServoStand
     records: list[Record]
@@ -48,11 +48,12 @@ class ServoFit(NamedTuple):
 
     @property
     def estimates(self) -> dict[str, ParameterEstimate]:
+        """Estimates of the free servo parameters by name."""
         return {name: self.whole.estimates[name] for name in FREE}
 
     @property
     def hull(self) -> list[dict]:
-        """Constants of hull and water, factors: how many tolerances the trials pushed each of them, and whether to a bound."""
+        """Constants of hull and water, factors: shift of each in tolerances, and its bound if it lies there."""
         found = [(self.whole.estimates[c.name], c.sigma) for c in STAND_CONSTANTS[2:]]
         return [
             {"constant": e.name, "factor": e.value, "tolerance": s, "off by": abs(e.value - 1.0) / s, "at bound": e.bound}
@@ -61,7 +62,7 @@ class ServoFit(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Which of them were pushed too far; empty when none was."""
+        """Text on the constants that were pushed too far; empty if there is none."""
         far = [f"{row['constant']} {row['factor']:.2f}" for row in self.hull if row["off by"] > STRAINED]
         return f"the model's water is not that of the trials: {', '.join(far)} of the described values" if far else ""
 
@@ -75,14 +76,14 @@ class BadFit(LogError):
 
 
 def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars = silent) -> ServoFit:
-    """Fit kp, kd, friction and command latency to the bench trials of `logs`.
+    """Fits kp, kd, friction and command latency to the bench trials of `logs`.
 
     Args:
-        alone: fit air and water by themselves as well: two media that disagree are a missing effect. bars: of the fits.
+        alone: also fit air and water separately: a disagreement of two media is a missing effect. bars: of the fits.
 
     Raises:
-        LogError: too few trials with joint angles and moving commands. BadFit: they leave a number open, or the fit leaves
-            more of a joint's movement than its noise explains.
+        LogError: too few trials with joint angles and moving commands. BadFit: they leave a number undetermined, or the fit
+            leaves more of a joint's movement than its noise explains.
     """
     records = logs.records(plant.dt, logs.bench())
     media = [m for m in MEDIA if any(r.medium == m for r in records)] if alone else []
@@ -128,7 +129,7 @@ def unexplained(records: list[Record], after: np.ndarray) -> list[str]:
 
 
 def parameters(plant: ServoStand) -> list[FreeParameter]:
-    """What is free, and the hull's constants within their tolerance."""
+    """Free parameters, and the hull's constants within their tolerance."""
     s, late = plant.robot.servo, plant.latency
     free = [
         FreeParameter("kp", "N m/rad", s.kp, 0.02 * s.kp, 0.1 * s.kp, 10 * s.kp),
@@ -140,7 +141,7 @@ def parameters(plant: ServoStand) -> list[FreeParameter]:
 
 
 def open_numbers(plant: ServoStand, estimates: dict[str, ParameterEstimate]) -> list[str]:
-    """Of what is free, the numbers that the trials leave open: an interval as wide as the number, or one at its bound."""
+    """Free parameters that the trials leave undetermined: an interval as wide as the number, or one at its bound."""
     out = []
     for p in (p for p in parameters(plant) if p.name in FREE):
         e = estimates[p.name]
@@ -161,7 +162,7 @@ def row_of(plant: ServoStand, theta) -> np.ndarray:
 
 
 def fitted(plant: ServoStand, records: list[Record], bar: Bar, before: int) -> LeastSquaresFit:
-    """The fit on some records. bar: of all fits; before: of them that are done."""
+    """The fit on some records. bar: of all fits; before: number of finished ones."""
     blocks, size = [], 0
     for record in records:
         for column in angles(record).values.T:
@@ -179,7 +180,7 @@ def fitted(plant: ServoStand, records: list[Record], bar: Bar, before: int) -> L
 
 
 class LatencyRow(NamedTuple):
-    """One trial: lags in s, NaN where none could be told."""
+    """One trial: lags in s, NaN if none was found."""
 
     trial: str
     path: str  # command or camera
@@ -199,7 +200,7 @@ def calibrate_latency(logs: Logs, servo: ServoFit) -> Latencies:
     """Both latencies from the bench and the swims.
 
     Raises:
-        LogError: no lag could be told on any trial.
+        LogError: no lag was found on any trial.
     """
     names = [*logs.bench(), *logs.of("water", SWIMS)]
     records = logs.records(servo.plant.dt, names)
@@ -235,7 +236,7 @@ def _rows(record: Record, predicted: dict) -> list[LatencyRow]:
 
 
 def _mean(rows: list[LatencyRow], path: str, name: str, nominal: float) -> ParameterEstimate:
-    """Mean of what is more than the model's, with the trials' scatter."""
+    """Mean excess over the model's lag, with the trials' scatter."""
     more = np.array([row.measured - row.model for row in rows if row.path == path])
     if len(more) < 2:
         raise LogError(f"{name}: {len(more)} trials show a lag; record sine, square or impulse at least twice")

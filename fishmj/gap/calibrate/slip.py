@@ -1,11 +1,11 @@
-"""Friction of the hull: which slip ratio s of the flow solver makes its fish swim and coast as the logged one does.
+"""Friction of the hull: the slip ratio s with which the flow solver's fish swims and coasts like the logged one.
 
     J(s, g) = sum_k ((m_k - p_k(s) sqrt(g)^[k is a swim]) / (e m_k))^2 + ((g - 1) / e_g)^2,       profile J(s) = min over g
 
 m: speed at 1 Hz, speed at another beat, distance of a coast-down, each over the same seconds of every swim. g: thrust against
-drag, which no single swim can tell from friction: for every s some g explains it. The coast has no thrust. Interval: J up to 2.71
-above its least (90 %). J at its least says whether any s explains the swims: chi square of as many degrees of freedom as there
-are metrics, less one for s.
+drag. No single swim can tell g from friction: for every s some g explains it. The coast has no thrust. Interval: J up to 2.71
+above its minimum (90 %). The minimum of J tests that some s explains the swims: chi square with as many degrees of freedom as
+metrics, less one for s.
 
 p_k(s) is a table of solver swims. Between its entries 1 / speed^2 is taken as straight in 1 - s, as near s = 1 it is: the wall's
 stress is rho c times the speed at which water slides along it, c = -ln(s) dx / dt, and drag over thrust is a + b c.
@@ -48,12 +48,12 @@ class Profile(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What the profile says beyond the interval."""
+        """Result of the profile besides the interval."""
         return self.doubt or f"J = {self.cost.min():.2f} at its least, {len(self.predicted)} metrics"
 
     @property
     def doubt(self) -> str:
-        """Why the estimate is none; "" where it is one."""
+        """Reason that the estimate is invalid; "" if it is valid."""
         from scipy.stats import chi2
 
         e, least = self.estimate, float(self.cost.min())
@@ -81,7 +81,7 @@ def measured(trials: Iterable[Trial]) -> dict[str, tuple[float, int]]:
     """Mean over the repeats and their number: speed [m/s] of each swim, distance [m] of the coast.
 
     Raises:
-        LogError: no swim and no coast among them that is long enough.
+        LogError: no swim and no coast among them is long enough.
     """
     found: dict[str, list[float]] = {}
     for trial in trials:
@@ -103,7 +103,7 @@ def measured(trials: Iterable[Trial]) -> dict[str, tuple[float, int]]:
 
 
 def metric(name: str, pose: Table) -> float:
-    """Speed or distance over the metric's window; NaN where the trial is too short."""
+    """Speed or distance over the metric's window; NaN if the trial is too short."""
     t, (first, last) = np.asarray(pose["t"], float), WINDOW[name]
     if t[0] > first - EDGE or t[-1] < last + EDGE:
         return float("nan")
@@ -114,13 +114,13 @@ def metric(name: str, pose: Table) -> float:
 
 
 def table_name(entry: Mapping) -> str:
-    """What a table of solver swims is asked for by: its grid, and a boundary that is not plain, as `window_coarse, rims`."""
+    """Name of a table of solver swims: its grid, and its boundary unless plain, as `window_coarse, rims`."""
     boundary = entry.get("boundary", "plain")
     return entry["grid"] if boundary == "plain" else f"{entry['grid']}, {boundary}"
 
 
 def least_slip(grid: str, metrics: Iterable[str]) -> float:
-    """Roughest hull for which the table of a grid has all of the metrics that it has; beyond it nothing is known."""
+    """Least slip ratio at which the table of a grid has all of its metrics; below it nothing is known."""
     least = 0.0
     for entry in calibration_table()["solver"]:
         for name in metrics if table_name(entry) == grid else ():
@@ -130,7 +130,7 @@ def least_slip(grid: str, metrics: Iterable[str]) -> float:
 
 
 def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
-    """Metrics of the solver's fish on one grid at slip ratios s (S,); NaN where it never swam.
+    """Metrics of the solver's fish on one grid at slip ratios s (S,); NaN outside its swims.
 
     Raises:
         UnknownName: no table of that grid.
@@ -151,7 +151,7 @@ def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _between(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Monotone between neighbouring entries, NaN beyond the last."""
+    """Monotone interpolation between entries, NaN beyond the last."""
     from scipy.interpolate import PchipInterpolator
 
     order = np.argsort(x)
@@ -181,16 +181,16 @@ def profile(found: dict[str, tuple[float, int]], grid: str) -> Profile:
 
 
 def grid_of(trials: Iterable[Trial]) -> str:
-    """The grid that a trial of the flow solver names; the finest table for logs of anything else."""
+    """The grid that a trial of the flow solver names; for other logs the finest table."""
     return next((str(name) for trial in trials if (name := trial.value("grid.domain", ""))), "window")
 
 
 def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folder: Path, boundary: str = "plain") -> dict:
-    """One entry of the table: the nominal fish in the solver, without noise, at every ratio.
+    """Computes one entry of the table: the nominal fish in the solver, without noise, at every ratio.
 
     Args:
-        device: one, or several (`devices_of`). tanks: swims side by side on each. folder: finished swims are kept there, and not
-            run again. boundary: of `BOUNDARIES`.
+        device: one, or several (`devices_of`). tanks: swims side by side on each. folder: for finished swims, which are not
+            repeated. boundary: of `BOUNDARIES`.
     """
     from dataclasses import replace
     from functools import partial
@@ -230,7 +230,7 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folde
 
 
 def _metrics(waiting, device: str, go_on, *, tanks: int):
-    """Jobs and their metrics as they are finished, `tanks` side by side on one device (`spread`)."""
+    """Yields jobs and their metrics as they are finished, `tanks` side by side on one device (`spread`)."""
     from fishmj.gap.laboratory.hidden_lbm.hidden import swum, trial_of
 
     for run in swum(waiting, device, tanks):

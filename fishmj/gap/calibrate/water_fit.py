@@ -1,17 +1,17 @@
-"""Water from free swims: the coefficients of the strips with which the described fish swims as the logged one did.
+"""Fits the strip coefficients so that simulated free swims match the logged ones.
 
     rates    velocity ahead, to the left, and yaw rate of the body over 0.2 s, and their means over 2 s
     r        (measured - simulated) / tolerance, whole free runs from the start pose
     theta*   by least squares from two starts; a mean counts as much as (`RATE` / `MEAN`)^2 of its rates: their error is mostly
              the beat's and hides a mean that is wrong by a tenth
 
-Coefficients stand in for each other: a fish cannot tell drag from thrust at one speed, and no strip is the real water. So what is
-told are quantities that the body feels (water_plant.physical) with intervals, and how wrong the fish still is on swims that the
-fit has not seen: the kinds of swim lie in folds, each is predicted by a fit to the others. Servo and latencies are taken as they
-are described: calibrate them first.
+Coefficients stand in for each other: a fish cannot tell drag from thrust at one speed, and no strip is the real water. So the
+result states body-level quantities (water_plant.physical) with intervals, and the fish's error on swims outside the fit: the
+kinds of swim lie in folds, and each fold is predicted by a fit to the others. Servo and latencies are taken from the description:
+calibrate them first.
 
-Intervals are 90 %: what the noise leaves open (curvature) and what the fits to the folds disagree by (a jackknife, delete one
-fold, refitted), in squares. The second is the structural part: a form that is not the water's says something else on other swims.
+Intervals are 90 %: two standard errors, from the curvature (noise) and from a delete-one-fold jackknife with refits, added in
+quadrature. The second is the structural part: a wrong form of water gives other coefficients on other swims.
 """
 
 from collections.abc import Iterable
@@ -61,12 +61,12 @@ class HeldOut(NamedTuple):
 
     @property
     def speed_error(self) -> float:
-        """Relative; NaN of a fish that hardly moves."""
+        """Relative speed error; NaN for a fish that hardly moves."""
         return abs(self.simulated / self.speed - 1.0) if self.speed > SLOW else np.nan
 
 
 class WaterFit(NamedTuple):
-    """The fit to all swims, what it says of the body, and how it does on swims left out, before and after."""
+    """The fit to all swims, its body-level quantities, and its errors on swims left out, before and after."""
 
     plant: WaterPlant
     records: list[Record]
@@ -89,7 +89,7 @@ class WaterFit(NamedTuple):
 
     @property
     def speed_error(self) -> ParameterEstimate:
-        """Of swims that the fit has not seen, relative: mean, least and worst."""
+        """Relative speed error on swims outside the fit: mean, least and worst."""
         errors = np.array([swim.speed_error for swim in self.after])
         errors = errors[np.isfinite(errors)] if np.isfinite(errors).any() else np.full(1, np.nan)
         mean, least, worst = (float(f(errors)) for f in (np.mean, np.min, np.max))
@@ -97,12 +97,13 @@ class WaterFit(NamedTuple):
 
 
 def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> tuple[Robot, WaterFit]:
-    """The robot in the water that its free swims show, and what the fit says; nothing is read or written.
+    """The robot in the water of its free swims, and the fit; nothing is read or written.
 
     Args:
-        trials: free swims, as a generator or a log folder gives them; names apart, or they are numbered.
+        trials: free swims from a generator or a log folder; equal names are numbered.
+
     Raises:
-        LogError: too few swims or kinds of swim, or joints that are not the robot's.
+        LogError: too few swims or kinds of swim, or joints that do not match the robot.
     """
     listed = list(trials)
     named = {trial.name or f"{i:03d}": trial for i, trial in enumerate(listed)}
@@ -113,7 +114,7 @@ def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> 
 
 
 def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent) -> WaterFit:
-    """Fit the water to the free swims of `logs`.
+    """Fits the water to the free swims of `logs`.
 
     Raises:
         LogError: too few swims or kinds of swim.
@@ -138,7 +139,7 @@ def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent) -> WaterFit
 
 
 def swims(logs: Logs) -> list[str]:
-    """Trials in water that a camera saw, in which the fish beat its tail or was let go.
+    """Trials in water with a camera, in which the fish beats its tail or was launched.
 
     Raises:
         LogError: too few of them, or all of one kind.
@@ -157,19 +158,19 @@ def swims(logs: Logs) -> list[str]:
 
 
 def pose_of(record: Record) -> Sensor:
-    """What the camera saw. Raises LogError where there is none."""
+    """The camera's poses. Raises LogError without any."""
     if record.pose is None:
         raise LogError(f"trial {record.name}: no table pose; water is calibrated by how the fish moves")
     return record.pose
 
 
 def kind_of(record: Record) -> str:
-    """What was swum; a swim without a name is a kind of its own."""
+    """Kind of a swim; a swim without a name is its own kind."""
     return record.excitation or record.name
 
 
 def folded(records: list[Record]) -> list[list[int]]:
-    """Numbers of the records in each fold; repeats of one experiment lie in one, or a swim would be known beforehand."""
+    """Indices of the records in each fold; repeats of one experiment share a fold, so that none is known from another."""
     kinds = list(dict.fromkeys(map(kind_of, records)))
     fold_of = {kind: i % FOLDS for i, kind in enumerate(kinds)}
     folds = [[i for i, r in enumerate(records) if fold_of[kind_of(r)] == fold] for fold in range(FOLDS)]
@@ -177,7 +178,7 @@ def folded(records: list[Record]) -> list[list[int]]:
 
 
 class Movement(NamedTuple):
-    """How the rates of one record are taken: the windows of its stamps, and what its fish may be off by."""
+    """Rates of one record: the windows of its stamps, the measured rates, and the tolerance of simulated ones."""
 
     first: np.ndarray  # (W,) first stamp of each window
     counts: np.ndarray  # (W,)
@@ -187,7 +188,7 @@ class Movement(NamedTuple):
 
     @classmethod
     def of(cls, pose: Sensor) -> "Movement":
-        """Of what a camera saw."""
+        """Rates of a camera's poses."""
         number = np.floor(pose.t / SHORT).astype(int)
         _, first, counts = np.unique(number, return_index=True, return_counts=True)
         blank = cls(first, counts, np.add.reduceat(pose.t, first) / counts, np.empty(0), np.empty(0))
@@ -230,7 +231,7 @@ def fitted(plant: WaterPlant, records: list[Record], begin: np.ndarray, rounds: 
 
 
 def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[dict, dict]:
-    """Estimates of the coefficients and of what the body feels. others: (F, K) fits, each without one fold."""
+    """Estimates of the coefficients and of the body-level quantities. others: (F, K) fits, each without one fold."""
     parameters = plant.parameters()
     step, prior = np.array([p.step for p in parameters]), np.array([p.sigma for p in parameters])
     free = np.flatnonzero(~whole.held)
@@ -272,7 +273,7 @@ def predicted(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> li
 
 
 def loose_servo(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> str:
-    """What to say where the measured joints do not move as far as the described servo moves them; "" where they do."""
+    """Warning if the measured joints do not move as far as those of the described servo; "" if they do."""
     seen = plant.predict(records, plant.rows(theta[None]))
     spans = [(r.joint.values.std(), p["joint"][0].std()) for r, p in zip(records, seen, strict=True) if r.joint is not None]
     ratios = [measured / made for measured, made in spans if made > QUIET / 2]

@@ -1,11 +1,11 @@
-"""The fish whose water a calibration turns (gap/models/strip_water.py), and what its water does.
+"""The fish with adjustable water for a calibration (gap/models/strip_water.py), and the forces of its water.
 
-What such a water does to a body, in SI units, which a lab can measure and another form of water has, too (`physical`):
+Body-level quantities of such a water, in SI units, which a lab can measure and other forms of water have, too (`physical`):
 
     drag       N      of the straight fish, carried ahead at 0.2 m/s
     side drag  N      the same to its left;  yaw drag, N m: turned about its reference point at 1 rad/s
     thrust     N      mean force ahead over a beat of the fish whose head is carried straight at 0.2 m/s and whose joints follow
-                      1 Hz, 30 deg, 60 deg lag exactly: what the tail pushes less what the body drags
+                      1 Hz, 30 deg, 60 deg lag exactly: the tail's thrust less the body's drag
     sway mass  kg     lateral force over lateral acceleration, of the straight fish at rest
     yaw mass   kg m2  moment over angular acceleration about the reference point, the same
 """
@@ -21,10 +21,10 @@ SPEED, RATE, FREQUENCY, SWING, LAG = 0.2, 1.0, 1.0, np.radians(30.0), np.radians
 
 
 class WaterPlant(StripWater):
-    """Args: robot: description, path or name. Its water is that of its own strips."""
+    """Plant of a water calibration. Args: robot: description, path or name. Its water is that of its own strips."""
 
     def parameters(self) -> list[FreeParameter]:
-        """What is turned: coefficients, within so many times their prior (data/calib/hydro_fit.toml), and the strips' shape."""
+        """Fitted coefficients, within multiples of their prior (data/calib/hydro_fit.toml), and the strips' shape."""
         wider, out = calibration_table()["water"]["wider"], []
         for constant, r in zip(self.constants, self.ranges(), strict=True):
             sigma = r.sigma if constant.name in strip_forces.SHAPE else wider * r.sigma
@@ -32,7 +32,7 @@ class WaterPlant(StripWater):
         return out
 
     def starts(self) -> np.ndarray:
-        """(S, K) where a fit begins: as described, and a tail that is a wing, which is another valley."""
+        """(S, K) start points of a fit: as described, and with a wing-like tail, which is another valley."""
         first = np.array([p.start for p in self.parameters()])
         names, other = [p.name for p in self.parameters()], first.copy()
         for name, value in calibration_table()["water"]["wing"].items():
@@ -40,7 +40,7 @@ class WaterPlant(StripWater):
         return np.stack([first, other])
 
     def table(self, theta: np.ndarray) -> dict:
-        """The `[water]` table of a description in which this water is."""
+        """The `[water]` table of a description with this water."""
         c = self.water([float(value) for value in theta])
         angles = {f"{key}_deg": float(np.degrees(getattr(c, key))) for key in ("stall_angle", "stall_width")}
         made = {key: value for key, value in c._asdict().items() if f"{key}_deg" not in angles} | angles
@@ -56,14 +56,14 @@ PHYSICAL = {"drag": "N", "side_drag": "N", "yaw_drag": "N m", "thrust": "N", "sw
 
 
 def physical(ch: planar_chain.Chain, sw: planar_chain.Swimmer) -> dict[str, np.ndarray]:
-    """The quantities above, of coefficients that are scalars or (R,) arrays."""
+    """The quantities above, from coefficients that are scalars or (R,) arrays."""
     still, size = [(0.0, 0.0)] * ch.n, ch.n + 2
     rest = [0.0] * size
 
     def braked(freedom: int, rate: float):
         """Force or moment against one steady motion; head axes, (x, y, moments of each link about its hinge)."""
         k = planar_chain.kinematics(np, ch, rest, [rate if i == freedom else 0.0 for i in range(size)], still)
-        # at rest the flow along a straight tail is attached, from the side it is not: alpha is 90 deg
+        # flow along a straight tail is attached, flow from the side is not: alpha is 90 deg
         held = 1.0 if freedom == 0 else 0.0
         force = planar_chain.gather(ch, k, planar_chain.water_forces(np, ch, sw, k, 0.0, (0.0, 0.0), held))
         return -sum(force[2:]) if freedom == 2 else -force[freedom]
@@ -78,7 +78,7 @@ def physical(ch: planar_chain.Chain, sw: planar_chain.Swimmer) -> dict[str, np.n
 
 
 def carried_thrust(ch: planar_chain.Chain, sw: planar_chain.Swimmer, speed: float = SPEED) -> np.ndarray:
-    """Mean force ahead over the second beat of the fish whose head is carried straight at `speed`, N."""
+    """Mean force ahead over the second beat of the fish whose head is carried straight at `speed` [m/s], N."""
     joints, omega = np.arange(ch.n - 1), 2 * np.pi * FREQUENCY
     still, steps = [(0.0, 0.0)] * ch.n, round(1.0 / FREQUENCY / ch.dt)
     attached, total = 0.5, np.zeros(())

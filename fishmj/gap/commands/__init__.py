@@ -1,1 +1,1 @@
-"""The commands of `fishmj gap`, and what they share."""
+"""The commands of `fishmj gap`, and their shared parts."""

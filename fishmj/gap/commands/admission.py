@@ -1,17 +1,17 @@
-"""What is asked of a model and of logs before a search: so that no name comes out of nothing, or of a mistake.
+"""Checks of a model and of logs before a search, so that no name comes out of nothing, or of a mistake.
 
 searchable, null_fits   the search traces the model's links into one compiled step and repeats every record with `virtual_robot`,
                         which must have equations for it
-admitted                the trials that are the model's: what goes by another name may still be the same robot, which is the
-                        user's to say; and that a robot can have swum (log/physical_checks.py)
+admitted                the trials of the model's robot: another name may still be the same robot, which the
+                        user must confirm; and only motions that a robot can have swum (log/physical_checks.py)
 insufficient_data       too few     one record cannot both fit and judge
                         too short   no record lasts 2 s: less than two beats
                         too quiet   no command moves, nothing was pushed, no water flowed: every effect predicts the same rest
-admit                   a gap so large that no missing effect is meant by it: other units, a sign, another frame, another robot
+admit                   a gap too large for any missing effect: other units, a sign, another frame, another robot
 
 One or two effects of the catalogue, at up to one and a half times their typical size, reach a gap of 1000 in nine of 1440 blind
 sets of the benchmark (tethers, stiff skins, up to 18,946: docs/figures/gap/bench_2010.json, bench_2011.json). So a search stops
-where a cause is recognised, from FAR on in one channel, and in any case from BEYOND on; docs/search/results.md says
+at a recognised cause from FAR on in one channel, and in any case from BEYOND on; docs/search/results.md states
 how often that is wrong.
 """
 
@@ -44,7 +44,7 @@ SHIPPED = "fish"  # what the null sets swam as, which say a name only
 
 
 def searchable(robot: Robot, model: object) -> None:
-    """Raise ConfigError when the search cannot take this robot. model: what the user called it."""
+    """Raises ConfigError if the search cannot take this robot. model: the user's name for it."""
     buildable(robot, model)
     if residual_of(robot) is not None:
         name = label(robot)
@@ -64,9 +64,10 @@ def admitted(
     """The trials of a data set that can be compared with the model, and notes on them.
 
     Args:
-        agreed: logs of another name are meant. anyway: take what no robot does.
+        agreed: accept logs of another name. anyway: accept physically impossible motion.
+
     Raises:
-        LogError: no trial, another number of joints, another robot's name that nobody agreed to, or what no robot does (a
+        LogError: no trial, another number of joints, another robot's name without agreement, or impossible motion (a
             mirrored camera, a joint against its command).
     """
     given = datasets.readable_trials(data, robot.timing.physics_dt)
@@ -82,7 +83,7 @@ def admitted(
 
 
 def unphysical(trials: Iterable[Trial], only: Iterable[str] = ()) -> str:
-    """Breaches of the physical checks that forbid a comparison with a model, in one line; "" where there are none.
+    """Breaches of the physical checks that forbid a comparison with a model, in one line; "" without any.
 
     only: names of checks; all by default.
     """
@@ -100,12 +101,13 @@ def unphysical(trials: Iterable[Trial], only: Iterable[str] = ()) -> str:
 
 
 def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: bool = False) -> list[str]:
-    """Notes on whose the trials are.
+    """Notes on the robot of the trials.
 
     Args:
-        model: what the user called the robot. agreed: logs of another name are meant (`--same-robot`).
+        model: the user's name for the robot. agreed: accept logs of another name (`--same-robot`).
+
     Raises:
-        LogError: another number of joints, or another robot's name that nobody agreed to.
+        LogError: another number of joints, or another robot's name without agreement.
     """
     said: Counter[str] = Counter()
     for trial in trials:
@@ -126,7 +128,7 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
 
 
 def joints_of(trial: Trial) -> int:
-    """Joints that were commanded, or else measured; 0 where neither table is there."""
+    """Number of commanded joints, or else of measured ones; 0 without either table."""
     for table, letter in (("cmd", "c"), ("joint", "j")):
         columns = trial.tables.get(table, {})
         if columns:
@@ -135,7 +137,7 @@ def joints_of(trial: Trial) -> int:
 
 
 def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
-    """Raise ConfigError when null sets were swum by another robot than the questioned model's."""
+    """Raises ConfigError if null sets were swum by another robot than the questioned model's."""
     if not isinstance(null, RecordedNull):
         return
     trial = trials_of(null.bundles[0])[0]
@@ -151,7 +153,7 @@ def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
 
 
 def differences(one: Robot, other: Robot) -> list[str]:
-    """Fields in which two descriptions differ, water, effects and names apart."""
+    """Fields in which two descriptions differ, apart from water, effects and names."""
     bare = [replace(r, effects=(), water={}, name="", title="") for r in (one, other)]
     out = [key for key in ("links", "fins", "density_water") if getattr(bare[0], key) != getattr(bare[1], key)]
     for table in ("servo", "timing"):
@@ -164,27 +166,27 @@ def differences(one: Robot, other: Robot) -> list[str]:
     return out
 
 
-# ----------------------------------------------------------------------------------------------------------------- enough to tell
+# -------------------------------------------------------------------------------------------------------------- sufficient data
 FEWEST, SHORTEST, QUIETEST = 2, 2.0, np.radians(1.0)  # records, s, rad of command from end to end
 NEXT = 4  # excitations to suggest
 
 
 @dataclass(frozen=True)
 class InsufficientData:
-    """Why nothing can be told. confounded: effects that these records cannot tell apart. record: excitations to do next."""
+    """Reason that nothing can be named. confounded: effects that these records cannot separate. record: excitations to record."""
 
     reason: str
     confounded: tuple[str, ...]
     record: tuple[str, ...]
 
     def text(self) -> str:
-        """For a terminal."""
+        """Text for a terminal."""
         names, todo = ", ".join(map(title, self.confounded)), ", ".join(self.record)
         return f"{self.reason}\nconfounded: {names}\nrecord next: {todo} (fishmj.log.excitation; two runs of each)"
 
 
 def insufficient_data(given: Taken, robot: Robot) -> InsufficientData | None:
-    """What a data set lacks to tell effects apart, those that change the mean of a log; None when nothing."""
+    """Missing data that prevent a separation of the effects that change the mean of a log; None if nothing is missing."""
     records = [record_of(t, robot.timing.physics_dt) for t in given.trials.values()]
     moved = max(float(np.ptp(r.commands, 0).max()) for r in records)
     alone = not any(np.any(r.push) or np.any(r.flow) for r in records)
@@ -205,7 +207,7 @@ def insufficient_data(given: Taken, robot: Robot) -> InsufficientData | None:
 
 
 def channels(records: list[Record]) -> set[str]:
-    """Channels that were measured."""
+    """Measured channels."""
     has = lambda name: any(getattr(r, name) is not None for r in records)
     found = {"joint"} if has("joint") else set()
     return found | ({"position", "heading"} if has("pose") else set()) | ({"power"} if has("power") else set())
@@ -228,7 +230,7 @@ MOVES = {"joint": 0.02, "yaw": 0.05, "path": 0.05, "power": 0.2}  # rad, rad, m,
 
 
 class TooDifferent(FishmjError):
-    """Model and logs are so far apart that a search would only name what imitates the mistake."""
+    """Model and logs are so far apart that a search would only name an imitation of the mistake."""
 
     def __init__(self, gap: float, channels: dict[str, float], causes: list[str]):
         parts = ", ".join(f"{name} {value:.3g}" for name, value in channels.items())
@@ -237,7 +239,7 @@ class TooDifferent(FishmjError):
         self.gap, self.channels, self.causes = gap, channels, causes
 
     def told(self, json: bool, **more: object) -> int:
-        """Say it, as JSON too where that is asked for; the exit code."""
+        """Prints the error, as JSON too if that is asked for; returns the exit code."""
         console.say(str(self), *(f"  {cause}" for cause in self.causes), "search all the same with --anyway")
         if json:
             console.emit_json({"reason": str(self), "gap": self.gap, "channels": self.channels, "causes": self.causes} | more)
@@ -253,20 +255,21 @@ class Pair(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Of amplitudes."""
+        """Ratio of amplitudes, measured over predicted."""
         return float(np.std(self.measured) / max(np.std(self.predicted), 1e-12))
 
     @property
     def correlation(self) -> float:
+        """Correlation of measured and predicted values; 0 if either is constant."""
         scale = float(np.std(self.measured) * np.std(self.predicted))
         return float(np.mean(self.measured * self.predicted)) / scale if scale > 0 else 0.0
 
 
 def admit(e: Likelihood, anyway: bool = False) -> None:
-    """Let a search go on, or not. anyway: the user has said that such a gap is meant.
+    """Lets a search go on, or raises. anyway: the user has confirmed such a gap.
 
     Raises:
-        TooDifferent: the gap is beyond BEYOND, or beyond FAR with a cause that is recognised, and nobody agreed to it.
+        TooDifferent: the gap is beyond BEYOND, or beyond FAR with a recognised cause, without confirmation.
     """
     gap, channels = e.over_floor(e.model.null)
     if anyway or max(gap, *channels.values()) <= FAR:
@@ -316,7 +319,7 @@ def pair(sets, sensor: str, column: int) -> Pair | None:
 
 
 def following(sets, i: int) -> float:
-    """Best correlation of a joint with its own prediction, later by one of LATE."""
+    """Best correlation of a joint with its own prediction, delayed by one of LATE."""
     found = -1.0
     for late in LATE:
         shifted = []
@@ -331,12 +334,12 @@ def following(sets, i: int) -> float:
 
 
 def moves(p: Pair, kind: str) -> bool:
-    """Whether the model moves enough for a ratio to say something."""
+    """Returns True if the model moves enough for a meaningful ratio."""
     return float(np.std(p.predicted)) > MOVES[kind]
 
 
 def units(name: str, p: Pair, kind: str) -> list[str]:
-    """Whether the amplitudes have the ratio of two units."""
+    """Text if the amplitudes have the ratio of two units; else []."""
     for factor, unit in UNITS[kind]:
         for ratio, text in ((p.ratio, f"in {unit}"), (1 / max(p.ratio, 1e-12), f"divided by {factor:g} once too often")):
             if factor / NEAR < ratio < factor * NEAR:
@@ -345,10 +348,10 @@ def units(name: str, p: Pair, kind: str) -> list[str]:
 
 
 def of_joint(i: int, p: Pair | None, joints: list, late: Callable[[], float] = lambda: -1.0) -> list[str]:
-    """Unit, sign, order, zero, power.
+    """Likely causes for one joint: unit, sign, order, zero, power.
 
-    late: best correlation with its own prediction some time later. In a gait a joint moves as the one before it, a sixth of a
-    beat later: a joint that is late is not another one.
+    late: best correlation with its own delayed prediction. In a gait a joint moves like the one before it, a sixth of a
+    beat later, so a late joint must not be taken for another one.
     """
     name = f"joint {i + 1}"
     if p is None:
@@ -371,14 +374,14 @@ def of_joint(i: int, p: Pair | None, joints: list, late: Callable[[], float] = l
 
 
 def _across(p: Pair, other: Pair) -> float:
-    """Correlation of what one joint does with what another was predicted to do."""
+    """Correlation of one joint's measurement with another's prediction."""
     if len(p.measured) != len(other.predicted):
         return -1.0
     return p._replace(predicted=other.predicted).correlation
 
 
 def of_path(sets) -> list[str]:
-    """Unit, mirror, turn of the frame, and the place where the fish was put."""
+    """Likely causes for the path: unit, mirror, rotation of the frame, and start place of the fish."""
     steps, away = [], []
     for record, prediction in sets:
         if record.pose is None:

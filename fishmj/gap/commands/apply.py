@@ -1,8 +1,8 @@
 """`gap apply REPORT`: the next version of the model, from what a search found; `--revert MODEL` goes back.
 
 REPORT is the folder (or verdict.json) of gap find --out. Written: <fish>.v<N>.toml with the effects, their intervals, the data's
-hash, gates and rivals; its parent's text beside it; a .diff of the MJCF where MuJoCo holds an effect itself. Nothing is written
-over. Only a NAMED effect that closes the gap on the records that judge it becomes a version; any other candidate is kept as
+hash, gates and rivals; its parent's text beside it; a .diff of the MJCF if MuJoCo itself can hold an effect. Nothing is
+overwritten. Only a NAMED effect that closes the gap on the judging records becomes a version. Any other candidate is kept as
 model.rejected-<hash>.toml with its scores, and the exit code is 1.
 
     fishmj gap apply report --out my_fish.v2.toml
@@ -30,8 +30,10 @@ HELD_OUT = "the held-out fold, which the last fit saw: there were too few record
 
 
 class Written(NamedTuple):
-    """Outcome of applying a verdict. path: the version, the rejected candidate, or None where there was no candidate. gap_before,
-    gap_after: the pair of the verdict."""
+    """Outcome of applying a verdict. path: the version, the rejected candidate, or None without a candidate.
+
+    gap_before, gap_after: the pair of the verdict.
+    """
 
     path: "Path | None"
     accepted: bool
@@ -43,6 +45,7 @@ class Written(NamedTuple):
 
 
 def main(argv: list[str]) -> int:
+    """The command `gap apply`. Returns the exit code."""
     parser = console.parser("gap apply", __doc__ or "")
     add = parser.add_argument
     add("report", nargs="?", type=console.path, help="folder or verdict.json of gap find --out")
@@ -81,13 +84,13 @@ def main(argv: list[str]) -> int:
 def apply(
     report: Path, out: "Path | None" = None, data: "Path | None" = None, force: bool = False, counted_in: bool = False
 ) -> Written:
-    """The next version from a report on disk; measures both gaps on the records that the report names.
+    """Makes the next version from a report on disk; measures both gaps on the records that the report names.
 
-    counted_in: with the effects that were fitted beside the named ones, and not named.
+    counted_in: also apply minor effects: fitted jointly, below the naming threshold.
 
     Raises:
-        ConfigError: not a report, model or data are not what the search saw, or a file of the version's name is there.
-        LogError: a record that the gap is measured on cannot be read.
+        ConfigError: not a report, model or data differ from those of the search, or a file of the version's name exists.
+        LogError: a record for the measurement of the gap cannot be read.
     """
     from fishmj.gap.commands import reported
 
@@ -116,8 +119,10 @@ def apply(
 def settle(
     verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False, counted_in: bool = False
 ) -> Written:
-    """Write the version to `out`, or the rejected candidate into `folder`. measure: [parent, candidate] -> what
-    `check.gaps` says of them on the records that the report judges by. counted_in: as `apply`."""
+    """Writes the version to `out`, or the rejected candidate into `folder`.
+
+    measure: [parent, candidate] -> result of `check.gaps` on the report's judging records. counted_in: as `apply`.
+    """
     answer, parent = verdict["answer"], load_robot(context["model"])
     if not verdict["effects"]:
         return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
@@ -155,10 +160,10 @@ def settle(
 
 
 def verdict_on(answer: str, told: tuple, judged: tuple, over_floor: tuple, which: str = UNSEEN) -> tuple[bool, str]:
-    """Decides whether a candidate becomes a version, and says why.
+    """Decides whether a candidate becomes a version, with the reason.
 
     Args:
-        told: the gap of the verdict; judged, over_floor: gap and residual on the records that judge, in words `which`. All are
+        told: the gap of the verdict; judged, over_floor: gap and residual on the judging records, in words `which`. All are
             (before, after).
     """
     moved = f"{pair(*told)} on the records searched"

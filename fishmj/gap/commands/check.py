@@ -1,7 +1,7 @@
 """`gap check MODEL --data DATA`: does a version of a model still close the gap that it was written for?
 
-Replays the records on which its gap was stated, with the version and with its parent. Exit 1 when the version is worse than
-stated (by more than 5 %), or no better than its parent. On another data set all records are taken and only the parent counts.
+Replays the records on which its gap was stated, with the version and with its parent. Exit 1 if the version is worse than
+stated (by more than 5 %), or no better than its parent. On another data set all records are used and only the parent counts.
 
     fishmj gap check my_fish.v2.toml --data DATA
 """
@@ -29,6 +29,7 @@ SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's
 
 
 def main(argv: list[str]) -> int:
+    """The command `gap check`. Returns the exit code."""
     parser = console.parser("gap check", __doc__ or "")
     parser.add_argument("model", type=console.path, help="a version that gap apply or gap find wrote")
     parser.add_argument("--data", type=console.path, required=True, help="data set to replay (needed)")
@@ -47,9 +48,9 @@ def main(argv: list[str]) -> int:
 
 
 def check(model: Path, data: Path, agreed: bool = False) -> dict:
-    """The gap of a version and of its parent on `data`, and what is wrong with it ("" when nothing is).
+    """The gap of a version and of its parent on `data`, and the reason of a failure ("" without one).
 
-    agreed: logs of another robot's name are meant.
+    agreed: accept logs of another robot's name.
 
     Raises:
         ConfigError: no version table, or the parent's text is gone. LogError: a record that cannot be read, another robot.
@@ -88,7 +89,7 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
 def gaps(
     versions: list[Robot], trials: list[Trial], null: SimulatedNull, water: str = STRUCTURED
 ) -> list[tuple[float, dict, float]]:
-    """(gap, gap by channel, residual over the floor) of each version over all trials. water: that they swim in.
+    """(gap, gap by channel, residual over the floor) of each version over all trials. water: in which they swim.
 
     Raises:
         ConfigError: the versions differ in more than their effects. LogError: no trials, or one that cannot be compared.
@@ -105,5 +106,8 @@ def gaps(
 
 
 def measured(e: Likelihood, rows: list) -> list[tuple[float, dict, float]]:
-    """The same of parameter rows. The gap grants a formula its own error, the floor does not: both have to shrink."""
+    """(gap, gap by channel, residual over the floor) of parameter rows.
+
+    The gap allows for the model error of a formula, the floor does not: both must shrink.
+    """
     return [(*e.gap_there(row), e.over_floor(row)[0]) for row in rows]

@@ -2,7 +2,7 @@
 
     fishmj gap find DATA --model my_fish.toml --out report
 
-Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap so large that no effect is meant by it.
+Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap too large for any effect.
 """
 
 from collections.abc import Sequence
@@ -33,6 +33,7 @@ from fishmj.water.choice import STRUCTURED, as_described
 
 
 def main(argv: list[str]) -> int:
+    """The command `gap find`. Returns the exit code."""
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
@@ -88,12 +89,12 @@ def main(argv: list[str]) -> int:
 
 
 def words() -> str:
-    """What an interrupted search says."""
+    """Message of an interrupted search."""
     return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
 
 
 def swims(args, robot: Robot) -> list[Trial]:
-    """Of --healthy. Raises ConfigError where the model has no calibrated water, LogError where none can be compared."""
+    """Trials of --healthy. Raises ConfigError if the model has no calibrated water, LogError if none can be compared."""
     if args.healthy is None:
         return []
     if robot.water.get("model") != STRUCTURED:
@@ -103,10 +104,10 @@ def swims(args, robot: Robot) -> list[Trial]:
 
 
 def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = ()) -> Inquiry:
-    """Search the trials that were admitted. healthy: swims that its water was calibrated to.
+    """Searches the admitted trials. healthy: swims of the water's calibration.
 
     Raises:
-        TooDifferent: model and logs are further apart than any missing effect brings them.
+        TooDifferent: model and logs are further apart than by any missing effect.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
@@ -135,13 +136,13 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), health
 
 
 def drawn_of(args) -> dict:
-    """How null runs are drawn: of the second robot, or those of a folder."""
+    """Source of the null runs: settings of the second robot, or a folder."""
     made = {"runs": args.null_runs, "noise": args.noise, "seed": args.seed}
     return made | {"folder": str(args.null.resolve())} if args.null else made
 
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
-    """What was searched, by hash, and the records that no decision saw (or none was fitted to): what gap apply needs."""
+    """Hash of the search's inputs, and the records outside every decision (or outside every fit): the input of gap apply."""
     apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
     seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
     held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]
@@ -152,7 +153,7 @@ def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
 
 
 def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
-    """verdict.json, report.html, report.json, and the patched (or the rejected) model. context: of the search."""
+    """Writes verdict.json, report.html, report.json, and the patched (or the rejected) model. context: of the search."""
     from fishmj.gap import report
 
     folder.mkdir(parents=True, exist_ok=True)

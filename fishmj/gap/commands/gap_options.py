@@ -12,7 +12,7 @@ FEWEST_RUNS = 8  # of every record: fewer say nothing of a scatter
 
 
 def of_null(add) -> None:
-    """--noise, --null-runs, --seed."""
+    """Adds --noise, --null-runs, --seed."""
     noise = f"factor on the sensors' usual noise, where the logs do not state their own: 0 to {LOUDEST:g} (default 1)"
     add("--noise", type=console.number(0, LOUDEST), default=1.0, metavar="FACTOR", help=noise)
     runs = f"runs of every record in the independent simulator, {FEWEST_RUNS} to {MOST_RUNS} (default {RUNS});"
@@ -22,18 +22,18 @@ def of_null(add) -> None:
 
 
 def of_mass(add) -> None:
-    """--mass-unknown."""
+    """Adds --mass-unknown."""
     text = "the robot never was on scales: its mass may differ from the model's (default: without scales in measurements.toml"
     add("--mass-unknown", action="store_true", help=f"{text} the model's mass counts as weighed, to 0.1 %%)")
 
 
 def of_seed(add, what: str) -> None:
-    """--seed."""
+    """Adds --seed."""
     add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help=f"{what}, from 0 (default 0)")
 
 
 def there(*paths: Path | None) -> None:
-    """Whether what was named to read is there, asked before anything is loaded; None was not named. Raises ConfigError."""
+    """Checks that the named inputs exist before anything is loaded; None was not named. Raises ConfigError."""
     for path in paths:
         if path is not None and not path.exists():
             raise ConfigError(f"{str(path)[:80]}: no such file or folder; expected one that is there{left_out(path)}")

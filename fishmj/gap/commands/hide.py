@@ -1,11 +1,11 @@
 """`gap plant EFFECT[=value] --out DATA`: data in which an effect is hidden; what it was goes to another file.
 
 independent   the second, independently written robot (fishmj.gap.laboratory.virtual_robot) with the effect in its own equations
-log           an existing data set (--from) with the effect put on afterwards: what sensors and clocks do, nothing else can be;
-              also one of your own, module:EFFECT or file.py:EFFECT
+log           an existing data set (--from) with the effect applied afterwards: only effects of sensors and clocks;
+              also the user's own, module:EFFECT or file.py:EFFECT
 lbm           the flow solver's fish on the second robot's servos, network and camera
 morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies and servos (fishmj.gap.laboratory.generators);
-              the truth also says how much of it can be seen above noise and healthy robots
+              the truth also states the effect's visible size above noise and healthy robots
 
     fishmj gap plant command_latency=0.04 --seed 7 --out planted
 """
@@ -42,6 +42,7 @@ SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command"
 
 
 def main(argv: list[str]) -> int:
+    """The command `gap plant`. Returns the exit code."""
     from fishmj.lbm_oracle.run.domain import NAMES  # needs Warp, without which lost rows can still be asked for
 
     parser = console.parser("gap plant", __doc__ or "")
@@ -105,7 +106,7 @@ def main(argv: list[str]) -> int:
 
 
 def understood(args) -> dict[str, dict[str, float]]:
-    """The effects that are asked for, with their values: looked at before any trial is made.
+    """The requested effects with their values, checked before any trial is made.
 
     Raises:
         ConfigError: `none` beside an effect; UnknownName, ConfigError as of `parse`.
@@ -133,13 +134,13 @@ def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 
 
 def rates(args) -> dict[str, float]:
-    """Periods [s] of the second robot's sensors that were asked for, by field."""
+    """The requested periods [s] of the second robot's sensors, by field."""
     asked = {field: getattr(args, f"{sensor}_rate") for sensor, field in RATES.items()}
     return {field: 1.0 / rate for field, rate in asked.items() if rate is not None}
 
 
 def limits(name: str, parameter) -> tuple[float, float]:
-    """What may be planted: within what the catalogue lets a search find, and what the second robot's own rule allows."""
+    """Range of a planted parameter: within the catalogue's bounds for a search, and the second robot's own rule."""
     low, high = bounds(name, parameter)
     listed = {p.name: p for p in effects.catalogue()[name].parameters} if name in effects.catalogue() else {}
     if parameter.name in listed:
@@ -148,7 +149,7 @@ def limits(name: str, parameter) -> tuple[float, float]:
 
 
 def logged(hidden: dict, args, tick, given: Taken | None) -> tuple[list[Trial], dict]:
-    """(trials, facts): an existing data set seen through other sensors and clocks."""
+    """(trials, facts) of an existing data set with other sensors and clocks."""
     rng = np.random.default_rng([args.seed, 17])
     trials = []
     for name, trial in given.trials.items() if given else ():
@@ -171,7 +172,7 @@ def solver(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 
 
 def other_water(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
-    """(trials, facts) of a robot in another form of water; the facts say how much of what is hidden can be seen."""
+    """(trials, facts) of a robot in another form of water; the facts state the effect's visible size."""
     runs, numbers = experiments(args), (args.seed, args.noise, args.nuisance, args.model)
     whole, rng = generators.generate(args.generator, hidden, runs, *numbers, tick=tick), np.random.default_rng([args.seed, 19])
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model), "drop": args.drop}
@@ -180,14 +181,14 @@ def other_water(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 
 
 def experiments(args) -> list[str]:
-    """Ids of the trials to make, the list again where it is too short."""
+    """Ids of the trials to make; the list is repeated if it is too short."""
     shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "dry": excitation.DRY, "all": excitation.names()}
     listed = shelf.get(args.excitations, args.excitations.split(","))
     return [excitation.get(n).id for n in islice(cycle(listed), args.logs)]
 
 
 def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
-    """`NAME`, `NAME=value`, `NAME:p=1,q=2` or `random`, of the effects that can be put on a log afterwards.
+    """Parses `NAME`, `NAME=value`, `NAME:p=1,q=2` or `random`, for effects that can be applied to a log afterwards.
 
     An effect of the user's own, `module:NAME` or `file.py:NAME` in place of NAME, is loaded and joins the catalogue.
 
@@ -223,19 +224,19 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
 
 
 def _joined(text: str) -> str:
-    """The same with the name of the effect in place of a reference to the user's own code, which is loaded."""
+    """The text with the effect's name in place of a reference to the user's own code, which is loaded."""
     own = own_reference(text)
     return own_effects.join([own])[0].name + text[len(own) :] if own else text
 
 
 def afterwards(effect) -> bool:
-    """Whether it acts on what sensors report and when, and nowhere else."""
+    """Returns True for an effect that acts only on sensor readings and their stamps."""
     clocks = set(effect.delays) | set(effect.drifts)
     return not set(effect.sites) - {"measure"} and bool(effect.measure or clocks & set(SHIFTS)) and not effect.stochastic
 
 
 def manipulated(name: str, trial: Trial, hidden: dict, drop: float, rng) -> Trial:
-    """One trial with the effects on it: values through `measure`, stamps of a late clock moved by its delay."""
+    """One trial with the effects applied: values through `measure`, stamps of a late clock shifted by its delay."""
     active = EffectStack([effects.get(key) for key in hidden], admission.joints_of(trial))
     row = active.flat(hidden)
     tables = {key: dict(table) for key, table in trial.tables.items()}
@@ -262,7 +263,7 @@ def with_lost_rows(trial: Trial, drop: float, rng: np.random.Generator) -> Trial
 
 
 def measured(active: EffectStack, row, sensor: str, table: dict) -> dict:
-    """A table as the effects' sensors report it."""
+    """A table with the effects' sensor errors."""
     t = np.asarray(table["t"], float)
     zero = np.zeros_like(t)
     x, y, yaw = (np.asarray(table[k], float) for k in ("x", "y", "yaw")) if sensor == "pose" else (zero, zero, zero)

@@ -1,4 +1,4 @@
-"""Effects that MuJoCo holds itself, written into its model: for simulators that know nothing of fishmj's hooks.
+"""Effects that MuJoCo itself can hold, written into its model: for simulators without fishmj's hooks.
 
     difference(parent, robot)       a unified diff of the two models' MJCF
     hooked(robot)                   effects that need a hook (or belong to sensors): no attribute of MJCF holds them
@@ -53,14 +53,14 @@ def _command_gain(spec, robot, p) -> None:
 
 
 def _latency(spec, robot, p) -> None:
-    """Besides the model's own latency, which fishmj keeps on the bus and MJCF does not know."""
+    """Sets the extra latency; fishmj keeps the model's own on the bus, outside MJCF."""
     late = robot.timing.command_latency + p["delay"]
     for actuator in spec.actuators:
         actuator.delay, actuator.nsample = late, int(np.ceil(late / robot.timing.physics_dt)) + 1
 
 
 def _mass(spec, robot, p) -> None:
-    """As `effects/inertia/body_mass.py`: a part over the links, the rest at the head's origin."""
+    """Adds mass as in `effects/inertia/body_mass.py`: a part over the links, the rest at the head's origin."""
     spread = p.get("spread", 1.0)
     share, load = 1 + spread * p["mass"] / robot.mass, (1 - spread) * p["mass"]
     for link in robot.links:
@@ -101,7 +101,7 @@ def difference(parent: Robot, robot: Robot) -> str:
 
 
 def hooked(robot: Robot) -> list[str]:
-    """Effects of the robot that its MJCF does not hold."""
+    """Effects of the robot that its MJCF cannot hold."""
     return [fitted.name for fitted in robot.effects if fitted.name not in NATIVE]
 
 

@@ -1,11 +1,11 @@
-"""Versions of a model: a fish TOML with effects, and a table that says where they come from.
+"""Versions of a model: a fish TOML with effects, and a table of their origin.
 
     [version]
     number = 2
     parent = "fish"                 shipped name or file; parent_sha256 its hash: versions form a chain
-    effects = ["coulomb_friction"]  what this version added or changed
+    effects = ["coulomb_friction"]  effects that this version added or changed
     data, data_sha256, judged       data set, hash of its manifest, and the records that judge the version
-    gap_before, gap_after           |z|^2 / m of the records searched, as the verdict says: healthy robots leave about 1
+    gap_before, gap_after           |z|^2 / m of the searched records, from the verdict: healthy robots leave about 1
     judged_gap                      the same, before and after, of the records `judged`
     [version.null], [version.gates], rivals
 
@@ -30,7 +30,7 @@ def digest(path: "str | Path") -> str:
 
 
 def facts(path: "str | Path") -> dict:
-    """The table [version] of a model; {} for a first one. Raises ConfigError: it is no table, or its number is none."""
+    """The table [version] of a model; {} for a first one. Raises ConfigError: it is no table, or its number is invalid."""
     version = read_toml(resolve(path)).get("version", {})
     if not isinstance(version, dict) or not isinstance(version.get("number", 1), int):
         raise ConfigError(
@@ -55,13 +55,13 @@ def found(verdict: dict, provenance: str, evidence: str) -> list[FittedEffect]:
 
 
 def merged(parent: "tuple[FittedEffect, ...]", new: list[FittedEffect]) -> list[FittedEffect]:
-    """The parent's effects with the new ones appended; one that it has already takes the new values in its place."""
+    """The parent's effects with the new ones appended; an existing one gets the new values."""
     fresh = {fitted.name: fitted for fitted in new}
     return [fresh.pop(old.name, old) for old in parent] + list(fresh.values())
 
 
 def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version: dict, *, keep: bool = True) -> Path:
-    """Write a version: the parent's text, the table [version], the blocks; checked before it is there.
+    """Writes a version: the parent's text, the table [version], the blocks; checked before it is written.
 
     keep: also put the parent's text beside it, which `revert` needs.
     """
@@ -82,7 +82,7 @@ def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version:
 
 
 def revert(model: Path) -> Path:
-    """Put the parent's text back in the place of `model`, bit for bit; the version moves to MODEL.reverted-<hash>.toml.
+    """Restores the parent's text in place of `model`, bit for bit; the version moves to MODEL.reverted-<hash>.toml.
 
     Raises:
         ConfigError: a first version, or the parent's text is gone or changed.
@@ -100,7 +100,7 @@ def revert(model: Path) -> Path:
 
 
 def parent_of(model: "str | Path", version: dict) -> Path:
-    """Where a version's table says that its parent's text is kept: beside it, nowhere else. Raises ConfigError."""
+    """Path of the parent's text from a version's table: beside it, nowhere else. Raises ConfigError."""
     name = version.get("parent_text", "")
     if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name or "\0" in name:
         raise ConfigError(f"{model} [version]: parent_text = {str(name)[:60]!r}; expected the name of a file beside the version")
@@ -108,7 +108,7 @@ def parent_of(model: "str | Path", version: dict) -> Path:
 
 
 def number_of(model: "str | Path") -> int:
-    """Of a version; 1 of a first one. Raises ConfigError when its table states none."""
+    """Number of a version; 1 for a first one. Raises ConfigError if its table states none."""
     number = facts(model).get("number", 1)
     if not isinstance(number, int) or isinstance(number, bool) or number < 1:
         raise ConfigError(f"{model} [version]: number = {str(number)[:40]!r}; expected a whole number from 1 up")
@@ -116,13 +116,13 @@ def number_of(model: "str | Path") -> int:
 
 
 def next_name(parent: "str | Path", folder: Path) -> Path:
-    """`<fish>.v<N>.toml` of the version after `parent`."""
+    """Name of the version after `parent`: `<fish>.v<N>.toml`."""
     stem = resolve(parent).stem.split(".v")[0]
     return folder / f"{stem}.v{number_of(parent) + 1}.toml"
 
 
 def beside(out: Path) -> Path:
-    """Where the parent's text is kept."""
+    """Path of the parent's text beside a version."""
     return out.with_name(f"{out.stem}.parent.toml")
 
 

@@ -1,7 +1,7 @@
 """`gap next REPORT|DATA`: which experiment would tell apart the explanations that are left.
 
-REPORT is what `gap find --out` wrote; DATA a data set, which is searched first. Every experiment of the library is simulated with
-each explanation at its fitted values; the best separation for the time it takes comes first.
+REPORT is the output of `gap find --out`; DATA a data set, which is searched first. Every experiment of the library is simulated
+with each explanation at its fitted values; the best separation for its duration comes first.
 
     fishmj gap next report --runs hinted
 """
@@ -32,6 +32,7 @@ from fishmj.water.choice import STRUCTURED, as_described
 
 
 def main(argv: list[str]) -> int:
+    """The command `gap next`. Returns the exit code."""
     parser = console.parser("gap next", __doc__)
     add = parser.add_argument
     add("source", type=console.path, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
@@ -102,7 +103,7 @@ def _opened(args, null: SimulatedNull):
 
 
 def _model_of(context: dict) -> str:
-    """The model that a report questioned, as it was then.
+    """The model of a report, unchanged since then.
 
     Raises:
         ConfigError: it is gone, or changed.
@@ -115,7 +116,7 @@ def _model_of(context: dict) -> str:
 
 
 def _questioned(name: str, water: str):
-    """A model that a search can take, by its name or file."""
+    """A searchable model, by its name or file."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     robot = as_described(load_robot(name), water)
@@ -124,7 +125,7 @@ def _questioned(name: str, water: str):
 
 
 def _reported(model, verdict: dict) -> list[Hypothesis]:
-    """Sides of a verdict.json."""
+    """Hypotheses of a verdict.json."""
     if verdict["answer"] not in OPEN:
         return []
     ours = {e["name"]: {k: [v["value"], v["low"], v["high"]] for k, v in e["parameters"].items()} for e in verdict["effects"]}

@@ -1,6 +1,6 @@
-"""What `gap find --out` wrote, read back: every field of the kind that it must have, before anything is done with it.
+"""Reads the output of `gap find --out`: every field is checked for its type before any use.
 
-A report may come from elsewhere. Its paths are read only; its names must be the catalogue's; its numbers finite.
+A report may come from elsewhere. Its paths are only read; its names must be the catalogue's; its numbers finite.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 def _known(name: str) -> str:
-    """An effect of the catalogue."""
+    """Checks the name of an effect of the catalogue."""
     try:
         return effects.get(name).name
     except UnknownName as error:
@@ -27,7 +27,7 @@ def _known(name: str) -> str:
 
 
 def _known_rival(name: str) -> str:
-    """The same, or a sensor's own error that is as likely."""
+    """Checks the name of an effect, or of an equally likely error of a sensor itself."""
     from fishmj.gap.terms.library import sensor_terms
 
     return name if any(name == term.formula for term in sensor_terms()) else _known(name)
@@ -100,10 +100,10 @@ class _Version(_Table):
 
 
 def verdict(report: Path, *, context: bool) -> dict[str, Any]:
-    """The verdict of a report's folder or verdict.json. context: what was searched must be told, too.
+    """The verdict from a report's folder or verdict.json. context: the search's inputs must be there, too.
 
     Raises:
-        StoreError: no such file, or not JSON. ConfigError: not what gap find writes; names the field.
+        StoreError: no such file, or not JSON. ConfigError: not written by gap find; names the field.
     """
     path = report / "verdict.json" if report.is_dir() else report
     found = read_json(path)
@@ -114,7 +114,7 @@ def verdict(report: Path, *, context: bool) -> dict[str, Any]:
 
 
 def version(facts: dict, model: Path) -> dict[str, Any]:
-    """The table [version] of a model. Raises ConfigError when it is not what gap apply writes."""
+    """The table [version] of a model. Raises ConfigError if it was not written by gap apply."""
     return {**facts, **_checked(_Version, facts, f"{model} [version]", "fishmj gap apply REPORT").model_dump(exclude_none=True)}
 
 

@@ -1,1 +1,1 @@
-"""From what was found to one of five answers: gates, rivals, secondary effects, intervals."""
+"""Decision for one of five answers: gates, rivals, secondary effects, intervals."""

@@ -1,42 +1,42 @@
-"""From what was found to one of the five answers: ten gates, each a reason that a reader can check.
+"""Decides one of the five answers from the search's result: ten gates, each a reason that a reader can check.
 
     G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
-    G2 gain         drop of the loss of held-out records that no null run gives else UNEXPLAINED
-    G3 closure      most of what is unexpected is gone, or hardly any is left   else UNEXPLAINED, the best shown as tentative
-    G4 residual     what is left lies within the form error of what was found,  else UNEXPLAINED, the best shown as tentative
-                    or is a small share of what that explains (thresholds.py)
-    G5 form         the formula need not be more wrong than a formula may be    else UNEXPLAINED, the best shown as tentative
-    G6 size         nor larger here and smaller there by more than it may be    else UNEXPLAINED, the best shown as tentative
+    G2 gain         drop of the loss of held-out records beyond any null run's  else UNEXPLAINED
+    G3 closure      most of the excess is gone, or hardly any is left           else UNEXPLAINED, the best shown as tentative
+    G4 residual     the rest lies within the model error of the found effects,  else UNEXPLAINED, the best shown as tentative
+                    or is a small share of their gain (thresholds.py)
+    G5 form         the formula's error is within that of right formulas        else UNEXPLAINED, the best shown as tentative
+    G6 size         the size varies between records within its limit            else UNEXPLAINED, the best shown as tentative
     G7 transfer     no more than a fifth of the records get worse, held out     else UNEXPLAINED
     G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
-    G9 sanity       no parameter on a bound, no size that is not believable     else CLASS with a warning
+    G9 sanity       no parameter on a bound, no implausible size                else CLASS with a warning
     G10 force       no free force explains more, held out (terms/stronger.py)   else UNEXPLAINED
 
-G1 and G2 stop only a search that accepted nothing (search/stepwise.py), or one effect that chance explains; the others are asked
-of what was accepted.
-The form error is measured (search/model_error.py): the relative error of what the effects change that makes the
-records most likely. A right name leaves a few per cent; a name that stands in for something else leaves as much as is tried. G5
-and G6 leave out the paths of as many records as G7 lets get worse, and G5 an effect that can only be right (`needs_exact_value`).
+G1 and G2 only stop a search that accepted nothing (search/stepwise.py), or one effect that chance explains. The others test
+the accepted effects.
 
-Rivals: each effect that was found against those that came close in its round, in the company of the others.
+The form error is measured (search/model_error.py): the relative error of the effects' change that makes the records most likely.
+A right name leaves a few per cent; a substitute for something else leaves as much as is tried. G5 and G6 leave out the paths of
+as many records as G7 allows to get worse, and G5 an effect that needs an exact value (`needs_exact_value`).
 
-    gain     what the effect takes off |z|^2 over all records, given the others
+Rivals: each found effect against those that came close in its round, in the company of the others.
+
+    gain     reduction of |z|^2 over all records by the effect, given the others
     behind   (|z|^2 of the set with the rival in its place - |z|^2 of the set) / gain
     p_best   share of Bayesian bootstrap draws over records in which it beats all of them
 
-Secondary effects: what the formula of one effect leaves may look like another. An effect is not named beside others that
+Secondary effects: the error of one effect's formula may look like another. An effect is not named beside others if it
 
     brings less than `min_gain_fraction` of the gain
-    brings less than `doubtful_gain` of it, and something else may be meant or its value is not believable
-    brings less than `confusable_gain`, and the catalogue says that one that brings more is taken for it
-    brings less than that and is below `weak_size`, unless it gains by itself as much as may be asked of any
+    brings less than `doubtful_gain` of it, and it has a rival or an implausible value
+    brings less than `confusable_gain`, and the catalogue lists it as confused with one that brings more
+    brings less than that and is below `weak_size`, unless it alone gains the most that is required of any
     is below `implausible_size` and brings less than `implausible_gain`
-    is below `weak_size` and brings less than that, beside one that is not so small and that it is taken for or that turns the
-    same gears: the little dry friction that every gear train has shows beside play, where nothing else holds the link
-
+    is below `weak_size` and brings less than that, beside a larger one that it is confused with or that acts on the
+    same gears: the small dry friction of every gear train shows beside play, where nothing else holds the link
     brings no more than one of its stage does in a healthy robot of another water, unless all do (null/structural_error.py)
 
-Nor does it spoil the name of those that bring much. The thresholds are those of [secondary] in data/calib/gap.toml.
+Nor does it spoil the name of the large ones. The thresholds are those of [secondary] in data/calib/gap.toml.
 """
 
 from dataclasses import asdict, dataclass
@@ -58,7 +58,7 @@ from fishmj.gap.wording import number, percent, quantity, title
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that would do nearly as well."""
+    """An effect with nearly the same gain."""
 
     name: str
     p_best: float
@@ -67,7 +67,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Support:
-    """How firm one effect stands."""
+    """Evidence for one effect."""
 
     gain: float
     p_best: float
@@ -75,7 +75,7 @@ class Support:
 
 
 def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
-    """The answer with its gates."""
+    """The verdict with its gates."""
     before, by_channel = e.gap(found.base.row)
     checks: dict = {"adequacy": before, "gap_by_channel": by_channel}
     steps = tuple(step_table(s) for s in found.steps)
@@ -90,8 +90,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = support_of_each(found, gates)
     effects = named(found, found.best, stand)
-    # Null runs draw their own value of an effect. A single effect of that size is no finding, unless it gains so much that chance
-    # is out of the question.
+    # Null runs draw their own value of an effect. A single effect of that size is no finding, unless its gain rules out chance.
     if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.certain_gain:
         why = f"{title(effects[0].name)} comes out as no more than chance may make of it"
         if checks["adequacy"] <= gates.adequacy:
@@ -100,8 +99,8 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.certain_gain) for n in effects}
     dropped = negligible(found, effects, stand, doubts, gates)
     checks |= held_out_checks(e, found)
-    # Healthy robots of another water leave a gap, too, and something of the catalogue always explains a part of it. That excuses
-    # no gain of a robot whose own healthy swims are known: what they leave is taken off already.
+    # Healthy robots of another water leave a gap, too, and some effect of the catalogue always explains a part of it. This does
+    # not apply to a robot with known healthy swims: their residual is subtracted already.
     usual = as_in_healthy_robots(e, stand)
     if usual | dropped < set(stand):
         dropped |= usual
@@ -113,7 +112,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
     wrong, outliers = error_without_outliers(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
-    # Doubts ask how well the records agree about a size. How far its formula is off in another water, all of them share.
+    # Doubts test how well the records agree about a size. The error of its formula in another water is common to all of them.
     valued = named(found, found.best, stand, by_stage=True) if e.calibrated else effects
     kept = tuple(n for n in valued if n.name not in dropped)
     checks["pinned"] = needs_exact_value(e, found.best.names)
@@ -128,10 +127,10 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
 
 
 def needs_exact_value(e: Likelihood, names) -> bool:
-    """Whether all that was found explains anything only where a value is right to a fraction of a per cent.
+    """Returns True if each found effect explains something only at a value within a fraction of a per cent.
 
-    That stands in for nothing, and its form may be wrong: a command in steps jumps between the right values, though no two
-    robots do at the same moment.
+    Such an effect stands in for nothing else. Its form may be wrong: a command in steps jumps between the right values, though no
+    two robots do at the same moment.
     """
     known = {x.name: x for x in e.model.active.effects}
     return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
@@ -140,7 +139,7 @@ def needs_exact_value(e: Likelihood, names) -> bool:
 def _answer(
     checks: dict, gates: Gates, kept, stand: dict[str, Support], rivals, warnings, shrinks: bool = True
 ) -> tuple[str, str]:
-    """(answer, reason) once something was found. shrinks: the residual gets smaller with it."""
+    """(answer, reason) after something was found. shrinks: the residual gets smaller with it."""
     unseen = "does not lower the residual of records that it was not fitted to"
     claim = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else unseen
     if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
@@ -165,7 +164,7 @@ def _answer(
 
 
 def held_out_checks(e: Likelihood, found: Selection) -> dict[str, float]:
-    """Gates on records that are predicted without their fold: gain, closure, residual (as `rest`, too), transfer."""
+    """Gates on records predicted without their fold: gain, closure, residual (as `rest`, too), transfer."""
     after, residual = found.fitted.loss_and_gap(found.folds)
     before = sum(e.subset(f).loss(found.base.row) for f in found.folds)
     ideal = after + (1.0 - residual) * e.layout.size  # log det S, and |z|^2 of m
@@ -175,9 +174,10 @@ def held_out_checks(e: Likelihood, found: Selection) -> dict[str, float]:
 
 
 def transfer(e: Likelihood, found: Selection) -> float:
-    """Share of the records that do not get less likely, but for chance and a little of what all of them gain.
+    """Share of the records that do not get less likely, apart from chance and a small part of the common gain.
 
-    Each is predicted by a fit without its fold, and with what the others tell of the constants: a joint gain is no one record's.
+    Each is predicted by a fit without its fold, with the others' estimates of the constants: a joint gain belongs to no single
+    record.
     """
     limits = thresholds().decide
     rises, allowed = [], []
@@ -197,14 +197,14 @@ def transfer(e: Likelihood, found: Selection) -> float:
 
 
 def named(found: Selection, c: Candidate, stand: dict[str, Support], by_stage: bool = False) -> tuple[Named, ...]:
-    """The effects of a candidate with values, intervals and what all of them close together.
+    """The effects of a candidate with values, intervals and the closure of all of them together.
 
     by_stage: as `intervals.estimate`.
     """
     e = found.near
     half = thresholds().intervals.quantile
-    # Values are fitted once more with the constants as uncertain as the formulas; with that uncertainty in the selection, too, an
-    # effect that a constant can imitate would never be found.
+    # Values are refitted with the constants as uncertain as the formulas. With that uncertainty in the selection, too, an effect
+    # that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)
     value, spread = estimate(uncertain, refine(uncertain.subset(), c), by_stage)
     near = e.subset()
@@ -225,7 +225,7 @@ def named(found: Selection, c: Candidate, stand: dict[str, Support], by_stage: b
 
 
 def sanity(e: Likelihood, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
-    """What is not believable about the values of one effect. little: what it gains could be that of any."""
+    """Doubts about the values of one effect. little: its gain is so small that any effect could have it."""
     limits = thresholds()
     size = bounds(e.model)[2]
     effect = next(x for x in e.model.active.effects if x.name == n.name)
@@ -251,7 +251,7 @@ ADDED_MASS = {"surge_added_mass": 0, "sway_added_mass": 1, "yaw_added_mass": 2}
 
 
 def negative_mass(model, n: Named) -> float:
-    """Added mass of the robot with the effect where that is negative at the better end of its interval; else 0."""
+    """Negative added mass of the robot with the effect, at the better end of its interval; 0 if it is not negative."""
     if n.name not in ADDED_MASS or not hasattr(model, "added_mass"):
         return 0.0
     (value,) = n.parameters.values()
@@ -267,7 +267,7 @@ def step_table(step) -> dict:
 
 # ------------------------------------------------------------------------------------------------------------------------- rivals
 def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
-    """Every effect of what was found."""
+    """Support of every found effect."""
     whole = found.near.subset()
     best = on_records(whole, found.best)
     rivals = [c for step in found.steps if step.accepted for c in step.ranked]
@@ -275,9 +275,9 @@ def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
 
 
 def support_of(whole: EffectFitter, best: Candidate, name: str, ranked, gates: Gates) -> Support:
-    """One effect against the finalists of all rounds.
+    """Support of one effect against the finalists of all rounds.
 
-    A set in which a parameter came to rest on a bound is no rival: it is a limiting form that mimics the best.
+    A set with a parameter on a bound is no rival: it is a limiting form that mimics the best.
     """
     gain = max(drop_effect(whole, best, name).cost - best.cost, 1e-9)
     tried = (swap_effect(whole, best, name, c) for c in ranked if name not in c.names)
@@ -295,14 +295,14 @@ def support_of(whole: EffectFitter, best: Candidate, name: str, ranked, gates: G
 
 
 def known_twins(whole: EffectFitter, best: Candidate, name: str) -> list[Candidate]:
-    """`best` with the effect replaced by those that are known to look the same."""
+    """Candidates `best` with the effect replaced by those that are known to look the same."""
     twins = {twin for kind in containing(name) for twin in kind.effects} - {*best.names, name}
     effects = [x for x in whole.model.active.effects if x.name in twins]
     return whole.screen(drop_effect(whole, best, name), effects) if effects else []
 
 
 def swap_effect(whole: EffectFitter, best: Candidate, name: str, other: Candidate) -> Candidate | None:
-    """`best` with the effect `name` at its null and the newest effect of `other` as it was there; None if it is there already."""
+    """`best` with the effect `name` at its null and the newest effect of `other` at its values; None if it is present already."""
     newest = other.names[-1]
     if newest in best.names:
         return None
@@ -316,7 +316,7 @@ def swap_effect(whole: EffectFitter, best: Candidate, name: str, other: Candidat
 
 
 def on_bound(model, c: Candidate) -> bool:
-    """Whether a parameter lies on a bound that is not its null."""
+    """Returns True if a parameter lies on a bound that is not its null."""
     low, high, size = bounds(model)
     tolerance = thresholds().decide.bound_tolerance
     near = lambda place, edge: edge != model.null[place] and abs(c.row[place] - edge) < tolerance * size[place]
@@ -324,20 +324,20 @@ def on_bound(model, c: Candidate) -> bool:
 
 
 def as_in_healthy_robots(e: Likelihood, stand: dict[str, Support]) -> set[str]:
-    """Names of those that gain no more than an effect of their stage may in a healthy robot of another water."""
+    """Names of effects that gain no more than one of their stage may in a healthy robot of another water."""
     stages = {x.name: x.stage for x in e.model.active.effects}
     return {name for name, s in stand.items() if s.gain <= e.healthy_gain(stages[name])}
 
 
 # -------------------------------------------------------------------------------------------------------------- secondary effects
 def negligible(found: Selection, effects: tuple[Named, ...], stand: dict[str, Support], doubts: dict, gates: Gates) -> set[str]:
-    """Names of those. doubts: what is not believable about each."""
+    """Names of the negligible effects. doubts: about the values of each."""
     limits = thresholds().secondary
     e = found.near.origin
     gains = gains_beyond(found, gates) if e.calibrated else {n: s.gain for n, s in stand.items()}
     whole = sum(gains.values())
     share = {n: gain / whole for n, gain in gains.items()}
-    # What an effect gained when it was added counts, too: beside a later one that can imitate it, it may gain little at the end.
+    # The gain of an effect when it was added counts, too: beside a later one that can imitate it, its final gain may be small.
     least = share if e.calibrated else {n: min(b, found.gain_share(n, b)) for n, b in share.items()}
     doubtful = {n for n, s in stand.items() if doubts[n] or may_be_another(n, s, gates)}
     implausible = {n.name for n in effects if smaller_than(e, n, limits.implausible_size)}
@@ -353,7 +353,7 @@ def negligible(found: Selection, effects: tuple[Named, ...], stand: dict[str, Su
 
 
 def gains_beyond(found: Selection, gates: Gates) -> dict[str, float]:
-    """What each effect gains beyond what errors of the others' formulas could gain in its place."""
+    """Gain of each effect beyond the possible gain of errors in the others' formulas."""
     out = {}
     for name in found.best.names:
         others = drop_effect(found.near.subset(), found.best, name)
@@ -364,49 +364,50 @@ def gains_beyond(found: Selection, gates: Gates) -> dict[str, float]:
 
 
 def may_be_another(name: str, stand: Support, gates: Gates) -> bool:
-    """Whether something else may be meant that is not the same by construction."""
+    """Returns True if another effect may be the cause, other than one that is the same by construction."""
     twins = [r for r in stand.rivals if together(name, r.name)]
     return len(twins) < len(stand.rivals) or (not twins and stand.p_best < gates.p_best)
 
 
 def confused(e: Likelihood, one: str, other: str) -> bool:
-    """Whether the catalogue lists one of two effects among those that the other is taken for."""
+    """Returns True if the catalogue lists one of two effects as confused with the other."""
     known = {x.name: {c.other for c in x.confusions} for x in e.model.active.effects}
     return other in known[one] or one in known[other]
 
 
 def masked_by(e: Likelihood, names, weak: set[str]) -> set[str]:
-    """Those of `weak`, much smaller than usual, beside another of `names` that is not: it is taken for them, or turns the same
-    gears."""
+    """Effects of `weak` that a larger one of `names` masks: it is confused with them, or acts on the same gears.
+
+    `weak` are effects much smaller than usual.
+    """
     geared = {x.name for x in e.model.active.effects if x.gear is not None}
     return {n for n in weak for other in set(names) - weak if confused(e, n, other) or {n, other} <= geared}
 
 
 def size_parameters(effect) -> list:
-    """The parameters that say how large an effect is: as the first, not those that shape it."""
+    """Parameters that set the size of an effect, like the first, not its shape."""
     return [p for p in effect.parameters if p.unit == effect.parameters[0].unit and not p.shape]
 
 
 def smaller_than(e: Likelihood, n: Named, share: float) -> bool:
-    """Whether every main value is less than `share` of the least that is typical."""
+    """Returns True if every main value is less than `share` of the least typical one."""
     main = size_parameters(next(x for x in e.model.active.effects if x.name == n.name))
     return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)
 
 
 def poorly_determined(p: Parameter, v: Value) -> bool:
-    """Whether records and null runs scatter the only size of an effect by more than `size_scatter` of it."""
+    """Returns True if records and null runs scatter the only size of an effect by more than `size_scatter` of it."""
     limits = thresholds()
     return (v.high - v.low) / 2 / limits.intervals.quantile > limits.secondary.size_scatter * abs(v.value - p.null)
 
 
 def insignificant(main, values: dict[str, Value]) -> bool:
-    """Whether the null lies in the intervals of all sizes of an effect."""
+    """Returns True if the null lies in the intervals of all sizes of an effect."""
     return all(values[p.name].low <= p.null <= values[p.name].high for p in main)
 
 
 def within_null_scatter(e: Likelihood, effects) -> bool:
-    """Whether what was found is one effect, and no larger than null runs may make of it though nothing is hidden in them, or
-    far smaller than it is anywhere known."""
+    """Returns True for a single found effect that null runs may give by chance, or that is far below any known size."""
     if len(effects) != 1:
         return False
     if smaller_than(e, effects[0], thresholds().secondary.implausible_size):

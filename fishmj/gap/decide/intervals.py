@@ -1,14 +1,14 @@
-"""How large an effect is, and how well the records know it.
+"""Size of an effect, and its uncertainty from the records.
 
-    theta_i   = -(J^T S_-i^-1 J)^-1 J^T S_-i^-1 r_i     what null run i would make of the effect although nothing is hidden in it
-    value     = fitted - mean_i theta_i                  a model that is late by itself does not make the robot late
+    theta_i   = -(J^T S_-i^-1 J)^-1 J^T S_-i^-1 r_i     the effect's estimate from null run i, in which nothing is hidden
+    value     = fitted - mean_i theta_i                  a delay of the model itself does not make the robot late
     variance  = var_i theta_i + max(curvature, jackknife)^2 + (formula_error (fitted - null))^2
 
 theta_i is taken with run i left out of S (null/whitening.py), all of them from one Gram matrix. curvature: (J^T S^-1 J)^-1 on
 the data, which knows the autocorrelation. jackknife: one Gauss-Newton step with each record left out (Efron & Stein 1981).
-formula_error: no formula is the robot's; of a calibrated model it was measured by stage on other waters
-(studies/structural_error/formula_error.py). A scale's reading is none: where weighings tell a value to within s by themselves,
-its square f^2 becomes 1 / (1/f^2 + 1/s^2), and no record that is left out takes them along.
+formula_error: no formula is the robot's; for a calibrated model it was measured by stage on other waters
+(studies/structural_error/formula_error.py). A scale's reading has no such error: if weighings alone determine a value to within
+s, its square f^2 becomes 1 / (1/f^2 + 1/s^2), and the jackknife over records leaves them out.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ from fishmj.gap.thresholds import thresholds
 def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """(values (K,), standard deviations (K,)) of a candidate's parameters.
 
-    by_stage: with the formula error of each effect's stage (`Likelihood.formula_error`) in place of that of any.
+    by_stage: with the formula error of each effect's stage (`Likelihood.formula_error`) in place of the general one.
     """
     limits = thresholds().intervals
     search = e.subset()
@@ -36,7 +36,7 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     white = search.whiten(jacobian)
     spurious = null_estimates(e, jacobian)
     weighed = e.layout.channel == mass_properties.CHANNEL
-    # The larger of two, since neither is right alone: the curvature takes S as true, the jackknife needs many records.
+    # The larger of two, since neither is right alone: the curvature assumes S is exact, the jackknife needs many records.
     by_curvature = np.sqrt(np.diag(np.linalg.inv(_regularised(white @ white.T))))
     by_jackknife = jackknife_sd(white, search.whiten(residual[0]), np.where(weighed, -1, e.layout.record))
     if len(e.records) < limits.jackknife_records:
@@ -46,15 +46,15 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     errors = np.array([e.formula_error(stage[place]) if by_stage else limits.formula_error for place in places])
     form = errors * np.abs(c.row[places] - e.model.null[places])
     form = form / np.sqrt(1.0 + form**2 * np.sum((jacobian[:, weighed] / e.d[weighed]) ** 2, 1))
-    # The mean of what null runs would give is taken off: a model that is late by itself does not make the robot late.
-    # Where healthy swims are known, that is known of the records already.
+    # The mean estimate from null runs is subtracted: a delay of the model itself does not make the robot late.
+    # With known healthy swims, the records include this already.
     usual = spurious.mean(0) if e.drawn else 0.0
     values = np.clip(c.row[places] - usual, low[places], high[places])
     return values, np.sqrt(np.mean((spurious - usual) ** 2, 0) + sampling**2 + form**2)
 
 
 def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
-    """(n, K) what each null run, or direction that healthy swims leave open, would make of parameters of that Jacobian (K, m)."""
+    """(n, K) estimates from each null run, or direction left open by healthy swims, of parameters with this Jacobian (K, m)."""
     n = e.draws
     alone = record_whitening(e.d, e.by_record, e.layout.record)
     factors, scaled = alone(e.factors), alone(jacobian)
@@ -72,7 +72,7 @@ def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
 
 
 def jackknife_sd(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """(K,) standard deviations over records; record (m,) says which each value belongs to, -1 none."""
+    """(K,) standard deviations over records; record (m,) is the record of each value, -1 none."""
     n = int(record.max()) + 1
     steps = np.empty((n, len(white)))
     for k in range(n):
@@ -82,5 +82,5 @@ def jackknife_sd(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.nda
 
 
 def _regularised(normal: np.ndarray) -> np.ndarray:
-    """The matrix with a hair of its diagonal added: parameters that do nothing come out wide, not as an error."""
+    """The matrix with a tiny part of its diagonal added: parameters without effect get wide intervals, not an error."""
     return normal + np.diag(1e-9 * np.diag(normal) + 1e-300) + 1e-12 * np.trace(normal) * np.eye(len(normal))

@@ -1,9 +1,9 @@
-"""Where the gap is, in words and numbers: channel and regime, lag, beat, world or body, left or right, when, how fast.
+"""Localisation of the gap, in words and numbers: channel and regime, lag, beat, world or body, left or right, time, growth.
 
     place = localise(compared(likelihood, linearised at after, before, after), gates.adequacy)
     place.text
 
-Nothing here decides what is missing; it says what the residual of the model looks like, before and after what was found.
+It does not decide on the missing effect; it describes the residual of the model, before and after the found effects.
 """
 
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ THIRDS = 3
 
 @dataclass(frozen=True)
 class Localisation:
-    """What the residual of the model as it is looks like.
+    """Description of the present model's residual.
 
     gap, gap_after: |z|^2 / m of the logs; up to `allowed` model and records agree. channels (C,), kinds (K,): names.
     share, time: (C, K) of the gap beyond 1, of the channel's time. level: (C, K) mean of z^2, NaN
-    where never seen. locked: by channel, joint and heading.
+    without data. locked: by channel, joint and heading.
     thirds: channel -> (3,) mean square over the floor in the first, middle and last third of a record. session: channel -> its
-    slope over the session [1/s], relative to its mean, NaN when all records are of one time.
+    slope over the session [1/s], relative to its mean, NaN if all records are of one time.
     bias: (J,) mean residual of each joint, rad. residual_rms: channel -> RMS before, after (SI).
     """
 
@@ -49,7 +49,7 @@ class Localisation:
 
     @property
     def text(self) -> str:
-        """The paragraph."""
+        """The paragraph of the report."""
         from fishmj.gap.localise.narrative import paragraph
 
         return paragraph(self)

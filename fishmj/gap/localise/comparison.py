@@ -1,8 +1,8 @@
-"""The material of a localisation, and which part of the gap lies in which channel, while the robot did what.
+"""Input of a localisation, and the shares of the gap by channel and by regime of the robot.
 
     share(channel, regime) = max(0, sum (z^2 - 1)) / sum of all cells        z whitened residual, as in the gap: |z|^2 / m
 
-Every half second counts once, under the most telling of its labels (log/regimes.py).
+Every half second counts once, under the most specific of its labels (log/regimes.py).
 """
 
 from typing import Any, NamedTuple
@@ -17,9 +17,9 @@ from fishmj.log.regimes import label
 
 
 class Comparison(NamedTuple):
-    """Records beside two parameter rows: the model as it was (0) and with the effects found (1); the same row twice when none.
+    """Records beside two parameter rows: the model before (0) and with the found effects (1); the same row twice without any.
 
-    layout: of the logs, without weighings. scale: (m,) floor, standard deviation of what null runs leave. rows: (2, P).
+    layout: of the logs, without weighings. scale: (m,) floor, standard deviation of the null runs' residual. rows: (2, P).
     predictions: `model.predict` of both rows. residuals: (2, m) measured minus predicted; whitened: (2, m) z of them.
     """
 
@@ -34,7 +34,7 @@ class Comparison(NamedTuple):
 
     @property
     def changed(self) -> bool:
-        """Whether anything was found."""
+        """Returns True if any effect was found."""
         return not np.array_equal(self.rows[0], self.rows[1])
 
     @property
@@ -44,13 +44,15 @@ class Comparison(NamedTuple):
 
     @property
     def over_floor(self) -> np.ndarray:
-        """(2, m) squared residuals over the floor, for patterns in time: z of a moment also knows of others."""
+        """(2, m) squared residuals over the floor, for patterns in time: z of a moment also depends on others."""
         return (self.residuals / self.scale) ** 2
 
 
 def compared(e, near, before, after) -> Comparison:
-    """Roll both rows out over the records of a likelihood `e` (search/likelihood.py); weighings are left out. near: the same,
-    linearised at `after`."""
+    """Rolls both rows out over the records of a likelihood `e` (search/likelihood.py); weighings are left out.
+
+    near: the same likelihood, linearised at `after`.
+    """
     logs, kept = [r._replace(weighed=None) for r in e.records], e.layout.channel != mass_properties.CHANNEL
     rows = np.stack([np.asarray(before, float), np.asarray(after, float)])
     predictions = e.model.predict(e.records, rows)
@@ -89,7 +91,7 @@ def trial_of(record: Record) -> Trial:
 
 
 def beat_of(record: Record) -> float:
-    """Period of the command's beat, s: median time between every second change of sign; 1 s where it does not beat."""
+    """Period of the command's beat, s: median time between every second change of sign; 1 s without a beat."""
     c = record.commands - record.commands.mean(0)
     c = c[:, int(np.argmax(c.std(0)))]
     turns = np.flatnonzero(np.diff(np.sign(c[np.abs(c) > 1e-6])) != 0)
@@ -97,7 +99,7 @@ def beat_of(record: Record) -> float:
 
 
 def kinds_of(record: Record, t: np.ndarray) -> np.ndarray:
-    """(n,) index into KINDS of what the robot was doing at times t."""
+    """(n,) index into KINDS of the robot's regime at times t."""
     try:
         found = label(trial_of(record), beat=float(np.clip(beat_of(record), 0.2, 4.0)))
     except LogError:  # shorter than one window
@@ -110,7 +112,7 @@ def kinds_of(record: Record, t: np.ndarray) -> np.ndarray:
 
 
 def kinds(c: Comparison) -> np.ndarray:
-    """(m,) the same for every entry of the comparison."""
+    """(m,) index into KINDS for every entry of the comparison."""
     out = np.empty(c.layout.size, int)
     for b in c.layout.blocks:
         out[b.where] = kinds_of(c.records[b.record], b.t)
@@ -118,8 +120,10 @@ def kinds(c: Comparison) -> np.ndarray:
 
 
 def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
-    """Channels; (C, K) each: share of the gap beyond 1, mean of z^2 (NaN where never seen), and
-    share of the channel's time; of the start, which is a moment, none."""
+    """Channels; (C, K) each: share of the gap beyond 1, mean of z^2 (NaN without data), and share of the channel's time.
+
+    The start, which is a moment, has no share of the time.
+    """
     names = tuple(dict.fromkeys(b.channel for b in c.layout.blocks))
     excess, time = np.zeros((2, len(names), len(KINDS)))
     level = np.full((len(names), len(KINDS)), np.nan)

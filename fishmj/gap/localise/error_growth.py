@@ -1,11 +1,11 @@
-"""Gap-growth curves: restart the model from measured states, often, and see how the error grows with time since the restart.
+"""Growth curves of the gap: error over time after frequent restarts of the model from measured states.
 
     e(H) = rms over restarts of measured(t0 + H) - model(t0 + H | measured state at t0),   H in HORIZONS
     slope of log e over log H: 0 a sensor, 1 a velocity (current, delay), 2 a force
 
-The state at t0 is a parabola through the stamps of poses and angles around it, their lateness taken off (camera, and what effects
-of the row add). What the uncertainty of that state makes by itself is subtracted in squares. A free run says where a gap leads,
-a restart where it comes from.
+The state at t0 is a parabola through the stamps of poses and angles around it, less their latency (camera, and that of the row's
+effects). The error from the uncertainty of that state is subtracted in squares. A free run shows the consequence of a gap, a
+restart its cause.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ DRAWS = 200
 
 
 class Latencies(NamedTuple):
-    """How long ago what a stamp reports happened, s; and how long a command takes to the servo."""
+    """Ages of the stamped values, s; and the delay of a command to the servo, s."""
 
     command: float
     joint: float
@@ -42,7 +42,7 @@ class RestartState(NamedTuple):
 
 
 class GrowthSegment(NamedTuple):
-    """A record cut out of another, in mid-swing. swing: (J,) joint rates at its start, rad/s; joint, pose: states there."""
+    """A part of a record that starts in mid-swing. swing: (J,) joint rates at its start, rad/s; joint, pose: states there."""
 
     record: Record
     swing: np.ndarray
@@ -52,9 +52,12 @@ class GrowthSegment(NamedTuple):
 
 @dataclass(frozen=True)
 class GrowthCurve:
-    """One channel. before, after, start: (H,) rms error of the model as it was, with what was found, and what the start's own
-    uncertainty makes at most. slope, low, high: of what was found, or of the whole error when nothing was, with a 90 % interval;
-    NaN when it does not rise above the start."""
+    """Growth curve of one channel.
+
+    before, after, start: (H,) rms error of the model before, with the found effects, and the largest error from the start's own
+    uncertainty. slope, low, high: of the found effects, or of the whole error without any, with a 90 % interval;
+    NaN if it does not rise above the start.
+    """
 
     channel: str
     unit: str
@@ -69,7 +72,7 @@ class GrowthCurve:
 
     @property
     def kind(self) -> str:
-        """How it grows, in words; "not told" where the slope is too uncertain."""
+        """Kind of growth in words; "not told" if the slope is too uncertain."""
         if not np.isfinite(self.slope) or self.high - self.low > 1.5:
             return "not told"
         names = ("there at once", "like a velocity", "like a force")
@@ -80,7 +83,7 @@ class GrowthCurve:
 
 
 class RestartedModel(SwimmingFish):
-    """A fish that starts in mid-swing, with commands that have already waited."""
+    """A fish that starts in mid-swing, with delayed commands pending."""
 
     def __init__(self, model: SwimmingFish, segments: list[GrowthSegment], late: Latencies):
         self.__dict__.update(model.__dict__)
@@ -95,16 +98,16 @@ class RestartedModel(SwimmingFish):
 
 
 def latencies(model: SwimmingFish, row: np.ndarray) -> Latencies:
-    """Of a parameter row: nominal and what its effects add."""
+    """Latencies of a parameter row: nominal ones plus those of its effects."""
     values = list(row[len(model.constants) :])
     command, joint, pose = (float(model.active.delay(np, values, clock)) for clock in ("command", "joint", "pose"))
     return Latencies(model.latency + command, joint, model.camera + pose)
 
 
 def cut(record: Record, t0: float, seconds: float, late: Latencies) -> GrowthSegment | None:
-    """The stretch of a record from t0 on, started from what was measured there; None where the stamps do not suffice.
+    """Part of a record from t0 on, started from the state measured there; None if the stamps do not suffice.
 
-    t0: when things happened, s since the record's start; stamps that tell of it come `late`.
+    t0: time of the events, s since the record's start; their stamps come later by `late`.
     """
     if record.joint is None or record.pose is None:
         return None
@@ -135,7 +138,7 @@ def cut(record: Record, t0: float, seconds: float, late: Latencies) -> GrowthSeg
 
 
 def state_at(sensor: Sensor, t: float, half: float) -> RestartState | None:
-    """Parabola through the stamps within `half` s of t; None when fewer than five, or none on one side."""
+    """Parabola through the stamps within `half` s of t; None for fewer than five, or none on one side."""
     some = np.abs(sensor.t - t) <= half
     if some.sum() < 5 or sensor.t[some][0] > t - 0.4 * half or sensor.t[some][-1] < t + 0.4 * half:
         return None
@@ -157,7 +160,7 @@ def _later(sensor: Sensor, t0: float, until: float) -> Sensor:
 
 
 def segments(records: list[Record], late: Latencies, every: float = EVERY) -> list[tuple[int, GrowthSegment]]:
-    """Restarts of all records: (record, segment), as long as the record allows, the longest horizon at most."""
+    """Restarts of all records: (record, segment), as long as the record allows, up to the longest horizon."""
     out = []
     for i, record in enumerate(records):
         for t0 in np.arange(every, record.seconds - HORIZONS[0] - AROUND - max(late), every):
@@ -169,12 +172,12 @@ def segments(records: list[Record], late: Latencies, every: float = EVERY) -> li
 
 
 def errors(model: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Restart under one parameter row: record of each restart (S,), errors (S, H, J + 3), what the start makes (S, H, J + 3).
+    """Restarts under one parameter row: record of each (S,), errors (S, H, J + 3), error from the start (S, H, J + 3).
 
-    Where a record ends before the horizon there is NaN.
+    NaN where a record ends before the horizon.
     """
-    # Each row restarts with its own lateness: with the nominal one, a row that holds a delay would begin from states of the past,
-    # and its error would start at an offset that the delay has already explained.
+    # Each row restarts with its own latency. With the nominal one, a row that holds a delay would begin from past states, and its
+    # error would start at an offset that the delay already explains.
     late = latencies(model, row)
     found = segments(records, late)
     if not found:
@@ -191,7 +194,7 @@ def errors(model: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple
             for h, horizon in enumerate(HORIZONS):
                 some = np.abs(sensor.t - wait - horizon) <= AROUND
                 # Averaged about the horizon, not taken at one stamp: single-stamp noise would hide the errors of the first tenth
-                # of a second, which tell an offset from a velocity.
+                # of a second, which separate an offset from a velocity.
                 if some.sum() >= 3 and sensor.t[-1] >= wait + horizon:
                     error[s, h, columns] = rest[some].mean(0)
                     moved = horizon if name == "pose" else 0.0  # a servo forgets its start
@@ -200,7 +203,7 @@ def errors(model: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple
 
 
 def curves(model: SwimmingFish, records: list[Record], before: np.ndarray, after: np.ndarray) -> tuple[GrowthCurve, ...]:
-    """Growth of each channel's error; empty when no record can be cut (no pose, no joints, stamps too far apart)."""
+    """Growth of each channel's error; empty if no record can be cut (no pose, no joints, stamps too far apart)."""
     if not isinstance(model, SwimmingFish):
         return ()
     owner, first, start = errors(model, records, before)
@@ -232,8 +235,8 @@ def _slope(owner, one, other, two, made, changed: bool) -> tuple[float, float, f
     def of(weights: np.ndarray) -> float:
         # Records are drawn, not restarts: those of one record share its constants and its commands.
         mean = lambda sq, who: np.nansum(sq * weights[who][:, None], 0) / np.sum(np.isfinite(sq) * weights[who][:, None], 0)
-        # Squares are subtracted, not errors: what the start's uncertainty makes, or what is left with the effects found, is
-        # independent of what the effects do. Below a fifth of the whole the difference is mostly noise.
+        # Squares are subtracted, not errors: the error from the uncertain start, or the rest with the found effects, is
+        # independent of the effects' contribution. Below a fifth of the whole the difference is mostly noise.
         square = mean(one, owner) - (mean(two, other) if changed else mean(made, owner))
         floor = 0.2 * mean(one, owner)
         good = np.isfinite(square) & (square > floor)

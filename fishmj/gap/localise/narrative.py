@@ -11,19 +11,19 @@ LITTLE, MOST = 0.1, 0.5  # share of the gap
 
 
 def paragraph(p) -> str:
-    """Where the gap is."""
+    """Paragraph on the place of the gap."""
     if nothing(p):
         return f"The residual is no more than healthy robots leave (gap {level(p.gap)}): there is nothing to place."
     return " ".join(s for s in (where(p), beat(p), lag(p), frame(p), side(p), growth(p), speed(p), session(p)) if s)
 
 
 def nothing(p) -> bool:
-    """Whether there is no gap to speak of."""
+    """Returns True if there is no significant gap."""
     return p.gap <= p.allowed or p.share.sum() == 0
 
 
 def where(p) -> str:
-    """Channel, and in it the regime."""
+    """Sentence on the channel, and its regime."""
     by_channel = p.share.sum(1)
     order = np.argsort(-by_channel)
     parts = []
@@ -42,7 +42,7 @@ def where(p) -> str:
 
 
 def beat(p) -> str:
-    """Locked to the tail beat or not."""
+    """Sentence on a lock to the tail beat."""
     parts = []
     for name, b in p.locked.items():
         channel = p.channels.index(name)
@@ -58,7 +58,7 @@ def beat(p) -> str:
 
 
 def lag(p) -> str:
-    """What comes late, and where along the way that puts it."""
+    """Sentence on late channels, and the place of the delay."""
     joint = p.lags.joint
     heading = p.lags.heading
     if joint is None and heading is None:
@@ -82,7 +82,7 @@ def lag(p) -> str:
 
 
 def conclusion(p) -> str:
-    """Where between command and camera the delay sits."""
+    """Clause on the place of the delay between command and camera."""
     joint = p.lags.joint
     heading = p.lags.heading
     if joint is None or heading is None:
@@ -97,7 +97,7 @@ def conclusion(p) -> str:
 
 
 def frame(p) -> str:
-    """World or body."""
+    """Sentence on world or body."""
     f = p.frame
     if f is None or p.share[p.channels.index("position")].sum() < LITTLE or f.points == "neither":
         return ""
@@ -118,7 +118,7 @@ def frame(p) -> str:
 
 
 def side(p) -> str:
-    """Left and right."""
+    """Sentence on left and right."""
     s = p.side
     if s is None or p.share[p.channels.index("heading")].sum() < LITTLE:
         return ""
@@ -132,7 +132,7 @@ def side(p) -> str:
 
 
 def growth(p) -> str:
-    """Within a record."""
+    """Sentence on the growth within a record."""
     grown = [
         f"the {noun(name)} from {number(v[0])} to {number(v[-1])} times the floor"
         for name, v in p.thirds.items()
@@ -142,7 +142,7 @@ def growth(p) -> str:
 
 
 def speed(p) -> str:
-    """Against the command's rate."""
+    """Sentence on the dependence on the command's rate."""
     r = p.rates
     if r is None or p.share[p.channels.index("joint")].sum() < LITTLE:
         return ""
@@ -155,26 +155,27 @@ def speed(p) -> str:
 
 
 def session(p) -> str:
-    """Over the session."""
+    """Sentence on the change over the session."""
     drifting = [noun(name) for name, s in p.session.items() if math.isfinite(s) and abs(s) > 1e-3]
     return f"It changes over the session in the {listed(drifting)}." if drifting else ""
 
 
 def ms(lag) -> str:
-    """A lag with its interval."""
+    """A lag with its interval in ms, as text."""
     half = 0.5e3 * (lag.high - lag.low)
     return f"{abs(1e3 * lag.lag):.0f} ± {max(half, 1.0):.0f} ms"
 
 
 def sense(lag) -> str:
+    """Direction of a lag: "later" or "earlier"."""
     return "later" if lag.lag > 0 else "earlier"
 
 
 def noun(channel: str) -> str:
-    """A channel in a sentence."""
+    """Noun of a channel for a sentence."""
     return {"joint": "joints", "power": "power"}.get(channel, channel)
 
 
 def listed(parts: list[str]) -> str:
-    """a, b and c."""
+    """Words as a list: a, b and c."""
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]

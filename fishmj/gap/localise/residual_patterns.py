@@ -1,14 +1,14 @@
-"""How late is every channel, is the residual locked to the tail beat, and does it grow with the speed of the command?
+"""Patterns of the residual: lag of every channel, lock to the tail beat, growth with the command's speed, world or body, side.
 
 Lags, behind the model and behind the command, are cross-correlations of rates with their bootstrap intervals (log/timebase.py),
-over all records in which the channel moves, set one after the other with pauses between. Where the command beats,
+over all records in which the channel moves, joined with pauses between. Where the command beats,
 
     r(t) = p0 + p1 t + g c(t) + h H[c](t)     in windows of two beats at least;  H quarter of a beat later (Hilbert transform)
 
-locked = share of the residual's variance about its straight line that g and h take, corrected for their number. g < 0: too small
-a motion, h: too late a motion.
+locked = share of the residual's variance about its straight line that g and h explain, corrected for their number. g < 0: too
+small a motion, h: too late a motion.
 
-Does the gap of the position point somewhere in the tank, or somewhere on the robot; does that of the turn have a side?
+The gap of the position may have a direction in the tank, or on the robot; that of the heading may have a side:
 
     dr/dt of the position's residual = a + R(heading) b       a [m/s] fixed in the world: current, swirl, tether, camera axes
                                                               b [m/s] fixed on the body: thrust, drag, offsets
@@ -16,8 +16,9 @@ Does the gap of the position point somewhere in the tank, or somewhere on the ro
                                                               even [rad/s]: the same on both sides: offset, asymmetry
                                                               odd: a turn too strong or too weak
 
-Seen from the body, a shows as first harmonic over the heading and b as a constant. Rates are straight lines through STRETCH
-seconds, tapered so that a beat does not look like a turn; fits weigh with the floor; standard deviations resample BLOCK seconds.
+In body axes, a appears as first harmonic over the heading and b as a constant. Rates are straight lines through STRETCH
+seconds, tapered so that a beat does not look like a turn; fits are weighted with the floor; standard deviations resample BLOCK
+seconds.
 """
 
 from typing import NamedTuple
@@ -37,10 +38,10 @@ MOVES = {"joint": 0.03, "heading": 0.05}  # rad, standard deviation from which a
 
 
 class Lags(NamedTuple):
-    """None where it cannot be told. Positive: measured comes later.
+    """Lags of the channels; None if not found. Positive: measured comes later.
 
-    joint, heading: measured behind the model; *_after: with the effects found. command: joint behind the command; model: the
-    model's joint behind it. residual: what is left of the joints, behind the command.
+    joint, heading: measured behind the model; *_after: with the found effects. command: joint behind the command; model: the
+    model's joint behind it. residual: rest of the joints, behind the command.
     """
 
     joint: Lag | None
@@ -53,7 +54,7 @@ class Lags(NamedTuple):
 
 
 def lags(c: Comparison) -> Lags:
-    """All of them."""
+    """All lags of a comparison."""
     measured, before, after = (chain(c, "joint", which) for which in ("measured", 0, 1))
     command = chain(c, "joint", "command")
     yaw, yaw_before, yaw_after = (chain(c, "heading", which) for which in ("measured", 0, 1))
@@ -70,7 +71,7 @@ def lags(c: Comparison) -> Lags:
 
 
 def between(a: str, earlier, b: str, later, either_sign: bool = False) -> Lag | None:
-    """The lag, or None when it is not found: too short, too weak, too wide an interval, or another peak as high."""
+    """The lag, or None if it is not found: too short, too weak, too wide an interval, or another peak as high."""
     if earlier is None or later is None:
         return None
     try:
@@ -81,7 +82,7 @@ def between(a: str, earlier, b: str, later, either_sign: bool = False) -> Lag | 
 
 
 def chain(c: Comparison, channel: str, which) -> tuple[np.ndarray, np.ndarray] | None:
-    """Stamps and values of a channel of all records that move, end to end. which: measured, command, or a row's number."""
+    """Stamps and values of a channel of all moving records, end to end. which: measured, command, or a row's number."""
     times, values, at = [], [], 0.0
     sensor, columns = ("joint", slice(None)) if channel == "joint" else ("pose", slice(2, 3))
     for record, predicted in zip(c.records, c.predictions, strict=True):
@@ -101,12 +102,12 @@ def chain(c: Comparison, channel: str, which) -> tuple[np.ndarray, np.ndarray] |
 
 
 def significant(lag: Lag | None) -> bool:
-    """Whether a lag is there: its interval leaves zero by more than can be told apart."""
+    """Returns True for a lag whose interval excludes zero by more than the resolution."""
     return lag is not None and (lag.low > SAME or lag.high < -SAME)
 
 
 def compatible(a: Lag | None, b: Lag | None) -> bool:
-    """Whether two lags may be one."""
+    """Returns True if two lags may be equal."""
     return a is not None and b is not None and a.low - SAME <= b.high and b.low - SAME <= a.high
 
 
@@ -117,7 +118,7 @@ RECENT = 0.25  # s, in which a command has become a motion
 
 
 class Beat(NamedTuple):
-    """locked: share of the variance. behind: rad of the beat by which the locked part follows the command. windows: fitted."""
+    """Lock to the beat. locked: share of the variance. behind: phase of that part after the command, rad. windows: fitted."""
 
     locked: float
     behind: float
@@ -132,12 +133,12 @@ class BeatRates(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Fastest fifth over slowest."""
+        """Mean square of the fastest fifth over that of the slowest."""
         return float(self.level[-1] / max(self.level[0], 1e-9))
 
 
 def beat(c: Comparison, channel: str) -> Beat | None:
-    """Of the joints or the heading; None where nothing beats for long enough."""
+    """Lock of the joints or the heading to the beat; None if nothing beats for long enough."""
     total = taken = spare = 0.0
     turned = 0.0 + 0.0j
     windows = 0
@@ -181,7 +182,7 @@ def analytic(values: np.ndarray) -> np.ndarray:
 
 
 def by_rate(c: Comparison) -> BeatRates | None:
-    """Joint residual by the fastest command of the last RECENT seconds; None without joints or when nothing is commanded."""
+    """Joint residual by the fastest command of the last RECENT seconds; None without joints or moving commands."""
     speed, level = [], []
     for b in c.layout.blocks:
         if b.channel != "joint":
@@ -230,7 +231,7 @@ class Frame(NamedTuple):
 
     @property
     def points(self) -> str:
-        """world, body, or neither."""
+        """Direction of the residual: world, body, or neither."""
         ahead = self.world_share - self.body_share
         if max(self.world_share, self.body_share) < 0.3 or abs(ahead) < 0.1:
             return "neither"
@@ -238,8 +239,10 @@ class Frame(NamedTuple):
 
 
 class Side(NamedTuple):
-    """Residual of the turning rate: even [rad/s], odd [1], with sd (infinite: cannot be told); left, right: mean residual while
-    turning there, rad/s."""
+    """Residual of the turning rate by side.
+
+    even [rad/s], odd [1], with sd (infinite: undetermined); left, right: mean residual while turning there, rad/s.
+    """
 
     even: float
     even_sd: float
@@ -289,7 +292,7 @@ def stretches(c: Comparison) -> list[Interval]:
 
 
 def frame(found: list[Interval]) -> Frame | None:
-    """World against body; None without a pose."""
+    """Residual of the velocity in world and body axes; None without a pose."""
     if len(found) < 4:
         return None
     heading = np.array([s.heading for s in found])
@@ -312,7 +315,7 @@ def frame(found: list[Interval]) -> Frame | None:
 
 
 def side(found: list[Interval]) -> Side | None:
-    """Even and odd part of the turn's residual where the joints move: what is at rest shows no side; None without a pose."""
+    """Even and odd part of the turn's residual while the joints move, since rest shows no side; None without a pose."""
     found = [s for s in found if s.beats]
     if len(found) < 4:
         return None
@@ -330,14 +333,14 @@ def side(found: list[Interval]) -> Side | None:
 
 
 def _slope(t: np.ndarray, values: np.ndarray) -> float:
-    """Of the straight line through values, weighted with a Hann window over the stretch."""
+    """Slope of the straight line through values, weighted with a Hann window over the stretch."""
     weight = np.sin(np.pi * (t - t[0] + 0.5 * (t[1] - t[0])) / (t[-1] - t[0] + t[1] - t[0])) ** 2
     t = t - weight @ t / weight.sum()
     return float((weight * t) @ values / ((weight * t) @ t))
 
 
 def _blocks(found: list[Interval]) -> np.ndarray:
-    """(n,) which block a stretch belongs to, 0.. ."""
+    """(n,) index of each stretch's block, 0.. ."""
     keys = [(s.record, s.block) for s in found]
     order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     return np.array([order[key] for key in keys])

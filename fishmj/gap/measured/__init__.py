@@ -1,1 +1,1 @@
-"""The workflow on measured data, where no simulator can say what nothing missing would look like: groups of records stand in."""
+"""The workflow on measured data: groups of records replace the null runs, because no simulator knows the healthy robot."""

@@ -1,14 +1,14 @@
 """From the rounds to an answer, and to a report with every figure behind it.
 
-TOO_FEW_GROUPS  fewer than `LEAST_GROUPS` groups: no test over them can be sure of anything, what was found is tentative
-NOT_REPEATABLE  the baseline's error is no larger than 1.5 times what replicates differ by
-AGREES          the same of the sensors' noise
+TOO_FEW_GROUPS  fewer than `LEAST_GROUPS` groups: no test over them is conclusive, and the findings are tentative
+NOT_REPEATABLE  the baseline's error is no larger than 1.5 times the scatter of replicates
+AGREES          the same for the sensors' noise
 UNEXPLAINED     nothing is accepted; or, on records that no parameter saw, less than `CLOSURE` of the excess is gone, or more than
                 `LEFT` times the floor is left
 CLASS           a rival is as good, folds disagree, or a value is not believable
 NAMED           else
 
-A rival is ruled out where the bootstrap and the exact test over groups both do it: words follow the weaker of the two.
+A rival is ruled out only by both the bootstrap and the exact test over groups: the words follow the weaker of the two.
 """
 
 from dataclasses import replace
@@ -34,7 +34,7 @@ TOO_FEW, EMPTY = "TOO_FEW_GROUPS", ("NOT_REPEATABLE", "AGREES")
 
 
 def answer(study: Study, found: Outcome) -> Verdict:
-    """The verdict. Gaps are errors in units of the floor, on records kept aside, or on groups left out where there are none."""
+    """The verdict. Gaps are errors in units of the floor, on records kept aside, or on groups left out if there are none."""
     before, after = ends(study, found)
     accepted = [r for r in found.rounds if r.accepted]
     effects = tuple(named(study, r, share(found, i)) for i, r in enumerate(accepted or found.rounds[:1]))
@@ -66,7 +66,7 @@ def ends(study: Study, found: Outcome) -> tuple[float, float]:
 
 
 def where(study: Study) -> str:
-    """What `ends` are told on."""
+    """Words for the records of `ends`."""
     return "on records kept aside" if study.aside else "on groups left out"
 
 
@@ -126,12 +126,12 @@ def rivals_of(r: Round) -> list[tuple[str, float]]:
 
 
 def own_cost(r: Round) -> float:
-    """Cost of the best on groups left out, of the model before."""
+    """Cost of the model before on groups left out, for the best candidate's comparison."""
     return float(r.cost[r.names.index(r.fitted.names[-1])].sum() / r.before.sum())
 
 
 def doubts(study: Study, r: Round, effects: tuple[Named, ...]) -> list[str]:
-    """What a reader should know before believing a round."""
+    """Doubts that a reader should know before believing a round."""
     name = r.fitted.names[-1]
     asked: Any = SimpleNamespace(model=study.plant)
     out = list(sanity(asked, r.fitted, next(e for e in effects if e.name == name)))
@@ -146,7 +146,7 @@ def doubts(study: Study, r: Round, effects: tuple[Named, ...]) -> list[str]:
 
 
 def report(study: Study, found: Outcome, verdict: Verdict) -> dict[str, Any]:
-    """Every figure, for JSON."""
+    """All figures, for JSON."""
     before, after = ends(study, found)
     return {
         "name": study.name,
@@ -228,7 +228,7 @@ def text(study: Study, found: Outcome, verdict: Verdict) -> str:
 
 
 def unseen(study: Study, found: Outcome) -> str:
-    """What the groups left out say of conditions that were not seen, and how few they are."""
+    """Sentence on the groups left out: their error, and the limits of so few conditions."""
     u = left_out(study, found)
     if not any(r.accepted for r in found.rounds):
         return f"each of {u['groups']} groups predicted without it: nothing was taken into the model"
@@ -258,7 +258,7 @@ def told(study: Study, v: Verdict) -> str:
 def solved(
     study: Study, say=lambda text: None, most: int | None = None, bars: Bars = silent
 ) -> tuple[str, dict[str, Any], Study, Outcome, Verdict]:
-    """Search, decide, report: the words, the figures, and what they come from."""
+    """Searches, decides and reports: the words, the figures, and their inputs."""
     found = investigate(study, most=most or study.rounds, say=say, bars=bars)
     study = study.settled(found.rows[-1])
     verdict = answer(study, found)

@@ -1,7 +1,8 @@
-"""A body that coasts to rest: (m + X) du/dt = -c |u| u + effects, seen as its speed alone.
+"""A body that coasts to rest: (m + X) du/dt = -c |u| u + effects, with its speed as the only measurement.
 
-The speed at which each coast began is no measurement but a free number of it: among trajectories from `STARTS` speeds the one
-that fits the coast's own rows is taken, under every law anew. So a law is judged by how the speed falls, not by where it began.
+The initial speed of each coast is not measured but fitted: among trajectories from `STARTS` speeds, the one
+that fits the coast's own rows best is taken, anew under every law. So a law is judged by the decay of the speed, not by its
+start.
 """
 
 from collections.abc import Iterable, Sequence
@@ -35,7 +36,10 @@ class Coast(NamedTuple):
 
 
 class CoastDown:
-    """Args: hull: nominal mass and drag. constants: factors that a fit adapts. catalogue: effects. speeds: range of starts."""
+    """Model of a coasting body.
+
+    Args: hull: nominal mass and drag. constants: fitted factors. catalogue: effects. speeds: of starts.
+    """
 
     def __init__(
         self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect], speeds: tuple[float, float], dt: float
@@ -46,7 +50,7 @@ class CoastDown:
 
     @property
     def null(self) -> np.ndarray:
-        """(P,) the body as it is."""
+        """(P,) row of the nominal body."""
         return self.body.null
 
     def index(self, effect: str, parameter: str) -> int:
@@ -67,7 +71,7 @@ class CoastDown:
 
 
 def _nearest(speeds: np.ndarray, r: Coast, step: float, starts: np.ndarray) -> np.ndarray:
-    """(R, K) the trajectory that fits a coast's rows best, between three of the starts. speeds: (R, S, N)."""
+    """(R, K) trajectory that fits a coast's rows best, between three of the starts. speeds: (R, S, N)."""
     at = r.pose.t / step
     i = np.minimum(at.astype(int), speeds.shape[-1] - 2)
     seen = speeds[..., i] + (at - i) * (speeds[..., i + 1] - speeds[..., i])  # (R, S, K)
@@ -75,7 +79,7 @@ def _nearest(speeds: np.ndarray, r: Coast, step: float, starts: np.ndarray) -> n
     middle = np.clip(np.argmin(squares, 1), 1, len(starts) - 2)
     which = np.arange(len(seen))
     three = np.stack([seen[which, middle + k] for k in (-1, 0, 1)], 1)  # (R, 3, K)
-    # the least of the parabola through three sums, in steps of the (geometric) grid
+    # the minimum of the parabola through three sums, in steps of the (geometric) grid
     a, b, c = (squares[which, middle + k] for k in (-1, 0, 1))
     bend = np.maximum(a - 2 * b + c, 1e-30)
     x = np.clip(0.5 * (a - c) / bend, -1.0, 1.0)[:, None]
@@ -109,7 +113,7 @@ def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: f
 
 
 def range_of(found: Sequence[Coast]) -> tuple[float, float]:
-    """The speeds at which a coast may have begun, m/s."""
+    """Range of the possible initial speeds of a coast, m/s."""
     first = [float(np.max(r.pose.values[: max(LEAST, 1)])) for r in found]
     return 0.4 * min(first), 2.0 * max(first)
 

@@ -1,8 +1,8 @@
-"""`gap measured`: which term is missing in a model of a machine that was measured, told by groups of records left out.
+"""`gap measured`: finds the missing term in a model of a measured machine, by leaving out groups of records.
 
-A fish, a boat, an ROV, a servo on a bench, a body that coasts to rest: no simulator need know it. A study says which records
-belong together; a model is fitted without each group in turn, and a term is named only where it lowers the error of groups that
-it did not see, by a bootstrap and by an exact test over the groups.
+A fish, a boat, an ROV, a servo on a bench, a body that coasts to rest: no simulator is needed. A study groups the records. A
+model is fitted without each group in turn. A term is named only if it lowers the error of groups outside its fit, by a bootstrap
+and by an exact test over the groups.
 """
 
 from importlib import import_module
@@ -33,6 +33,7 @@ With n groups the smallest p that any test can say is 1/2^n; with fewer than fiv
 
 
 def main(argv: list[str]) -> int:
+    """The command `gap measured`. Returns the exit code."""
     parser = console.parser("gap measured", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
     add("name", nargs="?", help=f"{', '.join(SETS)}, or all; FISHMJ_MEASURED names the folder that holds them")
@@ -79,7 +80,7 @@ def main(argv: list[str]) -> int:
 
 
 def changed(study: StudyInput, args) -> StudyInput:
-    """The study with what the command line says in place of its own."""
+    """The study with the command line's settings in place of its own."""
     table = study.table
     if args.seed is not None:
         table = merged(table, {"search": {"seed": args.seed}})
@@ -91,7 +92,7 @@ def changed(study: StudyInput, args) -> StudyInput:
 
 
 def run(study: StudyInput, out: Path | None = None) -> tuple[str, dict, int]:
-    """(words, figures, exit code) of a study and its variants; the report's files where `out` is given."""
+    """(words, figures, exit code) of a study and its variants; writes the report's files if `out` is given."""
     words, figures, ready, found, verdict = solved(built(study), console.say, bars=progress.shown)
     lines = [words]
     figures["study"] = study.where if study.folder != SHIPPED else study.given.name
@@ -134,7 +135,7 @@ def variant(given: StudyInput) -> tuple[dict, str]:
 
 
 def new(path: Path, plant: str | None, as_json: bool) -> int:
-    """Write the template of a plant."""
+    """Writes the template of a plant. Returns the exit code."""
     if plant is None:
         raise UsageError(f"gap measured --new: got no --plant, expected one of {', '.join(PLANTS)}")
     if path.exists():

@@ -1,6 +1,6 @@
-"""Terms that are no entry of the catalogue but would improve many a fit: what a named effect has to beat.
+"""Terms outside the catalogue that would improve many fits: a named effect must beat them.
 
-A short list makes it easy to be first. These stand beside the catalogue when measured data are searched, in the same form.
+In a short list it is easy to be first. These terms stand beside the catalogue in a search of measured data, in the same form.
 """
 
 from fishmj.effects.effect import Effect, Parameter

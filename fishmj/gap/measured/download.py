@@ -1,4 +1,4 @@
-"""One file over HTTP: goes on after a break, gives up after three, hands out nothing whose sum is wrong."""
+"""Downloads one file over HTTP: resumes after a break, gives up after three, returns nothing with a wrong hash."""
 
 import hashlib
 import http.client
@@ -18,20 +18,20 @@ PAUSE = 0.2  # s before the second try, doubled for the third
 
 
 class Missing(StoreError):
-    """The server answers, and says that there is no such file."""
+    """The server answers that there is no such file."""
 
 
 def download(url: str, folder: Path, key: str, sha256: str | None, limit: int) -> bytes:
     """The body behind `url`.
 
-    What arrives is kept in `folder/.<key>.part`, so that a later call goes on where this one broke off, even in another process.
+    The received part is kept in `folder/.<key>.part`, so that a later call resumes, even in another process.
 
     Args:
-        key: name of the part file. sha256: what the body must be (None: the caller checks).
-        limit: bytes; the exact size with a sum, else the most that is accepted.
+        key: name of the part file. sha256: of the body (None: the caller checks).
+        limit: bytes; the exact size with a hash, else the largest that is accepted.
 
     Raises:
-        Missing: 404 or 410. StoreError: refused, broken off `TRIES` times, too long, or the wrong sum.
+        Missing: 404 or 410. StoreError: refused, broken off `TRIES` times, too long, or the wrong hash.
     """
     part = Path(folder) / f".{key}.part"
     part.parent.mkdir(parents=True, exist_ok=True)
@@ -71,7 +71,7 @@ def download(url: str, folder: Path, key: str, sha256: str | None, limit: int) -
 
 
 def _receive(url: str, part: Path, limit: int) -> None:
-    """Append what is missing to `part`; raise `IncompleteRead` when the body ends early."""
+    """Appends the missing bytes to `part`; raises `IncompleteRead` if the body ends early."""
     have = part.stat().st_size if part.is_file() else 0
     request = urllib.request.Request(url, headers={"User-Agent": "fishmj"})
     if have:

@@ -2,9 +2,9 @@
 
     fetch("tail_fish", "data/tail_fish")
 
-What is pinned lies in `public/<name>.toml`: repository, commit, and sha256 and size of every file. A file gets its name only
-after its sum was right; what is already there and right is not asked for again, and a body that broke off goes on where it
-stopped. The manifest comes last, so a folder with a manifest is whole.
+`public/<name>.toml` pins the repository, the commit, and sha256 and size of every file. A file gets its name only
+after its hash was right. Existing right files are not downloaded again, and a broken download resumes. The manifest comes last,
+so a folder with a manifest is complete.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Pin:
-    """One file: where it goes, and what it must be."""
+    """One file: its place, size and hash."""
 
     path: str
     sha256: str
@@ -61,7 +61,7 @@ class PublicSet:
 
 @dataclass(frozen=True)
 class Fetched:
-    """What a fetch did."""
+    """Result of a fetch."""
 
     name: str
     folder: Path
@@ -94,15 +94,15 @@ def public_set(name: str) -> PublicSet:
 
 
 def fetch(name: str, out: str | Path, base_url: str | None = None, *, say: Say | None = None) -> Fetched:
-    """Download the set `name` into the folder `out`; run again, it goes on where it stopped.
+    """Downloads the set `name` into the folder `out`; a repeated call resumes.
 
     Args:
-        base_url: another server with the same paths (a mirror); the public source when None.
-        say: gets one line now and then.
+        base_url: another server with the same paths (a mirror); the public source if None.
+        say: receives a line now and then.
 
     Raises:
         UnknownName: no such set. ConfigError: `out` is a file, or holds another set. StoreError: the server lacks a file, the
-        connection broke three times, or a sum is wrong; the files that were right stay.
+        connection broke three times, or a hash is wrong; the right files stay.
     """
     wanted, out = public_set(name), Path(out)
     base = base_url or SOURCE
@@ -144,7 +144,7 @@ def _refuse_other(wanted: PublicSet, out: Path) -> None:
 
 
 def _unpack(wanted: PublicSet, base: str, out: Path, missing: list[Pin], tell: Say) -> int:
-    """Get the archive and put its pinned members in place. Members are found by the end of their path."""
+    """Downloads the archive and puts its pinned members in place. Members are found by the end of their path."""
     url = wanted.url(base, wanted.archive)
     tell(f"{wanted.name}: {wanted.archive}")
     raw = download(url, out, f"{wanted.name}-archive", None, ARCHIVE_LIMIT)
@@ -170,7 +170,7 @@ def _member(url: str, archive: zipfile.ZipFile, inside: dict[tuple[str, ...], zi
 
 
 def _licence(wanted: PublicSet, base: str, out: Path) -> list[str]:
-    """The licence beside the data; that a repository moved it must not cost the data."""
+    """Writes the licence beside the data; returns a note if the repository moved it, since the data must not depend on it."""
     pin = wanted.licence_file
     if _right(out / pin.path, pin):
         return []
@@ -183,7 +183,7 @@ def _licence(wanted: PublicSet, base: str, out: Path) -> list[str]:
 
 
 def main(argv: list[str]) -> int:
-    """`gap fetch NAME [--out FOLDER] [--base-url URL] [--json]`."""
+    """The command `gap fetch NAME [--out FOLDER] [--base-url URL] [--json]`. Returns the exit code."""
     parser = console.parser("gap fetch", "Get a public data set from its source, every file checked.")
     parser.add_argument("name", help=", ".join(names()))
     parser.add_argument("--out", type=console.out_folder, help="folder to write (default ./NAME)")

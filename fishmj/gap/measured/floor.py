@@ -1,11 +1,11 @@
-"""What stands in for the empirical null where nothing can simulate the robot: how records of one condition scatter.
+"""Replacement for the empirical null if nothing can simulate the robot: the scatter of records of one condition.
 
     r_gi = b_g + e_gi                    residual of the baseline, group g (a condition, a gain), i within it
     S    = D + sum_g t^2 1_g 1_g^T       D = var e, t^2 = var b, both for each sensor's column: one-way analysis of variance
     z    = S^-1/2 r
 
-A model that is off by a constant in one condition is off once, not once a row: S lets each group speak about as loudly as its
-independent share. There is no adequacy to be read from it, since the scatter holds what is missing too; that takes replicates.
+A model with a constant error in one condition is wrong once, not once a row: S weights each group about by its
+independent share. It gives no adequacy, since the scatter also holds the missing effect; that takes replicates.
 """
 
 import numpy as np
@@ -50,6 +50,6 @@ class Scatter:
         return np.array(list(rows.values())), d
 
     def whiten(self, layout: ResidualLayout, groups, tangents: np.ndarray | None = None) -> Whitening:
-        """S^-1/2; `tangents` (c, m) are directions that a fit could turn anyway and that count as little."""
+        """S^-1/2; `tangents` (c, m) are directions that a fit could change anyway and that have little weight."""
         factors, d = self.factors(layout, groups)
         return whitening(factors if tangents is None else np.concatenate([factors, tangents]), d)

@@ -1,4 +1,4 @@
-"""Where the measured data lie: the folder that FISHMJ_MEASURED names."""
+"""Folder of the measured data, named by FISHMJ_MEASURED."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,7 @@ VARIABLE = "FISHMJ_MEASURED"
 
 
 def trials(name: str) -> dict[str, Trial]:
-    """The trials of one set by name. Raises LogError when the variable is not set or the set is not there."""
+    """The trials of one set by name. Raises LogError if the variable is not set or the set is not there."""
     root = os.environ.get(VARIABLE, "")
     if not root:
         raise LogError(

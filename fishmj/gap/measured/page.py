@@ -1,4 +1,4 @@
-"""report.html of a study: the answer, how each group that was left out fared, the candidates, what the words stand on."""
+"""report.html of a study: the answer, the error of each group left out, the candidates, the basis of the words."""
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def html(given: StudyInput, study: Study, found: Outcome, v: Verdict, figures: d
 
 
 def answer(study: Study, v: Verdict) -> Section:
-    """The verdict and its reason."""
+    """Section with the verdict and its reason."""
     tentative = "tentative: " if v.answer in ("UNEXPLAINED", TOO_FEW) else ""
     rows = [
         {"term": part("strong", title(e.name)), "parameter": title(k), "value": quantity(p.value, p.unit, p.low, p.high)}
@@ -53,7 +53,7 @@ def answer(study: Study, v: Verdict) -> Section:
 
 
 def groups(study: Study, found: Outcome) -> Section:
-    """Every group, predicted without it."""
+    """Section with every group, predicted without it."""
     u = left_out(study, found)
     unit = study.unit or "mean square"
     taken = any(r.accepted for r in found.rounds)
@@ -84,7 +84,7 @@ def _dots(each: dict, taken: bool):
 
 
 def candidates(study: Study, r: Round) -> Section:
-    """One round's table."""
+    """Section with one round's table."""
     name = r.fitted.names[-1]
     start = r.before.sum()
     rows = []
@@ -105,7 +105,7 @@ def candidates(study: Study, r: Round) -> Section:
 
 
 def sure(study: Study, found: Outcome) -> Section:
-    """What so many groups can say."""
+    """Section on the certainty that so many groups allow."""
     n = len(study.groups)
     items = [
         f"{n} groups in {len(set(study.fold))} folds: the smallest p that a test over them can say is {smallest_p(n):.2g}",
@@ -117,7 +117,7 @@ def sure(study: Study, found: Outcome) -> Section:
 
 
 def others(figures: dict) -> Section:
-    """Variants."""
+    """Section on the variants."""
     rows = [
         {
             "variant": label,
@@ -131,5 +131,5 @@ def others(figures: dict) -> Section:
 
 
 def records(study: Study) -> Section:
-    """What went in."""
+    """Section on the used records."""
     return Section("Records", "", [part("items", [*study.protocol, *study.notes])])

@@ -1,14 +1,14 @@
-"""A body in the plane, averaged over the tail beat: what a robotic fish or a boat does when only its pose is logged.
+"""A body in the plane, averaged over the tail beat: the motion of a robotic fish or a boat of which only the pose is logged.
 
     (m + X) du/dt = (m + Y) w r + thrust A^2   - c V u             + fx        u, w relative to the water, V = |(u, w)|
     (m + Y) dw/dt = -(m + X) u r               - c V w - c_w |w| w + fy
     (I + N) dr/dt = (X - Y) u w - torque A^2 b         - c_r |r| r + n
 
-A, b: amplitude and bias of the tail [rad], the inputs; X, Y, N: added mass; fx, fy, n: what effects of the catalogue add.
-What is driven otherwise has another thrust and torque in their place (`DRIVES`).
+A, b: amplitude and bias of the tail [rad], the inputs; X, Y, N: added mass; fx, fy, n: forces of the catalogue's effects.
+Other drives have another thrust and torque in their place (`DRIVES`).
+
 Kirchhoff's body in ideal fluid, drag along the velocity (c) and across the body (c_w), thrust and torque of a small tail averaged
 over its beat: the published model of this family of robots (Wang & Tan 2015) without its lift.
-
 A parameter row is [constants (factors on the hull), effects]. One record holds many short runs from known starts.
 """
 
@@ -35,7 +35,7 @@ NOT_HERE = {"crossflow_drag", "tail_normal_force", "power_offset", "joint_zero_o
 
 
 class Hull(NamedTuple):
-    """One body, SI; forces for A = 1 rad. What a row's constants are factors on."""
+    """One body, SI; forces for A = 1 rad. The constants of a row are factors on it."""
 
     mass: float
     inertia: float
@@ -49,7 +49,7 @@ class Hull(NamedTuple):
     yaw_drag: float
 
 
-# (A, b) -> what drives ahead, what turns clockwise; twin: A and b are the commands of the left and the right thruster
+# (A, b) -> forward drive, clockwise drive; twin: A and b are the commands of the left and the right thruster
 DRIVES = {
     "tail": lambda xp, a, b: (a * a, a * a * b),
     "linear": lambda xp, a, b: (a, -b),
@@ -62,8 +62,8 @@ class MeanGait(NamedTuple):
     """K short runs under one condition.
 
     starts: (K, 6) x, y, yaw in the tank, surge, sway over ground, yaw rate. commands: (T, 2) amplitude and bias at the model's
-    steps since each start, or (K, T, 2) where each run has its own. pose: what was covered by the end of each run, in the frame
-    of its start: ahead, left, turned; its stamps tell the runs apart. span: s, length of a run.
+    steps since each start, or (K, T, 2) if each run has its own. pose: displacement by the end of each run, in the frame
+    of its start: ahead, left, turned; its stamps identify the runs. span: s, length of a run.
     """
 
     name: str
@@ -77,7 +77,7 @@ class MeanGait(NamedTuple):
     power: None = None
 
 
-# what effects see, with what the tail does sideways in the mean: A^2 b, rad^3
+# the effects' inputs, with the tail's mean sideways drive: A^2 b, rad^3
 Beaten: Any = namedtuple("Beaten", (*sites.BodyMotion._fields, "push"))  # type: ignore[misc]
 
 
@@ -96,8 +96,10 @@ class Transfer(NamedTuple):
 
 
 class PlanarBody:
-    """Args: hull: nominal. constants: factors that a fit adapts. catalogue: effects; default, those that act here. drive: of
-    `DRIVES`."""
+    """Model of a planar body. Args: hull: nominal. constants: fitted factors.
+
+    catalogue: effects; default, those that act here. drive: of `DRIVES`.
+    """
 
     def __init__(
         self, hull: Hull, constants: tuple[Constant, ...], catalogue: Iterable[Effect] | None = None, dt=0.02, drive: str = "tail"
@@ -108,7 +110,7 @@ class PlanarBody:
 
     @property
     def null(self) -> np.ndarray:
-        """(P,) the hull as it is."""
+        """(P,) row of the nominal hull."""
         return np.array([1.0] * len(self.constants) + self.active.null)
 
     def index(self, effect: str, parameter: str) -> int:
@@ -143,7 +145,7 @@ class PlanarBody:
         rest = dict.fromkeys(sites.BodyMotion._fields, 0.0)  # what a lone body does not have
         b = Beaten(**rest | where | forces | dict(sway_mass=h.sway_added, drag=h.drag))
         b = session.body(b, k)
-        # forces = masses times accelerations seen from the ground; the centre of mass lies `com` ahead
+        # forces = masses times accelerations in the ground frame; the centre of mass lies `com` ahead
         more = h.sway_added - h.surge_added
         ax = (b.fx + more * w * r + mass * com * r * r) / (mass + b.mx)
         fy, n = b.fy + more * u * r, b.n - more * u * w
@@ -163,7 +165,7 @@ class PlanarBody:
         return self.hull._replace(**{name: getattr(self.hull, name) * f for name, f in factors.items()})
 
     def predict(self, records: list[MeanGait], rows) -> list[dict]:
-        """Where every run ends, for every parameter row (R, P): {"pose": (R, K, 3)} a record, in the frame of each start."""
+        """End of every run for every parameter row (R, P): {"pose": (R, K, 3)} a record, in the frame of each start."""
         rows = np.atleast_2d(np.asarray(rows, float))
         return [{"pose": self._covered(r, end, rows)} for r, end in zip(records, self.ends(records, rows), strict=True)]
 
@@ -194,7 +196,7 @@ class PlanarBody:
         return [track[:, :, : n // stride + 1] for track, n in zip(each, steps, strict=True)]
 
     def _covered(self, record: MeanGait, end: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(R, K, 3) what a camera saw covered."""
+        """(R, K, 3) displacements as a camera measures them."""
         parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]
         before = self._seen(parameters, np.broadcast_to(record.starts, end.shape), 0.0)
         after = self._seen(parameters, np.clip(np.nan_to_num(end, nan=FAR), -FAR, FAR), record.span)
@@ -216,6 +218,6 @@ def covered(before, after, heading) -> np.ndarray:
 
 
 def acting() -> list[Effect]:
-    """The effects of the catalogue that such a body can have and its log can show."""
+    """Effects of the catalogue that apply to such a body and show in its log."""
     every = effects.catalogue().values()
     return [e for e in every if e.sites and set(e.sites) <= SITES and not e.stochastic and e.name not in NOT_HERE]

@@ -1,10 +1,10 @@
-"""One servo on a pendulum: what an actuator does alone, with the supply voltage as the log has it.
+"""One servo on a pendulum: the actuator alone, with the supply voltage of the log.
 
-    duty   = clip(gain (goal - angle), +-most)                     what the firmware sets; 0 with the torque off
+    duty   = clip(gain (goal - angle), +-most)                     set by the firmware; 0 with the torque off
     torque = stall duty - on k_b w                                 stall: torque at full duty and the rig's nominal voltage
     (m l^2 + J) dw/dt = torque - D w - m g l sin(angle) + effects  at their sites servo and gear
 
-The firmware's gain and the largest duty are read from the log itself, which holds the duty that was set. A parameter row is
+The firmware's gain and the largest duty come from the log itself, which holds the set duty. A parameter row is
 [constants (factors on the nominal servo), effects].
 """
 
@@ -30,7 +30,7 @@ NOT_HERE = {"joint_hydro_damping"}  # water
 
 
 class ServoMotor(NamedTuple):
-    """Nominal servo, SI; what a row's constants are factors on."""
+    """Nominal servo, SI; the constants of a row are factors on it."""
 
     stall: float  # N m at full duty
     back_emf: float  # N m s/rad, with the torque on
@@ -66,16 +66,19 @@ class PendulumLog(NamedTuple):
 def measured_rail(xp, p, s, memory, h):
     """(k_p, k_v, limit)' = share (k_p, k_v, limit), share = 1 - (R / 1 ohm) (V_0 - V) / V_0 with V from the log.
 
-    The duty cycle is what the firmware sets, so all of the torque follows the rail, not its limit alone.
+    The firmware sets the duty cycle, so all of the torque follows the supply voltage, not only its limit.
     """
     share = 1.0 - p.resistance * s.current
     return s._replace(kp=share * s.kp, kv=share * s.kv, limit=share * s.limit), memory
 
 
 class OneServo:
-    """Args: motor: nominal. rig: load and supply. constants: factors that a fit adapts. catalogue: effects; default, all that a
-    servo on a bench can have. dt: s, the step. centred: a command that changes at a step acts half a step later: the rates of
-    this (leapfrog) scheme live between two steps, and would feel it half a step early."""
+    """Model of one servo. Args: motor: nominal. rig: load and supply. constants: fitted factors.
+
+    catalogue: effects; default, all that apply to a servo on a bench. dt: s, the step. centred: a command that changes at a step
+    acts half a step later. The rates of this (leapfrog) scheme lie between two steps, and would otherwise respond half a step
+    early.
+    """
 
     def __init__(
         self,
@@ -92,7 +95,7 @@ class OneServo:
 
     @property
     def null(self) -> np.ndarray:
-        """(P,) the nominal servo."""
+        """(P,) row of the nominal servo."""
         return np.array([1.0] * len(self.constants) + self.active.null)
 
     def index(self, effect: str, parameter: str) -> int:
@@ -127,7 +130,7 @@ class OneServo:
         return [angle + self.dt * rate, rate, *session.end(0.0, self.dt)]
 
     def predict(self, records: list[PendulumLog], rows) -> list[dict]:
-        """What the encoder reports for every parameter row (R, P) on every record: {"joint": (R, K, 1)} at its stamps."""
+        """The encoder's readings for every parameter row (R, P) on every record: {"joint": (R, K, 1)} at its stamps."""
         rows = np.atleast_2d(np.asarray(rows, float))
         longest = max(len(r.commands) for r in records)
         inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
@@ -160,7 +163,7 @@ class OneServo:
 
 
 def acting() -> list[Effect]:
-    """The effects of the catalogue that a servo on a bench can have and its log can show."""
+    """Effects of the catalogue that apply to a servo on a bench and show in its log."""
     out = []
     for e in effects.catalogue().values():
         here = set(e.sites) <= {"servo", "gear", "command", "measure"} and set(e.delays) <= {"command", "joint"}
@@ -170,5 +173,5 @@ def acting() -> list[Effect]:
 
 
 def on_bench(chosen: Iterable[Effect]) -> list[Effect]:
-    """The same effects; the supply's sag takes the voltage that was measured."""
+    """The effects for a bench; the supply's sag uses the measured voltage."""
     return [replace(e, servo=measured_rail) if e.name == "voltage_sag" else e for e in chosen]

@@ -1,6 +1,6 @@
-"""How sure a few groups can make: an exact test beside the bootstrap, and intervals that know how few they are.
+"""Certainty from a few groups: an exact test beside the bootstrap, and intervals that account for their number.
 
-A Bayesian bootstrap of four groups that all get better says P = 1.00, whatever they are; an exact test says p = 1/16. Words
+A Bayesian bootstrap of four groups that all get better gives P = 1.00 in any case; an exact test gives p = 1/16. The words
 follow the weaker of the two.
 """
 
@@ -14,7 +14,7 @@ COVERS = 0.9  # of intervals
 
 
 def exact_p(before: np.ndarray, after: np.ndarray) -> float:
-    """One-sided p of the sum of `before - after` (G,), were the two labels of each group exchangeable.
+    """One-sided p of the sum of `before - after` (G,), if the two labels of each group were exchangeable.
 
     All 2^G swaps of labels within groups, or DRAWS drawn ones beyond 14 groups (`scipy.stats.permutation_test`).
     """
@@ -27,12 +27,12 @@ def exact_p(before: np.ndarray, after: np.ndarray) -> float:
 
 
 def smallest_p(groups: int) -> float:
-    """The least p that `exact_p` can say of so many groups."""
+    """Least possible value of `exact_p` for so many groups."""
     return max(0.5**groups, 1.0 / (DRAWS + 1))
 
 
 def jackknife(values: np.ndarray, whole: float) -> tuple[float, float]:
-    """90 % interval of a value about `whole`, from the K values (K,) fitted without one part of the groups each.
+    """90 % interval of a value about `whole`, from the K values (K,), each fitted without one part of the groups.
 
     The delete-a-group jackknife (Quenouille 1956): (K - 1) / K sum (v - mean)^2, Student's t of K - 1.
     """
@@ -48,7 +48,7 @@ def ratio(before: np.ndarray, after: np.ndarray, root: bool, seed: int = 0) -> t
     """Mean of `after` over that of `before` (G,), each group counting once, and its 90 % interval over groups (bootstrap).
 
     Args:
-        root: of the mean squares' roots.
+        root: use the roots of the mean squares.
     """
     power = 0.5 if root else 1.0
     drawn = np.random.default_rng(seed).integers(0, len(before), (4000, len(before)))

@@ -1,12 +1,12 @@
-"""Naming what is missing by cross-validation over groups: conditions, gains, runs that no parameter saw.
+"""Names the missing term by cross-validation over groups: conditions, gains, runs outside every fit.
 
     per fold    baseline fitted -> screen -> refit with the constants -> cost on the groups left out
     accepted    P(the cost left out falls by more than `useful`) over Bayesian bootstrap draws of the groups, best in most folds;
-                and an exact test over the groups of what each fold picks by its own records, where they are not too few for one
+                and an exact test over the groups of each fold's choice by its own records, if they are not too few for one
     named       the same best effect in the folds, P(best) over the same draws, rivals by the exact test too, closure on records
-                kept aside for the last figure, or on the groups left out where none are
+                kept aside for the last figure, or on the groups left out if there are none
 
-Constants of the baseline are fitted with every candidate anew: what a constant can explain is no effect.
+Constants of the baseline are refitted with every candidate: a change that a constant can explain is no effect.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,13 +30,13 @@ PRIOR = 0.5  # of a constant, how far the screen lets it turn
 
 @dataclass(frozen=True)
 class Study:
-    """One measured set, ready to be searched.
+    """One measured set, ready for the search.
 
-    learn, aside: records; `aside` ones take no part but in the last figure. fold: (L,) of each record of `learn`.
-    error(records, row): mean square over everything that was measured; said as its root times `factor` in `unit`, or as it is
-    where `unit` is "". floor: the mean square below which nothing can be seen, and `floor_of` what says so; replicates: whether
-    it is what repeats differ by, else a sensor's noise. origin: measured or synthetic. rounds: effects to add at most. floor_at:
-    the floor and its words of another parameter row than the nominal one, where it depends on it.
+    learn, aside: records; `aside` ones are used for the last figure only. fold: (L,) of each record of `learn`.
+    error(records, row): mean square over all measurements; printed as its root times `factor` in `unit`, or unchanged
+    if `unit` is "". floor: the mean square below which nothing can be detected, and `floor_of` its origin; replicates: True if
+    it is the scatter of repeats, else a sensor's noise. origin: measured or synthetic. rounds: effects to add at most. floor_at:
+    the floor and its words for another parameter row than the nominal one, if it depends on it.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Study:
     floor_at: Callable[[np.ndarray], tuple[float, str]] | None = None
 
     def settled(self, row: np.ndarray) -> "Study":
-        """The study with the floor of the model that a parameter row is: how far noise at a start goes is up to the model."""
+        """The study with the floor of a parameter row's model: the effect of noise at a start depends on the model."""
         if self.floor_at is None:
             return self
         floor, of = self.floor_at(row)
@@ -66,15 +66,15 @@ class Study:
 
     @property
     def groups(self) -> list[str]:
-        """The groups that take part in the search."""
+        """The groups of the search."""
         return sorted({r.group for r in self.learn})
 
     def figure(self, square: float) -> float:
-        """A mean square as the protocol says it."""
+        """A mean square in the protocol's form."""
         return self.factor * float(np.sqrt(square)) if self.unit else float(square)
 
     def said(self, square: float) -> str:
-        """The same with its unit."""
+        """A mean square in the protocol's form, with its unit."""
         return f"{self.figure(square):.4g} {self.unit}".strip()
 
 
@@ -82,9 +82,9 @@ class Study:
 class Round:
     """One round. names: of the candidates; cost (C, G) on groups left out; best: per fold, by its own records; fitted: on all.
 
-    groups: (G,) as they are counted in. errors: (G, 2) of the study on each group left out, of the model before and of what its
-    fold picks by its own records: no choice saw the group. p_exact: of the cost of those picks, one-sided. p_rival: that the best
-    is better than each other candidate, the same test.
+    groups: (G,) in the order of counting. errors: (G, 2) of the study on each group left out, of the model before and of the
+    fold's choice by its own records: no choice used the group. p_exact: of the cost of those choices, one-sided. p_rival: that
+    the best is better than each other candidate, the same test.
     """
 
     names: tuple[str, ...]
@@ -104,7 +104,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the rounds led to, with the error on the records kept aside before and after each."""
+    """Result of the rounds, with the error on the records kept aside before and after each."""
 
     base: Candidate
     rounds: tuple[Round, ...]
@@ -118,7 +118,7 @@ class Outcome:
 
     @property
     def unseen(self) -> np.ndarray:
-        """(G, 2) error on each group left out, of the baseline and of what was accepted, as the folds picked it."""
+        """(G, 2) error on each group left out, of the baseline and of the accepted model as the folds chose it."""
         accepted = [r for r in self.rounds if r.accepted]
         first, last = self.rounds[0].errors, (accepted or self.rounds)[-1].errors
         return np.stack([first[:, 0], last[:, 1] if accepted else first[:, 0]], 1)
@@ -150,7 +150,7 @@ class Fold:
         return self.refit(found)
 
     def trust(self, row: np.ndarray) -> None:
-        """Take the scatter that this row leaves: the baseline's holds what is missing, too, and would hide its best witness."""
+        """Uses the scatter of this row's residual: the baseline's scatter also holds the missing effect, and would hide it."""
         residual = self.layout.residuals(self.study.plant.predict(self.records, row))[0]
         self.scatter = Scatter(self.layout, self.groups, residual)
         self.search = EffectFitter(self.study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
@@ -161,14 +161,14 @@ class Fold:
         return self.search.refine([scored(self.search, c) for c in candidates], POLISH) if candidates else []
 
     def costs(self, left_out: Sequence, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """{group: (R,)} |z|^2 of records that were left out."""
+        """{group: (R,)} |z|^2 of the records left out."""
         layout, groups = ResidualLayout(list(left_out)), [r.group for r in left_out]
         z = EffectFitter(self.study.plant, list(left_out), layout, self.scatter.whiten(layout, groups)).z(rows)
         each = likelihood.costs(z, layout)
         return {g: each[:, [i for i, h in enumerate(groups) if h == g]].sum(1) for g in sorted(set(groups))}
 
     def _tangents(self) -> np.ndarray:
-        """(C, m) what the prior of each fitted place does to the residual."""
+        """(C, m) change of the residual by the prior of each fitted place."""
         rows = np.tile(self.base.row, (1 + len(self.base.places), 1))
         for i, place in enumerate(self.base.places):
             rows[1 + i, place] += 0.05 * max(abs(rows[0, place]), 0.1)
@@ -192,7 +192,7 @@ def investigate(
     say=lambda text: None,
     bars: progress.Bars = progress.silent,
 ) -> Outcome:
-    """Add effects while groups that no parameter saw get better. has: names of effects that the model already holds."""
+    """Adds effects while groups outside the fit get better. has: names of effects that the model already holds."""
     steps = 2 + len(set(study.fold))  # of a round; the baseline counts as one
     with bars(most * steps, study.name, "fits") as bar:
         base = current = extended(study, has)
@@ -230,7 +230,7 @@ def extended(study: Study, has=()) -> Candidate:
 
 
 def one_round(study: Study, current: Candidate, useful: float, sure: float, done=lambda k: None) -> Round:
-    """All folds once, for candidates one effect larger than `current`. done: is told how many fits are."""
+    """All folds once, for candidates one effect larger than `current`. done: receives the number of finished fits."""
     effects = [e for e in study.plant.active.effects if e.name not in current.names]
     folds, own = [], []
     for k in sorted(set(study.fold)):

@@ -1,8 +1,8 @@
 """A study of a body in the plane: short free runs from a smoothed pose and speed, predicted from there.
 
-A fish, a boat, an ROV at one depth: what is known is where it was, which way it pointed and what was commanded. Start and end
-of a run are the middle of a cubic fitted to the rows around them (Savitzky and Golay 1964), which bends with the path; rows
-taken as they were logged get a moving average.
+A fish, a boat, an ROV at one depth: known are its position, its heading and its commands. Start and end
+of a run are the middle of a cubic fitted to the rows around them (Savitzky and Golay 1964), which bends with the path;
+unprocessed rows get a moving average.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> tu
     """(runs of every log that is long enough for one, the model's step [s]).
 
     Raises:
-        LogError: no log is, or there are more runs than a study takes.
+        LogError: no log is long enough, or there are more runs than a study takes.
     """
     p = study.given.prediction
     step = p.step or (0.0 if p.as_logged else even_step(logs))
@@ -82,7 +82,7 @@ def _track(study: StudyInput, log: Log, step: float) -> Track:
 
 
 def _runs(study: StudyInput, log: Log, group: str, step: float, dt: float) -> MeanGait | None:
-    """The runs of one log; None when it is too short for one."""
+    """The runs of one log; None if it is too short for one."""
     p = study.given.prediction
     track = _track(study, log, step)
     h = track.h
@@ -112,7 +112,7 @@ def _runs(study: StudyInput, log: Log, group: str, step: float, dt: float) -> Me
 
 
 def _commands(log: Log, begin: np.ndarray, span: float, dt: float) -> np.ndarray:
-    """(1, 2) where nothing changes in the log, (K, T, 2) of each run otherwise; what is not logged is 0."""
+    """(1, 2) if nothing changes in the log, (K, T, 2) of each run otherwise; missing commands are 0."""
     given = [log.series.get(k) for k in ("amplitude", "bias")]
     if all(s is None or not np.ptp(s.values) for s in given):
         return np.array([[0.0 if s is None else s.values[0] for s in given]])
@@ -127,7 +127,7 @@ def averaged(values: np.ndarray, n: int) -> np.ndarray:
 
 
 def with_scale(found: list[MeanGait], least: np.ndarray) -> list[MeanGait]:
-    """The same runs; where the study says no scale, errors count in the rms of what is covered, `least` (3,) at least."""
+    """The runs with a scale of errors: unless the study states one, the rms of the displacements, at least `least` (3,)."""
     if np.isfinite(found[0].pose.sigma).all():
         return found
     every = np.concatenate([r.pose.values for r in found])
@@ -143,14 +143,14 @@ def error(plant: PlanarBody, found: Sequence[Any], row: np.ndarray) -> float:
 
 
 def window(study: StudyInput, h: float) -> int:
-    """Rows that start and end of a run are told from; odd for a cubic."""
+    """Number of rows that determine start and end of a run; odd for a cubic."""
     p = study.given.prediction
     rows = max(round((p.horizon * SHARE if p.average is None else p.average) / h), 1)
     return rows if p.as_logged else max(rows + 1 - rows % 2, CUBIC + 2)
 
 
 def smoothed_noise(study: StudyInput, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations of a smoothed pose (3,) and of its rate (3,) by the noise of one reading."""
+    """Standard deviations of a smoothed pose (3,) and of its rate (3,) from the noise of one reading."""
     n, rows = study.given.noise, window(study, h)
     if study.given.prediction.as_logged:
         pose, rate = 1 / rows, (1 / (rows * h) ** 2 if rows > 1 else 0.5 / h**2)
@@ -162,8 +162,10 @@ def smoothed_noise(study: StudyInput, h: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def seen_noise(plant: PlanarBody, found: Sequence[MeanGait], row: np.ndarray, noise: tuple[np.ndarray, np.ndarray]) -> float:
-    """The error that the sensors' noise alone makes: the body of a parameter row from starts with and without it, noise at the
-    ends. noise: of pose (3,) and rate (3,)."""
+    """Error from the sensors' noise alone: the body of a parameter row from starts with and without noise, plus that at the ends.
+
+    noise: of pose (3,) and rate (3,).
+    """
     (pose, rate), rng, records = noise, np.random.default_rng(0), list(found)
     ends, squares = plant.ends(records, row), []
     for _ in range(DRAWS):
@@ -175,8 +177,10 @@ def seen_noise(plant: PlanarBody, found: Sequence[MeanGait], row: np.ndarray, no
 
 
 def repeats(found: Sequence[MeanGait], near: float) -> float:
-    """Error that even a model without fault has: half the mean square difference between runs of two records of one group whose
-    starting speeds differ by less than `near` of the error's scale a run."""
+    """Error of a faultless model: half the mean square difference between runs of two records of one group.
+
+    The starting speeds of both runs differ by less than `near` of the error's scale a run.
+    """
     seen = []
     for i, a in enumerate(found):
         scale = a.pose.sigma

@@ -1,7 +1,7 @@
-"""From a study's file and its records to a `Study` that can be searched: who is left out, baseline, candidates, floor.
+"""Builds a searchable `Study` from a study's file and its records: groups left out, baseline, candidates, floor.
 
 built(read_study("my.toml"))
-shipped("tail_fish")          a study that comes with fishmj, its data where FISHMJ_MEASURED says
+shipped("tail_fish")          a study that comes with fishmj, with its data in the folder FISHMJ_MEASURED
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ def shipped(name: str, changes: Mapping[str, Any] | None = None) -> StudyInput:
     """A study of a published set. changes: keys in place of its own, by block.
 
     Raises:
-        UnknownName: there is none of this name.
+        UnknownName: no study of this name.
     """
     known = sorted(path.stem for path in SHIPPED.glob("*.toml"))
     if name not in known:
@@ -45,7 +45,7 @@ def deleted(name: str, constant: str) -> dict[str, Any]:
 
 
 def built(study: StudyInput) -> Study:
-    """The study, ready to be searched.
+    """The study, ready for the search.
 
     Raises:
         LogError: records that are missing or damaged, fewer than two groups, or none left to learn from.
@@ -96,12 +96,12 @@ def split(study: StudyInput, logs: Sequence[Log], records: Sequence[Any]) -> tup
 
 
 def _log_of(name: str, logs: set[str]) -> bool:
-    """Whether a record is one of these logs, or a run of one ("name 3")."""
+    """Returns True if a record is one of these logs, or a run of one ("name 3")."""
     return name in logs or name.rpartition(" ")[0] in logs
 
 
 def _terms(study: StudyInput, mass: float, length: float = 1.0) -> list[Effect]:
-    """The candidates, their sizes those of this body."""
+    """The candidates, with sizes scaled to this body."""
     c = study.given.candidates
     every = offered(study.given.plant)
     rivals = {e.name for e in every if e.source.startswith("none:")}
@@ -150,7 +150,7 @@ def _study(study: StudyInput, logs, records, plant, **more: Any) -> Study:
 
 
 def _size(ready: Study) -> float:
-    """Mean square of what was measured, as `Study.error` counts it."""
+    """Mean square of the measurements, in the units of `Study.error`."""
     sensors = [r.joint or r.pose for r in ready.learn]
     unit = [np.ones(s.values.shape[1]) if ready.unit else s.sigma for s in sensors]
     return float(np.mean([np.mean((s.values / u) ** 2) for s, u in zip(sensors, unit, strict=True)])) + ready.floor

@@ -1,9 +1,9 @@
-"""The records of a study, from tables of the user's own, from trial folders or from a published set; and the group of each.
+"""Records of a study, from the user's own tables, from trial folders or from a published set; and the group of each.
 
-    logs_of(study)     a Log for each file or trial: its columns in SI with their stamps, and what groups can be made by
-    group_of(log, by)  "day1_kp200": what the log says of every name in `by`
+    logs_of(study)     a Log for each file or trial: its columns in SI with their stamps, and the keys for groups
+    group_of(log, by)  "day1_kp200": the log's values of every name in `by`
 
-A name in `by` is a part of the file's name ({day} in data.names), `file` itself, a column of the file that does not change, or a
+A name in `by` is a part of the file's name ({day} in data.names), `file` itself, a constant column of the file, or a
 key of a trial's meta data. Text of files is only ever compared and shown.
 """
 
@@ -51,7 +51,7 @@ class Series(NamedTuple):
 
 
 class Log(NamedTuple):
-    """One record. where: file or trial, for messages. trial: what a trial folder says; told: what the file and its name say."""
+    """One record. where: file or trial, for messages. trial: values of a trial folder; told: values of the file and its name."""
 
     name: str
     where: str
@@ -65,7 +65,7 @@ def logs_of(study: StudyInput) -> list[Log]:
     """Every record, in order of its name.
 
     Raises:
-        LogError: no folder, no file, or a table that lacks a column, is damaged, or whose numbers cannot be.
+        LogError: no folder, no file, or a table that lacks a column, is damaged, or has impossible numbers.
     """
     data = study.given.data
     if data.set is not None:
@@ -150,7 +150,7 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
 
 
 def _cells(study: StudyInput, sheet: Sheet, column: str, key: str, unit: str) -> np.ndarray:
-    """Cells of one column of a file; its unit must not be another than the study says."""
+    """Cells of one column of a file; its unit must match the study's."""
     if column not in sheet.columns:
         near = get_close_matches(column, list(sheet.columns), 1, 0.5)
         hint = f"; did you mean {quoted(near[0])}?" if near else ""
@@ -183,7 +183,7 @@ def _constant(sheet: Sheet, column: str) -> float:
 
 
 def _parts(study: StudyInput, name: str) -> dict[str, str | float]:
-    """What a file's name tells by data.names: each {part} goes to where the text after it begins first."""
+    """Parts of a file's name by data.names: each {part} ends at the first occurrence of the text after it."""
     template = study.given.data.names
     if not template:
         return {}
@@ -206,7 +206,7 @@ def _parts(study: StudyInput, name: str) -> dict[str, str | float]:
 
 
 def _number(text: str) -> str | float:
-    """A number where the text is one in plain digits."""
+    """A number if the text is one in plain digits, else the text."""
     return float(text) if re.fullmatch(r"[+-]?\d{1,12}(\.\d{1,12})?", text, re.ASCII) else text
 
 
@@ -227,10 +227,10 @@ def _of_trial(study: StudyInput, name: str, trial: Trial) -> Log:
 
 
 def said(log: Log, key: str) -> str | float:
-    """What a log says of a name in `by` or `where`.
+    """Value of a name in `by` or `where` for a log.
 
     Raises:
-        LogError: nothing; the names that it knows are listed.
+        LogError: unknown; the known names are listed.
     """
     value = log.told.get(key)
     if value is None and log.trial is not None:

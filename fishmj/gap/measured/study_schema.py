@@ -1,6 +1,6 @@
-"""What may stand in a study, `fishmj.study/1`: every block and key with its unit and its bounds.
+"""Schema of a study, `fishmj.study/1`: every block and key with its unit and its bounds.
 
-    read_study("my.toml")     the file, checked: one ConfigError that lists what is wrong, a line for each
+    read_study("my.toml")     the file, checked: one ConfigError that lists the errors, a line for each
     variant(study, 0)         the same study with the keys of its first [[variant]] in place of its own
 
 Nothing of a study is ever run: names of files are matched letter by letter, columns and effects are looked up by name.
@@ -32,7 +32,7 @@ ANY = "any"  # of a column: any unit, or none
 
 
 class ColumnRule(NamedTuple):
-    """A column of ours: what it measures ("" no unit, ANY), whether a study needs it, what it is."""
+    """A column of ours: its quantity ("" no unit, ANY), True if a study needs it, its meaning."""
 
     kind: str
     needed: bool
@@ -75,12 +75,12 @@ FITTED: dict[str, tuple[str, ...]] = {
 
 
 def flag(what: str, default: bool = False) -> Any:
-    """true or false."""
+    """Field for true or false."""
     return Field(default, description=what, json_schema_extra={"unit": "", "expected": "true or false"})
 
 
 def listed(what: str, expected: str, default: Any = ()) -> Any:
-    """A key that is neither number nor text: what it is, what may stand there."""
+    """Field for a value that is neither number nor text: meaning and expected value."""
     return Field(default, description=what, json_schema_extra={"unit": "", "expected": expected})
 
 
@@ -90,7 +90,7 @@ Size = Annotated[float, Field(ge=0.0, le=1e9, allow_inf_nan=False)]
 
 
 class DataBlock(TomlTable):
-    """Where the records are."""
+    """Place of the records."""
 
     folder: str | None = text("beside this file: tables of your own with [columns], or trial folders", default=None, most=1000)
     set: str | None = text("a published set in the folder that FISHMJ_MEASURED names", default=None, most=64)
@@ -99,7 +99,7 @@ class DataBlock(TomlTable):
 
 
 class GroupsBlock(TomlTable):
-    """Which records belong together."""
+    """Grouping of the records."""
 
     by: Annotated[Words, Field(min_length=1, max_length=6)] = listed(
         "records that agree in all of these are a group", "1 to 6 names"
@@ -107,7 +107,7 @@ class GroupsBlock(TomlTable):
 
 
 class HeldOutBlock(TomlTable):
-    """What no parameter sees."""
+    """Records outside every fit."""
 
     aside: int = whole("groups drawn by the seed for the last figure only", 0, 1000, default=0)
     where: dict[str, str | float | int] = listed("records kept aside instead", 'a table such as { trajectory = "sine" }', {})
@@ -115,7 +115,7 @@ class HeldOutBlock(TomlTable):
 
 
 class NoiseBlock(TomlTable):
-    """One standard deviation of a reading: what no model explains."""
+    """One standard deviation of a reading, which no model explains."""
 
     position: float = number("body", 0.0, 1e3, "m", default=0.0)
     heading: float = number("body", 0.0, 3.2, "rad", default=0.0)
@@ -127,7 +127,7 @@ class NoiseBlock(TomlTable):
 
 
 class PredictionBlock(TomlTable):
-    """What is predicted, from where."""
+    """Predicted quantity, and the start of each prediction."""
 
     horizon: float = number("length of a free run; 0: the whole record", 0.0, 3600.0, "s", default=0.0)
     average: float | None = number("body: the moving average that gives each start and end", 0.0, 600.0, "s", default=None)
@@ -152,7 +152,7 @@ class BaselineBlock(TomlTable):
 
 
 class CandidatesBlock(TomlTable):
-    """Terms in question; what is left out of the file is the plant's own list."""
+    """Candidate terms; missing keys take the plant's own list."""
 
     only: Words | None = listed("these in place of the plant's list", "names of effects or rivals", None)
     leave_out: Words = listed("not these", "names of effects or rivals", [])
@@ -160,7 +160,7 @@ class CandidatesBlock(TomlTable):
 
 
 class SearchBlock(TomlTable):
-    """How it is searched."""
+    """Settings of the search."""
 
     rounds: int = whole("terms to add at most", 1, 4, default=2)
     ahead: int = whole("candidates that are refitted in a fold", 2, 60, default=8)
@@ -191,7 +191,7 @@ class StudyFile(TomlTable):
 
 
 class StudyInput(NamedTuple):
-    """A study as it was read. stamp, columns: of the user's tables; folder: of the file; table: as TOML gave it."""
+    """A study from its file. stamp, columns: of the user's tables; folder: of the file; table: parsed TOML."""
 
     given: StudyFile
     where: str
@@ -238,7 +238,7 @@ def checked(table: dict[str, Any], where: str, folder: Path) -> StudyInput:
     """The table as a study.
 
     Raises:
-        ConfigError: what is wrong, a line for each.
+        ConfigError: lists the errors, a line for each.
     """
     try:
         given = StudyFile.model_validate(table)
@@ -255,7 +255,7 @@ def checked(table: dict[str, Any], where: str, folder: Path) -> StudyInput:
 
 
 def _lines(error: ValidationError, where: str) -> list[str]:
-    """One line for each key that is wrong."""
+    """One line for each wrong key."""
     out: dict[tuple, str] = {}
     for entry in error.errors(include_url=False, include_context=False)[:100]:
         place = tuple(part for part in entry["loc"] if not (isinstance(part, str) and part in ("str", "float", "int")))
@@ -287,7 +287,7 @@ def _near(key: str, known: list[str]) -> str:
 
 
 def _field_at(keys: list[str]) -> tuple[FieldInfo | None, list[str]]:
-    """The field that a place names, and the keys that could stand there."""
+    """The field of a place, and the possible keys there."""
     model: Any = StudyFile
     info: FieldInfo | None = None
     known: list[str] = []
@@ -313,7 +313,7 @@ BLOCKS = tuple(
 
 
 def _relations(s: StudyFile) -> list[str]:
-    """What no key alone can tell."""
+    """Errors between keys."""
     out = []
     if (s.data.folder is None) == (s.data.set is None):
         out.append("[data]: got both or none of folder and set, expected one; folder = your tables, set = a published set")
@@ -357,7 +357,7 @@ def _relations(s: StudyFile) -> list[str]:
 
 
 def offered(plant: str) -> list[effects.Effect]:
-    """Every term that a plant can have, rivals too."""
+    """Every term that applies to a plant, rivals too."""
     from fishmj.gap.measured import planar_body, servo_model
 
     if plant == "coast":
@@ -369,7 +369,7 @@ COASTING = ("linear_surge_drag", "steady_current")
 
 
 def _columns(s: StudyFile) -> tuple[column_map.Stamp | None, dict[str, column_map.Column], list[str]]:
-    """Which column of the user's tables is which of ours."""
+    """Maps the columns of the user's tables to ours."""
     rules, lines = COLUMNS[s.plant], []
     stamp: column_map.Stamp | None = None
     columns: dict[str, column_map.Column] = {}

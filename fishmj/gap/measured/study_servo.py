@@ -1,4 +1,4 @@
-"""A study of one servo and its load: free runs of the angle from where each began, compared at the log's own stamps."""
+"""A study of one servo and its load: free runs of the angle from their measured starts, compared at the log's own stamps."""
 
 from collections.abc import Sequence
 
@@ -31,7 +31,7 @@ def noise(study: StudyInput) -> tuple[float, float]:
 
 
 def step(study: StudyInput, logs: Sequence[Log]) -> float:
-    """The model's step, s: that of the shipped sets, or a whole part of the median row of at most FINE."""
+    """The model's step, s: that of the shipped sets, or an integer fraction of the median row of at most FINE."""
     if study.given.prediction.as_logged:
         return DT
     row = float(np.median(np.concatenate([np.diff(log.series["angle"].t) for log in logs])))
@@ -42,7 +42,7 @@ def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: f
     """Every log, whole or in runs of the horizon.
 
     Raises:
-        LogError: the gain is neither in the study nor to be told from the log.
+        LogError: the gain is neither in the study nor determined by the log.
     """
     nominal = study.given.nominal
     lacking = [log.where for log in logs if "duty" not in log.series]
@@ -82,7 +82,7 @@ def _gain(study: StudyInput, log: Log, most: float) -> float:
 
 
 def _at(s: Series, t: np.ndarray) -> np.ndarray:
-    """Values at stamps t; what has the same stamps is taken as it is."""
+    """Values at stamps t; values at identical stamps are taken unchanged."""
     return s.values if s.t is t or np.array_equal(s.t, t) else np.interp(t, s.t, s.values)
 
 
@@ -117,7 +117,7 @@ def _log(study: StudyInput, log: Log, group: str, most: float, dt: float) -> Pen
 
 
 def _rate(log: Log, row: int) -> float:
-    """Rate at a row: as logged; else the slope there of a parabola through the rows around it, and rest at the first row."""
+    """Rate at a row: as logged; else the slope of a parabola through the rows around it, and zero at the first row."""
     angle = log.series["angle"]
     if "rate" in log.series:
         return float(_at(log.series["rate"], angle.t)[row])
@@ -128,7 +128,7 @@ def _rate(log: Log, row: int) -> float:
 
 
 def _pieces(study: StudyInput, log: Log, r: PendulumLog) -> list[PendulumLog]:
-    """The log in runs of the horizon; what is left at the end is no run."""
+    """The log in runs of the horizon; the rest at the end is dropped."""
     span = study.given.prediction.horizon
     if not span or span >= r.joint.t[-1]:
         return [r]

@@ -1,7 +1,7 @@
 """A tendon-driven fish that swims straight at four motor frequencies: three speeds fit the water, the fourth is predicted.
 
-What the tail did comes from the markers: the fundamental of the tail's and the fin's angle. The simulated fish is made to bend
-like that, and its mean speed is compared. Fitted are one constant of the water, and one term of the catalogue where asked for:
+The motion of the tail comes from the markers: the fundamental of the tail's and the fin's angle. The simulated fish bends
+in the same way, and its mean speed is compared. Fitted are one constant of the water, and optionally one term of the catalogue:
 
     min over grid of sum_three (log(speed / measured))^2
 """
@@ -42,7 +42,7 @@ class Beat(NamedTuple):
 
 
 def beat(name: str, trial: Trial) -> Beat:
-    """What the markers say."""
+    """Beat of one trial from the markers."""
     table = trial.table("markers")
     t = table["t"]
     points = np.stack([stacked(table, "p#x"), stacked(table, "p#y")], -1)  # (T, 9, 2)
@@ -55,13 +55,13 @@ def beat(name: str, trial: Trial) -> Beat:
     frequency = peak(t, bends[:, 0])
     wave = np.exp(-2j * np.pi * frequency * t)
     track = points[:, :2].mean(1)  # the rigid head
-    # the head sways with the beat, so the slope over all rows, not the way between two of them
+    # the head sways with the beat, so the slope over all rows is used, not the distance between two of them
     speed = float(np.hypot(*np.polyfit(t, track, 1)[0]))
     return Beat(name, frequency, 2 * (bends * wave[:, None]).mean(0), speed)
 
 
 def peak(t: np.ndarray, values: np.ndarray) -> float:
-    """Frequency at which a sine explains most, Hz."""
+    """Frequency of the sine that explains most, Hz."""
     rate = 1.0 / float(np.median(np.diff(t)))
     tried = np.arange(SLOWEST, min(5.0, 0.4 * rate), 0.01)
     window = np.hanning(len(t))
@@ -87,7 +87,7 @@ class Tank:
 
     @property
     def records(self) -> list[Record]:
-        """The swims, as records that nothing was measured in."""
+        """The swims, as records without measurements."""
         return [self._record(b, c) for b, c in zip(self.beats, self.commands, strict=True)]
 
     def _swim(self, row) -> list[np.ndarray]:
@@ -141,7 +141,7 @@ class Choice(NamedTuple):
 
 
 def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") -> Choice:
-    """Predict each trial from a fit to the others: the best of a grid, then of finer ones about it."""
+    """Predicts each trial from a fit to the others: the best of a grid, then of finer ones about it."""
     grid = np.array([(f, a) for f in FACTORS for a in (AMOUNTS[term] if term else np.zeros(1))])
     speeds = tank.speeds(rows_of(tank, constant, term, grid))
     every = np.ones(len(measured), bool)
@@ -181,12 +181,12 @@ def closer(value: np.ndarray, term: str, zoom: float) -> np.ndarray:
 
 
 def squares(speeds: np.ndarray, measured: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """(G,) sum over the trials used."""
+    """(G,) sum over the used trials."""
     return np.sum(np.log(speeds[:, used] / measured[used]) ** 2, 1)
 
 
 def run(say) -> tuple[str, dict]:
-    """Words and figures of the set; the chosen model against the speeds of the description as well, which are another average."""
+    """Words and figures of the set. The chosen model is also compared with the description's speeds, another average."""
     beats = [beat(name, trial) for name, trial in trials("tendon_fish_markers").items()]
     if len(beats) < 2:
         raise LogError(f"tendon_fish: {len(beats)} trial, expected two at least: each is predicted from the others; add trials")
@@ -201,7 +201,7 @@ def run(say) -> tuple[str, dict]:
 
 
 def predicted(beats: list[Beat], say=lambda text: None, choices=None) -> tuple[str, dict]:
-    """Every model of `choices` (constant, term), left out in turn; the first is the answer."""
+    """Predictions of every model of `choices` (constant, term), left out in turn; the first is the answer."""
     tank = Tank(beats, [effects.get(name) for name in TERMS])
     measured = np.array([b.speed for b in beats])
     before = tank.speeds(tank.plant.null)[0]

@@ -1,7 +1,7 @@
-"""Sizes of the catalogue for a body or a servo of another size.
+"""Sizes of the catalogue's effects for a body or a servo of another size.
 
-Bounds and typical sizes of an effect are those of a fish of 0.725 kg and half a metre, or of a servo of 0.7 N m. What is heavier
-and longer gets them scaled by its mass and length, as their units say; times stay.
+Bounds and typical sizes of an effect are those of a fish of 0.725 kg and half a metre, or of a servo of 0.7 N m. For another
+body they scale with its mass and length, by the powers in their units; times stay.
 
     N s2/m2 = kg/m    times mass / length        N m s = kg m2/s    times mass length^2
 """

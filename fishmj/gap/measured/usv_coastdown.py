@@ -1,10 +1,10 @@
-"""A boat of 13 to 15 kg that coasts to rest: does its drag grow with the speed or with its square?
+"""A boat of 13 to 15 kg that coasts to rest: compares drag in proportion to the speed with drag in proportion to its square.
 
     linear      du/dt = -(c / m) u          quadratic    du/dt = -(c / m) |u| u
 
 The speed column is integrated acceleration that each GPS fix resets; the first row after a fix is the measurement, about one a
-second. Each run is left out in turn: c and the noise come from the others, the run's own speed at the start is fitted to it under
-either law, and the likelihood of its speeds is compared.
+second. Each run is left out in turn: c and the noise come from the others, the run's own initial speed is fitted to it under
+either law, and the likelihoods of its speeds are compared.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ class Coast(NamedTuple):
 
 
 def coast(name: str, trial: Trial) -> Coast:
-    """The rows right after a fix, from when the boat rested last (two fixes in a row)."""
+    """The rows right after a fix, from the last time that the boat rested (two fixes in a row)."""
     table = trial.table("velocity")
     fixes = np.flatnonzero(np.diff(table["surge"]) < -RESET) + 1
     t, speed = table["t"][fixes], table["surge"][fixes]
@@ -59,7 +59,7 @@ def plant() -> PlanarBody:
 
 
 def squares(boat: PlanarBody, runs: list[Coast], law: str) -> np.ndarray:
-    """(L, C) least sum of squares of each run over the speed at its start, for every c of a law."""
+    """(L, C) least sum of squares of each run over the initial speed, for every c of a law."""
     rows = np.zeros((len(LAWS[law]), len(boat.null)))
     rows[:, 0 if law == "quadratic" else boat.index("linear_surge_drag", "coefficient")] = LAWS[law]
     seconds = np.ceil(max(float(r.t[-1]) for r in runs)) + 1.0
@@ -72,7 +72,7 @@ def squares(boat: PlanarBody, runs: list[Coast], law: str) -> np.ndarray:
 
 
 def _least(track: np.ndarray, run: Coast, step: float) -> float:
-    """Over the starts of one c: track (S, N) at every step."""
+    """Least sum of squares over the starts of one c: track (S, N) at every step."""
     at = run.t / step
     i = at.astype(int)
     seen = track[:, i] + (at - i) * (track[:, i + 1] - track[:, i])
@@ -80,7 +80,7 @@ def _least(track: np.ndarray, run: Coast, step: float) -> float:
 
 
 def held_out(total: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(L,) log likelihood of each run left out, and the index of c that the others gave. total: (L, C) squares; count: (L,)."""
+    """(L,) log likelihood of each run left out, and the index of c from the others. total: (L, C) squares; count: (L,)."""
     likely, chosen = [], []
     for i in range(len(total)):
         others = np.arange(len(total)) != i

@@ -1,6 +1,6 @@
-"""The swimming fish whose water can be turned: each coefficient of its strips is a number of a row.
+"""The swimming fish with adjustable water: each coefficient of its strips is a number of a row.
 
-row = [k and cn of head, body and tail as factors; the other coefficients as they are; the effects that the description lists]
+row = [k and cn of head, body and tail as factors; the other coefficients in SI; the effects that the description lists]
 """
 
 from functools import cached_property
@@ -24,7 +24,7 @@ LEAST = 0.05  # of the highest value allowed: what a coefficient that is describ
 
 
 class Free(NamedTuple):
-    """A number of the water that is turned: its coefficient, and of a list the place (head, body, tail)."""
+    """An adjustable number of the water: its coefficient, and of a list the place (head, body, tail)."""
 
     name: str
     coefficient: str
@@ -32,8 +32,10 @@ class Free(NamedTuple):
 
 
 class Range(NamedTuple):
-    """Of a number: what it is described as, its bounds, and one standard deviation of its prior (data/calib/hydro_fit.toml; of
-    the strips' shape calibrate.toml)."""
+    """Described value of a number, its bounds, and one standard deviation of its prior.
+
+    The prior is in data/calib/hydro_fit.toml; that of the strips' shape in calibrate.toml.
+    """
 
     start: float
     low: float
@@ -43,18 +45,21 @@ class Range(NamedTuple):
 
 
 def places(links: int) -> list[str]:
-    """Where each link is: head, body or tail."""
+    """Place of each link: head, body or tail."""
     return ["head", *["body"] * (links - 2), "tail"]
 
 
 def free_numbers(links: int) -> list[Free]:
-    """All of them for a fish of so many links."""
+    """All adjustable numbers for a fish of so many links."""
     lists = [Free(f"{c}_{w}", c, w) for c in ("k", "cn") for w in WHERE if w in places(links)]
     return lists + [Free(c, c, "") for c in strip_forces.Coefficients._fields[2:] if c not in prior.FIXED]
 
 
 class StripWater(SwimmingFish):
-    """Args: robot: description, path or name, in the water of its own strips. more: names of effects that a row also has."""
+    """A fish in adjustable strip water.
+
+    Args: robot: description, path or name, in the water of its own strips. more: names of effects that a row also has.
+    """
 
     def __init__(self, robot: "Robot | str" = "fish", more: tuple[str, ...] = ()):
         robot = load_robot(robot)
@@ -64,13 +69,13 @@ class StripWater(SwimmingFish):
 
     @property
     def nothing(self) -> np.ndarray:
-        """(P,) the robot as it is described, without any effect."""
+        """(P,) row of the described robot, without any effect."""
         described = [1.0 if f.where else float(getattr(self.nominal.water, f.coefficient)) for f in self.free]
         shape = [float(self.robot.water.get(name, default)) for name, default in strip_forces.SHAPE.items()]
         return np.array([*described, *shape, *self.active.null])
 
     def ranges(self) -> list[Range]:
-        """Of every number, within the prior of its coefficient."""
+        """Range of every number, within the prior of its coefficient."""
         out = []
         for f, start in zip(self.free, self.nothing, strict=False):
             row, values = prior.table()[f.coefficient], np.atleast_1d(getattr(self.nominal.water, f.coefficient))
@@ -97,7 +102,7 @@ class StripWater(SwimmingFish):
         given, w = {f.name: value for f, value in zip(self.free, values, strict=False)}, self.nominal.water
         spread = lambda c: [v * given[f"{c}_{at}"] for v, at in zip(getattr(w, c), places(self.chain.n), strict=True)]
         single = {f.coefficient: given[f.name] for f in self.free if not f.where}
-        # less normal force than that would feed energy to the fish (docs/simulate/water.md)
+        # a smaller normal force would feed energy to the fish (docs/simulate/water.md)
         short = LIFT - single["lift_a"] - single["lift_b"]
         single["lift_b"] = single["lift_b"] + 0.5 * (short + abs(short))
         return w._replace(k=spread("k"), cn=spread("cn"), **single)
@@ -113,7 +118,7 @@ class StripWater(SwimmingFish):
 
 
 class GatedWater(StripWater):
-    """The same, whose numbers may also differ from one moment to the next: theta_k(t) = theta_k + delta_k g(t).
+    """The same with numbers that may change over time: theta_k(t) = theta_k + delta_k g(t).
 
     row = [numbers theta, swings delta of each, effects]; g(t) is the last column of a record's commands.
     """
@@ -125,14 +130,14 @@ class GatedWater(StripWater):
 
     @property
     def nothing(self) -> np.ndarray:
-        """(P,) the robot as it is described, without any effect."""
+        """(P,) row of the described robot, without any effect."""
         described = super().nothing
         at = len(self.numbers)
         return np.concatenate([described[:at], np.zeros(at), described[at:]])
 
     @cached_property
     def kernel(self) -> Kernel:
-        """As of a swimming fish, with the gate as one more input."""
+        """Compiled rollouts of the swimming fish, with the gate as one more input."""
         n = len(self.constants) + len(self.active.null) + 2
         watched = 2 * (self.joints + 3) + 1
         return Kernel(self._step, self._look, states=self.states, inputs=self.joints + 1, parameters=n, watched=watched)
@@ -148,7 +153,7 @@ class GatedWater(StripWater):
 
 
 def strips_of(model: SwimmingFish, more: tuple[str, ...]) -> GatedWater:
-    """The robot of a model, with the coefficients of its water and the effects `more` as numbers of a row; made once."""
+    """Model of the same robot with the coefficients of its water and the effects `more` as numbers of a row; made once."""
     made = vars(model).setdefault("strips", {})
     if more not in made:
         made[more] = GatedWater(model.robot, more)

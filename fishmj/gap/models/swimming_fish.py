@@ -2,7 +2,7 @@
 
 A parameter row is [constants (factors on the calibrated fish), effects]. Its null row is the calibrated fish, nothing else.
 
-`ServoStand` is the fish on a bench: hung in air on a thread, or put in water, with the few numbers that servo fits turn.
+`ServoStand` is the fish on a bench: hung in air on a thread, or put in water, with the few numbers of servo fits.
 
     air     no water forces, no added mass; at the reference point   F = -k (p - p_0) - c p',   N = -k_t (psi - psi_0) - c_t psi'
             with k = m g / l of a thread of length l
@@ -34,7 +34,7 @@ STRIDE = 5  # physics steps between samples; between them poses follow the cubic
 
 
 class Constant(NamedTuple):
-    """A factor on the calibrated fish that is not known better than `sigma`."""
+    """A factor on the calibrated fish, known only to within `sigma`."""
 
     name: str
     sigma: float
@@ -55,7 +55,10 @@ CONSTANTS = (
 
 
 class SwimmingFish:
-    """Args: robot: description, path or name. catalogue: effects; default, all that change the mean of a log."""
+    """The swimming fish.
+
+    Args: robot: description, path or name. catalogue: effects; default, all that change the mean of a log.
+    """
 
     def __init__(self, robot: "Robot | str" = "fish", catalogue=None):
         self.robot = load_robot(robot)
@@ -72,16 +75,16 @@ class SwimmingFish:
 
     @property
     def nothing(self) -> np.ndarray:
-        """(P,) the fish without any effect."""
+        """(P,) row of the fish without any effect."""
         return np.array([1.0] * len(self.constants) + self.active.null)
 
     @property
     def null(self) -> np.ndarray:
-        """(P,) the model as it is: with the effects that its description lists."""
+        """(P,) row of the present model: with the effects that its description lists."""
         return self.row(self.robot)
 
     def row(self, robot: Robot) -> np.ndarray:
-        """(P,) another description's effects on this fish; those that are not in this model's catalogue are left out."""
+        """(P,) row of another description's effects on this fish; effects outside this model's catalogue are left out."""
         row, mine = self.nothing, {effect.name for effect in self.active.effects}
         for fitted in robot.effects:
             for name, interval in fitted.parameters.items() if fitted.name in mine else ():
@@ -94,7 +97,7 @@ class SwimmingFish:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Changes with anything that changes the predictions of the row `nothing`."""
+        """Text that changes with anything that changes the predictions of the row `nothing`."""
         return hashlib.sha256(repr((self.robot, self.camera, self.latency)).encode()).hexdigest()[:16]
 
     @cached_property
@@ -117,7 +120,7 @@ class SwimmingFish:
         return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
 
     def _chain(self, row) -> planar_chain.Chain:
-        """The chain of a row; a plant whose rows turn its constants has its own."""
+        """The chain of a row; a plant whose rows change its constants has its own."""
         return self.chain
 
     def _look(self, state, row):
@@ -138,7 +141,7 @@ class SwimmingFish:
         return s._replace(mass=scaled(s.mass, c["mass"]), kp=scaled(s.kp, c["kp"]), kv=scaled(s.kv, c["kv"]), water=water)
 
     def added_mass(self) -> np.ndarray:
-        """(3,) of the straight fish at rest as it is described: ahead, to the side [kg], about the reference point [kg m2]."""
+        """(3,) added mass of the straight fish at rest as described: ahead, to the side [kg], in yaw [kg m2]."""
         rest, still = [0.0] * (self.joints + 3), [(0.0, 0.0)] * self.chain.n
         pose = planar_chain.kinematics(np, self.chain, rest, rest, still)
         m = planar_chain.mass_matrix(self.chain, self.nominal, pose, rigid=False)
@@ -146,7 +149,7 @@ class SwimmingFish:
         return np.array([m[0][0], m[1][1], sum(m[max(r, c)][min(r, c)] for r in turning for c in turning)])
 
     def predict(self, records: list[Record], rows) -> list[dict]:
-        """What the sensors would have reported, for every parameter row (R, P) on every record.
+        """Predicted sensor readings for every parameter row (R, P) on every record.
 
         Returns:
             One dictionary a record: {"joint": (R, K, J), "pose": (R, K, 3), "power": (R, K, 1)} at its stamps.
@@ -156,7 +159,7 @@ class SwimmingFish:
         return [p for i in range(0, len(records), few) for p in self._together(records[i : i + few], rows)]
 
     def _together(self, records: list[Record], rows: np.ndarray) -> list[dict]:
-        """The same for as many records as fit into a cache at a time."""
+        """Predictions for as many records as fit into a cache at a time."""
         longest = max(len(r.commands) for r in records)
         inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])
         lengths = np.array([len(r.commands) for r in records])
@@ -171,9 +174,9 @@ class SwimmingFish:
         return [self._sense(record, mine, rows) for record, mine in zip(records, out, strict=True)]
 
     def _starts(self, record: Record, effect_rows) -> np.ndarray:
-        """(R, S) states that the sensors would have shown as the record's start: at rest, or with the push it was given.
+        """(R, S) states behind the measured start of the record: at rest, or with the given push.
 
-        What a camera or encoder adds is taken off what they showed, by fixed point: true = shown - (seen(true) - true).
+        The errors of a camera or encoder are subtracted by fixed point: true = shown - (seen(true) - true).
         """
         nv, rows = self.joints + 3, len(effect_rows)
         parameters = [column[:, None] for column in effect_rows.T]
@@ -228,7 +231,7 @@ class SwimmingFish:
         return seen
 
     def _placed(self, record: Record, parameters, rows: int) -> np.ndarray:
-        """(R, 1, 3) what the camera would show of a fish at rest where it was meant to start."""
+        """(R, 1, 3) poses as the camera would show a fish at rest at its intended start."""
         x, y, yaw = np.broadcast_to(record.place, (rows, 1, 3)).transpose(2, 0, 1)
         none = np.zeros((rows, 1))
         still = Measured(t=none, x=x, y=y, yaw=yaw, joint=np.tile(record.joints, (rows, 1, 1)), power=none)
@@ -245,9 +248,10 @@ WET = "wet"
 
 
 class Hung(Effects):
-    """The sites of the fish, with the thread."""
+    """Effects of the fish, with the forces of the thread."""
 
     def body(self, ch, sw, q, k, rhs, m) -> None:
+        """Adds the thread's spring and damping forces, in air only, to `rhs`."""
         super().body(ch, sw, q, k, rhs, m)
         dry, xp = 1.0 - self.wet, self.xp
         c, s = xp.cos(q[2]), xp.sin(q[2])
@@ -259,7 +263,10 @@ class Hung(Effects):
 
 
 class ServoStand(SwimmingFish):
-    """Args: robot: description, path or name. `delays`: rows may shift the commands and the camera against the robot's own."""
+    """The fish on a bench.
+
+    Args: robot: description, path or name. `delays`: rows may shift the commands and the camera against the robot's own.
+    """
 
     def __init__(self, robot: "Robot | str" = "fish"):
         super().__init__(robot, [effects.get(name) for name in ("coulomb_friction", "command_latency", "camera_latency")])
@@ -267,7 +274,7 @@ class ServoStand(SwimmingFish):
 
     @property
     def null(self) -> np.ndarray:
-        """(P,) the robot as it is described; `wet` is 1."""
+        """(P,) row of the described robot; `wet` is 1."""
         s = self.robot.servo
         hull = [1.0] * (len(STAND_CONSTANTS) - 2)
         return np.array([s.kp, s.kb + s.kv, *hull, 1.0, *self.active.null])
@@ -277,7 +284,7 @@ class ServoStand(SwimmingFish):
         return [c.name for c in self.constants].index(name)
 
     def _chain(self, row) -> planar_chain.Chain:
-        """In air no drag of the strips acts, neither what is a constant of the chain."""
+        """The chain of a row, in air without any drag of the strips, including that in the chain's constants."""
         strips, wet = self.chain.strips, row[self.place(WET)]
         linear = None if strips.linear is None else tuple(wet * part for part in strips.linear)
         return self.chain._replace(strips=strips._replace(linear=linear))
@@ -311,7 +318,7 @@ class ServoStand(SwimmingFish):
         return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
 
     def predict(self, records: list[Record], rows) -> list[dict]:
-        """As `SwimmingFish.predict`; `wet` follows each record's medium, and a thread hangs at the origin."""
+        """Predictions as of `SwimmingFish.predict`; `wet` follows each record's medium, and a thread hangs at the origin."""
         rows = np.atleast_2d(np.asarray(rows, float)).copy()
         out: list[dict] = [{} for _ in records]
         for medium, wet in (("air", 0.0), ("water", 1.0)):

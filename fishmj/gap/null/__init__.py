@@ -1,1 +1,1 @@
-"""What a healthy robot leaves: simulated or recorded runs, and the whitening that they make."""
+"""Residuals of a healthy robot: simulated or recorded runs, and the whitening from them."""

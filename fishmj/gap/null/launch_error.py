@@ -1,9 +1,9 @@
-"""How well the velocity of a launch is known: a log may state `push_sigma` beside `push`, one standard deviation of each.
+"""Error of a launch's velocity: a log may state `push_sigma` beside `push`, one standard deviation of each.
 
     S += sum_k c_k c_k^T        c_k = residual at push + sigma_k e_k less that at push: surge, sway [m/s], yaw rate [rad/s]
 
-A carriage's own speed needs none. A velocity that is read off the camera is known to a centimetre a second, and what it is wrong
-by grows with the path.
+A carriage's own speed needs none. A velocity from the camera is known to a centimetre a second, and its error
+grows along the path.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from fishmj.gap.records.records import Record, ResidualLayout
 
 
 def factors(model, records: list[Record], layout: ResidualLayout) -> np.ndarray:
-    """(K, m) c of every record that states how well its launch is known."""
+    """(K, m) c of every record that states the error of its launch."""
     row = np.asarray(getattr(model, "nothing", model.null))[None]
     found = [np.zeros((0, layout.size))]
     for i, record in enumerate(records):

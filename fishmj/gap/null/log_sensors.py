@@ -1,11 +1,11 @@
-"""The sensors of the logs, put on the second robot: a null fish is looked at as the logged one was.
+"""Applies the sensors of the logs to the second robot, so that a null fish is measured like the logged one.
 
-    noise      `sigma` of meta.toml where it states one: columns of the tables; `start` [m] and `start_yaw` [rad], how well the
-               fish is put at its start
-    moments    where a sensor's rows are more or fewer than the robot's own rate makes them (another rate, lost rows), null
-               fish are read when the log was
+    noise      `sigma` of meta.toml if it states one: columns of the tables; `start` [m] and `start_yaw` [rad], the error of
+               placing the fish at its start
+    moments    if a sensor has more or fewer rows than at the robot's own rate (another rate, lost rows), null
+               fish are sampled at the log's own time stamps
 
-Logs that state what the second robot has, at its rates, leave it alone, to the last bit.
+Logs with the second robot's noise and rates leave it unchanged, to the last bit.
 """
 
 import hashlib
@@ -23,20 +23,20 @@ LEAST = 1e-9  # rad, of a count
 
 
 class LogSensors(NamedTuple):
-    """fields: of the second robot's constants, by dotted name, SI. stamps: sensor -> times (K,) s at which it is read."""
+    """fields: of the second robot's constants, by dotted name, SI. stamps: sensor -> times (K,) s of its readings."""
 
     fields: dict[str, float]
     stamps: dict[str, np.ndarray]
 
     @property
     def key(self) -> list:
-        """What decides null runs, for a hash; empty where the second robot's own sensors are the logs'."""
+        """Settings that determine null runs, for a hash; empty if the second robot's own sensors match the logs'."""
         read = {name: hashlib.sha256(t.tobytes()).hexdigest()[:16] for name, t in sorted(self.stamps.items())}
         return [sorted(self.fields.items()), read] if self.fields or read else []
 
 
 def log_sensors(record: Record, robot: Robot, noise: float) -> LogSensors:
-    """What a record says of its sensors. noise: factor on the second robot's own, where the record states none."""
+    """Sensor settings of a record. noise: factor on the second robot's own, unless the record states it."""
     from fishmj.gap.laboratory.virtual_robot.robot_constants import nominal
     from fishmj.gap.laboratory.virtual_robot.trials import sigmas
 
@@ -45,7 +45,7 @@ def log_sensors(record: Record, robot: Robot, noise: float) -> LogSensors:
     fields: dict[str, float] = {}
 
     def told(*columns: str) -> float:
-        """Root mean square of what is stated of columns that have one noise; NaN where that is nothing, or the usual."""
+        """Root mean square of the stated noise of columns that share one; NaN if nothing is stated, or the usual value."""
         known = [stated[c] for c in columns if c in stated]
         rms = float(np.sqrt(np.mean(np.square(known)))) if known else np.nan
         return np.nan if abs(rms - usual[columns[0]]) <= ALIKE * usual[columns[0]] else rms
@@ -73,7 +73,7 @@ def log_sensors(record: Record, robot: Robot, noise: float) -> LogSensors:
 
 
 def _other_rate(record: Record, name: str, period: float) -> np.ndarray | None:
-    """The stamps (K,) of a sensor whose rows are not those of the period [s]; None where they are, or it has too few to tell."""
+    """The stamps (K,) of a sensor whose rows do not match the period [s]; None if they match, or are too few to tell."""
     sensor = getattr(record, name)
     if sensor is None or len(sensor.t) < 2:
         return None

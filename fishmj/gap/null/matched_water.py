@@ -1,11 +1,11 @@
-"""The second robot's water, scaled until its fish swims as the questioned model's does.
+"""Scales the second robot's water until its fish swims like the questioned model's.
 
     s* = argmin sum_k ((v_k(s) - v_k) / tolerance)^2 + sum (ln s / WIDE)^2        v: speed and yaw rate of `SWIMS`
 
-A model whose water was calibrated (`fishmj calibrate water` states `[water] model = "structured"`) swims as the logged fish does,
-the second robot in its own water does not: a null that is wrong by tens of per cent in speed says nothing. Four scales leave the
-second robot its own equations; what the two then still differ by is what two forms of water differ by that both were calibrated
-to one fish. A description of literature values is left alone: the second robot's water is of that kind, too.
+A model with calibrated water (`fishmj calibrate water` states `[water] model = "structured"`) swims like the logged fish, but
+the second robot in its own water does not: a null with an error of tens of per cent in speed is useless. Four scales leave the
+second robot its own equations. The remaining difference is that of two forms of water calibrated to one fish. A description of
+literature values is not scaled: the second robot's water is of that kind, too.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ STEP, ROUNDS = 0.05, 8  # of ln s, for slopes; at most
 
 
 def scales_for(model, bars: Bars = silent) -> WaterScales:
-    """Of a questioned model, found once a process; those that change nothing where its water was never calibrated."""
+    """Scales for a questioned model, found once a process; unit scales if its water was never calibrated."""
     key = repr(model.robot)
     if model.robot.water.get("model") != STRUCTURED:
         return AS_IT_IS
@@ -43,7 +43,7 @@ _known: dict[str, WaterScales] = {}
 
 
 def matched(model, tick: Callable[[int], None] = lambda done: None) -> WaterScales:
-    """The scales by which the second robot swims as the model without its listed effects. tick: sets of swims that are done."""
+    """Scales by which the second robot swims like the model without its listed effects. tick: number of finished sets."""
     records, done = swum(model.robot, AS_IT_IS, model.dt), count(1)
     shown = model.predict(records, getattr(model, "nothing", model.null))
     wanted = [pace(r.pose.t, p["pose"][0]) for r, p in zip(records, shown, strict=True)]

@@ -1,14 +1,14 @@
-"""Null runs: the experiments of the records once more, with an independent simulator in which nothing is hidden.
+"""Null runs: the experiments of the records repeated in an independent simulator without any hidden effect.
 
-    residuals(model, records, layout) -> (n, m)      what the model makes of n fish of this kind under the very same commands
+    residuals(model, records, layout) -> (n, m)      the model's residuals on n fish of this kind under the very same commands
 
 The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
 and timing, without the effects that it lists; the sensors of the logs (log_sensors.py); constants drawn within their tolerance,
-one fish for all experiments of a set. What an experiment gives is kept on disk under the hash of all that made it, the code of
+one fish for all experiments of a set. The result of an experiment is kept on disk under the hash of all its inputs, the code of
 simulator and model too (`digest`), so a standard experiment is run once a machine.
 
-`RecordedNull` takes runs that were swum elsewhere (data/gap/lbm/nulls: of the flow solver): nothing can be made on the spot, an
-experiment that the sets do not hold has no null.
+`RecordedNull` uses runs swum elsewhere (data/gap/lbm/nulls: of the flow solver). It makes no new runs: an
+experiment outside the sets has no null.
 """
 
 import ast
@@ -51,11 +51,11 @@ SOURCES = Path(fishmj.__file__).resolve().parent
 
 @dataclass(frozen=True)
 class SimulatedNull:
-    """How null runs are drawn.
+    """Settings of the null runs.
 
-    runs: of each experiment. nuisance: relative half width of the constants nobody measured. noise: factor on the
-    sensors' where the logs do not state theirs, and on the radio's jitter. session: the same fish do the same experiments once
-    more, with noise of another day.
+    runs: of each experiment. nuisance: relative half width of the unmeasured constants. noise: factor on the
+    sensors' unless the logs state it, and on the radio's jitter. session: number that repeats the same experiments with the same
+    fish and other noise.
     """
 
     runs: int = RUNS
@@ -66,7 +66,7 @@ class SimulatedNull:
     session: int = 0
 
     def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
-        """(n, m) residuals of the model as it is on every null run, at the windows of `layout`. bars: of runs made anew."""
+        """(n, m) residuals of the present model on every null run, at the windows of `layout`. bars: of new runs."""
         self.prepare(model, records, bars)
         out = np.empty((self.runs, layout.size))
         for i, record in enumerate(records):
@@ -82,7 +82,7 @@ class SimulatedNull:
         return out
 
     def prepare(self, model, records: list[Record], bars: Bars) -> None:
-        """Make what is not on disk, all of it under one bar; experiments that are the same are run once."""
+        """Makes the missing runs, all of them under one bar; equal experiments are run once."""
         whats = {self._key(model, record, what): record for record in records for what in (as_excitation(record),)}
         anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
         if not anew:
@@ -97,15 +97,15 @@ class SimulatedNull:
                 self.experiment(model, record, tick)
 
     def scales_of_water(self, model, bars: Bars = silent) -> WaterScales:
-        """By which the simulator swims as the model does."""
+        """Scales by which the simulator swims like the model."""
         return scales_for(model, bars)
 
     def holds(self, excitation: str) -> bool:
-        """Whether there can be null runs of that experiment."""
+        """Returns True if that experiment can have null runs."""
         return True
 
     def experiment(self, model, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
-        """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now. tick: runs made so far."""
+        """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now. tick: number of runs."""
         what = as_excitation(record)
         path = kept_at(self._key(model, record, what))
         try:
@@ -129,7 +129,7 @@ class SimulatedNull:
     def _run(
         self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None, scales: WaterScales = AS_IT_IS
     ) -> list[Record]:
-        """The experiment with every fish of the set: each is `robot` with constants of its own. scales: of its water."""
+        """The experiment with every fish of the set: each is `robot` with its own constants. scales: of its water."""
         from fishmj.gap.laboratory.virtual_robot.trials import plant, trial_of
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
@@ -168,7 +168,7 @@ class SimulatedNull:
 
 
 def kept_at(key: str) -> Path:
-    """Where the residuals of an experiment are kept."""
+    """Path of an experiment's kept residuals."""
     return cache_folder() / "null" / f"{key}.npz"
 
 
@@ -178,7 +178,7 @@ def model_digest(model) -> str:
 
 
 def as_excitation(record: Record) -> Excitation:
-    """What was commanded, as an experiment that can be done again."""
+    """The commands of a record as a repeatable experiment."""
     stride, (x, y, yaw), (u, w, r) = round(0.02 / record.dt), record.place, record.push
     return Excitation(
         id=record.excitation or record.name,
@@ -201,7 +201,7 @@ class RecordedNull(SimulatedNull):
 
     @property
     def bundles(self) -> list[Path]:
-        """Of every fish that takes part.
+        """Bundles of the fish in use.
 
         Raises:
             LogError: too few.
@@ -212,15 +212,17 @@ class RecordedNull(SimulatedNull):
         return found
 
     def scales_of_water(self, model, bars: Bars = silent) -> WaterScales:
+        """Returns unit scales, since the runs exist already."""
         return AS_IT_IS  # the runs are there
 
     def holds(self, excitation: str) -> bool:
+        """Returns True if the sets hold that experiment."""
         return any(trial.value("excitation") == excitation for trial in trials_of(self.bundles[0]))
 
     def _run(
         self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None, scales: WaterScales = AS_IT_IS
     ) -> list[Record]:
-        """The experiment of every fish; noise, constants and water are what they were."""
+        """The experiment of every fish; noise, constants and water are those of the recording."""
         out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]
         if len(out) != len(self.bundles):
             held = ", ".join(sorted({str(t.value("excitation")) for t in trials_of(self.bundles[0])}))
@@ -241,7 +243,7 @@ def trials_of(path: Path) -> tuple[Trial, ...]:
 
 
 def _same(trial: Trial, what: Excitation, record: Record) -> bool:
-    """Whether a trial is that experiment: its name, what was commanded, where it began and how it moved."""
+    """Returns True if a trial is that experiment: same name, commands, start and motion."""
     if str(trial.value("excitation", "")) != what.id:
         return False
     other = record_of(trial, record.dt)
@@ -251,7 +253,7 @@ def _same(trial: Trial, what: Excitation, record: Record) -> bool:
 
 
 def null_of(drawn: dict) -> SimulatedNull:
-    """As a report or a version says how null runs are drawn (reported.py): runs, noise, seed, folder of recorded ones."""
+    """Settings of the null runs from a report or a version (reported.py): runs, noise, seed, folder of recorded ones."""
     return RecordedNull(**drawn | {"folder": Path(drawn["folder"])}) if "folder" in drawn else SimulatedNull(**drawn)
 
 
@@ -260,8 +262,8 @@ def null_of(drawn: dict) -> SimulatedNull:
 def digest(*modules: str) -> str:
     """Hash of the source of `modules` (dotted names within fishmj) and of everything in fishmj that they import.
 
-    Imports are read off the source, those inside functions too, so that no list has to be kept by hand. A package counts by its
-    `__init__.py` and by what of it is imported; modules that are found by name at run time (the effects of the catalogue) do not.
+    Imports are read from the source, those inside functions too, so that no list is kept by hand. A package counts by its
+    `__init__.py` and by its imported modules; modules found by name at run time (the effects of the catalogue) do not count.
     """
     files = reached(*modules)
     text = b"".join(name.encode() + b"\0" + files[name].read_bytes() + b"\0" for name in sorted(files))
@@ -281,7 +283,7 @@ def reached(*modules: str) -> dict[str, Path]:
 
 
 def _file(name: str) -> Path | None:
-    """Where a module of fishmj lives; None for other names, such as a function of a module."""
+    """Path of a module of fishmj; None for other names, such as a function of a module."""
     first, *rest = name.split(".")
     place = SOURCES.joinpath(*rest)
     files = (place / "__init__.py", place.with_suffix(".py")) if first == "fishmj" else ()

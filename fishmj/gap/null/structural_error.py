@@ -1,20 +1,21 @@
-"""Structural error: what another hand's water and servos do to the records, though nothing is missing in the robot.
+"""Structural error: effect of other forms of water and other servos on the records of a healthy robot.
 
-A calibrated water is right on average. Another form of water asks for other coefficients of the strips in each kind of motion,
-and from moment to moment where the wake remembers; every servo has some friction and is some milliseconds late:
+A calibrated water is right on average. Another form of water needs other coefficients of the strips in each kind of motion,
+and from moment to moment if the wake has memory. Every servo has some friction and some milliseconds of delay:
 
     theta_lk(t) = theta_k + sigma_k (w_k e_lk + s_k sum_i a_lki B_i(t))     record l, number k of the strips (strip_water.py)
     phi_j       = v_j e_j                       parameter j of an effect that healthy robots have a little of; all e, a ~ N(0, 1)
-    B_i         hat functions every `SPACING`   t between them: straight
+    B_i         hat functions every `SPACING`, linear in between
     S          += sum over all of these of c c^T, c their tangents, + diag(rho_c^2 R^2)       R rms of the null runs, smoothed
 
-The first are correlated over time, as the error of a force law is, and different from record to record, so that an effect which
-is the same in all of them stands out. The second are the same in all. The last is what neither makes up for, by channel c.
-w, s, v and rho are measured (`python -m studies.structural_error`): the most likely ones for healthy robots of independent
-waters, each calibrated to its own free swims. data/calib/structural_error.toml has them, and those without each family, by which
-a benchmark scores it.
+The first are correlated over time, like the error of a force law, and differ from record to record, so that an effect that
+is the same in all of them stands out. The second are the same in all. The last is the unexplained rest, by channel c.
 
-Directions of a record that do less than `STRONG` of D^1/2 go onto the diagonal: they are not worth a factor.
+w, s, v and rho are measured (`python -m studies.structural_error`): the most likely ones for healthy robots of independent
+waters, each calibrated to its own free swims. data/calib/structural_error.toml has them, and those without each family, with
+which a benchmark scores that family.
+
+Directions of a record with less than `STRONG` of D^1/2 go onto the diagonal: they are not worth a factor.
 """
 
 from dataclasses import replace
@@ -48,10 +49,10 @@ STRONG = 1.0  # of D^1/2, singular value from which a direction of a record is a
 class Widths(NamedTuple):
     """numbers, swings: w and s by name of a number of the strips. effects: v, SI, by effect and parameter. channels: rho.
 
-    adequacy: |z|^2 / m that 19 of 20 healthy robots of a family which took no part do not reach. beyond_own: what 19 of 20 robots
-    of a family that nobody has seen leave of new experiments at most, over what they leave of the swims that their water was
-    calibrated to. gains: |z|^2 a record that, in all of the first, no effect of a stage takes off. formula: by stage, relative
-    error of the size that a formula asks for in the water of a family that took no part.
+    adequacy: 95th percentile of |z|^2 / m over healthy robots of a held-out family. beyond_own: 95th percentile, over robots of a
+    held-out family, of |z|^2 / m on new experiments relative to that on their calibration swims. gains: largest fall of |z|^2 per
+    record that any effect of a stage achieves on those robots. formula: by stage, relative error of the size that a formula needs
+    in the water of a held-out family.
     """
 
     numbers: dict[str, float]
@@ -81,7 +82,7 @@ class StructuralError(NamedTuple):
 
 @cache
 def widths(without: str = "") -> Widths:
-    """Of all families, or as measured without one of them. Raises UnknownName."""
+    """Scales over all families, or as measured without one of them. Raises UnknownName."""
     table = read_toml(calib_folder() / FILE)
     if (key := ALL if without in NEVER else without) not in table:
         raise UnknownName("family of the structural error", without, sorted(set(table) - {ALL, "schema"}))
@@ -90,18 +91,20 @@ def widths(without: str = "") -> Widths:
 
 
 def applies(model) -> bool:
-    """Whether the model is a swimming fish whose water was calibrated. One of literature values may be wrong by any amount: its
-    null runs, in a water of that kind, stand alone."""
+    """Returns True for a swimming fish with calibrated water.
+
+    A model of literature values may be wrong by any amount: its null runs, in a water of that kind, stand alone.
+    """
     return hasattr(model, "strips") and model.robot.water.get("model") == STRUCTURED
 
 
 def of(
     model, records, layout, null: np.ndarray, leftover: np.ndarray, given: Widths, moved: "Tangents | None" = None
 ) -> StructuralError:
-    """Nothing where it does not apply.
+    """The structural error of records; zero for a model to which it does not apply.
 
     Args:
-        null: (n, m) residuals of null runs. leftover: (m,) D^1/2 without it. moved: tangents of these records, where known.
+        null: (n, m) residuals of null runs. leftover: (m,) D^1/2 without it. moved: tangents of these records, if known.
     """
     if not applies(model):
         return StructuralError(np.zeros((0, layout.size)), (), np.zeros(layout.size))
@@ -118,11 +121,11 @@ def of(
 
 
 def own_widths(given: Widths, layout, null: np.ndarray, leftover: np.ndarray, moved: "Tangents", residual: np.ndarray) -> Widths:
-    """The same for one robot, as its own healthy swims ask for it: the most likely numbers, swings and channels.
+    """Scales of one robot from its own healthy swims: the most likely numbers, swings and channels.
 
         u <- u ((seen + nu u_0 / u^2) / (expected + nu / u))^1/2        variances u, those of other waters u_0 (variances.py)
 
-    Those of other waters count as `OWN_PRIOR` observations, a scaled inverse chi-squared: what the swims do not tell stays.
+    Those of other waters count as `OWN_PRIOR` observations, a scaled inverse chi-squared: undetermined values stay.
 
     Args:
         layout, null (n, m), leftover (m,), moved, residual (m,): of the swims.
@@ -161,9 +164,9 @@ def own_widths(given: Widths, layout, null: np.ndarray, leftover: np.ndarray, mo
 
 
 def allowed(gates: Gates, given: Widths, own: float = 0.0) -> Gates:
-    """The gates with what healthy robots of an unknown water leave, before a search and after it, and what they gain.
+    """The gates, widened by the residuals of healthy robots of an unknown water, before and after a search, and by their gains.
 
-    own: |z|^2 / m that the model leaves of healthy swims of this robot (search/healthy_swims.py); 0: there are none.
+    own: baseline misfit, |z|^2 / m on healthy swims of this robot (search/healthy_swims.py); 0 if not measured.
     """
     usual = max(given.adequacy, given.beyond_own * own)
     adequacy, residual = (max(usual, gate) for gate in (gates.adequacy, gates.residual))
@@ -171,22 +174,25 @@ def allowed(gates: Gates, given: Widths, own: float = 0.0) -> Gates:
 
 
 class Tangents(NamedTuple):
-    """parts: of each record (K (1 + windows), m_l), what sigma of each number does throughout, then in each window. names: of the
-    numbers (K,). shared: (J, m) what each effect does at its size."""
+    """Tangents of the structural error.
+
+    parts: of each record (K (1 + windows), m_l), effect of sigma of each number throughout, then in each window. names: of the
+    numbers (K,). shared: (J, m) effect of each healthy effect at its size.
+    """
 
     parts: list[np.ndarray]
     names: list[str]
     shared: np.ndarray
 
     def widths(self, given: Widths, record: int) -> np.ndarray:
-        """(K (1 + windows),) of the parts of a record."""
+        """(K (1 + windows),) scales of the parts of a record."""
         throughout, swings = ([table.get(name, 0.0) for name in self.names] for table in (given.numbers, given.swings))
         windows = len(self.parts[record]) // len(self.names) - 1
         return np.concatenate([throughout, np.tile(swings, windows)])
 
 
 def tangents(strips, records, layout, sizes: dict[str, dict[str, float]]) -> Tangents:
-    """Of every record. strips: `GatedWater`. sizes: v of the effects that `strips` has, SI."""
+    """Tangents of every record. strips: `GatedWater`. sizes: v of the effects that `strips` has, SI."""
     sigma = np.array([r.sigma for r in strips.ranges()])
     count = len(sigma)
     throughout, swings = (np.tile(strips.null, (1 + count, 1)) for _ in range(2))
@@ -214,9 +220,9 @@ def tangents(strips, records, layout, sizes: dict[str, dict[str, float]]) -> Tan
 
 
 def strong(moved: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(factors (K, m), variance (m,) of what is left) of the tangents (k, m) of one record, over D^1/2 (m,).
+    """(factors (K, m), variance (m,) of the rest) of the tangents (k, m) of one record, over D^1/2 (m,).
 
-    The singular vectors have the same scatter as the tangents, and most of them do next to nothing.
+    The singular vectors have the same scatter as the tangents, and most of them are negligible.
     """
     _, size, shape = np.linalg.svd(moved / d, full_matrices=False)
     directions, large = size[:, None] * shape * d, size >= STRONG

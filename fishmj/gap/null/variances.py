@@ -1,15 +1,15 @@
 """Most likely widths of a covariance that is a sum of parts, over robots.
 
     S_i = F_i^T F_i + sum_g u_g sum_(k in g) a_ik a_ik^T + diag(d_i + sum_c p_c R_ic)       robot i, residual r_i
-        = F_i^T F_i + sum_j u_j f_ij f_ij^T + C_i,    C_i: what lies in one record each, block by block
+        = F_i^T F_i + sum_j u_j f_ij f_ij^T + C_i,    C_i: parts within one record each, block by block
     -2 log L = sum_i r_i^T S_i^-1 r_i + log det S_i
 
-By the MM algorithm of Zhou, Hu, Zhou & Lange (2019): each variance times the square root of what the residuals ask of its part
-over what the covariance expects,
+By the MM algorithm of Zhou, Hu, Zhou & Lange (2019): each variance is multiplied by the square root of observed over expected
+sums of its part,
 
     u_g <- u_g (sum_ik (a_ik^T S_i^-1 r_i)^2 / sum_ik a_ik^T S_i^-1 a_ik)^1/2
 
-which never makes the robots less likely and keeps every variance positive.
+which never lowers the likelihood and keeps every variance positive.
 """
 
 from collections.abc import Callable
@@ -22,9 +22,11 @@ TINY = 1e-300
 
 
 class Sample(NamedTuple):
-    """One robot. null (n, m) F; shared (J, m) f and group (J,) the number of each one's variance; parts (K_l, m_l) a of each
-    record and groups (K_l,); record (m,); variance (m,) d; spread (m,) R^2; channel (m,) number of each sample's p; residual
-    (m,)."""
+    """One robot.
+
+    null (n, m) F; shared (J, m) f and group (J,) the number of each one's variance; parts (K_l, m_l) a of each record and groups
+    (K_l,); record (m,); variance (m,) d; spread (m,) R^2; channel (m,) number of each sample's p; residual (m,).
+    """
 
     null: np.ndarray
     shared: np.ndarray
@@ -39,7 +41,7 @@ class Sample(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Of one robot: -2 log L, |z|^2 / m, and what residuals and covariance say of each variance, (G + C,) each."""
+    """Sums of one robot: -2 log L, |z|^2 / m, and the observed and expected sums of each variance, (G + C,) each."""
 
     loss: float
     adequacy: float
@@ -95,7 +97,7 @@ class Found(NamedTuple):
 
 
 def most_likely(ask: Callable[..., list[Asked]], u: np.ndarray, p: np.ndarray, rounds: int, tick=lambda done: None) -> Found:
-    """From where to begin. ask(u, p) -> [Asked] of every robot; rounds: of the algorithm."""
+    """Most likely variances, from a start point. ask(u, p) -> [Asked] of every robot; rounds: of the algorithm."""
     for done in range(rounds):
         told = ask(u, p)
         seen, expected = (np.sum([getattr(one, key) for one in told], 0) for key in ("seen", "expected"))

@@ -1,22 +1,22 @@
-"""What a fish without any missing effect looks like to this model: the empirical null.
+"""The empirical null: residuals of this model on fish without any missing effect.
 
     r_i = measured_i - predicted, i = 1..n     from an independent simulator: same commands, other constants within their
                                                tolerance, its own water, servos, network and noise
-    S = (1/n) sum r_i r_i^T + D                scatter of those, and what they do not span, per channel and time
-    z = S^-1/2 (measured - predicted)          mean square 1 when nothing is missing
+    S = (1/n) sum r_i r_i^T + D                scatter of those, and the part outside their span, per channel and time
+    z = S^-1/2 (measured - predicted)          mean square 1 if nothing is missing
 
-The scatter carries the model-form error and every constant that a fit could turn, so nothing needs to be fitted before the
-gap can be read, and an effect only counts as far as no combination of those explains it (generalised least squares with the
+The scatter holds the model-form error and every constant that a fit could change. So no fit is needed before the
+gap can be read, and an effect only counts beyond every combination of those (generalised least squares with the
 nuisance integrated out; Kennedy & O'Hagan 2001 with an empirical prior, Efron 2004). S is applied through its factors F:
 S = F^T F + D.
 
-D is what leave-one-out leaves unexplained: each r_i is predicted from the other n - 1 and its remainder averaged.
+D is the leave-one-out rest: each r_i is predicted from the other n - 1 and its remainder averaged.
 
-A turned camera shows what a fish swam too far ahead as too far to the side: null runs are seen through a candidate's sensors,
+A turned camera shows a fish that swam too far ahead as too far to the side. So null runs pass through a candidate's sensors,
 
-    r_i' = g(p + r_i) - g(p)      g: what the measurement effects of a parameter row make of a pose, p: the pose predicted
+    r_i' = g(p + r_i) - g(p)      g: measurement effects of a parameter row applied to a pose, p: the predicted pose
 
-The other effects leave the null runs as they are: what they change in them is a matter of the constants (likelihood.py).
+The other effects leave the null runs unchanged: their influence is a matter of the constants (likelihood.py).
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ class RecordWhitening(NamedTuple):
     parts: tuple[tuple[slice, np.ndarray, np.ndarray], ...]  # of records that have such rows: samples, U (m_l, k), g (k,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Whiten (..., m)."""
+        """Whitens (..., m)."""
         z = x / self.d
         for where, u, g in self.parts:
             z[..., where] -= ((z[..., where] @ u) * (1.0 - g)) @ u.T
@@ -52,7 +52,7 @@ class RecordWhitening(NamedTuple):
 
 
 def record_whitening(d: np.ndarray, by_record: Sequence[np.ndarray] = (), record: np.ndarray | None = None) -> RecordWhitening:
-    """From D's square root (m,) and factors (k, m_l) of each record. record: (m,) ascending number of each sample's."""
+    """Whitening from D's square root (m,) and factors (k, m_l) of each record. record: (m,) ascending number of each sample's."""
     parts = []
     for i, factors in enumerate(by_record):
         where = slice(*np.searchsorted(np.asarray(record), [i, i + 1]).tolist())
@@ -76,7 +76,7 @@ class Whitening(NamedTuple):
     g: np.ndarray  # (k,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Whiten (..., m)."""
+        """Whitens (..., m)."""
         y = self.alone(x)
         return y - ((y @ self.u) * (1.0 - self.g)) @ self.u.T
 
@@ -89,7 +89,7 @@ class Whitening(NamedTuple):
 def whitening(
     factors: np.ndarray, d: np.ndarray, by_record: Sequence[np.ndarray] = (), record: np.ndarray | None = None
 ) -> Whitening:
-    """From factors (k, m) that records share, D's square root (m,), and factors of one record each (`record_whitening`).
+    """Whitening from shared factors (k, m), D's square root (m,), and factors of one record each (`record_whitening`).
 
     Those of one record are hundreds together and a few tens in each: taken record by record they cost next to nothing.
     """
@@ -98,7 +98,7 @@ def whitening(
 
 
 def residual_and_tangents(model, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:
-    """(m,) residual of a parameter row, (C, m) what the tolerance of each constant of the model does to it."""
+    """(m,) residual of a parameter row, and (C, m) its change by the tolerance of each constant of the model."""
     sigma = np.array([constant.sigma for constant in model.constants])
     rows = np.tile(row, (1 + len(sigma), 1))
     rows[1:, : len(sigma)] += np.diag(sigma)
@@ -107,9 +107,9 @@ def residual_and_tangents(model, records, layout: ResidualLayout, row) -> tuple[
 
 
 def leftover(residuals: np.ndarray, layout: ResidualLayout, rounds: int = 3) -> np.ndarray:
-    """D^1/2 (m,): standard deviation of what the other null runs do not explain of one, smooth over time in each block.
+    """D^1/2 (m,): standard deviation of a null run unexplained by the others, smooth over time in each block.
 
-    Starts from the sensors' noise; a few rounds settle it, because D decides how far the others are trusted.
+    Starts from the sensors' noise and converges in a few rounds, because D sets the weight of the other runs.
     """
     noise = layout.noise()
     d = np.where(np.isfinite(noise), noise, 0.1 * residuals.std(0) + 1e-9)
@@ -121,7 +121,7 @@ def leftover(residuals: np.ndarray, layout: ResidualLayout, rounds: int = 3) -> 
 
 
 def unexplained(residuals: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """What is left of each null run after its expectation given the others (n, m): r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r.
+    """Rest of each null run (n, m) after its expectation given the others: r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r.
 
     F are the other runs over sqrt(n - 1); all products come from one Gram matrix.
     """
@@ -152,7 +152,7 @@ SENSORS = ("pose", "placed")
 
 
 def as_sensed(model, layout, row: np.ndarray, shown: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-    """(n, m) residuals of null runs as the sensors of a parameter row show them. shown: (m,) what the row predicts."""
+    """(n, m) residuals of null runs through the sensors of a parameter row. shown: (m,) prediction of the row."""
     values = row[len(model.constants) :]
     out = residuals.copy()
     for i in range(len(layout.records)):
@@ -168,13 +168,13 @@ def as_sensed(model, layout, row: np.ndarray, shown: np.ndarray, residuals: np.n
 
 
 def changes_sensing(model, row: np.ndarray) -> bool:
-    """Whether a parameter row has an effect on what the sensors make of the fish."""
+    """Returns True if a parameter row has a measurement effect."""
     measuring = [x for x in model.active.effects if x.measure]
     return any(row[model.index(x.name, p.name)] != p.null for x in measuring for p in x.parameters if not p.shape)
 
 
 def camera_view(active, values, pose: np.ndarray) -> np.ndarray:
-    """(3, n, k) what a camera makes of poses (3, n, k)."""
+    """(3, n, k) poses as a camera measures them, from poses (3, n, k)."""
     none = np.zeros((1, 1))
     seen = Measured(t=none, x=pose[0], y=pose[1], yaw=pose[2], joint=np.zeros((1, 1, active.joints)), power=none)
     seen = active.measure(np, [np.full((1, 1), v) for v in values], seen)

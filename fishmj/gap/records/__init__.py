@@ -1,1 +1,1 @@
-"""What was measured: records, their residual, whether they are enough, and what was weighed."""
+"""Measurements: records, their residual, checks that they are enough, and weighings."""

@@ -14,20 +14,21 @@ BUNDLE = ".npz"
 
 
 def trials_in(data: Path) -> list[Trial]:
-    """The trials of a data set that can be read, under their folders' names, or those of a bundle.
+    """The readable trials of a data set, under their folders' names, or those of a bundle.
 
     Raises:
-        LogError, StoreError: nothing there that can be read.
+        LogError, StoreError: nothing readable there.
     """
     return list(readable_trials(data).trials.values())
 
 
 def readable_trials(data: Path, dt: float | None = None) -> Taken:
-    """What can be read of a data set, less rows of failed reads. dt: also leave out trials that cannot be compared at this step
-    [s] of a model.
+    """Readable part of a data set, without rows of failed reads.
+
+    dt: also leave out trials that cannot be compared at this step [s] of a model.
 
     Raises:
-        LogError, StoreError: nothing there that can be read.
+        LogError, StoreError: nothing readable there.
     """
     found = _bundle(data) if data.suffix == BUNDLE else take(data)
     trials, notes, broken = {}, list(found.notes), dict(found.broken)
@@ -50,7 +51,7 @@ def trials_named(data: Path, names: list) -> list[Trial]:
     """The trials of those names, all of them.
 
     Raises:
-        LogError: one is not there, or cannot be read.
+        LogError: one is missing, or cannot be read.
     """
     found = readable_trials(data)
     for name in names:
@@ -61,7 +62,7 @@ def trials_named(data: Path, names: list) -> list[Trial]:
 
 
 def _bundle(data: Path) -> Taken:
-    """The trials of a bundle, each checked as a folder would be."""
+    """The trials of a bundle, each checked like a folder."""
     trials, broken = {}, {}
     for trial in read_bundle(data):
         if not isinstance(trial.name, str) or not isinstance(trial.meta, dict):
@@ -88,7 +89,7 @@ def named(name: str, trial: Trial) -> Trial:
 
 
 def digest(data: Path) -> str:
-    """sha256 of a bundle, of a folder's manifest, or of what a manifest would list.
+    """sha256 of a bundle, of a folder's manifest, or of the manifest that its files would have.
 
     Raises:
         LogError, StoreError: no data set there.

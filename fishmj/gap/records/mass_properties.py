@@ -1,11 +1,11 @@
-"""A robot on scales, a knife edge and two threads: what its masses are, without any water.
+"""A robot on scales, a knife edge and two threads: its mass properties, without any water.
 
     weighed = (mass kg, balance point from the nose m, yaw inertia about it kg m2)      straight, dry
 
-The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first record that is searched. Without
-scales in it the mass of the description counts as weighed, unless told otherwise: a body mass that is off takes the place of
-nearly any error of the water, and takes a minute to weigh. Its null runs are the instruments' errors alone: a fish from which
-nothing is missing weighs what its model weighs. What an effect does to it is what mass means and no formula of the water's, so no
+The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first searched record. Without
+scales in it the mass of the description counts as weighed, unless stated otherwise: a wrong body mass imitates
+nearly any error of the water, and takes a minute to weigh. Its null runs are the instruments' errors alone: a healthy fish
+weighs as much as its model. An effect on a weighing is the definition of mass and no formula of the water, so no
 form error is granted (likelihood.py).
 """
 
@@ -25,9 +25,11 @@ DRAWN = 0x5CA1E  # of the null runs' readings
 
 
 def sensor(page: dict, model, known: bool = True) -> Sensor | None:
-    """(1, 3) of a page, NaN where it has no such table; None of nothing. sigma: the instruments' or what repeats scatter.
+    """(1, 3) values of a page, NaN for a missing table; None for an empty page.
 
-    known: the description's mass was weighed, to within what scales tell. It counts where the page has no scales.
+    sigma: of the instruments, or the scatter of repeats. known: the description's mass was weighed, to within the error of
+    scales; it counts if the page has no scales.
+
     Raises:
         ConfigError: a number is missing or not positive.
     """
@@ -52,8 +54,10 @@ def sensor(page: dict, model, known: bool = True) -> Sensor | None:
 
 
 def separation(model, one: np.ndarray, other: np.ndarray) -> float:
-    """Standard deviations by which usual instruments set two explanations apart. one, other: (1 + K, P) the fitted row, and one
-    for each parameter, a standard deviation away."""
+    """Separation of two explanations by usual instruments, in standard deviations.
+
+    one, other: (1 + K, P) the fitted row, and one for each parameter, a standard deviation away.
+    """
     sides = [predicted(model, rows) for rows in (one, other)]
     open_ = np.concatenate([s[1:] - s[0] for s in sides])
     apart = sides[0][0] - sides[1][0]
@@ -63,7 +67,7 @@ def separation(model, one: np.ndarray, other: np.ndarray) -> float:
 
 
 def agreement(model, records: list[Record]) -> str:
-    """In words, what the records' weighings say of the model as it is; "" without any."""
+    """Sentence on the agreement of the records' weighings with the present model; "" without any."""
     weighed = next((r.weighed for r in records if r.weighed is not None), None)
     if weighed is None:
         return ""
@@ -80,7 +84,7 @@ def agreement(model, records: list[Record]) -> str:
 
 
 def described(mass: float) -> str:
-    """That no scales were asked."""
+    """Note that no scales were used."""
     return f"The model's mass, {mass:.4g} kg, counts as weighed; --mass-unknown where it never was on scales."
 
 
@@ -90,13 +94,13 @@ def with_page(records: list[Record], weighed: Sensor | None) -> list[Record]:
 
 
 def null(weighed: Sensor, runs: int, seed: int) -> dict[str, np.ndarray]:
-    """Sensor and column -> (n, 1) residuals of fish that weigh what they should."""
+    """Sensor and column -> (n, 1) residuals of fish with the right weight."""
     read = weighed.sigma * np.random.default_rng([DRAWN, seed]).standard_normal((runs, 3))
     return {f"weighed{column}": values[:, None] for column, values in enumerate(read.T)}
 
 
 def predicted(model, rows) -> np.ndarray:
-    """(R, 3) of the straight fish with the effects of each parameter row (R, P); what it is described with was weighed before."""
+    """(R, 3) values of the straight fish with the effects of each parameter row (R, P), added to the description's own."""
     columns = list(np.atleast_2d(np.asarray(rows, float)).T)
     hooks = Effects(np, model.active, columns[len(model.constants) :], model.active.memory)
     chain, swimmer = hooks.fish(model.chain, model.nominal)

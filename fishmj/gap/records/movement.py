@@ -1,4 +1,4 @@
-"""How fast a fish swims and turns, from what a camera saw of it."""
+"""Speed and turning rate of a fish, from a camera's poses."""
 
 import numpy as np
 

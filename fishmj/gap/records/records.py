@@ -1,12 +1,12 @@
-"""A trial as the search sees it, and what of it is compared with a model.
+"""A trial as the input of the search, and its comparison with a model.
 
 Record           commands at the model's steps, every measurement at its own time stamps: nothing measured is resampled, commands
-                 are held from one to the next, which is what the servo does
+                 are held from one to the next, like in the servo
 ResidualLayout   short averages of every channel, measured minus predicted, as one long vector
 
-A fast channel is averaged over 60 ms, a slow one over 0.2 s: less noise, nothing lost that a beat of 3 Hz carries. Heading and
-position are whole free runs from the known start, so what accumulates is seen; the covariance of the null (null/whitening.py)
-knows that late times are uncertain and that neighbouring values are not independent.
+A fast channel is averaged over 60 ms, a slow one over 0.2 s: less noise, without loss for a beat of 3 Hz. Heading and
+position are whole free runs from the known start, so accumulated errors show. The covariance of the null (null/whitening.py)
+accounts for the uncertainty of late times and the correlation of neighbouring values.
 """
 
 from collections.abc import Mapping
@@ -67,7 +67,7 @@ class Record(NamedTuple):
 
 
 def record_of(trial: Trial, dt: float) -> Record:
-    """Read one trial.
+    """Reads one trial.
 
     Raises:
         LogError: no commands, nothing measured, joints that differ in number, clocks of another zero, a fish that swims at the
@@ -139,13 +139,13 @@ def _pose(rows) -> np.ndarray:
 
 
 def _placed(begins: np.ndarray, place: np.ndarray, sigma: np.ndarray) -> Sensor:
-    """What the camera shows of a fish that was put at `place`. How well hands do that is not in sigma; null runs tell."""
+    """The camera's pose of a fish that was put at `place`. sigma excludes the error of placing, which null runs have."""
     turn = np.angle(np.exp(1j * (begins[2] - place[2])))
     return Sensor(np.zeros(1), np.array([[*begins[:2], place[2] + turn]]), sigma)
 
 
 def _stated(trial: Trial) -> dict[str, float]:
-    """Column -> noise that the log states; without those that are none."""
+    """Column -> noise that the log states, without invalid values."""
     given = trial.value("sigma", {})
     number = lambda v: isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v < np.inf
     return {str(name): float(v) for name, v in given.items() if number(v)} if isinstance(given, dict) else {}
@@ -156,7 +156,7 @@ def _power(rows) -> np.ndarray:
 
 
 def _finite(trial: Trial, key: str) -> float:
-    """A number of the meta data, 0 where there is none."""
+    """A number of the meta data, 0 without one."""
     value = trial.value(key, 0.0) or 0.0
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
         raise LogError(f"trial {trial.name}: {key} = {str(value)[:40]!r}; expected a finite number")
@@ -176,7 +176,7 @@ def _three(trial: Trial, key: str, otherwise) -> np.ndarray:
 
 
 def _still(t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> float:
-    """s from the first command for which neither the commands nor the joints move; without joints, a first command is a move."""
+    """Time from the first command during which neither commands nor joints move, s; without joints, a first command is a move."""
     moves = [t[np.abs(commands - (0.0 if joint is None else commands[0])).max(1) > STILL]]
     if joint is not None:
         least = np.fmax(STILL, NOISE * joint.sigma)
@@ -185,7 +185,7 @@ def _still(t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> float:
 
 
 def _at_rest(name: str, pose: Sensor, rest: float) -> None:
-    """Raise LogError where the first rows show a fish that swims: its joints' rates are in no log, no model can go on there."""
+    """Raises LogError if the fish swims in the first rows: no log holds its joint rates, so no model can start there."""
     rows = pose.t <= rest
     t, seen = pose.t[rows] - pose.t[rows].mean(), pose.values[rows]
     spread = float(np.sqrt(np.sum(t**2)))
@@ -201,7 +201,7 @@ def _at_rest(name: str, pose: Sensor, rest: float) -> None:
 
 
 def _first(sensor: Sensor | None, size: int, rest: float) -> np.ndarray:
-    """Mean of the first moments."""
+    """Mean over the first moments."""
     if sensor is None:
         return np.zeros(size)
     return sensor.values[sensor.t <= max(rest, float(sensor.t[0]))].mean(0)
@@ -218,7 +218,7 @@ CHANNELS = {
 
 
 class ChannelBlock(NamedTuple):
-    """A stretch of the vector: one column of one sensor of one record."""
+    """A part of the vector: one column of one sensor of one record."""
 
     record: int
     sensor: str
@@ -233,7 +233,7 @@ class ChannelBlock(NamedTuple):
 
 
 class ResidualLayout:
-    """Where everything lies, for a set of records. `size` is the length of the vector."""
+    """Layout of the residual vector for a set of records. `size` is the length of the vector."""
 
     def __init__(self, records: list[Record]):
         self.records, self.blocks, self.size = records, [], 0
@@ -261,7 +261,7 @@ class ResidualLayout:
         return self.residuals([zero(record) for record in self.records])[0]
 
     def residuals(self, predictions: list[dict]) -> np.ndarray:
-        """(R, size) measured minus predicted; predictions as `model.predict` gives them for these records."""
+        """(R, size) measured minus predicted; predictions of `model.predict` for these records."""
         rows = len(next(iter(predictions[0].values())))
         out = np.empty((rows, self.size))
         for b in self.blocks:
@@ -273,7 +273,7 @@ class ResidualLayout:
     def aligned(self, other: "ResidualLayout", vector: np.ndarray) -> np.ndarray:
         """A vector of `other`, the same experiments with their own stamps, at this layout's windows.
 
-        A window that `other` lacks takes its neighbours' straight line.
+        A window that `other` lacks is interpolated linearly from its neighbours.
         """
         out = np.empty(self.size)
         for mine, theirs in zip(self.blocks, other.blocks, strict=True):

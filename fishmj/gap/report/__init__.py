@@ -20,7 +20,7 @@ def page(inquiry: Inquiry) -> str:
 
 
 def write(inquiry: Inquiry, folder: Path) -> list[str]:
-    """Write report.html and report.json; returns the names of the files."""
+    """Writes report.html and report.json; returns the names of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     material = gathered(inquiry)
     write_json(folder / "report.json", plain(material))

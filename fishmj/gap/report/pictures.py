@@ -1,4 +1,4 @@
-"""Pictures: gap by part of the records, growth curves, heat map, localisation details, confusion map, most telling traces.
+"""Pictures: gap by part of the records, growth curves, heat map, localisation details, confusion map, most informative traces.
 
 SVG that carries its text as text, colours of Okabe and Ito (2008), and never colour alone.
 """
@@ -28,7 +28,7 @@ STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "fishmj",
     "font.family": "sans-serif",
-    # Measured with a wide face, shown with what the reader has.
+    # Measured with a wide typeface, shown with the reader's own.
     "font.sans-serif": ["DejaVu Sans", "Liberation Sans", "Arial", "Helvetica Neue"],
     "font.size": 10,
     "text.color": INK,
@@ -58,7 +58,7 @@ _numbers = count()
 
 @contextmanager
 def style():
-    """Inside, figures look like this; restored afterwards."""
+    """Context in which figures have this style; restored afterwards."""
     try:
         import matplotlib
     except ModuleNotFoundError as error:
@@ -98,7 +98,7 @@ def svg(figure, label: str) -> Markup:
 
 
 def gaps(rows: dict[str, tuple[float, float]], changed: bool, allowed: float) -> str:
-    """(before, after) of all records and of each channel, by name. allowed: below it model and records agree."""
+    """Bar chart of (before, after) of all records and of each channel, by name. allowed: below it model and records agree."""
     figure, axes = canvas(1, 1, (6.2, 0.72 * len(rows) + 0.85))
     axis = axes[0, 0]
     axis.axvspan(0.01, allowed, color=BAND, zorder=0)
@@ -123,7 +123,7 @@ def gaps(rows: dict[str, tuple[float, float]], changed: bool, allowed: float) ->
 
 
 def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:
-    """Error after a restart against the time since it."""
+    """Chart of the error after a restart against the time since it."""
     figure, axes = canvas(1, len(found), (10.9, 2.75))
     for axis, c in zip(axes[0], found, strict=True):
         factor, unit = SCALES[c.unit]
@@ -150,7 +150,7 @@ def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:
 
 
 def heat(p: Localisation) -> str:
-    """Share of the gap by channel and regime; below it how much of the time each regime takes."""
+    """Heat map of the gap's share by channel and regime; below it each regime's share of the time."""
     from matplotlib.colors import LinearSegmentedColormap
 
     seen = [k for k in range(len(p.kinds)) if np.isfinite(p.level[:, k]).any()]
@@ -177,7 +177,7 @@ def heat(p: Localisation) -> str:
 
 
 def details(p: Localisation, changed: bool) -> str:
-    """Lags, heading, speed of the command: as many panels as there is something to show."""
+    """Panels of lags, heading, speed of the command: only those with data."""
     panels = [draw for draw, there in ((_lags, p.lags.joint or p.lags.heading), (_octants, p.frame), (_rates, p.rates)) if there]
     if not panels:
         return ""
@@ -247,7 +247,7 @@ def _rates(axis, p: Localisation, changed: bool) -> None:
 
 
 def confusion(r: Round) -> str:
-    """Cosine between what each pair of finalists changes."""
+    """Map of the cosine between the changes of each pair of finalists."""
     from matplotlib.colors import LinearSegmentedColormap
 
     n = len(r.table)
@@ -268,7 +268,7 @@ def confusion(r: Round) -> str:
 
 
 def _tiles(axis, columns: int, rows: int, labelsize: float) -> None:
-    """White lines between the cells of a matrix, in place of ticks and frame."""
+    """Draws white lines between the cells of a matrix, in place of ticks and frame."""
     axis.tick_params(length=0, labelsize=labelsize)
     axis.grid(visible=False)
     for side in axis.spines.values():
@@ -288,7 +288,7 @@ def _short(value: float) -> str:
 
 
 def _wrapped(text: str, width: int = 14) -> str:
-    """Words on lines of about `width`."""
+    """Wraps words to lines of about `width`."""
     lines = [""]
     for word in text.split():
         if lines[-1] and len(lines[-1]) + len(word) >= width:
@@ -312,7 +312,7 @@ class Chosen(NamedTuple):
 
 
 def chosen(c: Comparison) -> list[Chosen]:
-    """The block of each channel in which most of the gap lies, biggest first; one record twice only when there is no other."""
+    """The block of each channel with the largest share of the gap, biggest first; one record twice only if there is no other."""
     best: dict[str, tuple[float, ChannelBlock]] = {}
     for b in (b for b in c.layout.blocks if b.channel in UNITS):  # where the fish was put is no trace
         excess = float(np.sum(c.ratio[0][b.where] - 1.0))
@@ -323,7 +323,7 @@ def chosen(c: Comparison) -> list[Chosen]:
 
 
 def stretch(c: Comparison, b: ChannelBlock) -> tuple[float, float]:
-    """Where a channel is shown: all of it, or the seconds that differ most."""
+    """Shown time span of a channel: all of it, or the seconds with the largest difference."""
     length = ZOOM.get(b.channel, math.inf)
     end = float(b.t[-1])
     if end <= length:
@@ -335,7 +335,7 @@ def stretch(c: Comparison, b: ChannelBlock) -> tuple[float, float]:
 
 
 def traces(c: Comparison, use: list[str]) -> str:
-    """One column a chosen block: above what was measured and predicted, below what is left. use: part of each record."""
+    """Traces with one column a chosen block: above measured and predicted, below the residual. use: part of each record."""
     panels = chosen(c)
     figure, axes = canvas(2, len(panels), (3.63 * len(panels), 3.9), sharex="col", height_ratios=(1.5, 1))
     for column, (b, start, stop) in enumerate(panels):

@@ -1,4 +1,4 @@
-"""Every figure that the page shows, computed from an inquiry: what is drawn and what is written as JSON are the same numbers."""
+"""Figures of the page, computed from an inquiry: pictures and JSON use the same numbers."""
 
 from dataclasses import asdict, dataclass
 
@@ -18,9 +18,12 @@ from fishmj.gap.workflow import Inquiry
 
 @dataclass(frozen=True)
 class ReportRow:
-    """One finalist of a round. values: parameter -> (value, unit). p_best: None on a bound (a limiting form, no rival).
-    behind: how much less likely than the one that was tried it makes the records, each in the evidence around itself, as a share
-    of what that one gains; below zero, ahead; None where that gains nothing. tried: whether it is that one."""
+    """One finalist of a round.
+
+    values: parameter -> (value, unit). p_best: None on a bound (a limiting form, no rival). behind: difference in likelihood to
+    the tried candidate, each in the evidence around itself, as a share of the tried one's gain; below zero, ahead; None if that
+    gains nothing. tried: True for the tried candidate.
+    """
 
     name: str
     values: dict
@@ -32,7 +35,7 @@ class ReportRow:
 
 @dataclass(frozen=True)
 class Round:
-    """The finalists of one round, the largest P(best) first. alike: (n, n) cosine between what they change, whitened."""
+    """The finalists of one round, the largest P(best) first. alike: (n, n) cosine between their whitened changes."""
 
     table: tuple[ReportRow, ...]
     alike: np.ndarray
@@ -40,7 +43,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Undetectable:
-    """An effect that these records would not have shown. ratio: of |dz|^2 at its typical size to what a name needs."""
+    """An effect that these records could not show. ratio: |dz|^2 at its typical size over the threshold of a name."""
 
     name: str
     typical: str
@@ -49,7 +52,7 @@ class Undetectable:
 
 @dataclass(frozen=True)
 class ReportData:
-    """All of it."""
+    """All data of the report."""
 
     inquiry: Inquiry
     gates: Gates
@@ -63,7 +66,7 @@ class ReportData:
 
 
 def gathered(inquiry: Inquiry) -> ReportData:
-    """Compute everything."""
+    """Computes all data of the report."""
     gates = inquiry.gates
     e, found = inquiry.evidence, inquiry.found
     c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
@@ -73,7 +76,7 @@ def gathered(inquiry: Inquiry) -> ReportData:
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
-    """The row with what was found; the model as it is where the answer lists nothing, or what did not help unseen records."""
+    """The row with the found effects; the present model if the answer lists none, or if they did not help unseen records."""
     return (inquiry.found.best if inquiry.verdict.taken else inquiry.found.base).row
 
 
@@ -86,7 +89,7 @@ def channels(inquiry: Inquiry) -> dict[str, tuple[float, float]]:
 
 
 def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
-    """The finalists of every round that was accepted, or of the first when none was."""
+    """The finalists of every accepted round, or of the first if there was none."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
     sure = {n.name: n.p_best for n in (*v.effects, *v.tentative)}
     out, start = [], found.base
@@ -117,12 +120,12 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
 
 
 def listed(rows: list[ReportRow]) -> list[int]:
-    """The order of a table: the largest P(best) first, of the same the one that was tried; last what lies on a bound."""
+    """The order of a table: the largest P(best) first, at a tie the tried candidate; candidates on a bound last."""
     return sorted(range(len(rows)), key=lambda i: (-1.0 if (p := rows[i].p_best) is None else p, rows[i].tried), reverse=True)
 
 
 def values(model, c: Candidate, name: str) -> dict:
-    """Parameters of the effects in `name`; with the effect's name where two share one."""
+    """Parameters of the effects in `name`; with the effect's name if two share one."""
     mine = [(e, p) for e in model.active.effects if e.name in name.split("+") for p in e.parameters]
     names = [p.name for _, p in mine]
     key = lambda e, p: p.name if names.count(p.name) == 1 else f"{e.name}.{p.name}"
@@ -130,7 +133,7 @@ def values(model, c: Candidate, name: str) -> dict:
 
 
 def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
-    """Effects whose typical size changes these records less than a name needs; most nearly seen first."""
+    """Effects whose typical size changes these records less than a name needs; the nearest to detection first."""
     e = inquiry.evidence
     whole = e.subset()
     rows, owners = [], []
@@ -157,7 +160,7 @@ def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
 
 
 def gap_of(m: ReportData) -> tuple[float, float]:
-    """The pair that the page says, `Verdict.gap`; twice the same where nothing was taken."""
+    """The pair on the page, `Verdict.gap`; twice the same if nothing was taken."""
     before, now = m.inquiry.verdict.gap
     return before, before if now is None else now
 
@@ -185,6 +188,6 @@ def plain(m: ReportData) -> dict:
 
 
 def parted(inquiry: Inquiry) -> list[str]:
-    """What each record was used for."""
+    """Use of each record: fitted, held out or never used."""
     held = iter(inquiry.held)
     return ["never used" if unseen else "held out" if next(held) else "fitted" for unseen in inquiry.unseen]

@@ -1,4 +1,4 @@
-"""The page, from top to bottom: the answer in words, then what it stands on."""
+"""The page, from top to bottom: the answer in words, then its basis."""
 
 import re
 from typing import NamedTuple
@@ -24,7 +24,7 @@ NOTHING = Section("", "", ())
 
 
 def html(m: ReportData) -> str:
-    """Everything in one text."""
+    """The whole page as one text."""
     v, e = m.inquiry.verdict, m.inquiry.evidence
     with style():
         sections = [gap(m), where(m), seen(m), growth(m), candidates(m), forces(m), checks(m), invisible(m), records(m)]
@@ -35,7 +35,7 @@ def html(m: ReportData) -> str:
 
 
 def value(m: ReportData) -> str:
-    """What was found, with its interval; "" where nothing was."""
+    """The found effect with its interval; "" without one."""
     v = m.inquiry.verdict
     if not v.effects:
         return ""
@@ -47,7 +47,7 @@ def value(m: ReportData) -> str:
 
 
 def figures(m: ReportData) -> list[tuple[str, str]]:
-    """The few numbers that one asks for first."""
+    """The few most important numbers."""
     v = m.inquiry.verdict
     before, after = gap_of(m)
     about = f"gap of the records searched; {v.yardstick()}"
@@ -66,7 +66,7 @@ def figures(m: ReportData) -> list[tuple[str, str]]:
 
 
 def gap(m: ReportData) -> Section:
-    """Before and after."""
+    """Section on the gap before and after."""
     pair = lambda both: " → ".join(map(level, both if m.comparison.changed else both[:1]))
     shown_rows = {"all": gap_of(m), **m.channels}
     rows: list[dict] = [{"channel": part("strong", "all"), "gap": part("strong", pair(shown_rows["all"]))}]
@@ -82,7 +82,7 @@ def gap(m: ReportData) -> Section:
 
 
 def warnings(m: ReportData) -> list[str]:
-    """Why to be careful, before anything else is read."""
+    """Reasons for caution, before anything else is read."""
     notes = list(m.inquiry.verdict.warnings)
     for n in m.inquiry.verdict.tentative if m.inquiry.verdict.taken else ():
         notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
@@ -97,7 +97,7 @@ def warnings(m: ReportData) -> list[str]:
 
 
 def where(m: ReportData) -> Section:
-    """Localisation."""
+    """Section on the localisation."""
     p = m.place
     text = part("told", told(" ".join(filter(None, (p.text, m.weighed)))), "place")
     if nothing(p):
@@ -112,14 +112,14 @@ def where(m: ReportData) -> Section:
 
 
 def seen(m: ReportData) -> Section:
-    """Traces."""
+    """Section with the traces."""
     use = [used for used, unseen in zip(parted(m.inquiry), m.inquiry.unseen, strict=True) if not unseen]
     about = "The records in which most of the gap lies, one for each channel. The model runs free from the measured start."
     return Section("The records that tell most", about, [figure(traces(m.comparison, use))])
 
 
 def growth(m: ReportData) -> Section:
-    """Growth curves."""
+    """Section with the growth curves."""
     if not m.growth:
         return NOTHING
     about = (
@@ -131,7 +131,7 @@ def growth(m: ReportData) -> Section:
 
 
 def candidates(m: ReportData) -> Section:
-    """Ranked tables and confusion maps."""
+    """Section with ranked tables and confusion maps."""
     if not m.rounds:
         return NOTHING
     about = (
@@ -149,7 +149,7 @@ def candidates(m: ReportData) -> Section:
 
 
 def forces(m: ReportData) -> Section:
-    """What the gap looks like as a force, where no effect explains it."""
+    """Section that describes the gap as a force, if no effect explains it."""
     rows = []
     for t in m.inquiry.verdict.terms:
         alike = [part("small", f"or {', '.join(t['alike'][:3])}")] if t["alike"] else []
@@ -166,7 +166,7 @@ def forces(m: ReportData) -> Section:
 
 
 def ranked(r: Round, place: int, count: int) -> str:
-    """One round."""
+    """Table of one round."""
     rows = []
     for letter, row in zip(LETTERS, r.table, strict=False):
         name = part("letter", letter, title(row.name)) + (part("tag", "rival") if row.rival else "")
@@ -180,7 +180,7 @@ def ranked(r: Round, place: int, count: int) -> str:
 
 
 def checks(m: ReportData) -> Section:
-    """Gates."""
+    """Section on the gates."""
     rows = [
         {"gate": part("strong", g.name), "question": g.question, "found": g.value, "needed": g.needed, "": part("tag", g.state)}
         for g in gates(m)
@@ -190,7 +190,7 @@ def checks(m: ReportData) -> Section:
 
 
 def invisible(m: ReportData) -> Section:
-    """What these records could not have shown."""
+    """Section on the effects that these records could not show."""
     items = [pages.escaped(f"{title(b.name)} ") + part("small", b.typical) for b in m.blind]
     about = (
         "At their typical size these would change the records less than a name needs: nothing is said about them. Other"
@@ -200,7 +200,7 @@ def invisible(m: ReportData) -> Section:
 
 
 def records(m: ReportData) -> Section:
-    """What went in."""
+    """Section on the used records."""
     use = dict(zip([r.name for r in m.inquiry.records], parted(m.inquiry), strict=True))
     found = []
     for i, r in enumerate(m.comparison.records):
@@ -217,7 +217,7 @@ def records(m: ReportData) -> Section:
 
 
 def told(text: str) -> Markup:
-    """Escaped, `code` as code, and no unit at the start of a line."""
+    """Escapes a text, marks `code` as code, and keeps units off the start of a line."""
     text = re.sub(r"(\d)%", r"\1 %", text)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", pages.escaped(text))
     return Markup(re.sub(r"(\d) (%|ms|s|deg|mm|W)\b", "\\1\u00a0\\2", text).replace(" %", "\u00a0%"))
@@ -259,7 +259,7 @@ def headline(v: Verdict) -> str:
 
 
 def meaning(m: ReportData) -> str:
-    """One sentence on what it means."""
+    """One sentence on the meaning of the answer."""
     v = m.inquiry.verdict
     known = {e.name: e for e in m.inquiry.evidence.model.active.effects}
     if v.answer == "NAMED":
@@ -276,7 +276,7 @@ def meaning(m: ReportData) -> str:
 
 
 def next_step(m: ReportData) -> str:
-    """One sentence on what to do."""
+    """One sentence on the next step."""
     v = m.inquiry.verdict
     if v.next_experiment:
         return v.next_experiment
@@ -303,7 +303,7 @@ def next_step(m: ReportData) -> str:
 
 
 def separation(known: dict[str, Effect], a: str, b: str) -> str:
-    """What tells two effects apart, from the catalogue; "" when it does not say."""
+    """Difference between two effects, from the catalogue; "" if it states none."""
     for one, two in ((a, b), (b, a)):
         for c in known[one].confusions if one in known else ():
             if c.other == two:
@@ -313,7 +313,7 @@ def separation(known: dict[str, Effect], a: str, b: str) -> str:
 
 
 def gates(m: ReportData) -> list[Gate]:
-    """Every gate with its figure and its threshold; after the first that stops the search, none is asked."""
+    """Every gate with its figure and its threshold; those after the first that stops the search are not asked."""
     v, g, first = m.inquiry.verdict, m.gates, m.inquiry.found.steps[0] if m.inquiry.found.steps else None
     checks, accepted = v.gates, bool(first and first.accepted)
     had = lambda key: float(checks.get(key, float("nan")))

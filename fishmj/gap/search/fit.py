@@ -1,8 +1,8 @@
 """Every effect's best value on a set of records: probes of finite size, then damped Gauss-Newton on the whitened residual.
 
     screen        z at a few magnitudes of each parameter; the best secant combination in closed form
-    grid_search   hundreds of values on one record, where only the right one explains anything: the step that commands are
-                  counted in
+    grid_search   hundreds of values on one record, for a parameter of which only the exact value explains anything: the step
+                  of quantised commands
     refine        theta' = theta - (J^T J + P + m diag)^-1 (J^T z + P theta),  J by finite differences about theta, P the prior
 
 The cost is |z|^2 with z from null/whitening.py, plus a weak Gaussian prior. Constants of the fish need no fit: the covariance
@@ -48,32 +48,32 @@ class EffectFitter:
         return np.nan_to_num(self.whiten(residuals), nan=1e6, posinf=1e6, neginf=-1e6)
 
     def prior(self, rows) -> np.ndarray:
-        """(R,) what the prior adds to |z|^2 of parameter rows (R, P)."""
+        """(R,) contribution of the prior to |z|^2 of parameter rows (R, P)."""
         size = bounds(self.model)[2]
         scaled = (np.asarray(rows) - self.model.null) / (thresholds().fit.prior_sd * size)
         return np.sum(scaled[:, len(self.model.constants) :] ** 2, 1)
 
     def costs(self, rows, z) -> np.ndarray:
-        """(R,) |z|^2 of rows (R, P) whose z (R, m) are known, and the prior's share."""
+        """(R,) |z|^2 of rows (R, P) with known z (R, m), plus the prior's share."""
         return np.einsum("rm,rm->r", z, z) + self.prior(rows)
 
     def loss(self, row) -> float:
-        """Cost + log det S of one parameter row, twice the negative log likelihood: comparable where S differs, too."""
+        """Cost + log det S of one parameter row, twice the negative log likelihood: comparable between different S."""
         return self.at(row).cost + self.whiten.logdet
 
     def at(self, row, names: tuple[str, ...] = (), places: tuple[int, ...] = ()) -> Candidate:
-        """The candidate that a parameter row is."""
+        """Candidate of a parameter row."""
         z = self.z(np.asarray(row)[None])
         return Candidate(names, places, row, float(self.costs(np.asarray(row)[None], z)[0]), z[0])
 
     def base(self) -> Candidate:
-        """The model as it is."""
+        """Candidate of the present model."""
         return self.at(self.model.null)
 
     def grid_search(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
-        """{effect: its best few values} for those of which only a value right to a fraction of a per cent explains anything.
+        """{effect: its best few values} for effects of which only a value within a fraction of a per cent explains anything.
 
-        A command counted in steps jumps where c / step does: values lie evenly in 1 / step, and again around the best.
+        A quantised command jumps where c / step does: values lie evenly in 1 / step, and again around the best.
         """
         limits = thresholds().fit
         found = {}
@@ -93,8 +93,10 @@ class EffectFitter:
         return found
 
     def screen(self, base: Candidate, effects, fine: dict[str, tuple[float, ...]] | None = None) -> list[Candidate]:
-        """`base` plus each of `effects`, at the best probe or secant combination; best first. fine: more values, from
-        `grid_search`."""
+        """`base` plus each of `effects`, at the best probe or secant combination; best first.
+
+        fine: more values, from `grid_search`.
+        """
         # Probes of finite size instead of a gradient at the null: a dead band, play or a speed limit has no derivative there.
         rows, owners = [], []
         for effect in effects:
@@ -134,7 +136,7 @@ class EffectFitter:
         damping = [1e-2] * len(best)
         for _ in range(thresholds().fit.iterations if iterations is None else iterations):
             # All candidates share each call of `z`, since the compiled rollouts are vectorised over rows. The optimisers of
-            # SciPy know no batch of problems: each candidate would roll out alone.
+            # SciPy cannot batch problems: each candidate would roll out alone.
             steps = [difference_rows(self.model, c) for c in best]
             z = self.z(np.concatenate(steps))
             trials: list[np.ndarray] = []
@@ -147,8 +149,8 @@ class EffectFitter:
                 jac = (z[first : first + len(rows)] - c.z) / moved[:, None] * size[places][:, None]
                 first += len(rows)
                 away = (c.row - self.model.null)[places] / size[places]
-                # The prior stands in the normal matrix, not only in the cost: a parameter that these records leave open has
-                # no slope, and without it the step along it would be arbitrary.
+                # The prior is in the normal matrix, not only in the cost: a parameter that these records do not determine has
+                # no slope, and without the prior the step along it would be arbitrary.
                 normal = jac @ jac.T + np.eye(len(away)) / prior**2
                 slope = jac @ c.z + away / prior**2
                 # Two dampings at once instead of one and a retry: rows of a batch are cheap, further batches are not.
@@ -193,7 +195,7 @@ def drop_effect(search: EffectFitter, c: Candidate, name: str) -> Candidate:
 
 
 def difference_rows(model, c: Candidate) -> np.ndarray:
-    """(K, P) the candidate's row with one parameter moved in each, for finite differences: up, or down at the upper bound."""
+    """(K, P) the candidate's row with one parameter changed in each, for finite differences: up, or down at the upper bound."""
     _, high, size = bounds(model)
     rows = np.tile(c.row, (len(c.places), 1))
     for row, place in zip(rows, c.places, strict=True):
@@ -203,8 +205,10 @@ def difference_rows(model, c: Candidate) -> np.ndarray:
 
 
 def probes(effect: Effect, fine: tuple[float, ...] = ()) -> list[tuple[int, float]]:
-    """(parameter, value) pairs at which an effect is tried; several sizes, both sides where both make sense. fine: further values
-    of its fine parameter."""
+    """(parameter, value) pairs for trying an effect: several sizes, both sides if the parameter is signed.
+
+    fine: further values of its fine parameter.
+    """
     out = []
     for k, p in enumerate(effect.parameters):
         if p.shape:
@@ -234,7 +238,7 @@ def shape_probes(model, base: np.ndarray, effect: Effect) -> list[np.ndarray]:
 
 
 def secants(model, base: Candidate, effect: Effect, tried) -> list[np.ndarray]:
-    """Rows from the linear combination of each parameter's probes that lowers |z| most, one row a magnitude."""
+    """Rows of the linear combination of each parameter's probes that lowers |z| most, one row a magnitude."""
     out = []
     for m in thresholds().fit.probe_sizes:
         columns, places, sizes = [], [], []

@@ -1,14 +1,14 @@
-"""The robot's own healthy swims: how much of a gap is usual for it in its water, and how far it may still be off.
+"""The robot's own healthy swims: the usual size of a gap for it in its water, and the remaining uncertainty of its model.
 
     level = ratio |z|^2 / m of the healthy swims        ratio: null/structural_error.py, `Widths.beyond_own`
 
-Robots of other waters tell how far off a calibrated water may be, and a water unlike all of them may be further off. The swims
-that it was calibrated to show how far: a model that leaves 1.5 of those, nothing missing, leaves no less of new experiments. Of
-new ones it leaves more, since it was not fitted to them; how much more was measured on robots of other waters.
+Robots of other waters give the usual error of a calibrated water, but a water unlike all of them may be further off. The
+calibration swims show its error: a model that leaves 1.5 on those, with nothing missing, leaves no less on new experiments. On
+new ones it leaves more, since it was not fitted to them; that ratio was measured on robots of other waters.
 
-They also tell what other waters' robots cannot: how much each number of this robot's water differs from swim to swim
-(`structural_error.own_widths`), and what of all that its records share is left open (`Likelihood.given`). So an effect that set
-in after them stands out against what this robot may do, and not against what any robot may.
+They also show two things that other waters' robots cannot: the variation of each number of this robot's water from swim to swim
+(`structural_error.own_widths`), and the remaining uncertainty of everything that its records share (`Likelihood.given`). So an
+effect that appeared later is compared with the possible variation of this robot, not with that of any robot.
 """
 
 from collections.abc import Sequence
@@ -25,14 +25,14 @@ from fishmj.log import Trial
 
 
 class Healthy(NamedTuple):
-    """left: |z|^2 / m that the model leaves of the swims by the widths of other waters. swims: with the robot's own widths."""
+    """left: |z|^2 / m of the swims with the scales of other waters. swims: likelihood with the robot's own scales."""
 
     left: float
     swims: Likelihood
 
 
 def known(model, trials: Sequence[Trial], null: SimulatedNull, bars: Bars = silent) -> Healthy | None:
-    """What healthy swims tell; None of a model without a structural error, where nobody asks.
+    """Result of healthy swims; None for a model without a structural error, which does not need it.
 
     Raises:
         LogError: none of them can be compared.
@@ -41,13 +41,13 @@ def known(model, trials: Sequence[Trial], null: SimulatedNull, bars: Bars = sile
         return None
     if not trials:
         raise LogError("gap find: got no healthy swim; expected the logs that the water was calibrated to")
-    # Where an experiment is done again, its noise is another: what both have in common is the fish.
+    # A repeated experiment has other noise: only the fish is common to both.
     e = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], replace(null, session=1), bars)
     return Healthy(e.gap(model.null)[0], e.with_own_widths())
 
 
 def left_by(model, trials: Sequence[Trial], null: SimulatedNull, tables: dict[str, Widths]) -> dict[str, float]:
-    """|z|^2 / m that the model leaves of healthy swims with each of several widths, by name."""
+    """|z|^2 / m of the model on healthy swims with each of several sets of scales, by name."""
     records = [record_of(trial, model.dt) for trial in trials]
     runs = null.residuals(model, records, ResidualLayout(records))
     return {name: Likelihood(model, records, runs, widths=given).gap(model.null)[0] for name, given in tables.items()}

@@ -2,20 +2,20 @@
 
     -2 log L(theta) = |z|^2 + log det S,   z = S^-1/2 (measured - predicted)      z, S of a `subset` of the records: fit.py
 
-S comes from the null runs (null/whitening.py) and depends on where it is linearised, since a fish that is late, stiff or slow
-answers to its constants in another way:
+S comes from the null runs (null/whitening.py) and depends on the point of linearisation, since a fish that is late, stiff or slow
+responds differently to its constants:
 
-    S(theta) = F^T F + D,   F: null runs, seen through the sensors of theta; the structural error (null/structural_error.py); how
-                            well a launch is known (null/launch_error.py); the change of the constants' tangents with theta
-                            D: what null runs leave unexplained, what the structural error does, the response to the constants
-                            that is not linear, and (form c)^2 where c is what theta changes: no formula is the robot's
+    S(theta) = F^T F + D,   F: null runs through the sensors of theta; the structural error (null/structural_error.py); the
+                            error of a launch (null/launch_error.py); the change of the constants' tangents with theta
+                            D: residual variance of the null runs, structural error, the nonlinear part of the response to the
+                            constants, and model error (form c)^2, where c is the change that the effects make
                             (model_error.py)
 
-gap       |z|^2 / m, before in the S of the model as it is and after in that of the fish with the effects: what the gates
-          `adequacy` and `rest` ask. Healthy robots leave about 1
-floor     W(t), root mean square of null runs and structural error. The residual has to shrink over it, too: S grows with what
-          was found, the floor does not
-closure   gain / (|z_0|^2 - m): share of what is unexpected that an effect explains, m = length of z
+gap       |z|^2 / m, before in the S of the present model and after in that of the fish with the effects: input of the gates
+          `adequacy` and `rest`. Healthy robots leave about 1
+floor     W(t), root mean square of null runs and structural error. The residual has to shrink over it, too: S grows with the
+          found effects, the floor does not
+closure   gain / (|z_0|^2 - m): share of the excess that an effect explains, m = length of z
 p_best    share of Bayesian bootstrap draws over records (Rubin 1981) in which a candidate has the least cost
 """
 
@@ -35,22 +35,22 @@ from fishmj.gap.thresholds import Gates, thresholds
 
 
 class KnownLayout(ResidualLayout):
-    """A layout of which a part of each residual is known: (m,) `known` is taken off."""
+    """A layout with a known part of each residual: (m,) `known` is subtracted."""
 
     def __init__(self, records: list[Record], known: np.ndarray):
         super().__init__(records)
         self.known = known
 
     def residuals(self, predictions: list[dict]) -> np.ndarray:
-        """(R, size) measured minus predicted, less what is known of it."""
+        """(R, size) measured minus predicted, less the known part."""
         return super().residuals(predictions) - self.known
 
 
 class Likelihood:
-    """Of records with their null; fitters on any part of them.
+    """Likelihood of records with their null, and fitters on any part of them.
 
-    null: (n, m) residuals of null runs on the layout of all records. form: relative error of each sample of what the effects
-    change. widths: of the structural error; by default as measured on all families. origin: the likelihood at the model as it is.
+    null: (n, m) residuals of null runs on the layout of all records. form: relative error of each sample of the effects'
+    change. widths: of the structural error; by default as measured on all families. origin: the likelihood at the present model.
     """
 
     def __init__(self, model, records: list[Record], null: np.ndarray, form: float | None = None, widths: Widths | None = None):
@@ -62,21 +62,24 @@ class Likelihood:
         self.runs = len(null)
         self.drawn = True  # the first factors are the null runs, each by itself; not so where healthy swims are given
         self.layout = ResidualLayout(records)
-        # One set of draws, kept: whatever is linearised later is compared with the origin draw by draw, so that their
-        # difference is not the draws'.
+        # One set of draws is kept: every later linearisation is compared with the origin draw by draw, so that the draws do not
+        # cause their difference.
         self._draws = np.random.default_rng(0).standard_normal((limits.nonlinearity_draws, len(model.constants)))
         self._null_tangents, self._null_nonlinear = self._constants(getattr(model, "nothing", model.null))
         self._left = leftover(null, self.layout)
         self._null_factors = null / np.sqrt(len(null))
-        # The null runs draw their constants, too. What is not linear in these, and within the runs' scatter, is smooth in time;
-        # on the diagonal it costs small effects more than they gain. Of models as described that was not measured.
+        # The null runs draw their constants, too. The nonlinear part within the runs' scatter is smooth in time; on the
+        # diagonal it costs small effects more than they gain. For uncalibrated models this was not measured.
         self.calibrated = structural_error.applies(model)
         self._null_scatter = np.mean(null**2, 0) if self.calibrated else 0.0
         self._launches = launch_error.factors(model, records, self.layout)
         self._cover(null, structural_error.widths() if widths is None else widths)
 
     def _cover(self, null: np.ndarray, widths: Widths, moved: "structural_error.Tangents | None" = None) -> None:
-        """Set all that the structural error decides. null: (n, m) residuals of null runs; moved: as of `structural_error.of`."""
+        """Sets everything that depends on the structural error.
+
+        null: (n, m) residuals of null runs; moved: as in `structural_error.of`.
+        """
         self.widths = widths
         self._structural = structural_error.of(self.model, self.records, self.layout, null, self._left, widths, moved)
         self.factors = np.concatenate([self._null_factors, self._structural.shared, self._launches])
@@ -87,7 +90,7 @@ class Likelihood:
         self.response = ModelResponse(self.factors, self.by_record, self.layout.record, known, *np.zeros((2, self.layout.size)))
 
     def with_own_widths(self) -> "Likelihood":
-        """The same records, healthy swims of one robot, with the widths that they ask for (`structural_error.own_widths`)."""
+        """The same records, healthy swims of one robot, with their own most likely scales (`structural_error.own_widths`)."""
         null, moved, there = self._null_factors * np.sqrt(self.runs), self._structural.moved, copy(self)
         if moved is not None:
             residual = self._residuals(self.model.null[None])[0]
@@ -97,35 +100,37 @@ class Likelihood:
         return there
 
     def allowed(self, gates: Gates, own: float = 0.0) -> Gates:
-        """The gates with what the structural error leaves of healthy robots; of a model without one, as they are.
+        """The gates, widened by the structural error of healthy robots; unchanged for a model without one.
 
-        own: |z|^2 / m of healthy swims of this robot (healthy_swims.py), 0 where there are none.
+        own: baseline misfit, |z|^2 / m on healthy swims of this robot (healthy_swims.py); 0 if not measured.
         """
         return structural_error.allowed(gates, self.widths, own) if structural_error.applies(self.model) else gates
 
     def healthy_gain(self, stage: str) -> float:
-        """What an effect of a stage takes off |z|^2 of a healthy robot of another water, at most; 0 where that is not known."""
+        """Largest reduction of |z|^2 by an effect of a stage on a healthy robot of another water; 0 if unknown."""
         return self.widths.gains.get(stage, 0.0) * len(self.records) if structural_error.applies(self.model) else 0.0
 
     def formula_error(self, stage: str) -> float:
-        """Relative error of the size that a formula of a stage asks for in a water that nobody has seen; of any formula where the
-        model is not calibrated or that was not measured."""
+        """Relative error of the size from a formula of a stage in an unknown water.
+
+        That of any formula, if the model is not calibrated or it was not measured.
+        """
         any_formula = thresholds().intervals.formula_error
         return max(any_formula, self.widths.formula.get(stage, 0.0)) if self.calibrated else any_formula
 
     @property
     def draws(self) -> int:
-        """How many of the factors are null runs, or what healthy swims leave of them."""
+        """Number of factors that are null runs, or their rest after healthy swims."""
         return len(self._null_factors)
 
     def given(self, swims: "Likelihood") -> "Likelihood":
-        """The same for a robot of which healthy swims are known: what its records share counts as far as those leave it open.
+        """The same for a robot with known healthy swims: its shared deviations count only as far as those leave them open.
 
-            e  ~ N(m, P)      what the records of a robot share: its constants (null runs), the effects of a healthy one
-            P  = (1 + F_h C_h^-1 F_h^T)^-1,   m = P F_h C_h^-1 r_h        of the swims; C: what each record has by itself
+            e  ~ N(m, P)      shared by the records of a robot: its constants (null runs), the effects of a healthy one
+            P  = (1 + F_h C_h^-1 F_h^T)^-1,   m = P F_h C_h^-1 r_h        of the swims; C: the part of each record alone
             S  = F^T P F + C,   r <- r - F^T m
 
-        swims: of the same model, null and widths, at the model as it is.
+        swims: of the same model, null and scales, at the present model.
         """
         alone = record_whitening(swims.d, swims.by_record, swims.layout.record)
         seen = alone(swims.factors)
@@ -151,8 +156,7 @@ class Likelihood:
         return there
 
     def _constants(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the constants' tolerance does to the residual of a parameter row: (C, m) tangents, (m,) mean square of what is
-        not linear in them."""
+        """Response of a row's residual to the constants' tolerance: (C, m) tangents, (m,) mean square of the nonlinear part."""
         sigma = np.array([constant.sigma for constant in self.model.constants])
         draws = np.concatenate([np.zeros((1, len(sigma))), np.eye(len(sigma)), self._draws])
         rows = np.tile(row, (len(draws), 1))
@@ -167,14 +171,14 @@ class Likelihood:
         return np.nan_to_num(self.layout.residuals(self.model.predict(self.records, rows)))
 
     def linearised_at(self, row: np.ndarray, form: float | None = None) -> "Likelihood":
-        """The same for a fish that has the effects of `row`, right to within `form` of what they change at each moment."""
+        """The same for a fish with the effects of `row`, right to within `form` of their change at each moment."""
         start = self.origin
         tangents, nonlinear = self._constants(row)
         # Only the change of the tangents is added: the null fish already differ by their constants, so the tangents
         # themselves would count that scatter twice.
         known_factors = [self._null_through_sensors(row), self._structural.shared, self._launches]
         factors = [*known_factors, tangents - start._null_tangents]
-        # When a joint slips or a gear's play is taken up hangs on all constants, and no two fish do it at the same moment.
+        # The moment at which a joint slips or a gear's play closes depends on all constants, and differs between any two fish.
         # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
         known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear - start._null_scatter, 0.0)
         change = self._effects_change(row)
@@ -194,25 +198,25 @@ class Likelihood:
         return as_sensed(self.model, self.layout, row, shown, null * root) / root
 
     def with_model_error(self, form: float) -> "Likelihood":
-        """The same effects, right to within another relative error."""
+        """The same effects, with another relative error of their formulas."""
         there = copy(self)
         there.form = form
         there.d = self.response.d(form)
         return there
 
     def with_estimated_model_error(self, row: np.ndarray) -> "Likelihood":
-        """Linearised at a row, with the form error that makes the records most likely: how far a formula holds is measured."""
+        """Linearised at a row, with the form error that makes the records most likely: the accuracy of a formula is measured."""
         there = self.linearised_at(row)
         finer = thresholds().model_error.fine_form_grid if self.calibrated else ()
         return there.with_model_error(there.response.most_likely_form(self._residuals(row[None])[0], finer))
 
     def tolerating(self, row: np.ndarray, gates: Gates) -> tuple["Likelihood", float]:
-        """(likelihood in which the formulas of a row are as wrong as formulas may be, the gain that such an error can imitate).
+        """(likelihood in which the formulas of a row have their largest allowed error, the gain that such an error can imitate).
 
             S += form^2 diag(c^2) + size^2 sum_b c_b c_b^T        imitated = sum (e c)^2 / D
 
-        c (m,) is what the row changes, c_b that on one channel of a record, e the error of any formula. What another effect gains
-        there beyond the second is none of theirs, however much they explain.
+        c (m,) is the change by the row, c_b that on one channel of a record, e the error of any formula. A gain of another effect
+        there beyond the second is not theirs, however much they explain.
         """
         change = self._effects_change(row)
         there = copy(self)
@@ -221,22 +225,24 @@ class Likelihood:
         return there, float(np.sum((thresholds().intervals.formula_error * change / there.d) ** 2))
 
     def _effects_change(self, row: np.ndarray) -> np.ndarray:
-        """(m,) what the effects of a row change. A weighing is what mass means, no formula of the water's: there nothing."""
+        """(m,) change by the effects of a row; zero for a weighing, which defines mass and is no formula of the water."""
         return self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
 
     def with_parameter_uncertainty(self, row: np.ndarray) -> "Likelihood":
-        """For values: what the constants do is no better known than the formulas, F also gets their tangents times `form`."""
+        """For values: the response to the constants is as uncertain as the formulas: F gets their tangents times `form`."""
         there = copy(self)
         there.factors = np.concatenate([self.factors, self.form * self._constants(row)[0]])
         return there
 
     def error(self, row: np.ndarray, allowed: float, keep: np.ndarray | None = None) -> ModelError:
-        """How wrong the formulas of the row are at which this is linearised. allowed: form error that they may have. keep: (m,)
-        bool, samples that count; default, all."""
+        """Error of the formulas of the row at which this is linearised.
+
+        allowed: their allowed form error. keep: (m,) bool, samples that count; default, all.
+        """
         return self.response.error(self._residuals(row[None])[0], self.layout, allowed, keep)
 
     def subset(self, keep: np.ndarray | None = None, more: np.ndarray | None = None) -> EffectFitter:
-        """A fitter on the records where keep (L,) is true; default, all. more: (K, n) further factors of S there."""
+        """A fitter on the records with keep (L,) true; default, all. more: (K, n) further factors of S there."""
         keep = np.ones(len(self.records), bool) if keep is None else keep
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
@@ -246,7 +252,7 @@ class Likelihood:
         return EffectFitter(self.model, records, layout, whitening(factors, self.d[columns], by_record, layout.record))
 
     def _layout_of(self, records: list[Record], columns: np.ndarray) -> ResidualLayout:
-        """Of a part of the records, columns (m,) bool."""
+        """Layout of a part of the records, columns (m,) bool."""
         return (
             KnownLayout(records, self.layout.known[columns]) if isinstance(self.layout, KnownLayout) else ResidualLayout(records)
         )
@@ -256,7 +262,7 @@ class Likelihood:
         return self.subset().loss(row)
 
     def jacobian(self, c: Candidate) -> np.ndarray:
-        """(K, m) what a typical size of each parameter of a candidate does to the residual, about its values."""
+        """(K, m) change of the residual by a typical size of each parameter of a candidate, about its values."""
         size = bounds(self.model)[2]
         rows = np.concatenate([c.row[None], difference_rows(self.model, c)])
         residuals = self._residuals(rows)
@@ -264,7 +270,7 @@ class Likelihood:
         return (residuals[1:] - residuals[0]) / moves.reshape(-1, 1)
 
     def change(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """(m,) what going from one parameter row to another does to the residual."""
+        """(m,) change of the residual from one parameter row to another."""
         before, after = self._residuals(np.stack([start, end]))
         return after - before
 
@@ -274,7 +280,7 @@ class Likelihood:
         return by_channel(part.z(row[None])[0] ** 2, part.layout)
 
     def gap_there(self, row) -> tuple[float, dict]:
-        """The same, linearised at the row, with the form error that makes the records most likely."""
+        """The gap of a parameter row, linearised at the row, with the form error that makes the records most likely."""
         there = self if np.array_equal(row, self.model.null) else self.with_estimated_model_error(row)
         return there.gap(row)
 
@@ -284,9 +290,9 @@ class Likelihood:
 
 
 def likelihood_of(model, records: list[Record], null, bars: Bars = silent, swims: Likelihood | None = None) -> Likelihood:
-    """Of records with the null runs that `null` (a `SimulatedNull`) makes of them.
+    """Likelihood of records with the null runs of `null` (a `SimulatedNull`).
 
-    bars: of runs made anew. swims: healthy ones of this robot with its own widths, by which the structural error shrinks.
+    bars: of new runs. swims: healthy ones of this robot with its own scales, which shrink the structural error.
     """
     runs = null.residuals(model, records, ResidualLayout(records), bars)
     if swims is not None:
@@ -295,7 +301,7 @@ def likelihood_of(model, records: list[Record], null, bars: Bars = silent, swims
 
 
 def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tuple[Likelihood, Candidate]:
-    """(likelihood linearised at the candidate, it at its best there): what the constants may do depends on the effects.
+    """(likelihood linearised at the candidate, candidate refitted there): the response to the constants depends on the effects.
 
     A step that makes the candidate less likely in the likelihood linearised at itself is not taken: values and covariance chase
     each other, and a covariance that explains everything must not win.
@@ -321,7 +327,7 @@ def by_channel(squared: np.ndarray, layout) -> tuple[float, dict]:
 
 
 def over_floor(residual: np.ndarray, scale: np.ndarray, layout) -> tuple[float, dict]:
-    """Mean square in units of the floor: of all, every record and channel alike, and of each channel."""
+    """Mean square in units of the floor: over all, every record and channel alike, and over each channel."""
     ratio = (residual / scale) ** 2
     found: dict[str, list] = {}
     for b in layout.blocks:
@@ -339,7 +345,7 @@ def costs(z: np.ndarray, layout) -> np.ndarray:
 
 
 def closure(cost_before: float, cost_after: float, size: float) -> float:
-    """Share of the excess over m that is gone; all of it once |z|^2 is below m."""
+    """Share of the excess over m that is removed; all of it once |z|^2 is below m."""
     gone = cost_before - cost_after
     return float(gone / max(cost_before - size, gone)) if gone > 0 else 0.0
 

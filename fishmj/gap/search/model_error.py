@@ -1,18 +1,17 @@
-"""How wrong the formulas of a candidate are, measured on the records that they should explain.
+"""Error of a candidate's formulas, measured on the records that they should explain.
 
-form    share by which what they change differs from sample to sample: D grows
-gain    share by which it is larger or smaller on a whole channel of a record: a factor of S each, c_b the change there
-
+form    relative error of the change from sample to sample: D grows
+gain    relative error of its size on a whole channel of a record: a factor of S each, c_b the change there
     S = F^T F + gain^2 sum_b c_b c_b^T + D + form^2 c^2
 
 Of a grid of both, the pair that makes the records most likely counts. Values are fitted with the first alone, so that strong and
-weak channels keep their weights. The second tells what kind of error it is: a right formula in another robot is mostly wrong in
-its size, and where little is to be seen; one that stands in for something else is wrong from sample to sample, or has to be
-resized where it matters.
+weak channels keep their weights. The second shows the kind of error. A right formula in another robot is mostly wrong in
+its size, and in weak channels; a substitute for something else is wrong from sample to sample, or needs another size in strong
+channels.
 
-Outlier records. Small errors add up along a path: where it bends away in one record, a right formula looks wrong there. The gate
-of transfer lets some records get worse; the paths of as many are left out here, if what was found gains on records predicted
-without their fold. Joints are held by their servos, where nothing adds up, and are never left out: what stands in for something
+Outlier records. Small errors add up along a path: if it bends away in one record, a right formula looks wrong there. The gate
+of transfer lets some records get worse; the paths of as many are left out here, if the found effects gain on records predicted
+without their fold. Joints are held by their servos, without accumulation, and are never left out: a substitute for something
 else in a servo is wrong in them.
 """
 
@@ -27,9 +26,11 @@ PATH = ("position", "heading")  # channels
 
 
 class ModelError(NamedTuple):
-    """Of the formulas of a candidate. form: of each sample, where sizes may be wrong. gain_error_rms: root mean square over
-    channels and records of what the sizes are wrong by, each weighted by its information. excess_log_likelihood: what
-    |z|^2 + log det S gains by a `form` that is larger than it should be."""
+    """Error of a candidate's formulas.
+
+    form: of each sample, if sizes may be wrong. gain_error_rms: root mean square over channels and records of the errors of size,
+    each weighted by its information. excess_log_likelihood: gain of |z|^2 + log det S by a `form` beyond the allowed one.
+    """
 
     form: float
     gain_error_rms: float
@@ -37,10 +38,10 @@ class ModelError(NamedTuple):
 
 
 class ModelResponse(NamedTuple):
-    """What is known without the effects, and what they change.
+    """Known covariance without the effects, and the effects' change.
 
     factors (K, m), by_record (K_l, m_l), known (m,): F, A of each record and D. record (m,): number of each sample's. change,
-    scatter (m,): what they change, and its running root mean square.
+    scatter (m,): the change, and its running root mean square.
     """
 
     factors: np.ndarray
@@ -58,12 +59,12 @@ class ModelResponse(NamedTuple):
 
     def d(self, form: float) -> np.ndarray:
         """D^1/2 (m,)."""
-        # The running mean of the change, not the change itself: at its zero crossings a formula is no better known than beside
+        # The running mean of the change, not the change itself: a formula is no more accurate at its zero crossings than beside
         # them, and D must not vanish there.
         return np.sqrt(self.known + (form * self.scatter) ** 2)
 
     def products(self, factors: np.ndarray, form: float, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Of factors (K, m) over C^1/2: their Gram matrix, with the residual over C^1/2, and |C^-1/2 r|^2 + log det C."""
+        """Products of factors (K, m) over C^1/2: Gram matrix, product with the residual, and |C^-1/2 r|^2 + log det C."""
         alone = record_whitening(self.d(form), self.by_record, self.record)
         scaled, r = alone(factors), alone(residual)
         return scaled @ scaled.T, scaled @ r, float(r @ r + alone.logdet)
@@ -71,10 +72,10 @@ class ModelResponse(NamedTuple):
     def losses(self, residual: np.ndarray, forms, gains=(0.0,), channels: np.ndarray | None = None) -> np.ndarray:
         """|z|^2 + log det S, twice the negative log likelihood, of a residual (m,) for each of gains (rows) and of forms.
 
-        channels: (B, m) what the effects change on each channel of each record.
+        channels: (B, m) the effects' change on each channel of each record.
         """
-        # The determinant is not left out, as a chi-squared would: a large form error lowers |z|^2 of anything, and only
-        # log det S charges for it. One Gram matrix per form error serves all gain errors, which only scale its rows.
+        # Unlike in a chi-squared, the determinant stays: a large form error lowers |z|^2 of anything, and only log det S
+        # penalises it. One Gram matrix per form error serves all gain errors, which only scale its rows.
         out = np.empty((len(gains), len(forms)))
         factors = self.factors if channels is None else np.concatenate([self.factors, channels])
         for j, form in enumerate(forms):
@@ -88,44 +89,46 @@ class ModelResponse(NamedTuple):
         return out
 
     def most_likely_form(self, residual: np.ndarray, finer: tuple[float, ...] = ()) -> float:
-        """The form error that makes a residual (m,) most likely, sizes taken as right. finer: tried beside the usual grid."""
-        # A grid, not an optimiser: the likelihood is flat in the form error, and a name must not hang on its third digit.
+        """The form error that makes a residual (m,) most likely, with exact sizes. finer: tried beside the usual grid."""
+        # A grid, not an optimiser: the likelihood is flat in the form error, and a name must not depend on its third digit.
         grid = (*finer, *thresholds().model_error.form_grid)
         return grid[int(np.argmin(self.losses(residual, grid)))]
 
     def error(self, residual: np.ndarray, layout, allowed: float, keep: np.ndarray | None = None) -> ModelError:
-        """Both errors that a residual (m,) asks for. allowed: form error that there may be. keep: (m,) bool, samples that count;
-        default, all."""
+        """Both most likely errors for a residual (m,).
+
+        allowed: allowed form error. keep: (m,) bool, samples that count; default, all.
+        """
         if keep is not None:
             return self.subset(keep)._error(residual[keep], channel_changes(layout, self.change * keep)[:, keep], allowed)
         return self._error(residual, channel_changes(layout, self.change), allowed)
 
     def _error(self, residual: np.ndarray, channels: np.ndarray, allowed: float) -> ModelError:
-        """The same, of what is changed on each channel of each record (B, m)."""
+        """Both errors, from the change on each channel of each record (B, m)."""
         forms = thresholds().model_error.form_grid
         gains = thresholds().model_error.gain_grid
         losses = self.losses(residual, forms, gains, channels)
         i, j = np.unravel_index(np.argmin(losses), losses.shape)
-        # How much a too large form error gains is what is judged, not its size alone: where little is to be seen, 10 % and
-        # 50 % are equally likely, and that speaks against nothing.
+        # The gain of a too large form error is judged, not its size alone: with little information, 10 % and 50 % are
+        # equally likely, which is no evidence.
         within = self.losses(residual, (allowed,), gains, channels).min() if forms[j] > allowed else losses[i, j]
         rms = self._gain_error_rms(residual, channels, forms[j], gains[i])
         return ModelError(forms[j], rms, float(max(within - losses[i, j], 0.0)))
 
     def _gain_error_rms(self, residual: np.ndarray, channels: np.ndarray, form: float, gain: float) -> float:
-        """Root mean square of the channels' gain errors, each weighted by the information on it that all else leaves."""
+        """Root mean square of the channels' gain errors, each weighted by its information beyond all other factors."""
         n = len(self.factors)
         gram, projected, _ = self.products(np.concatenate([self.factors, channels]), form, residual)
         weight = np.where(np.arange(len(gram)) < n, 1.0, gain)
         estimate = weight * np.linalg.solve(np.eye(len(gram)) + weight[:, None] * gram * weight, weight * projected)
-        # Schur complement: what a channel says of its gain beyond what the fish's constants could make up for.
+        # Schur complement: information of a channel on its gain beyond the possible compensation by the fish's constants.
         inner = np.linalg.solve(np.eye(n) + gram[:n, :n], gram[:n, n:])
         information = np.diag(gram)[n:] - np.sum(gram[:n, n:] * inner, 0)
         return float(np.sqrt(np.sum(information * estimate[n:] ** 2) / max(float(np.sum(information)), 1e-300)))
 
 
 def channel_changes(layout, change: np.ndarray) -> np.ndarray:
-    """(B, m) what is changed (m,) on each channel of each record, zero elsewhere; those where nothing is are left out."""
+    """(B, m) the change (m,) on each channel of each record, zero elsewhere; channels without change are left out."""
     channels = np.unique(layout.channel)
     masks = [(layout.record == i) & (layout.channel == channel) for i in range(len(layout.records)) for channel in channels]
     return np.array([change * mask for mask in masks if np.any(change[mask] != 0.0)]).reshape(-1, layout.size)
@@ -133,13 +136,15 @@ def channel_changes(layout, change: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------ outlier records
 def error_without_outliers(near, row: np.ndarray, gain: float, gates: Gates) -> tuple[ModelError, tuple[str, ...]]:
-    """(error of the formulas of a row, names of the records whose path is left out). near: the `Likelihood` linearised at the
-    row. gain: on records predicted without their fold."""
+    """(error of the formulas of a row, names of the records whose path is left out).
+
+    near: the `Likelihood` linearised at the row. gain: on records predicted without their fold.
+    """
     whole = near.error(row, gates.form)
     few = int((1.0 - gates.transfer) * len(near.records) + 1e-9)
     if not few or gain < gates.gain or believable(whole, gain, gates):
         return whole, ()
-    # Each record is left out by itself and the worst of them together: trying all pairs would find a set that makes anything
+    # Each record is left out alone, and the worst of them together: trying all pairs would find a set that makes anything
     # believable.
     alone = [near.error(row, gates.form, without_paths_of(near, [i])) for i in range(len(near.records))]
     allowed = allowed_excess(gain)
@@ -155,16 +160,19 @@ def without_paths_of(near, outliers) -> np.ndarray:
 
 
 def believable(error: ModelError, gain: float, gates: Gates) -> bool:
-    """Whether a right formula may be as wrong."""
+    """Returns True if a right formula may have this error."""
     return not error.excess_log_likelihood > allowed_excess(gain) and error.gain_error_rms <= gates.size
 
 
 def misformed(checks: dict) -> bool:
-    """Whether the formula is too wrong, by the gates of a verdict; not where that was never asked, nor of what is pinned."""
+    """Returns True if the formula is too wrong by the gates of a verdict;
+
+    False if that was not asked, or the effect is pinned.
+    """
     return checks.get("strain", 0.0) > allowed_excess(checks.get("gain", 0.0)) and not checks.get("pinned", False)
 
 
 def allowed_excess(gain: float) -> float:
-    """What a form error beyond the allowed may gain by chance, where what was found gains `gain`."""
+    """Gain that a form error beyond the allowed may have by chance, for a total gain of `gain`."""
     limits = thresholds().model_error
     return max(limits.excess, limits.excess_fraction * gain)

@@ -1,20 +1,20 @@
 """Forward stepwise selection of effects, with swaps and backward pruning, on cross-validated likelihood.
 
-screen      the whole catalogue on the few records in which most is unexpected
+screen      the whole catalogue on the few records with the largest excess
 refine      the best of them on all records, and with an earlier choice swapped for another
 compare     the finalists by the likelihood linearised at each of them
-accept      by what the first of them gains on records predicted without their fold; a first effect also by what it gains on
-            all records at once and on each fold given the others, which tell of the constants that all share: the less of
+accept      by the first one's gain on records predicted without their fold; a first effect also by its gain on
+            all records at once and on each fold given the others, which determine the shared constants: the smaller of
             both
 converge    values and covariance, in turns
-prune       what the others no longer need
+prune       effects that the others no longer need
 
-Every record is predicted by what the others say: k-fold cross-validation, a fit without each fold.
+Every record is predicted from the others: k-fold cross-validation, a fit without each fold.
 
-S_f   = S + J^T C J + b b^T,  C = (J^T S^-1 J + prior)^-1 of the others      what those leave open of the parameters counts
-b     = (r(theta) - r(theta_f) - J (theta - theta_f)) / max(1, cost(theta) - cost(theta_f) of the others)^1/2    not linear
+S_f   = S + J^T C J + b b^T,  C = (J^T S^-1 J + prior)^-1 of the others      their uncertainty of the parameters counts
+b     = (r(theta) - r(theta_f) - J (theta - theta_f)) / max(1, cost(theta) - cost(theta_f) of the others)^1/2    nonlinear part
 loss  = sum_f |z_f|^2 + log det S_f                                  twice the negative log likelihood of all records, held out
-conditional_loss = sum_f loss(all) - loss(others), both at theta_f   each fold given what the others tell of the constants
+conditional_loss = sum_f loss(all) - loss(others), both at theta_f   each fold given the others' estimate of the constants
 """
 
 from collections.abc import Callable
@@ -43,29 +43,29 @@ class CrossValidated(NamedTuple):
     fits: tuple[Candidate, ...]
 
     def held_out(self, folds: np.ndarray) -> list[tuple[EffectFitter, Candidate]]:
-        """Each fold (F, L) with the fit that did not see it."""
+        """Each fold (F, L) with the fit without it."""
         given = zip(folds, self.fits, self.uncertainty_factors(folds), strict=True)
         fitters = [(self.near.subset(f, more[:, f[self.near.layout.record]]), c) for f, c, more in given]
         return [(fitter, fitter.at(c.row, c.names, c.places)) for fitter, c in fitters]
 
     def uncertainty_factors(self, folds: np.ndarray) -> list[np.ndarray]:
-        """For each fold (F, L) factors of S (K + 1, m): what the others leave open of the parameters."""
+        """For each fold (F, L) factors of S (K + 1, m): the others' uncertainty of the parameters."""
         jacobian = self.near.jacobian(self.best) if self.best.places else np.zeros((0, self.near.layout.size))
         given = zip(folds, self.fits, strict=True)
         return [parameter_uncertainty_factors(self.near, fold, fit, self.best, jacobian) for fold, fit in given]
 
     def loss(self, folds: np.ndarray) -> float:
-        """Over all records, each held out."""
+        """Loss over all records, each held out."""
         return self.loss_and_gap(folds)[0]
 
     def loss_and_gap(self, folds: np.ndarray) -> tuple[float, float]:
-        """The same, and |z|^2 / m of the records, each held out."""
+        """Loss over all records, each held out, and their |z|^2 / m."""
         parts = self.held_out(folds)
         gap = sum(c.cost for _, c in parts) / self.near.layout.size
         return sum(c.cost + fitter.whiten.logdet for fitter, c in parts), gap
 
     def conditional_loss(self, folds: np.ndarray) -> float:
-        """The same, given what the other records tell of the fish's constants, which all of them share."""
+        """Loss of each fold given the other records' estimate of the fish's constants, which all of them share."""
         near = self.near
         out = 0.0
         for fold, fit, more in zip(folds, self.fits, self.uncertainty_factors(folds), strict=True):
@@ -74,7 +74,7 @@ class CrossValidated(NamedTuple):
         return out
 
     def over_floor(self, folds: np.ndarray) -> float:
-        """Mean square of the residual over the floor, each fold (F, L) by the fit that did not see it."""
+        """Mean square of the residual over the floor, each fold (F, L) by the fit without it."""
         layout = self.near.layout
         predicted = self.near.model.predict(self.near.records, np.stack([fit.row for fit in self.fits]))
         whole = layout.residuals(predicted)
@@ -93,8 +93,8 @@ def parameter_uncertainty_factors(
 ) -> np.ndarray:
     """Factors (K + 1, m) about the fit without one fold (L,). jacobian: (K, m) of the parameters, per typical size.
 
-    The last is the bend: on the way to where all records lead, what is not linear, over the standard deviations that the others
-    put between. A limit that only one record reaches has no slope in the others, which leave it at its null.
+    The last is the curvature: the nonlinear part of the way to the fit of all records, over the number of standard deviations
+    between both fits. A limit that only one record reaches has no slope in the others, which leave it at its null.
     """
     others = e.subset(~fold)
     white = others.whiten(jacobian[:, ~fold[e.layout.record]])
@@ -107,8 +107,10 @@ def parameter_uncertainty_factors(
 
 
 def split(records: list[Record], seed: int = 0) -> np.ndarray:
-    """(F, L) bool: three parts of the records, two of two, the smallest first; replicates of one excitation in different ones,
-    where that can be."""
+    """(F, L) bool: three parts of the records, two of two, the smallest first.
+
+    Replicates of one excitation go into different parts, if possible.
+    """
     rng = np.random.default_rng(seed)
     part = np.full(len(records), -1)
     names = np.array([r.excitation or r.name for r in records])
@@ -124,10 +126,10 @@ def split(records: list[Record], seed: int = 0) -> np.ndarray:
 class SelectionStep:
     """One round.
 
-    ranked: candidates on all records, the one that was tried first, then by cost. fitted: it with its fits; None when no
-    candidate was worth comparing. gain: what it takes off the loss of all records, each predicted without its fold; or,
-    where only that was enough, on all at once or given the others. Where it is accepted, of records that are predicted without
-    their fold, before (of the model as it is, where that is smaller) and after: gap; over_floor, the same over the floor.
+    ranked: candidates on all records, the tried one first, then by cost. fitted: the tried one with its fits; None if no
+    candidate was worth comparing. gain: its reduction of the loss of all records, each predicted without its fold; or,
+    if only that was enough, on all at once or given the others. If accepted, of records predicted without
+    their fold, before (of the present model, if that is smaller) and after: gap; over_floor, the same over the floor.
     """
 
     ranked: tuple[Candidate, ...]
@@ -139,13 +141,13 @@ class SelectionStep:
     asked: float = 0.0  # that it had to gain, in the way by which it was accepted or refused
 
     def text(self) -> str:
-        """In words."""
+        """The round in words."""
         return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.over_floor)}"
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What the rounds led to. base: the model as it is, on all records. fitted: what was found. folds: (F, L) bool."""
+    """Result of the rounds. base: the present model, on all records. fitted: the found effects. folds: (F, L) bool."""
 
     base: Candidate
     fitted: CrossValidated
@@ -155,23 +157,23 @@ class Selection:
 
     @property
     def near(self) -> Likelihood:
-        """Linearised at what was found."""
+        """Likelihood linearised at the found effects."""
         return self.fitted.near
 
     @property
     def best(self) -> Candidate:
-        """On all records."""
+        """Found candidate on all records."""
         return self.fitted.best
 
     def gain_share(self, name: str, otherwise: float) -> float:
-        """Of what all rounds gained, the part of the round that added an effect; `otherwise` where it came by a swap."""
+        """Share of the rounds' total gain from the round that added an effect; `otherwise` if it came by a swap."""
         gains = [(s.ranked[0].names[-1], s.gain) for s in self.steps if s.accepted]
         mine = [gain for newest, gain in gains if newest == name]
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
 
 
 def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bar: Bar) -> Selection:
-    """Add effects while records predicted without their fold get likelier. say: each step in words. bar: of rounds."""
+    """Adds effects while records predicted without their fold get likelier. say: each step in words. bar: of rounds."""
     logged = set(e.layout.channel.tolist())
     pool = [x for x in e.model.active.effects if is_absent(e.model, x) and shows(x, logged)]
     whole = e.subset()
@@ -179,7 +181,7 @@ def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable
     selected = CrossValidated(e, base, (base,) * len(folds))
     steps: list[SelectionStep] = []
     visited: set[frozenset] = set()
-    # A set that comes back ends the search: swaps and pruning could otherwise go round in a circle.
+    # A repeated set ends the search: swaps and pruning could otherwise cycle.
     while len(selected.best.names) < gates.max_effects and frozenset(selected.best.names) not in visited:
         visited.add(frozenset(selected.best.names))
         remaining = [x for x in pool if x.name not in selected.best.names]
@@ -205,9 +207,9 @@ def propose(
     gain_so_far: float,
     report: Callable[[float], None] = lambda share: None,
 ) -> SelectionStep:
-    """The best set one effect larger than `known`, or with an earlier choice swapped, and whether it is accepted.
+    """The best set one effect larger than `known`, or with an earlier choice swapped, and the decision on it.
 
-    report: called with the share of the round that is done.
+    report: called with the finished share of the round.
     """
     limits = thresholds().stepwise
     whole = known.near.subset()
@@ -216,7 +218,7 @@ def propose(
     short = shortlist(known.near, base, effects, gates)
     report(0.4)
 
-    # What cannot gain enough where it was fitted cannot gain it where it was not: the costly part is skipped.
+    # An effect without enough gain on the fitted records has even less on others: the costly part is skipped.
     best_in_sample = base.cost - short[0].cost
     beyond = Beyond(known, gates) if known.near.calibrated and known.best.names else None
     if best_in_sample < limits.screen_fraction * required and not (beyond and beyond.likely(short[: gates.finalists])):
@@ -231,7 +233,7 @@ def propose(
     loss = [near.loss(best.row) for near, best in finalists]
     order = np.argsort(loss)
 
-    # Not the first alone is cross-validated: a mimic may be likelier on all records and not carry over to those held out.
+    # Further finalists are cross-validated, too: a mimic may be likelier on all records but fail on those held out.
     before, gap_before = known.loss_and_gap(folds)
     tried: list[tuple[int, CrossValidated, float, float]] = []
     for i in order[: limits.attempts]:
@@ -250,8 +252,8 @@ def propose(
     asked = required_gain(gates, known, gain_so_far, lead > limits.uncontested_lead * gain)
     accepted = gain > asked
     if not accepted and not known.best.names:
-        # A fold by itself knows nothing of this fish's constants, so that a small gap that all records share may be lost in
-        # each of them. Asked twice, with all records and with each fold given the others, and the less of both counts.
+        # A fold alone does not determine this fish's constants, so a small gap that all records share may be lost in each of
+        # them. The gain is measured twice, with all records and with each fold given the others; the smaller one counts.
         joint = min(whole.loss(known.best.row) - loss[first], known.conditional_loss(folds) - fitted.conditional_loss(folds))
         if joint > gates.min_joint_gain:
             accepted, gain, asked = True, joint, gates.min_joint_gain
@@ -266,22 +268,22 @@ def propose(
 
 
 def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncontested: bool) -> float:
-    """Gain that a round must bring. uncontested: nothing else comes near its best."""
+    """Required gain of a round. uncontested: no other candidate comes near its best."""
     if not known.best.names:
         return gates.gain
-    # A wrong formula leaves a residual in proportion to what it explains, and that looks like a further effect: hence a share
-    # of the gain so far.
+    # A wrong formula leaves a residual in proportion to its gain, which looks like a further effect: hence a share of the
+    # gain so far.
     share = gates.uncontested_discount if uncontested else 1.0
     by_samples = gates.gain + share * gates.min_gain_per_sample * known.near.layout.size
     return max(by_samples, gates.min_gain_fraction * gain_so_far)
 
 
 class Beyond:
-    """What a further effect gains beyond all that the errors of the known formulas could gain in its place.
+    """Gain of a further effect beyond the possible gain of all errors in the known formulas.
 
-    A wrong formula leaves a residual in proportion to what it explains, hence the share of the gain so far in `required_gain`.
-    But that asks of an effect on the joints for a share of what a current gained on the path. A calibrated model's likelihood
-    knows where each formula acts, and is asked instead.
+    A wrong formula leaves a residual in proportion to its gain, hence the share of the gain so far in `required_gain`.
+    But that would require of an effect on the joints a share of a current's gain on the path. A calibrated model's likelihood
+    knows the place of each formula's action, and is used instead.
     """
 
     def __init__(self, known: CrossValidated, gates: Gates):
@@ -291,13 +293,13 @@ class Beyond:
         self.required = gates.gain + gates.min_gain_per_sample * near.layout.size + imitated
 
     def likely(self, short: list[Candidate]) -> bool:
-        """Whether one of these gains enough where it was fitted."""
+        """Returns True if one of these gains enough on the fitted records."""
         whole = self.known.near.subset()
         best = min(c.cost for c in whole.refine([on_records(whole, c) for c in short], 2))
         return self.known.best.cost - best > self.required
 
     def gain(self, fitted: CrossValidated, folds: np.ndarray) -> float:
-        """What a larger set takes off the loss of all records, each predicted without its fold."""
+        """Reduction of the loss of all records by a larger set, each predicted without its fold."""
         near = self.known.near
         best = refine(near.subset(), on_records(near.subset(), fitted.best))
         without, with_it = (
@@ -308,7 +310,7 @@ class Beyond:
 
 
 def lead_of(first: int, finalists, loss: list[float]) -> float:
-    """By how much a finalist is likelier than the next that is no twin of it: twins are the same effect by construction."""
+    """Lead in likelihood of a finalist over the next that is no twin of it: twins are the same effect by construction."""
     newest = [best.names[-1] for _, best in finalists]
     others = (loss[j] for j in range(len(loss)) if j != first and not together(newest[first], newest[j]))
     return min(others, default=np.inf) - loss[first]
@@ -330,7 +332,7 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Can
 
 
 def informative_records(c: Candidate, layout, most: int | None = None) -> np.ndarray:
-    """(L,) bool: the records in which most is unexpected."""
+    """(L,) bool: the records with the largest excess."""
     excess = costs(c.z, layout) - np.bincount(layout.record, minlength=len(layout.records))
     keep = np.zeros(len(layout.records), bool)
     keep[np.argsort(-excess)[: thresholds().stepwise.informative_records if most is None else most]] = True
@@ -338,7 +340,7 @@ def informative_records(c: Candidate, layout, most: int | None = None) -> np.nda
 
 
 def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effects, gates: Gates, fine: dict) -> list[Candidate]:
-    """The best new sets with an earlier effect replaced by another: what was taken first may have stood in for a pair."""
+    """The best new sets with an earlier effect replaced by another: the earlier choice may have stood in for a pair."""
     out = []
     last = short[0]
     for old in last.names[:-1]:
@@ -349,20 +351,20 @@ def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effect
 
 
 def is_absent(model, effect) -> bool:
-    """Whether the model that is questioned does not have the effect yet."""
+    """Returns True if the questioned model does not have the effect yet."""
     places = [model.index(effect.name, p.name) for p in effect.parameters]
     return tuple(model.null[places]) == effect.null
 
 
 def shows(effect, logged: set[str]) -> bool:
-    """Whether an effect shows in one of the channels that were logged: what would fit elsewhere only stands in for another."""
+    """Returns True if an effect shows in one of the logged channels; a fit in others would only imitate another effect."""
     weighed = effect.stage == "inertia" and mass_properties.CHANNEL in logged
     return weighed or not effect.shows or bool(logged & set(effect.shows))
 
 
 # --------------------------------------------------------------------------------------------------------------------- pruning
 def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, gates: Gates) -> CrossValidated:
-    """The same without what the others no longer need: an effect that stood in for one that came later."""
+    """The set without effects that the others no longer need: one may have stood in for a later one."""
     while len(fitted.best.names) > 1:
         shorter = [without_effect(e, folds, fitted, name) for name in fitted.best.names]
         increase = [loss_increase(fitted, less, folds) for less in shorter]
@@ -374,13 +376,13 @@ def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, gates: Gates
 
 
 def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, name: str) -> CrossValidated:
-    """The same without one effect, fitted anew."""
+    """The set without one effect, refitted."""
     near = fitted.near
     fits = tuple(drop_effect(near.subset(~f), c, name) for f, c in zip(folds, fitted.fits, strict=True))
     return converge(e, folds, drop_effect(near.subset(), fitted.best, name), fits)
 
 
 def loss_increase(fitted: CrossValidated, less: CrossValidated, folds: np.ndarray) -> float:
-    """What the records lose with the shorter set: the larger of all at once, and each without its fold."""
+    """Increase of the loss with the shorter set: the larger of all records at once, and each without its fold."""
     without, with_it = (f.near.loss(f.best.row) for f in (less, fitted))
     return max(less.loss(folds) - fitted.loss(folds), without - with_it)

@@ -1,33 +1,35 @@
-"""The typed library: which products may make which force, each as a provisional effect with one coefficient.
+"""The typed library: admissible products for each force, each as a provisional effect with one coefficient.
 
     force = c x product      force: surge, sway [N], yaw moment [N m], along x or y of the tank [N], at the tail, along or across
                              it [N], joint torque [N m], a sensor's reading [rad]
 
 Admissible are
+
     inertial   two rates, c = C rho L^n; and the same times the tail's angle
     viscous    one rate
     static     none: a constant, the angle of the tail, a place in the tank (a pull, a slope)
     aging      a rate squared times the time of the session
-    joint      powers of angle and rate, load times rate, and what remembers: hysteresis, creep
-    reading    what a joint's sensor reads beside the angle: no force, and one to the robot all the same
+    joint      powers of angle and rate, load times rate, and terms with memory: hysteresis, creep
+    reading    error of a joint sensor's reading: no force, but equivalent to one for the robot
     log        of a sensor alone: the scale of every joint's angle or of one axis of the camera, slack of the joints' encoders
+
 Parity is +1 even, -1 odd when port and starboard are exchanged. A robot that is its own mirror image has only products of the
-force's own parity. The others are kept as *one-sided* terms: they say that port and starboard differ, and have to gain more to
-stand before a mirror-symmetric one (select.py).
+force's own parity. The others are kept as *one-sided* terms: they state that port and starboard differ, and must gain more to
+rank before a mirror-symmetric one (select.py).
 
 A reading is a curve with one coefficient:
 
-    r = a + c f(a)      r' = (1 + c f'(a)) a'      the servo turns the joint until r, not a, is what was commanded
+    r = a + c f(a)      r' = (1 + c f'(a)) a'      the servo turns the joint until r, not a, equals the command
     f = a               counts per turn; the first harmonic as far as a joint turns (sin a is a to within 6 % up to 35 degrees)
     f = a^2, a^3        a potentiometer or a linkage with a bent characteristic
     f = sin k a         a magnet off its axis, sine and cosine of unequal size, a field that is no pure sine: k = 2, 3, 4
 
-Whose sensor it is decides what the log shows:
+The faulty sensor determines the log:
 
-    servo reading     its own sensor errs, the log has the joint's angle from another one
+    servo reading     the servo's own sensor errs, the log has the joint's angle from another one
     encoder reading   one sensor for both: the log has r
-    joint log         neither: the log's own scale is wrong, or its encoder hangs on the joint with play, and the robot does what
-                      its model does. Play of half a gap b reads a - b z, z' = clip(z + da / b, +-1); b in z is fixed, so that the
+    joint log         neither: the log's own scale is wrong, or its encoder hangs on the joint with play, and the robot moves
+                      like its model. Play of half a gap b reads a - b z, z' = clip(z + da / b, +-1); b in z is fixed, so that the
                       coefficient before it is linear
 """
 
@@ -45,7 +47,7 @@ from fishmj.mjcf.description import Robot
 
 
 class Factor(NamedTuple):
-    """One quantity. value: from the array namespace and a `BodyMotion`, `Gear` or `LocalWater`. size: usual in a session, SI."""
+    """One quantity. value: from the array namespace and a `BodyMotion`, `Gear` or `LocalWater`. size: typical, SI."""
 
     name: str
     value: Callable
@@ -81,7 +83,7 @@ def signed(f: Factor) -> Factor:
 
 
 def product(*factors: Factor) -> Factor:
-    """All of them multiplied; equal ones are written as a power."""
+    """Product of all factors; equal ones are written as a power."""
     names: dict[str, int] = {}
     for f in factors:
         names[f.name] = names.get(f.name, 0) + 1
@@ -103,7 +105,7 @@ def product(*factors: Factor) -> Factor:
 
 
 class ReadingCurve(NamedTuple):
-    """f. value, slope: from the array namespace and the angle [rad]. parity: +1 even. size: usual in a session."""
+    """Curve f of a reading. value, slope: from the array namespace and the angle [rad]. parity: +1 even. size: typical."""
 
     name: str
     value: Callable
@@ -164,13 +166,13 @@ def library() -> tuple[Effect, ...]:
 
 
 def model_with_terms(robot: Robot) -> SwimmingFish:
-    """The swimming fish of `robot` with the effects it lists, in which every term is at its null; compiled once a process."""
+    """The swimming fish of `robot` with its listed effects, with every term at its null; compiled once a process."""
     made = SwimmingFish(robot, catalogue=[*library(), *(effects.get(fitted.name) for fitted in robot.effects)])
     return _COMPILED.setdefault(made.fingerprint, made)
 
 
 def one_sided(effect: Effect) -> bool:
-    """Whether it says that port and starboard differ."""
+    """Returns True for a term by which port and starboard differ."""
     return effect.about.startswith("one-sided")
 
 
@@ -208,7 +210,7 @@ def world_terms() -> list[Effect]:
 
 
 def joint_terms() -> list[Effect]:
-    """Torques of every joint alike."""
+    """Torques that are equal at every joint."""
     even = [ONE, product(ANGLE, ANGLE), product(RATE, RATE), product(ANGLE, RATE)]
     odd = [ANGLE, signed(ANGLE), product(ANGLE, ANGLE, ANGLE), RATE, signed(RATE), product(RATE, RATE, RATE)]
     odd += [product(ANGLE, ANGLE, RATE), product(ANGLE, RATE, RATE), _held(), LOAD, signed(LOAD)]
@@ -216,7 +218,7 @@ def joint_terms() -> list[Effect]:
 
 
 def _held() -> Factor:
-    """Direction of motion times load: friction that grows with what the gear carries."""
+    """Direction of motion times load: friction that grows with the gear's load."""
     return Factor("motor torque, against the motion", lambda xp, g: xp.abs(g.drive) * g.rate / (xp.abs(g.rate) + 0.2), -1, 0.4)
 
 
@@ -246,7 +248,7 @@ def creep() -> Effect:
 
 
 def reading_terms() -> list[Effect]:
-    """Readings of every joint's sensor alike, in the servo's loop, and in the log too."""
+    """Reading errors that are equal at every joint's sensor, in the servo's loop, and in the log too."""
     return [
         provisional(reading, f, USUAL.reading, f.parity < 0, stage="measurement", **sites(f))
         for reading, sites in (("servo reading", in_the_loop), ("encoder reading", in_the_log_too))
@@ -269,7 +271,7 @@ def sensor_terms() -> tuple[Effect, ...]:
 def provisional(
     force: str, f: Factor | ReadingCurve, size: float, symmetric: bool, stage: str = "hydrodynamics", **site
 ) -> Effect:
-    """The effect of one term, called X- and a hash of its name."""
+    """The effect of one term, named X- and a hash of its name."""
     formula = f"{force} ~ {f.name}"
     usual = size / f.size
     bound = USUAL.bound * usual
@@ -299,7 +301,7 @@ def _scaled(field: str):
 
 
 def _slack(xp, p, seen):
-    """The encoder stays behind at every turn, a - c z (see above)."""
+    """Applies the encoder's slack: it stays behind at every reversal, a - c z (see above)."""
     if seen.joint.shape[-2] < 2 or not xp.any(p.coefficient):
         return seen
     z = [xp.zeros_like(seen.joint[..., 0, :])]

@@ -1,16 +1,16 @@
-"""Which terms describe a gap: every term fitted alone on the whitened residual, then four doubts about it.
+"""Selects the terms that describe a gap: every term fitted alone on the whitened residual, then four tests of it.
 
 g_k    = dz/dc_k by a central difference                 signature of term k, (m,)
 gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without record l (of few: a third of one)
 
-The best to first order and the best at finite coefficients are fitted with the whole model, and ranked by the same gain taken
+The best to first order and the best at finite coefficients are fitted with the whole model, and ranked by the same gain
 about each one's optimum.
 
-null       what the same term gains on null runs, whitened by the others, and the luckiest of all terms: subtracted
-decoys     g_k moved along each record by a random time: same spectrum, same company, no relation to z. p-value of gain_k
+null       gain of the same term on null runs, whitened by the others, and that of the luckiest of all terms: subtracted
+decoys     g_k shifted along each record by a random time: same spectrum, same correlations, no relation to z. p-value of gain_k
            among all decoys' gains, Benjamini & Hochberg 1995 at 10 %
 stability  share of half-samples of thirds of records in which it is one of the first two (Meinshausen & Buehlmann 2010)
-sides      a term by which port and starboard differ must gain a tenth more than one that is mirror-symmetric
+sides      a term by which port and starboard differ must gain a tenth more than a mirror-symmetric one
 """
 
 from dataclasses import asdict, dataclass
@@ -35,7 +35,7 @@ class Term:
     """One term.
 
     name: "sway force ~ tail rate x yaw rate". id: of the provisional effect, X-.... coefficient: SI, of the refined fit. closure:
-    share of what is unexpected that it explains on all records. gain: on records it never saw, what null runs give subtracted.
+    share of the excess that it explains on all records. gain: on records outside its fit, less that of null runs.
     q: false-discovery rate at which it is accepted. stability: as above. alike: terms that these records cannot tell from it.
     """
 
@@ -52,15 +52,17 @@ class Term:
 
     @property
     def firm(self) -> bool:
-        """Whether it passes every doubt."""
+        """Returns True if it passes every test."""
         found = self.gain > 0 and self.q <= LIMITS.false_discovery
         return found and self.stability >= LIMITS.stability and self.closure >= LIMITS.closure
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
 def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
-    """The terms that describe what `records` show beyond the model, the fish with the library in it, best first. null: (n, m)
-    residuals of null runs at the windows of `records`."""
+    """The terms that describe the residual of `records`, from the fish with the library in it, best first.
+
+    null: (n, m) residuals of null runs at the windows of `records`.
+    """
     e = Likelihood(model, records, null)
     whole = e.subset()
     terms = [x for x in model.active.effects if x in library()]
@@ -68,7 +70,7 @@ def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     g, probed = signatures(whole, terms)
     onto = groups(e.layout, 1 if len(records) >= LIMITS.whole_records else LIMITS.pieces)
     gains = held_out_gains(base.z, g, onto)
-    # The best of ninety terms gains something on any fish: what the luckiest reaches on null runs is subtracted from all.
+    # The best of ninety terms gains something on any fish: the gain of the luckiest on null runs is subtracted from all.
     floor = null_gains(e, null, g, onto)
     sided = np.where([one_sided(t) for t in terms], LIMITS.one_sided_weight, 1.0)
     net = (gains - floor) * sided
@@ -77,8 +79,8 @@ def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     q = discovery(gains, decoy_gains(base.z, g, e.layout, onto, rng))
     # Pieces, not whole records: of two or three records there are too few halves to draw.
     stable = stability(base.z, g, groups(e.layout, LIMITS.pieces), net / np.maximum(gains, 1e-9), rng)
-    # First order chooses among all terms; the few that are left are fitted with the whole model, since a fish that drifts far off
-    # its path is no straight line in a coefficient.
+    # First order chooses among all terms. The remaining few are fitted with the whole model, since a fish that drifts far off
+    # its path does not respond linearly to a coefficient.
     order = shortlist(net, probed)
     polished = {c.names[-1]: c for c in whole.refine(whole.screen(base, [terms[k] for k in order]), 3)}
     for k, gain in zip(order, held_out_gain_at(whole, base, [polished[terms[k].name] for k in order], onto), strict=True):
@@ -97,7 +99,7 @@ def describe(e: Likelihood, null: SimulatedNull, seed: int) -> tuple[dict, ...]:
 
 
 def shortlist(net: np.ndarray, probed: np.ndarray) -> list[int]:
-    """Terms to polish: the best to first order, and the best at a finite size: a fish that drifts far off is no straight line."""
+    """Terms to refine: the best to first order, and the best at a finite size, since a large drift is not linear."""
     return list(dict.fromkeys([*np.argsort(-net)[: LIMITS.finalists], *np.argsort(probed)[: LIMITS.finalists]]))
 
 
@@ -147,7 +149,7 @@ def signatures(whole: EffectFitter, terms: list[Effect]) -> tuple[np.ndarray, np
 
 
 def groups(layout: ResidualLayout, pieces: int) -> np.ndarray:
-    """(m, L pieces) which entries belong to which record, or to which of its equal parts in time."""
+    """(m, L pieces) True for the entries of each record, or of each of its equal parts in time."""
     onto = np.zeros((layout.size, pieces * len(layout.records)))
     for b in layout.blocks:
         n = b.where.stop - b.where.start
@@ -161,16 +163,16 @@ def sums(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np
 
 
 def held_out_gains(z: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """(K,) gain of each term on groups it was not fitted to, one at a time."""
+    """(K,) gain of each term on groups outside its fit, one at a time."""
     b, a = sums(z, g, onto)  # c(-l) = b(-l) / a(-l), gain 2 c b_l - c^2 a_l
     c = (b.sum(1, keepdims=True) - b) / (a.sum(1, keepdims=True) - a + 1e-12)
     return np.sum(2 * c * b - c * c * a, 1)
 
 
 def null_gains(e: Likelihood, null: np.ndarray, g: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """(K,) what each term may gain on null runs, those of one half whitened by the other half's scatter.
+    """(K,) possible gain of each term on null runs, those of one half whitened by the other half's scatter.
 
-    The 95 % point of its own gain, times what the luckiest of all terms exceeds its own by in 95 % of the runs.
+    The 95 % point of its own gain, times the excess of the luckiest of all terms over its own in 95 % of the runs.
     """
     whole = np.ones(len(null), bool)
     found = []
@@ -187,7 +189,7 @@ def null_gains(e: Likelihood, null: np.ndarray, g: np.ndarray, onto: np.ndarray)
 
 
 def decoy_gains(z: np.ndarray, g: np.ndarray, layout: ResidualLayout, onto: np.ndarray, rng) -> np.ndarray:
-    """(decoys K,) gains of signatures moved by a random share of each record, at least an eighth of it either way."""
+    """(decoys K,) gains of signatures shifted by a random share of each record, at least an eighth of it either way."""
     out = []
     for _ in range(LIMITS.decoys):
         moved = np.empty_like(g)
@@ -211,9 +213,9 @@ def discovery(gains: np.ndarray, decoys: np.ndarray) -> np.ndarray:
 
 
 def stability(z, g, onto: np.ndarray, share, rng) -> np.ndarray:
-    """(K,) how often each term is among the first two when only half of the groups are looked at.
+    """(K,) share of half-samples of the groups in which each term is among the first two.
 
-    share: (K,) what of each term's gain is left once null runs and sides are counted.
+    share: (K,) rest of each term's gain after null runs and sides.
     """
     b, a = sums(z, g, onto)
     count = onto.shape[1]

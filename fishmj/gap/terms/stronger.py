@@ -1,20 +1,20 @@
-"""Does a free force explain more than what was found? Then what was found stands in for it.
+"""Tests if a free force explains more than the found effect, which then only stands in for it.
 
-    gain = sum_f loss_f(model as it is) - loss_f(term)      folds f, each predicted by a coefficient from the others
-    lead = gain(best term) - gain(what was found)
+    gain = sum_f loss_f(present model) - loss_f(term)      folds f, each predicted by a coefficient from the others
+    lead = gain(best term) - gain(found effect)
 
-A name is a formula, and has to do better than one that knows nothing: the best single term of the typed library, fitted from the
-model as it is and judged as the name was, held out and by the likelihood linearised at itself. A right name leads by hundreds and
-more, or a term is nearly its formula and neither leads. What stands in for a force that no effect has is behind the term nearest
-to that, and that term is right from sample to sample: one that is as wrong in its form as the name says nothing.
+A name is a formula, and must beat one without knowledge: the best single term of the typed library, fitted from the
+present model and judged like the name, held out and by the likelihood linearised at itself. A right name leads by hundreds and
+more, or a term is nearly its formula and neither leads. A substitute for a force that no effect has is behind the term nearest
+to that force, and that term is right from sample to sample: one with as large a form error as the name is no evidence.
 
-A sensor's own error is no force, and takes the place of an effect where it makes the records as likely: a command's gain or a
+A sensor's own error is no force, and replaces an effect if it makes the records as likely: a command's gain or a
 log in which every angle is 4 % too large, the camera's height or one of its axes, dry friction or an encoder with slack. Then the
 answer is a CLASS with both in it.
 
-Nor does a term that is an effect's own formula say anything against the effect. Alike are what both do in states drawn at
-random: the push on a body that swims ahead (surge force, sway force, yaw moment over a body length), the torque on a joint, or
-where a joint comes to rest and what the log says of it. -Y |u| w is a sway force ~ surge speed x sway speed, whatever either does
+A term that is an effect's own formula is no evidence against the effect either. Alike are their actions in random states: the
+push on a body that swims ahead (surge force, sway force, yaw moment over a body length), the torque on a joint, or
+a joint's rest position and its log. -Y |u| w is a sway force ~ surge speed x sway speed, whatever either does
 astern; a damping is a joint torque ~ rate; a command's gain a servo reading ~ angle.
 """
 
@@ -54,7 +54,7 @@ RULER = "a known length in the picture, along x and along y, and a held angle re
 
 
 class StrongerTerm(NamedTuple):
-    """The best term. name: "sway force ~ yaw rate x tail rate". gain: on records unseen. form: its form error."""
+    """The best term. name: "sway force ~ yaw rate x tail rate". gain: on held-out records. form: its form error."""
 
     name: str
     gain: float
@@ -63,7 +63,7 @@ class StrongerTerm(NamedTuple):
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
 def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
-    """The verdict (of a swimming fish) with the lead of the best free term; UNEXPLAINED where that is more than chance."""
+    """The verdict (of a swimming fish) with the lead of the best free term; UNEXPLAINED if that exceeds chance."""
     if not isinstance(e.model, SwimmingFish):
         return verdict
     limits = thresholds()
@@ -81,13 +81,13 @@ def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
 
 
 def outdone(checks: dict) -> bool:
-    """Whether a term explains more than what was found, by the gates of a verdict; not where they were never asked."""
+    """Returns True if a term explains more than the found effects by the gates of a verdict; False if that was not asked."""
     least = max(thresholds().stronger.lead, thresholds().gates.min_gain_fraction * checks.get("gain", 0.0))
     return checks.get("lead", 0.0) > least and checks["believed"]
 
 
 def beside_sensor_terms(model: SwimmingFish, e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
-    """CLASS where a sensor's own error makes the records as likely as the one effect named, each linearised at itself."""
+    """CLASS if a sensor's own error makes the records as likely as the one named effect, each linearised at itself."""
     if verdict.answer != "NAMED" or len(found.best.names) > 1:
         return verdict
     (named,), gates, start = found.best.names, thresholds().gates, e.with_model(model)
@@ -111,7 +111,7 @@ def beside_sensor_terms(model: SwimmingFish, e: Likelihood, found: Selection, ve
 
 
 def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> StrongerTerm:
-    """The term that explains most of the records of `e`, but for those that are the formula of what was found."""
+    """The term that explains most of the records of `e`, except for those with the formula of a found effect."""
     start = e.with_model(model)
     folds = found.folds
     named = [x for x in e.model.active.effects if x.name in found.best.names]
@@ -124,7 +124,7 @@ def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> Stro
 
 
 def best_in_sample(start: Likelihood, terms: list) -> list[Candidate]:
-    """The best terms by |z|^2: found on the few records in which most is unexpected, fitted to all."""
+    """The best terms by |z|^2: found on the few records with the largest excess, fitted to all."""
     limits = thresholds().stronger
     whole = start.subset()
     base = whole.base()
@@ -141,8 +141,10 @@ LIMITS = thresholds().equivalence
 
 
 def is_own_formula(effect: Effect, term: Effect) -> bool:
-    """Whether a term is the effect's own formula; only of effects that push the body, turn a joint or move its rest, and that
-    remember nothing."""
+    """Returns True if a term is the effect's own formula.
+
+    Only for effects without memory that push the body, turn a joint or shift its rest position.
+    """
     if effect.memory or term.memory:
         return False
     pairs = [(does(effect), does(term)) for does in (pushes, torques, rests)]
@@ -150,7 +152,7 @@ def is_own_formula(effect: Effect, term: Effect) -> bool:
 
 
 def pushes(effect: Effect) -> np.ndarray:
-    """(3 n,) over n random states of an effect at its usual size; zero of one that does not push."""
+    """(3 n,) push over n random states of an effect at its usual size; zero for one that does not push."""
     if effect.body is None:
         return np.zeros(3 * LIMITS.states)
     u, w, r, swing, bend = drawn(SURGE, SWAY, YAW, TAIL, BEND)
@@ -161,7 +163,7 @@ def pushes(effect: Effect) -> np.ndarray:
 
 
 def torques(effect: Effect) -> np.ndarray:
-    """(n,) of an effect at its usual size on a joint; zero of one that is in no gear."""
+    """(n,) torque of an effect at its usual size on a joint; zero for one without a gear site."""
     if effect.gear is None:
         return np.zeros(LIMITS.states)
     angle, rate, drive = drawn(ANGLE, RATE, LOAD)
@@ -171,7 +173,7 @@ def torques(effect: Effect) -> np.ndarray:
 
 
 def rests(effect: Effect) -> np.ndarray:
-    """(2 n,) by how much a joint comes to rest off its command with an effect at its usual size, and the log off both."""
+    """(2 n,) offset of a joint's rest position from its command with an effect at its usual size, and the log's from both."""
     (asked,) = drawn(ANGLE)
     values = usual(effect)
     shift = np.zeros(LIMITS.states)

@@ -176,7 +176,7 @@ def _near(name: str, known) -> str:
 
 
 def read_map(path: Path) -> ColumnMap:
-    """Read and check a map.
+    """Reads and checks a map.
 
     Raises:
         LogError: one line with the block, the key, what is expected and the nearest known name.

@@ -36,10 +36,10 @@ _COMMENTS = ("#", "%", "//")
 
 
 def read(path: Path) -> Sheet:
-    """One text table.
+    """Reads one text table.
 
     Raises:
-        LogError: at file:line, what it is and what to do: empty, binary, no header, a name twice, rows of different length.
+        LogError: at file:line, with the fault and the fix: empty, binary, no header, a name twice, rows of different length.
     """
     regular(path)
     encoding, notes = _encoding(path)

@@ -61,7 +61,7 @@ def _split(header: str) -> tuple[str, str]:
 
 
 def _check_unit(name: str, unit: str, where: str) -> None:
-    """Refuse a unit other than the schema's, with the factor."""
+    """Refuses a unit other than the schema's, with the factor."""
     template = re.sub(r"\d+\Z", "#", name)
     table = FLAT.get(name) or FLAT.get(template)
     kind = table_spec(table).kind(name) if table else ""

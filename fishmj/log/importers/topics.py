@@ -71,7 +71,7 @@ def by_name(topics: set[str]) -> Topics:
 
 
 def read_topics(path: str | Path) -> Topics:
-    """Read the TOML.
+    """Reads the TOML.
 
     Raises:
         LogError: not TOML (line and column), or a key, table or unit that is not known (named).

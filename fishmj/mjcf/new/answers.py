@@ -233,7 +233,7 @@ def _read(question: Question, text: str, known: Known) -> Any:
 
 
 def _asked(question: Question, known: Known, ask: Callable[[str], str], number: str) -> tuple[Any, str]:
-    """Ask until the answer is valid; an empty line takes the default."""
+    """Asks until the answer is valid; an empty line takes the default."""
     default, prefix = question.default(known), ""
     while True:
         try:

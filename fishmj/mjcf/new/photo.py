@@ -370,9 +370,7 @@ def hull_of(edges: Edges) -> tuple[Edges, list[FinSeen]]:
 
 
 def _without_fins(edge: np.ndarray, n: int, least: float) -> tuple[np.ndarray, list[tuple[int, int, float]]]:
-    """An edge (N,), counted outwards, without bumps of at least `least` in its first n values, and (start, end, reach) of
-    each.
-    """
+    """An edge (N,), counted outwards, without bumps of `least` or more in its first n values, and (start, end, reach) of each."""
     from scipy.ndimage import grey_opening, label
 
     made, found, total = edge.copy(), [], len(edge)

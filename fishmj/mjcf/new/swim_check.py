@@ -79,7 +79,7 @@ def _line(what: str, found: str, expected: str, verdict: str, advice: str = "") 
 
 
 def swim_of(sim) -> StillWaterSwim:
-    """Swim a `fishmj.sim.Sim` at rest with a travelling wave."""
+    """Swims a `fishmj.sim.Sim` at rest with a travelling wave."""
     robot = sim.robot
     joints = np.arange(robot.n_joints)
     amplitude = float(min(LARGEST, BEND / robot.n_joints, robot.servo.range))

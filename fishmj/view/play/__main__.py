@@ -93,7 +93,7 @@ def line(session: LiveSession, chunk) -> str:
 
 
 def show_status(text: str) -> None:
-    """Rewrite the last line of the terminal."""
+    """Rewrites the last line of the terminal."""
     sys.stderr.write("\r" + text.ljust(100))
     sys.stderr.flush()
 

@@ -32,7 +32,7 @@ def write_html(
     speed: float = 1.0,
     fields: str | Path | None = None,
 ) -> Path:
-    """Write a replay of one trial, or of several overlaid (the first solid, the others translucent).
+    """Writes a replay of one trial, or of several overlaid (the first solid, the others translucent).
 
     Args:
         robot: description for all trials; default, the one that each trial names.

@@ -52,7 +52,7 @@ class Server:
         self.commands, self.url = said
 
     def close(self) -> None:
-        """Stop it."""
+        """Stops the server."""
         if self.process.poll() is None:
             self.process.terminate()
             self.process.wait(5)
@@ -113,7 +113,7 @@ class LiveView:
         v["current"].set_object(s.TriangularMeshGeometry(*arrow()), s.MeshBasicMaterial(color=0x7EF0FF))
 
     def show(self, q, target, current) -> None:
-        """Draw one moment: q (2 + N,) [m, rad], target (2,) m, mean current (2,) m/s."""
+        """Draws one moment: q (2 + N,) [m, rad], target (2,) m, mean current (2,) m/s."""
         q = np.asarray(q, float)
         hinges, headings = hinge_frames(self.skin.hinge_x, q)
         for i, (hinge, share, *_) in enumerate(self.slices):
@@ -127,7 +127,7 @@ class LiveView:
         self._vis["current"].set_property("visible", speed > 1e-3)
 
     def trail(self, point) -> None:
-        """Add a point (2,) m to the path that is drawn."""
+        """Adds a point (2,) m to the path that is drawn."""
         self._trail = [*self._trail[-TRAIL:], np.array([*point, -0.003], np.float32)]
         if len(self._trail) > 1:
             path = self._shapes.PointsGeometry(np.array(self._trail).T)
@@ -143,7 +143,7 @@ class LiveView:
         return self._vis.static_html()
 
     def close(self) -> None:
-        """Stop the server that this view started."""
+        """Stops the server that this view started."""
         self.server.close()
 
     def __enter__(self) -> "LiveView":

@@ -113,7 +113,7 @@ def _sum(total: object) -> str:
 
 
 def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
-    """Resample a trial for drawing.
+    """Resamples a trial for drawing.
 
     Raises:
         LogError: no pose, or one that spans more than an hour. ConfigError: the log has another number of joints than `robot`.

@@ -22,9 +22,7 @@ LOCAL = "127.0.0.1"
 
 
 def known_host(header: str, host: str) -> bool:
-    """Returns True if a Host header names this server: an address, localhost, the host it was started for, or this machine's
-    name.
-    """
+    """Returns True if a Host header names this server: an address, localhost, its own host, or this machine's name."""
     name = header.rsplit(":", 1)[0] if not header.endswith("]") else header
     name = name.strip("[]").lower()
     if name in {"localhost", host.lower(), socket.gethostname().lower()}:

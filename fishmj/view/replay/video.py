@@ -28,7 +28,7 @@ def write_mp4(
     title: str = "",
     fields: str | Path | None = None,
 ) -> Path:
-    """Write a film of one trial, or of several overlaid; `speed` times real time. The codec is mp4v.
+    """Writes a film of one trial, or of several overlaid; `speed` times real time. The codec is mp4v.
 
     `fields`: folder with the vorticity slices of the first trial.
 
@@ -62,7 +62,7 @@ def write_mp4(
 
 
 def write_png(trials: list[Trial], out: str | Path, time: float, robot: "Robot | str | None" = None, **options) -> Path:
-    """Write one picture at `time` [s] from the start; options as of `TopView`."""
+    """Writes one picture at `time` [s] from the start; options as of `TopView`."""
     done, data = opencv().imencode(".png", TopView(trials, robot, **options).frame(time))
     if not done:
         raise StoreError(f"{out}: OpenCV could not encode a PNG")

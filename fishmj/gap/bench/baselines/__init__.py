@@ -1,11 +1,11 @@
-"""What is done today when logs and simulator disagree, on the same cases as the search: four baselines, one file each.
+"""Four usual methods for a disagreement of logs and simulator, on the same cases as the search; one file each.
 
 everything_free        free every parameter at once, name the one that moved most
 delta_bic              forward selection while BIC falls by more than 10
 e_sindy                sparse regression of the accelerations that the model lacks (pysindy)
-residual_correlation   the input that the residual goes with most
+residual_correlation   the input with the largest correlation to the residual
 
-answer(plant, records) -> Answer        each; none of them sees null runs, which is how they are used
+answer(plant, records) -> Answer        each; none of them sees null runs, as in their usual use
 """
 
 from fishmj.gap.bench.baselines.answer import Answer

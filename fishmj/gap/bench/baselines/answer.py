@@ -1,4 +1,4 @@
-"""What a baseline says: effects with values, or nothing."""
+"""Answer of a baseline: effects with values, or nothing."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 class Answer(NamedTuple):
-    """effects: {name: {parameter: value}}, empty for "nothing is missing". seen: whether it found a gap at all, named or not."""
+    """effects: {name: {parameter: value}}, empty for "nothing is missing". seen: True if it found a gap at all, named or not."""
 
     effects: dict[str, dict[str, float]]
     seen: bool
@@ -28,6 +28,6 @@ def values(plant, row: np.ndarray, names) -> dict[str, dict[str, float]]:
 
 
 def unsized(plant, name: str) -> dict[str, float]:
-    """The parameters of an effect that was named without a size."""
+    """The parameters of an effect that was named without a value."""
     effect = next(e for e in plant.active.effects if e.name == name)
     return {p.name: float("nan") for p in effect.parameters}

@@ -16,7 +16,7 @@ TRIED = 6  # of the screen, fitted
 
 
 def answer(plant, records: list[Record]) -> Answer:
-    """Forward selection."""
+    """Answer by forward selection with BIC."""
     search = searching(plant, records)
     best = search.base()
     known = effective(best.z, search.layout)

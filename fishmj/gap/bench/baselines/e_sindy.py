@@ -1,10 +1,10 @@
 """Discrepancy model by ensemble SINDy (Fasel et al. 2022; Kaheman et al. 2019), with pysindy's own optimiser.
 
-    a = 2 e / H^2      what a model restarted from measured states lacks in acceleration: e = error after H = 0.3 s
+    a = 2 e / H^2      missing acceleration of a model restarted from measured states: e = error after H = 0.3 s
     a = Theta xi       Theta: terms of speeds, angles and rates; xi sparse, over bootstrap samples of restarts
 
-Columns are scaled to unit mean square, targets by what the uncertainty of a start makes, so the threshold is in standard
-deviations. The term with the largest coefficient among those that most samples include is named by the effect it stands for.
+Columns are scaled to unit mean square, targets by the error from the uncertain start, so the threshold is in standard
+deviations. Of the terms that most samples include, the one with the largest coefficient is named, by its effect.
 """
 
 import warnings
@@ -38,7 +38,7 @@ STANDS_FOR = {  # (force, term) -> effect
 
 
 def answer(plant, records: list[Record]) -> Answer:
-    """The strongest term that stays. Raises MissingExtra without pysindy."""
+    """Answer with the strongest remaining term. Raises MissingExtra without pysindy."""
     late = latencies(plant, plant.null)
     parts = [s for _, s in segments(records, late)]
     if len(parts) < LEAST:
@@ -60,7 +60,7 @@ def answer(plant, records: list[Record]) -> Answer:
 
 
 def equations(plant, parts, error: np.ndarray, start: np.ndarray):
-    """(force, {term: column}, lacking acceleration, its standard deviation) of surge, sway, yaw and all joints together."""
+    """(force, {term: column}, missing acceleration, its standard deviation) of surge, sway, yaw and all joints together."""
     n, scale = plant.joints, 2 / HORIZONS[HORIZON] ** 2
     u, w, r = np.array([p.record.push for p in parts]).T
     swing = np.array([p.swing for p in parts])
@@ -82,7 +82,7 @@ def equations(plant, parts, error: np.ndarray, start: np.ndarray):
 
 
 def terms(theta: dict[str, np.ndarray], target: np.ndarray) -> list[tuple[str, float]]:
-    """(term, median |coefficient|) of those that most bootstrap samples include."""
+    """(term, median |coefficient|) of the terms that most bootstrap samples include."""
     try:
         import pysindy
     except ImportError as error:

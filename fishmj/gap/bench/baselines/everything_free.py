@@ -21,7 +21,7 @@ MOVED = 0.3  # of the typical size
 
 
 def answer(plant, records: list[Record]) -> Answer:
-    """The fit with everything free."""
+    """Answer of the fit with everything free."""
     from mujoco import minimize
 
     search = searching(plant, records)

@@ -23,7 +23,7 @@ COLUMNS = ("precision", "coverage", "class_top1", "false_alarm_rate", "misnamed_
 
 
 def reason_absent(name: str) -> str:
-    """Why a baseline cannot run here, "" when it can."""
+    """Reason that a baseline cannot run here, "" if it can."""
     package, extra = NEEDS.get(name, ("", ""))
     if package and find_spec(package) is None:
         return f"{name} needs {package}: pip install 'fishmj[{extra}]'"
@@ -34,7 +34,7 @@ GAPS = ("true_gap", "each_gap", "beyond_gap", "each_beyond")  # what a row knows
 
 
 def rows_of(plant, case: Case, own: dict, names=NAMES) -> dict[str, dict]:
-    """{baseline: row} of one case, in the form of bench.run. own: the search's row of it, for its gaps."""
+    """{baseline: row} of one case, in the form of bench.run. own: the search's row of the case, for its gaps."""
     from fishmj.gap.laboratory.virtual_robot import generate
 
     row = {
@@ -61,12 +61,12 @@ def rows_of(plant, case: Case, own: dict, names=NAMES) -> dict[str, dict]:
 
 
 def answers(one: tuple[Case, dict, tuple[str, ...]]) -> dict[str, dict]:
-    """{baseline: row} of a case, the search's row of it and the baselines that have not been asked."""
+    """{baseline: row} from a case, the search's row of it and the names of the pending baselines."""
     return rows_of(fish(), *one)
 
 
 def beside(todo: list[Case], rows: list[dict], out: Path | None, jobs: int = 1) -> dict[str, list[dict]]:
-    """{baseline: rows} of the cases that the search has judged; kept in `out`, one file each. Absent ones say why."""
+    """{baseline: rows} of the cases that the search has judged; kept in `out`, one file each. Absent ones give the reason."""
     absent = {n: reason_absent(n) for n in NAMES}
     for reason in filter(None, absent.values()):
         console.say(f"skipped: {reason}")
@@ -86,7 +86,7 @@ def beside(todo: list[Case], rows: list[dict], out: Path | None, jobs: int = 1) 
 
 
 def compared(rows: list[dict], others: dict[str, list[dict]]) -> str:
-    """A table: one line the search, one line each baseline."""
+    """Text table with one line for the search and one for each baseline."""
     lines = []
     for name, given in {"this search": rows, **others}.items():
         result = score(given)

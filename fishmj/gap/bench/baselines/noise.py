@@ -1,4 +1,4 @@
-"""Residuals as a fit without null runs sees them: over the sensors' own noise, constants of the fish adapted within tolerance."""
+"""Residuals of a fit without null runs: over the sensors' own noise, constants of the fish adapted within tolerance."""
 
 import numpy as np
 
@@ -10,14 +10,14 @@ LONGEST = 200  # averages over which an autocorrelation is summed
 
 
 def searching(plant, records: list[Record]) -> EffectFitter:
-    """A search whose z is residual over noise, with the constants' tolerance integrated out."""
+    """A search with z = residual over noise and the constants' tolerance integrated out."""
     layout = ResidualLayout(records)
     residual, tangents = residual_and_tangents(plant, records, layout, plant.null)
     return EffectFitter(plant, records, layout, whitening(tangents, sigma_of(layout, residual)))
 
 
 def sigma_of(layout: ResidualLayout, residual: np.ndarray) -> np.ndarray:
-    """(m,) the sensors' noise; where it is unknown, what the residual scatters from one average to the next."""
+    """(m,) the sensors' noise; if unknown, the scatter of the residual from one average to the next."""
     noise = layout.noise()
     for b in layout.blocks:
         if not np.isfinite(noise[b.where]).all():

@@ -1,4 +1,4 @@
-"""Which input does the residual go with? The residual test of classical identification (Ljung 1999, ch. 16), inputs named.
+"""Correlates the residual with every input. The residual test of classical identification (Ljung 1999, ch. 16), inputs named.
 
     rho(channel, input) = corr(residual, input), each record and column taken at the averages of gap/records/records.py
     bound               2.58 / sqrt(sum n / tau)         99 %, autocorrelation corrected
@@ -33,7 +33,7 @@ SIGN = {  # (channel, input) -> effect
 
 
 def answer(plant, records: list[Record]) -> Answer:
-    """The loudest pair."""
+    """Answer with the most significant pair of channel and input."""
     layout = ResidualLayout(records)
     predicted = plant.predict(records, plant.null)
     residual = layout.residuals(predicted)[0]
@@ -62,7 +62,7 @@ def answer(plant, records: list[Record]) -> Answer:
 
 
 def inputs(record: Record, b: ChannelBlock, predicted: dict) -> dict[str, np.ndarray]:
-    """What one column of one sensor is held against. Of the commands it is what the model's joints make of them: in phase."""
+    """Inputs for one column of one sensor. Commands enter as the motion of the model's joints, so that they are in phase."""
     at = np.clip((b.t / record.dt).astype(int), 0, len(record.commands) - 1)
     rate = np.gradient(record.commands, record.dt, axis=0)
     out = {"one": np.ones_like(b.t), "time": b.t}
@@ -85,6 +85,6 @@ def inputs(record: Record, b: ChannelBlock, predicted: dict) -> dict[str, np.nda
 
 
 def smoothed(values: np.ndarray, dt: float, over: float = 0.06) -> np.ndarray:
-    """Running mean over `over` seconds: commands are stairs."""
+    """Running mean over `over` seconds, since commands are stairs."""
     width = max(1, round(over / dt))
     return np.convolve(values, np.ones(width) / width, mode="same")

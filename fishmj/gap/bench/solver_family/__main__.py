@@ -1,4 +1,4 @@
-"""Make the flow solver's family of robots: healthy ones with free swims to calibrate by, and what is hidden in them.
+"""Make the flow solver's family of robots: healthy ones with free swims for a calibration, and robots with hidden effects.
 
 python -m fishmj.gap.bench.solver_family --plan --models fish five_link.toml --robots 14 --out runs/solver_sets  minutes of a CPU
 python -m fishmj.gap.bench.solver_family --out runs/solver_sets --device cuda --tanks 12      swims it, goes on where it stopped
@@ -30,6 +30,7 @@ ON_GPU = 12
 
 
 def main(argv: list[str]) -> int:
+    """Plans, swims or finishes the sets. Returns the exit code."""
     parser = console.parser("studies.solver_family", __doc__)
     add = parser.add_argument
     add("--plan", action="store_true", help="draw the plan into OUT, say what it costs, and stop")
@@ -65,7 +66,7 @@ def main(argv: list[str]) -> int:
 
 
 def drawn(args) -> int:
-    """Draw the plan and say what it costs.
+    """Draws the plan and prints its cost. Returns the exit code.
 
     Raises:
         ConfigError: another plan is there, or two models of one name.
@@ -91,7 +92,7 @@ def drawn(args) -> int:
 
 
 def cost(plan: Plan) -> dict:
-    """What a plan takes."""
+    """Work of a plan: robots, sets, swims, water seconds, time steps and GPU seconds."""
     todo, box = all_swims(plan), preset(plan.asked.domain)
     steps = sum(swim.job.steps for swim in todo)
     facts: dict = {"robots": len(plan.robots), "sets": len({swim.set for swim in todo}), "swims": len(todo)}
@@ -99,10 +100,10 @@ def cost(plan: Plan) -> dict:
 
 
 def swim(plan: Plan, args) -> None:
-    """Swim what is missing of a shard.
+    """Swims the missing part of a shard.
 
     Raises:
-        TooMuch: a CPU would take too long, and nobody agreed.
+        TooMuch: a CPU would take too long, and this was not agreed to.
     """
     box, left = preset(plan.asked.domain), [s for s in all_swims(plan, args.shard) if not s.done(args.out)]
     water = sum(one.job.steps for one in left) * box.dt
@@ -119,7 +120,7 @@ def swim(plan: Plan, args) -> None:
 
 
 def packed(plan: Plan, args) -> int:
-    """Make the data sets; exit 1 where robots or swims are missing."""
+    """Makes the data sets; returns 1 if robots or swims are missing."""
     with console.Progress(len(plan.robots), "data sets", unit="robots") as bar:
         lost = finished(plan, args.out, bar.update)
     for name, why in lost.items():

@@ -1,9 +1,9 @@
-"""How much of a hidden effect shows in the solver's own swims: the formula of `generators.detectability`, without a search.
+"""Visible size of a hidden effect in the solver's own swims: the formula of `generators.detectability`, without a search.
 
-    s   the swims of one robot with the effect less those without it, seen without noise
-    d   standard deviation of the healthy robots of its model which swam that experiment, seen without noise
+    s   the swims of one robot with the effect less those without it, measured without noise
+    d   standard deviation of the healthy robots of its model in that experiment, measured without noise
 
-A robot is put down, and its packets are late, as every other in the same experiment: that is in neither.
+All robots are placed alike in an experiment, with the same packet delays, so neither enters s or d.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ def detectable(
     """Mean squares as of `generators.detectable`; of one effect, or of several together.
 
     Args:
-        hidden, plain: the robot's swims with and without what is hidden, by experiment, without noise. healthy: of robots of
+        hidden, plain: the robot's swims with and without the hidden effects, by experiment, without noise. healthy: of robots of
             its model, itself among them. sigma: noise of each column.
     """
     if not effects:
@@ -49,13 +49,13 @@ def detectable(
 
 
 def until(seen: Seen, end: float) -> Seen:
-    """What was seen before `end` [s]."""
+    """Measurements before `end` [s]."""
     rows = seen.t <= end
     return seen._replace(t=seen.t[rows], values=seen.values[rows])
 
 
 def variance(others: Sequence[Seen], plain: Seen) -> np.ndarray:
-    """(K, C) of those that swam as long as `plain`, at its stamps; nothing where they are too few to differ."""
+    """(K, C) variance of those that swam as long as `plain`, at its stamps; zero if they are too few."""
     whole = [at(other, plain.t) for other in others if other.t[-1] >= plain.t[-1] - SHORT]
     if len(whole) < FEWEST:
         return np.zeros_like(plain.values)

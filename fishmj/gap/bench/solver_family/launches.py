@@ -1,13 +1,13 @@
-"""The first moments of a fish that a carriage lets go are left out: on the solver's coarse grid it loses too much speed there.
+"""Removes the first moments of a launch from a carriage, because the fish loses too much speed there on the solver's coarse grid.
 
-    steadied(trial, bare)      the log from `KICK` on, with the velocity that the fish has then as its `push`
+    steadied(trial, bare)      the log from `KICK` on, with the fish's velocity at that time as its `push`
 
 A fish that is let go at 0.4 m/s has 0.34 m/s left 0.3 s later, one that is let go broadside at 0.3 m/s has 0.18 m/s, most of it
 lost in the first 0.1 s (docs/search/calibrate.md). No water does that; the campaign's segments leave the same time out
 (`hydro_fit.record.SegmentRecord.steadied`).
 
-The velocity is the slope at `KICK` of a parabola through what the camera shows of the next `SEEN` s: without noise, where a swim
-that its sensors saw without noise is there, else as a laboratory would take it, with what it is wrong by as `push_sigma`
+The velocity is the slope at `KICK` of a parabola through the camera's poses of the next `SEEN` s. They are taken without noise if
+a noise-free record of the swim exists, else as a laboratory would take them, with the error `push_sigma`
 (`gap.null.launch_error`): of 14 robots' logs about 6 mm/s and 0.03 rad/s.
 """
 
@@ -29,7 +29,7 @@ LEFT_OUT = "left_out"  # key of the meta data: s that are
 
 
 def without_launches(folder: Path, out: Path) -> int:
-    """Copy data sets that have launches in them, these left out; returns how many. Plan, models and truth stay as they are."""
+    """Copies data sets and cuts their launches; returns the number of data sets. Plan, models and truth stay as they are."""
     for name in (plans.FILE, TRUTH, *(str(path.relative_to(folder)) for path in (folder / plans.MODELS).glob("*.toml"))):
         write_text(out / name, (folder / name).read_text(encoding="utf-8"))
     plan, made = plans.read(folder), 0
@@ -42,18 +42,18 @@ def without_launches(folder: Path, out: Path) -> int:
 
 
 def launched(trial: Trial) -> bool:
-    """Whether a carriage lets the fish go, and nothing was left out yet."""
+    """Returns True if the fish starts from a carriage and its launch was not cut yet."""
     return any(trial.value("push", (0.0, 0.0, 0.0))) and not trial.value(LEFT_OUT, 0.0)
 
 
 def steadied(trial: Trial, camera_latency: float, bare: Trial | None = None) -> Trial:
-    """The trial without its first `KICK` s where the fish was let go from a carriage; else as it is.
+    """The trial without its first `KICK` s if the fish was launched from a carriage; else unchanged.
 
     Args:
-        camera_latency: s. bare: the same swim as its sensors see it without noise.
+        camera_latency: s. bare: the same swim as measured without noise.
 
-    A model takes the mean of the first `MOVING` s of the camera's rows as where the fish is at t = 0. Of a fish that moves
-    before, rows are left out until that mean shows it at `KICK`.
+    A model takes the mean of the first `MOVING` s of the camera's rows as the pose at t = 0. For a moving fish, rows before
+    `KICK` are left out until that mean is its pose at `KICK`.
     """
     if not launched(trial):
         return trial

@@ -1,13 +1,13 @@
-"""What is swum in the solver: robots of several models, each with free swims to calibrate by, a session, and cases.
+"""Plan of the solver's swims: robots of several models, each with free swims for a calibration, a session, and cases.
 
     planned(Asked(models={"fish": "fish"}, robots=14, seed=1)) -> Plan         drawn from the seed, kept as plan.json
 
 A robot carries one case with nothing hidden, singles, and every other one a fault outside the catalogue, all in one session of
-designed experiments. Every four robots of a model share two sessions which have no experiment in common, so that each experiment
-is swum by half of the healthy robots: by what these differ by, an effect is detectable or not (detectability.py).
+designed experiments. Every four robots of a model share two sessions without a common experiment, so that each experiment
+is swum by half of the healthy robots; their scatter decides if an effect is detectable (detectability.py).
 
-The solver is slow, so that what nobody could see is not swum: a single is drawn again until its mean square in the second
-robot's water is `LIKELY` at least. That is a forecast; what counts is the solver's own, found afterwards.
+The solver is slow, so invisible effects are not swum: a single is drawn again until its mean square in the second
+robot's water is `LIKELY` at least. That is a forecast; the figure that counts is the solver's own, found afterwards.
 """
 
 from dataclasses import replace
@@ -39,7 +39,7 @@ DRAWS = 12  # of a single, at most
 
 
 class Asked(NamedTuple):
-    """What a plan is drawn from. models: name -> description. seconds: to which experiments are cut; calibration: free swims."""
+    """Settings of a plan. models: name -> description. seconds: length of the experiments; calibration: of the free swims."""
 
     models: dict[str, str]
     robots: int = 14
@@ -62,7 +62,7 @@ class Planned(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """All of it. descriptions: of the models, by name."""
+    """The whole plan. descriptions: of the models, by name."""
 
     asked: Asked
     robots: tuple[Planned, ...]
@@ -70,7 +70,7 @@ class Plan(NamedTuple):
 
 
 def swims(robot: Robot, seconds: float) -> list[Excitation]:
-    """Free swims that a robot's water is calibrated to, each cut to `seconds`."""
+    """Free swims for the calibration of a robot's water, each cut to `seconds`."""
     return [cut(what, seconds) for what in families.runs_of(calibrated.SWIMS, robot)]
 
 
@@ -85,7 +85,7 @@ def cut(what: Excitation, seconds: float) -> Excitation:
 
 
 def planned(asked: Asked, tick=lambda done: None) -> Plan:
-    """Draw everything. tick: is told how many robots are done.
+    """Draws the whole plan. tick: receives the number of finished robots.
 
     Raises:
         ConfigError, UnknownName: no such model.
@@ -95,7 +95,7 @@ def planned(asked: Asked, tick=lambda done: None) -> Plan:
     for number, name in enumerate(asked.models):
         decks: dict[str, list[str]] = {"single": [], "off": []}
         sessions = [_session(asked.seed, number, turn) for turn in range(asked.robots)]
-        # those of one session one after another: the healthy robots of a forecast are made once a session
+        # robots of one session follow each other: the healthy robots of a forecast are made once a session
         for turn in sorted(range(asked.robots), key=lambda turn: (sessions[turn], turn)):
             found[turn, number] = _robot(asked, name, number, turn, sessions[turn], descriptions[name], decks)
             tick(len(found))
@@ -137,7 +137,7 @@ def _robot(asked: Asked, name: str, number: int, turn: int, runs: tuple[str, ...
 
 # ------------------------------------------------------------------------------------------------------------------------ on disk
 def write(plan: Plan, folder: Path) -> None:
-    """plan.json, and beside it the descriptions that are files."""
+    """Writes plan.json, and beside it the descriptions that are files."""
     models = {}
     for name, source in plan.asked.models.items():
         models[name] = source
@@ -159,7 +159,7 @@ def read(folder: Path) -> Plan:
     """The plan of a folder.
 
     Raises:
-        StoreError: there is none, or it is none.
+        StoreError: there is none, or it is invalid.
     """
     told: dict[str, Any] = read_json(folder / FILE)
     if told.get("schema") != SCHEMA:

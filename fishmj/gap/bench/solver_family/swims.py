@@ -1,14 +1,14 @@
-"""Swim a plan in the solver, and make data sets of what was swum.
+"""Swims a plan in the solver, and makes data sets of the swims.
 
-    swum_all(plan, folder, "cuda", tanks=12)      what is missing, in several tanks; every swim is on disk when it is done
-    finished(plan, folder) -> lost                data sets of the robots that are complete, and how much of each effect shows
+    swum_all(plan, folder, "cuda", tanks=12)      the missing swims, in several tanks; each is written to disk when it is done
+    finished(plan, folder) -> lost                data sets of the complete robots, and the visible size of each effect
 
-    FOLDER/plan.json                          models, robots, what is hidden: opened by the score, never by a search
-    FOLDER/swims/SET/NAME.npz                 one swim: as its sensors saw it, and without their noise
-    FOLDER/sets/ROBOT-free.npz, CASE.npz      free swims to calibrate by; a session
+    FOLDER/plan.json                          models, robots, hidden effects: opened by the score, never by a search
+    FOLDER/swims/SET/NAME.npz                 one swim: with its sensors' noise, and without
+    FOLDER/sets/ROBOT-free.npz, CASE.npz      free swims for a calibration; a session
     FOLDER/truth.json                         {case: {"effects", "detectable"}}
 
-A swim of which nothing sound was left, or that could not begin, leaves NAME.json, which says why.
+A swim without a sound part, or that could not begin, leaves NAME.json with the reason.
 """
 
 from collections.abc import Callable, Iterator
@@ -40,23 +40,23 @@ FIRST_FREE = 100  # place of the first free swim, beyond those of the designed e
 
 
 class Swim(NamedTuple):
-    """One swim of a plan. draw: number of the trial of which the sensors' noise is."""
+    """One swim of a plan. draw: number of the trial that selects the sensors' noise."""
 
     set: str
     job: Job
     draw: int
 
     def file(self, folder: Path, ending: str = ".npz") -> Path:
-        """Where it is kept."""
+        """Path of the swim's file."""
         return folder / SWIMS / self.set / f"{self.job.name}{ending}"
 
     def done(self, folder: Path) -> bool:
-        """Whether it was swum, soundly or not."""
+        """Returns True if it was swum, soundly or not."""
         return self.file(folder).is_file() or self.file(folder, ".json").is_file()
 
 
 def swims_of(plan: Plan, one: Planned, *, off: bool) -> Iterator[Swim]:
-    """Of one robot: the faults outside the catalogue, or all the others."""
+    """Swims of one robot: only the faults outside the catalogue, or only the others."""
     robot = plan.descriptions[one.model]
     if not off:
         yield from _set(plan, f"{one.id}-{FREE}", one, robot, {}, free_swims(plan, one), calibrated.FIRST)
@@ -72,7 +72,7 @@ def free_swims(plan: Plan, one: Planned) -> list[Excitation]:
 
 
 def _set(plan: Plan, name: str, one: Planned, robot: Robot, effects: dict, runs: list[Excitation], first: int) -> Iterator[Swim]:
-    """The hand that puts the fish down, and the radio, do as in every robot's swim of that experiment."""
+    """Swims of one set. Placing and packet delays are the same as in every robot's swim of that experiment."""
     made = jobs(effects, runs, one.seed, 1.0, families.NUISANCE, plan.asked.domain, robot=robot)
     for i, job in enumerate(made):
         place = excitation.DESIGNED.index(job.what.id) if job.what.id in excitation.DESIGNED else FIRST_FREE + i
@@ -80,14 +80,16 @@ def _set(plan: Plan, name: str, one: Planned, robot: Robot, effects: dict, runs:
 
 
 def all_swims(plan: Plan, shard: tuple[int, int] = (0, 1)) -> list[Swim]:
-    """Of every robot, one after the other, faults outside the catalogue last: every N-th from the I-th, so that processes which
-    share them finish the same robots first."""
+    """Swims of every robot in turn, faults outside the catalogue last.
+
+    A shard takes every N-th from the I-th, so that processes which share the swims finish the same robots first.
+    """
     index, shards = shard
     return [swim for off in (False, True) for one in plan.robots for swim in swims_of(plan, one, off=off)][index::shards]
 
 
 def swum_all(plan: Plan, folder: Path, device: str, tanks: int = 1, shard: tuple[int, int] = (0, 1)) -> int:
-    """Swim what is missing; returns how many time steps that were.
+    """Swims the missing part; returns the number of time steps.
 
     device: one, or several as for `devices_of`. tanks: side by side on each.
     """
@@ -101,7 +103,7 @@ def swum_all(plan: Plan, folder: Path, device: str, tanks: int = 1, shard: tuple
 
 
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, folder: Path, tanks: int) -> Iterator[tuple[str, int]]:
-    """Swims on one device (`spread`), on disk when they are done: set and steps of each."""
+    """Swims on one device (`spread`), written to disk when they are done; yields set and steps of each."""
     jobs_of = Owned(waiting)
     for run in swum(jobs_of, device, tanks):
         name, steps, swim = jobs_of.owner(run)
@@ -110,7 +112,7 @@ def on_device(waiting: Waiting, device: str, go_on: GoOn, *, folder: Path, tanks
 
 
 def keep(swim: Swim, run: HiddenRun, folder: Path) -> None:
-    """Put a finished swim on disk."""
+    """Writes a finished swim to disk."""
     try:
         seen, bare = trial_of(run, draw=swim.draw), trial_of(run, noise=0.0, draw=swim.draw)
     except OracleUnstable as error:
@@ -121,16 +123,16 @@ def keep(swim: Swim, run: HiddenRun, folder: Path) -> None:
 
 # --------------------------------------------------------------------------------------------------------------------- data sets
 class Swum(NamedTuple):
-    """A set that is complete: its trials as seen, and without noise by experiment."""
+    """A complete set: its trials as measured, and without noise by experiment."""
 
     seen: list[Trial]
     bare: dict[str, Trial]
 
 
 def finished(plan: Plan, folder: Path, tick: Callable[[int], None] = lambda done: None) -> dict[str, str]:
-    """Write data sets and truth of all robots whose free swims and healthy session are complete. Returns what was lost.
+    """Writes data sets and truth of all complete robots. Returns the lost swims with reasons.
 
-    tick: is told how many robots were read.
+    A robot is complete once its free swims and its healthy session are. tick: receives the number of robots that were read.
     """
     sets: dict[str, Swum] = {}
     lost: dict[str, str] = {}
@@ -171,7 +173,7 @@ def _healthy(one: Planned, sets: dict[str, Swum]) -> Iterator[Case]:
 
 
 def _read(swims_: list[Swim], folder: Path, lost: dict[str, str]) -> Swum:
-    """What was swum, launches without their first moments."""
+    """Trials of a set, with the launches cut; adds missing ones to `lost`."""
     seen, bare = [], {}
     for swim in swims_:
         if not (path := swim.file(folder)).is_file():

@@ -4,10 +4,10 @@
     foil        plates at an angle of attack: quasi-steady lift and drag, a fin that stalls and remembers (Wagner)
     ellipsoid   one ellipsoid's added mass, quadratic damping by links, a tail fin by thin-foil theory
 
-    generate("morison", effects, excitations, seed) -> [Trial]     trials in which effects are hidden
-    parse(texts, seed, family) -> effects                          as `gap plant` is asked for them
-    page(family, effects, seed) -> dict                            what scales, knife edge and pendulum say of that robot
-    detectable(family, effects, excitations, seed) -> dict         how much of it shows above noise and healthy robots
+    generate("morison", effects, excitations, seed) -> [Trial]     trials with hidden effects
+    parse(texts, seed, family) -> effects                          in the notation of `gap plant`
+    page(family, effects, seed) -> dict                            readings of scales, knife edge and pendulum of that robot
+    detectable(family, effects, excitations, seed) -> dict         its visible size above noise and healthy robots
 
 The rigid bodies, joints, dry friction and actuators are MuJoCo's own. No fitter's room is imported. docs/search/generators.md.
 """

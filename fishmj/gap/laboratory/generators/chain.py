@@ -48,7 +48,7 @@ def work_of(links: int, freedoms: int) -> Work:
 
 @inlined
 def move(chain, q, rate, flow, work):
-    """Fill work.motion and work.jacobian. flow (8,): U_x, U_y at the tank's centre, its gradient xx, xy, yx, yy, dU/dt x, y."""
+    """Fills work.motion and work.jacobian. flow (8,): U_x, U_y at the tank's centre, its gradient xx, xy, yx, yy, dU/dt x, y."""
     n, freedoms = chain.hinge.shape[0], q.shape[0]
     jacobian, motion = work.jacobian, work.motion
     jacobian[:] = 0.0
@@ -93,7 +93,7 @@ def move(chain, q, rate, flow, work):
 
 @inlined
 def carried(chain, work):
-    """Add to work.force what the accelerated water does beyond A times the joints' acceleration."""
+    """Adds to work.force the inertial forces of the water beyond A times the joints' acceleration."""
     for i in range(chain.hinge.shape[0]):
         a, m, f = chain.added[i], work.motion[i], work.force[i]
         p0 = a[0, 0] * m[0] + a[0, 1] * m[1] + a[0, 2] * m[2]
@@ -108,7 +108,7 @@ def carried(chain, work):
 
 @inlined
 def gather(chain, work, generalised, sparse):
-    """generalised (nv,) = J^T force; add J^T A J to MuJoCo's sparse mass matrix."""
+    """Sets generalised (nv,) = J^T force and adds J^T A J to MuJoCo's sparse mass matrix."""
     n, freedoms = chain.hinge.shape[0], generalised.shape[0]
     work.mass[:] = 0.0
     for k in range(freedoms):
@@ -143,7 +143,7 @@ def own_effects(head, extra, tether):
 
 @inlined
 def finish(chain, extra, tether, work, generalised, sparse):
-    """From a water's own forces in work.force to the joints: whole-body faults on the head, accelerated water, J^T."""
+    """Converts a water's own forces in work.force to joint forces, with whole-body faults on the head and accelerated water."""
     a, b, c = own_effects(work.motion[0], extra, tether)
     work.force[0, 0] += a
     work.force[0, 1] += b

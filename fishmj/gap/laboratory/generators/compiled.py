@@ -1,4 +1,4 @@
-"""How this room's water is compiled: numba, NaN stays NaN, the entry points kept on disk under a hash of all that is inlined."""
+"""Compilation of this room's water: numba, NaN stays NaN, the entry points kept on disk under a hash of all inlined code."""
 
 import hashlib
 from pathlib import Path
@@ -16,7 +16,7 @@ inlined = njit(**_MATH)
 
 
 def entry(function):
-    """Compile and keep the function that Python calls; numba by itself would notice a change of that one file only."""
+    """Compiles and keeps the function that Python calls; numba itself would notice a change of that one file only."""
     here = Path(__file__).resolve().parent
     names = ("compiled", "chain", function.__module__.rpartition(".")[2])
     digest = hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in names)).hexdigest()[:16]

@@ -1,6 +1,6 @@
-"""How much of what is hidden can be seen at all: computed by the generator, from robots of its own, never by a search.
+"""Visible size of hidden effects: computed by the generator, from robots of its own, never by a search.
 
-    s   what the effect does to a sample: the same seed with and without it, without noise
+    s   the effect's change of a sample: the same seed with and without it, without noise
     n   the sensors' noise there;  d  standard deviation of healthy robots of the family there
     mean over records and channels of  mean s^2 / (n^2 + d^2)
 
@@ -45,10 +45,11 @@ def detectable(
     family: str, effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
     robot: "str | Robot" = "fish", healthy: int = HEALTHY,
 ) -> dict:  # fmt: skip
-    """Mean squares of all that is hidden together and of each effect alone.
+    """Mean squares of all hidden effects together and of each alone.
 
     Returns:
-        {"all": .., "each": {name: ..}, "noise_only": .., "each_noise_only": {..}, "bound": 5, "healthy": how many robots}
+        {"all": .., "each": {name: ..}, "noise_only": .., "each_noise_only": {..}, "bound": 5, "healthy": number of robots}
+
     Raises:
         as `trials.generate`.
     """
@@ -69,7 +70,7 @@ def detectable(
 
 
 def mean_squares(seen: Callable[[Effects], list[Seen]], spread: list[np.ndarray], effects: Effects, healthy: int) -> dict:
-    """What `detectable` returns, of any robots. seen: what is hidden -> channels of every record; spread: their variance."""
+    """Result of `detectable` for any robots. seen: hidden effects -> channels of every record; spread: their variance."""
     plain = seen({})
     parts = {name: {name: values} for name, values in effects.items()} if len(effects) > 1 else {}
     both = {name: shares(seen(h), plain, spread) for name, h in {"": effects, **parts}.items()}
@@ -105,7 +106,7 @@ def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, heal
 
 @cache
 def _sources() -> bytes:
-    """Hash of the code that makes a healthy robot swim."""
+    """Hash of the code behind a healthy robot's swim."""
     here = Path(__file__).resolve().parent
     files = [*sorted(here.glob("*.py")), *sorted((here.parents[2] / "mjcf").glob("*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()

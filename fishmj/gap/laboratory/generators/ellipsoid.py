@@ -15,7 +15,7 @@
                velocity and force at the quarter chord, lift along (V x t) x V
                Mason and Burdick 2000, ISER VI; Harper, Berkemeier and Grace 1998, IEEE J. Oceanic Eng. 23
 
-Nothing is remembered. Lift is at a right angle to the quarter chord's motion and does no work; everything else takes energy.
+The water has no memory. Lift is at a right angle to the quarter chord's motion and does no work; everything else takes energy.
 """
 
 from typing import NamedTuple
@@ -143,13 +143,13 @@ def build(robot: Robot, values) -> Water:
 
 
 def _least(added: np.ndarray) -> float:
-    """Least turning inertia that goes with a link's mass and first moment, kg m2."""
+    """Least inertia that is consistent with a link's mass and first moment, kg m2."""
     return float(added[1, 2] ** 2 / added[1, 1]) if added[1, 1] > 0.0 else 0.0
 
 
 @inlined
 def forces(law, motion, memory, h, force):
-    """force (N, 3): everything but inertia. No memory."""
+    """Writes force (N, 3): everything but inertia. No memory."""
     n = law.x.shape[0]
     for i in range(n):
         u, r, f = motion[i, 0], motion[i, 2], force[i]
@@ -178,7 +178,7 @@ def forces(law, motion, memory, h, force):
 
 @entry
 def step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, sparse, work):
-    """One evaluation of the water; see `family.Family`."""
+    """Evaluates the water once; see `family.Family`."""
     move(chain, q, rate, flow, work)
     forces(law, work.motion, memory, h, work.force)
     finish(chain, extra, tether, work, generalised, sparse)

@@ -1,4 +1,4 @@
-"""What a form of water is to the rest of this room: coefficients with tolerances and sources, and a compiled force law."""
+"""Interface of a form of water: coefficients with tolerances and sources, and a compiled force law."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ class Coefficient(NamedTuple):
 
 
 class Water(NamedTuple):
-    """One robot's water. added: (N, 3, 3) at the links' origins; law: what the compiled function needs; memory: its states."""
+    """One robot's water. added: (N, 3, 3) at the links' origins; law: data of the compiled function; memory: its states."""
 
     added: np.ndarray
     law: Any
@@ -28,8 +28,11 @@ class Water(NamedTuple):
 
 
 class Family(NamedTuple):
-    """A generator. build(robot, values) -> Water; step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, sparse,
-    work) writes the water's generalised force and adds its mass to MuJoCo's."""
+    """A generator: build(robot, values) -> Water, and a compiled step.
+
+    step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, sparse, work) writes the water's generalised force and
+    adds its mass to MuJoCo's.
+    """
 
     name: str
     about: str
@@ -39,6 +42,6 @@ class Family(NamedTuple):
 
 
 def drawn(family: Family, nuisance: float, rng: np.random.Generator) -> dict[str, float]:
-    """The coefficients of one healthy robot. nuisance: 0.1 takes the tolerances as they are, 0 none."""
+    """The coefficients of one healthy robot. nuisance: 0.1 draws within the tolerances, 0 uses the nominal values."""
     size = nuisance / 0.1
     return {name: c.value * (1.0 + size * c.tolerance * rng.uniform(-1.0, 1.0)) for name, c in family.coefficients.items()}

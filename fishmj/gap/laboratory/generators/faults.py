@@ -1,4 +1,4 @@
-"""Faults that no effect of the catalogue equals, in any family: given one of them, a search should say that it does not know.
+"""Faults that no effect of the catalogue equals, in any family: the right answer of a search is that it does not know.
 
 Each is a few lines on the robot's numbers or on MuJoCo's model while it swims. None is one of the second robot's.
 """

@@ -1,4 +1,4 @@
-"""What the generators' robots swim like: the figures of docs/search/generators.md.
+"""Swimming figures of the generators' robots, for docs/search/generators.md.
 
 python -m fishmj.gap.laboratory.generators.figures [--model FISH]
 """
@@ -31,7 +31,7 @@ def steady(fish: Fish, frequency: float, lag: float, bias: float) -> tuple[float
 
 
 def coast(fish: Fish, speed: float = 0.3) -> float:
-    """Seconds until a straight fish that was let go at `speed` is half as fast."""
+    """Time until a straight fish that was let go at `speed` [m/s] is half as fast, s."""
     still = np.zeros((1500, fish.joints))
     motion = record(fish, Excitation(id="coast", commands=still, about="let go", push=(speed, 0.0, 0.0)), 0, 0, 0.0)
     slow = np.flatnonzero(motion.rate[:, 0] < speed / 2)
@@ -39,6 +39,7 @@ def coast(fish: Fish, speed: float = 0.3) -> float:
 
 
 def main(argv: list[str]) -> int:
+    """Prints the figures. Returns the exit code."""
     parser = console.parser("generators.figures", "Steady gaits of the robots of every generator.", json=False)
     parser.add_argument("--model", type=console.text, default="fish", help="the robot: name or TOML file (default fish)")
     args = parser.parse_args(argv)

@@ -58,7 +58,7 @@ class Meter:
 
 @dataclass
 class Firmware:
-    """What the servo's processor does to a command, 250 times a second."""
+    """The servo's processing of commands, 250 times a second."""
 
     period: float = 0.004  # s (chosen)
     step: float = 0.0  # rad, counts
@@ -74,7 +74,7 @@ class Firmware:
 class Fish:
     """A robot before it is built. Arrays a joint (J,) or a link (N,), SI. `each_step`, `specs`, `seen`, `read`: faults' own code.
 
-    each_step: f(run, t) before every physics step; specs: f(MuJoCo spec) before it is compiled;
+    each_step: f(run, t) before every physics step; specs: f(MuJoCo spec) before compilation;
     seen: f(camera's t, x, y, yaw, recording) -> (x, y, yaw); read: f(t, angles (K, J)) -> angles.
     """
 
@@ -109,10 +109,11 @@ class Fish:
 
     @property
     def joints(self) -> int:
+        """Number of joints."""
         return self.robot.n_joints
 
     def water(self) -> Water:
-        """Its water, with what effects add."""
+        """Its water, with the effects' additions."""
         made = self.family.build(self.robot, self.coefficients)
         added = made.added.copy()
         added[0] += self.added
@@ -120,7 +121,7 @@ class Fish:
 
 
 def healthy(robot: Robot, family: Family, seed: int, nuisance: float = 0.1, flow: tuple[float, float] = (0.0, 0.0)) -> Fish:
-    """A robot in which nothing is hidden, its unmeasured constants drawn from the seed. flow: ordered stream, m/s, m/s."""
+    """A robot with nothing hidden, its unmeasured constants drawn from the seed. flow: ordered stream, m/s, m/s."""
     rng, servo, j = random_numbers.stream(seed, "constants"), robot.servo, robot.n_joints
     coefficients = drawn(family, nuisance, rng)
 

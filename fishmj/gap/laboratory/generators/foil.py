@@ -7,7 +7,7 @@
     fin        C_L = (1 - s) C_La sin a q + s 2 sin^2 a cos a,   C_D = 2 c_f + ((1 - s) C_La sin a q)^2 / (pi e A) + s 2 |sin a|^3
                C_La = 2 pi A / (2 + sqrt(A^2 + 4))      Helmbold 1942, Ringbuch der Luftfahrttechnik; A aspect ratio
                s = (1 - k) / (1 + exp((a_s - a) / d)) separated share, Newtonian plate      Beard and McLain 2012, ch. 4
-               k: what a beating fin keeps of its leading-edge vortex, and so of the suction, at any angle (Dickinson et al. 1999)
+               k: kept share of a beating fin's leading-edge vortex, and so of the suction, at any angle (Dickinson et al. 1999)
                q = (1 + u / sqrt(u^2 + (w / 3)^2)) / 2 is 1 ahead, 0 astern, where the trailing edge leads (chosen form)
     lag        sin a of the lift is that of w_e = (1 - A1 - A2) w + A1 z1 + A2 z2,  z_k' = b_k (V / b) (w - z_k)
                w at 3/4 chord, b half a chord; A = 0.165, 0.335, b = 0.0455, 0.3      R. T. Jones 1940, NACA Report 681,
@@ -47,7 +47,7 @@ COEFFICIENTS = {
 
 
 class Law(NamedTuple):
-    """Slices of all links in a row, `begin` (N + 1,) where each link's begin; the fin is one more plate of the last link."""
+    """Slices of all links in a row, `begin` (N + 1,) index of each link's first; the fin is one more plate of the last link."""
 
     begin: np.ndarray
     x: np.ndarray  # (S,) m
@@ -113,7 +113,7 @@ def skin(law, speed):
 
 @inlined
 def lagged(law, w, speed, memory, h):
-    """Normal velocity that the circulation has followed; moves memory (2,) on by h, exactly for a steady stream."""
+    """Normal velocity of the lagged circulation, m/s; advances memory (2,) by h, exactly for a steady stream."""
     out = 0.5 * w
     for k in range(2):
         share, rate = LAGS[k]
@@ -124,7 +124,7 @@ def lagged(law, w, speed, memory, h):
 
 @inlined
 def wing(law, u, w, behind, memory, h):
-    """(F_t, F_n) of the fin where its lift acts. u, w there, `behind` the normal velocity at 3/4 chord, m/s."""
+    """(F_t, F_n) of the fin at its centre of lift. u, w there, `behind` the normal velocity at 3/4 chord, m/s."""
     speed = np.sqrt(u * u + w * w)
     late = lagged(law, behind, speed, memory, h)
     if speed < 1e-9:
@@ -142,7 +142,7 @@ def wing(law, u, w, behind, memory, h):
 
 @inlined
 def forces(law, motion, memory, h, force):
-    """force (N, 3): everything but inertia. Moves memory on."""
+    """Writes force (N, 3): everything but inertia. Advances the memory."""
     n = law.begin.shape[0] - 1
     for i in range(n):
         u, v, r, f = motion[i, 0], motion[i, 1], motion[i, 2], force[i]
@@ -170,7 +170,7 @@ def forces(law, motion, memory, h, force):
 
 @entry
 def step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, sparse, work):
-    """One evaluation of the water; see `family.Family`."""
+    """Evaluates the water once; see `family.Family`."""
     move(chain, q, rate, flow, work)
     forces(law, work.motion, memory, h, work.force)
     finish(chain, extra, tether, work, generalised, sparse)

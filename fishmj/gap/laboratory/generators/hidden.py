@@ -11,7 +11,7 @@ from fishmj.gap.laboratory.generators.fish import Fish
 
 
 class Hidden(NamedTuple):
-    """What can be hidden. act(fish, **values) changes the robot's numbers."""
+    """An effect or fault that can be hidden. act(fish, **values) changes the robot's numbers."""
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -21,7 +21,7 @@ class Hidden(NamedTuple):
 
     @property
     def nulls(self) -> dict[str, float]:
-        """Values at which it is not there."""
+        """Parameter values without effect."""
         return {p.name: p.null for p in self.parameters}
 
     def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
@@ -39,7 +39,7 @@ class Hidden(NamedTuple):
         return out
 
     def put(self, fish: Fish, values: Mapping[str, float]) -> None:
-        """Hide it in a robot; parameters that are not given stay at their null.
+        """Hides the effect in a robot; missing parameters stay at their null.
 
         Raises:
             UnknownName: no such parameter. ConfigError: a value that is no number or outside its bounds.

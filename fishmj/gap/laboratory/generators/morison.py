@@ -11,7 +11,7 @@
     shedding   where h falls towards the tail, a share s_b of -dm/dx leaves as a vortex sheet, at the last edge s_e of m_e:
                f_t = 1/2 m w^2,  f_n = -m u+ w      Lighthill 1970, J. Fluid Mech. 44; Wu 1971, J. Fluid Mech. 46
 
-Nothing is remembered: no stall, no lag. Every term but the inertia takes energy, whatever the state: the sheet because
+The water has no memory: no stall, no lag. Every term but the inertia takes energy in any state: the sheet because
 (1/2 m w^2) u - m u w^2 <= 0 for u >= 0, and it is not shed backwards.
 """
 
@@ -42,7 +42,7 @@ COEFFICIENTS = {
 
 
 class Law(NamedTuple):
-    """Stations of all links in a row, `begin` (N + 1,) where each link's begin."""
+    """Stations of all links in a row, `begin` (N + 1,) index of each link's first."""
 
     begin: np.ndarray
     x: np.ndarray  # (S,) m
@@ -90,7 +90,7 @@ def build(robot: Robot, values) -> Water:
 
 @inlined
 def sheet(mass, x, u, w, force):
-    """Momentum of mass per length that leaves at x."""
+    """Adds the momentum of the mass per length that leaves at x."""
     if u > 0.0:
         force[0] += 0.5 * mass * w * w
         force[1] -= mass * u * w
@@ -99,7 +99,7 @@ def sheet(mass, x, u, w, force):
 
 @inlined
 def forces(law, motion, memory, h, force):
-    """force (N, 3): everything but inertia. No memory."""
+    """Writes force (N, 3): everything but inertia. No memory."""
     n = law.skin.shape[0]
     for i in range(n):
         u, v, r, f = motion[i, 0], motion[i, 1], motion[i, 2], force[i]
@@ -123,7 +123,7 @@ def forces(law, motion, memory, h, force):
 
 @entry
 def step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, sparse, work):
-    """One evaluation of the water; see `family.Family`."""
+    """Evaluates the water once; see `family.Family`."""
     move(chain, q, rate, flow, work)
     forces(law, work.motion, memory, h, work.force)
     finish(chain, extra, tether, work, generalised, sparse)

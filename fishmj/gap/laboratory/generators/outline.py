@@ -1,4 +1,4 @@
-"""The drawn outline at Gauss points along each link, and plates and strips of it: what every form of water starts from."""
+"""The drawn outline at Gauss points along each link, and its plates and strips: the start of every form of water."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ class Stations(NamedTuple):
 
     @property
     def flatness(self) -> np.ndarray:
-        """0 where round, 1 for a plate."""
+        """Flatness of the section: 0 for round, 1 for a plate."""
         return np.clip(1.0 - self.width / self.height, 0.0, 1.0)
 
     @property
@@ -54,7 +54,7 @@ class Fin(NamedTuple):
 
 
 def stations_of(robot: Robot, geometry: Geometry | None = None) -> list[Stations]:
-    """Gauss points of every link; the drawn sections are straight between, so that areas and moments are exact."""
+    """Gauss points of every link; the drawn sections are linear in between, so that areas and moments are exact."""
     g = geometry_of(robot) if geometry is None else geometry
     node, weight = np.polynomial.legendre.leggauss(PIECES)
     out = []
@@ -72,7 +72,7 @@ def stations_of(robot: Robot, geometry: Geometry | None = None) -> list[Stations
 
 
 def fin_of(robot: Robot, stations: list[Stations]) -> Fin:
-    """What of the last link is a plate: behind its `fin_from`, else where it is thin, else its rear half."""
+    """Plate part of the last link: behind its `fin_from`, else its thin part, else its rear half."""
     last, s, front = robot.links[-1], stations[-1], float(geometry_of(robot).span[-1, 1])
     thin = front - s.x[s.width < THIN * s.height]
     begin = last.fin_from if last.fin_from is not None else float(thin[0]) if len(thin) else last.length / 2
@@ -85,18 +85,18 @@ def fin_of(robot: Robot, stations: list[Stations]) -> Fin:
 
 
 def is_fin(stations: list[Stations], fin: Fin, link: int) -> np.ndarray:
-    """(K,) which stations of a link lie on the fin."""
+    """(K,) True for the stations of a link on the fin."""
     on_last = link == len(stations) - 1
     return (stations[link].x <= fin.front) & on_last
 
 
 def ragged(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """One array of all links' values and where each link's begin: (total,), (N + 1,)."""
+    """One array of all links' values (total,), and the index of each link's first (N + 1,)."""
     return np.concatenate(parts).astype(float), np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
 
 
 def swaying(stations: list[Stations], per_length: list[np.ndarray]) -> np.ndarray:
-    """(N, 3, 3) added mass of links that carry water across only, per length (K,) [kg/m] at their stations."""
+    """(N, 3, 3) added mass of links that carry water across only, from (K,) [kg/m] per length at their stations."""
     added = np.zeros((len(stations), 3, 3))
     for a, s, mass in zip(added, stations, per_length, strict=True):
         moments = [np.sum(mass * s.ds * s.x**k) for k in range(3)]

@@ -1,16 +1,16 @@
-"""What a generator's water does to its robot in a prescribed motion: what a towing tank would measure, and a fit is judged by.
+"""Forces of a generator's water on its robot in prescribed motions, as in a towing tank: the truth for a fit.
 
     prescribed("foil", seed=7) -> {"drag": 0.035, ..}       of the robot that `generate` swims with that seed
 
     drag, side_drag  N      of the straight fish towed ahead, and to its left, at `SPEED`
     yaw_drag         N m    of the straight fish turned about its reference point at `RATE`
     thrust           N      mean force ahead over a beat of the fish that is carried ahead at `SPEED`, all joints following `BEAT`
-                            exactly, head held straight: what the tail pushes less what the body drags
+                            exactly, head held straight: the tail's thrust less the body's drag
     surge, sway mass kg     force over acceleration of the straight fish at rest, ahead and to the left
     yaw_mass         kg m2  moment over angular acceleration about the reference point, the same
 
-Only this room's own force law is asked (`family.Family.step`): Q(q, q', memory) - J^T A J q''. Steady motions run until a
-water that remembers has forgotten its start.
+It uses only this room's own force law (`family.Family.step`): Q(q, q', memory) - J^T A J q''. Steady motions run until a
+water with memory has forgotten its start.
 """
 
 from collections.abc import Mapping
@@ -46,7 +46,7 @@ def prescribed(
 
 
 def of_fish(fish: Fish) -> dict[str, float]:
-    """The same of one robot. Joints that a fault added are held at zero."""
+    """The quantities of one robot. Joints that a fault added are held at zero."""
     ahead, left = steady(fish, {0: SPEED}), steady(fish, {1: SPEED})
     run = Run(fish)
     still = np.zeros(run.model.nv)
@@ -64,7 +64,7 @@ def of_fish(fish: Fish) -> dict[str, float]:
 
 
 def steady(fish: Fish, rates: Mapping[int, float]) -> np.ndarray:
-    """(3,) force in x, y and moment on the straight fish at the origin, heading along x, which keeps the given rates."""
+    """(3,) force in x, y and moment on the straight fish at the origin, heading along x, at constant rates."""
     run = Run(fish)
     rate = np.zeros(run.model.nv)
     for freedom, value in rates.items():
@@ -75,7 +75,7 @@ def steady(fish: Fish, rates: Mapping[int, float]) -> np.ndarray:
 
 
 def thrust(fish: Fish, frequency: float, amplitude: float, lag: float) -> float:
-    """Mean force ahead, N, over one beat of the fish carried at `SPEED`, its joints following a sine of so many Hz, rad, rad."""
+    """Mean force ahead, N, over one beat of the fish carried at `SPEED`; its joints follow a sine of the given Hz, rad, rad."""
     run = Run(fish)
     steps, omega = round(1.0 / frequency / STEP), 2 * np.pi * frequency
     phase = -lag * np.arange(fish.joints)

@@ -1,4 +1,4 @@
-"""What the lab writes down: packets that arrive, angles that are read, frames that are taken, current that is metered."""
+"""Sensors of the lab: arriving packets, read angles, taken frames, metered current."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from fishmj.gap.laboratory.generators.swim import Recording
 
 
 def arrivals(net: Network, sent: np.ndarray, rng: np.random.Generator, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """(times (K,) s, rows (K,)): when packets sent at `sent` reach the servos, in order of arrival; lost ones are left out."""
+    """(times (K,) s, rows (K,)) at which packets sent at `sent` reach the servos, in order of arrival; lost ones are left out."""
     usual, tail, lost = rng.standard_exponential(len(sent)), rng.standard_exponential(len(sent)), rng.random(len(sent))
     at = sent + net.latency + noise * net.jitter * (usual - 1.0) + net.late * tail
     kept = np.flatnonzero(lost >= net.loss)
@@ -16,7 +16,7 @@ def arrivals(net: Network, sent: np.ndarray, rng: np.random.Generator, noise: fl
 
 
 def joints(fish: Fish, record: Recording, rng: np.random.Generator, noise: float) -> dict:
-    """Table `joint`."""
+    """Table `joint`, angles in rad."""
     net = fish.network
     t = np.arange(0.0, record.t[-1], net.period)
     angles = np.stack([record.at(t - net.reading_delay, 3 + j) for j in range(fish.joints)], 1) - fish.zero
@@ -46,7 +46,7 @@ def poses(fish: Fish, record: Recording, rng: np.random.Generator, noise: float)
 
 
 def power(meter: Meter, record: Recording, rng: np.random.Generator, noise: float) -> dict:
-    """Table `power`: means over the period before each stamp."""
+    """Table `power`: means over the period before each stamp, V and A."""
     step = record.t[1] - record.t[0]
     many = max(round(meter.period / step), 1)
     rows = len(record.t) // many

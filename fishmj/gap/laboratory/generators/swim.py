@@ -25,7 +25,7 @@ LOOSE, SLOSH = "loose", "slosh"  # joints that faults add
 
 
 class Recording(NamedTuple):
-    """What really happened, a row a physics step. q, rate (T, nv): x, y, yaw, joints; volts, amps (T,) of the battery."""
+    """True motion, a row a physics step. q, rate (T, nv): x, y, yaw, joints; volts, amps (T,) of the battery."""
 
     t: np.ndarray
     q: np.ndarray
@@ -34,7 +34,7 @@ class Recording(NamedTuple):
     amps: np.ndarray
 
     def at(self, t: np.ndarray, column: int) -> np.ndarray:
-        """A column of q at other times, straight between rows."""
+        """A column of q at other times, linear between rows."""
         return np.interp(t, self.t, self.q[:, column])
 
 
@@ -42,7 +42,7 @@ def compiled(fish: Fish, step: float) -> mujoco.MjModel:
     """MuJoCo's model of the robot, with the friction constraints on.
 
     Raises:
-        ConfigError: what is hidden leaves a body that cannot be.
+        ConfigError: the hidden effect leaves an impossible body.
     """
     spec = build_spec(fish.robot, bare=True)
     spec.option.timestep = step
@@ -53,7 +53,7 @@ def compiled(fish: Fish, step: float) -> mujoco.MjModel:
         body.mass, body.inertia = body.mass * grown, np.asarray(body.inertia) * grown
     head = bodies[0]
     head.ipos = np.asarray(head.ipos) + np.array([fish.com, 0.0, 0.0])
-    # of a long body that turns in a plane its pitch inertia, which does nothing here, goes along: the three must be a body's
+    # pitch inertia has no effect in the plane, but the three inertias must be those of a real body, so it changes too
     head.inertia = np.asarray(head.inertia) + np.array([0.0, 1.0, 1.0]) * fish.inertia
     for i in range(fish.joints):
         joint, actuator = spec.joint(f"j{i + 1}"), spec.actuator(f"j{i + 1}")
@@ -71,7 +71,7 @@ def compiled(fish: Fish, step: float) -> mujoco.MjModel:
 
 
 class Run:
-    """One robot while it swims. Faults that act in time read and write its `model`, `data`, `share` and `push`."""
+    """One robot while it swims. Faults that act over time read and write its `model`, `data`, `share` and `push`."""
 
     def __init__(self, fish: Fish, step: float = STEP):
         self.fish, self.step = fish, step
@@ -95,14 +95,14 @@ class Run:
         self.idle, self.supply = servo.idle_power / servo.voltage, servo.voltage
 
     def place(self, start, push, joints) -> None:
-        """Put the fish at start (x, y, yaw), joints at `joints` (J,), moving with push (u, v, r) in its own axes."""
+        """Puts the fish at start (x, y, yaw), joints at `joints` (J,), moving with push (u, v, r) in its own axes."""
         data, (c, s) = self.data, (np.cos(start[2]), np.sin(start[2]))
         data.qpos[:3] = start
         data.qpos[self.hinges] = joints
         data.qvel[:3] = c * push[0] - s * push[1], s * push[0] + c * push[1], push[2]
 
     def forward(self) -> None:
-        """Accelerations at the present state: MuJoCo's own forward dynamics with the water in it."""
+        """Computes accelerations at the present state: MuJoCo's own forward dynamics with the water in it."""
         m, d, w = self.model, self.data, self.work
         mujoco.mj_kinematics(m, d)
         mujoco.mj_comPos(m, d)
@@ -121,7 +121,7 @@ class Run:
         mujoco.mj_fwdConstraint(m, d)
 
     def weaken(self, t: float) -> None:
-        """The supply's sag and the motors' warmth, in MuJoCo's gains and force ranges."""
+        """Applies the supply's sag and the motors' warmth to MuJoCo's gains and force ranges."""
         fish, m = self.fish, self.model
         left = self.share * np.exp(-fish.derating * t) * max(1.0 - fish.resistance * self.amps / self.supply, 0.3)
         m.actuator_gainprm[:, 0] = left * fish.kp
@@ -130,7 +130,7 @@ class Run:
         m.actuator_forcerange[:, 0], m.actuator_forcerange[:, 1] = -left * fish.torque, left * fish.torque
 
     def current(self) -> float:
-        """What motors and boards draw from the battery, A."""
+        """Current of motors and boards from the battery, A."""
         servo, force, rate = self.fish.robot.servo, self.data.actuator_force, self.data.qvel[self.hinges]
         constant = servo.voltage / servo.speed_no_load
         resistance = constant * servo.voltage / servo.torque
@@ -139,7 +139,7 @@ class Run:
 
 
 class Servos:
-    """The servos' processors: from the commands that arrive to the angles that MuJoCo's actuators are told to hold."""
+    """The servos' processors: from arriving commands to the target angles of MuJoCo's actuators."""
 
     def __init__(self, run: Run, first: np.ndarray):
         self.run, self.settings = run, run.fish.firmware
@@ -156,7 +156,7 @@ class Servos:
         return np.round(c / f.step) * f.step if f.step > 0.0 else c
 
     def tick(self, t: float) -> None:
-        """Once a firmware period: write MuJoCo's ctrl."""
+        """Writes MuJoCo's ctrl, once a firmware period."""
         f = self.settings
         wanted = self.shaped(self.goal)
         if f.move_time > 0.0:
@@ -175,10 +175,10 @@ class Servos:
 
 
 def swim(fish: Fish, arrivals, commands, seconds: float, start, push, joints, gust=None, step: float = STEP) -> Recording:
-    """Swim: commands (K, J) [rad] reach the servos at arrivals (K,) [s].
+    """Swims with commands (K, J) [rad] that reach the servos at arrivals (K,) [s].
 
     Raises:
-        SimDiverged: the state left the finite numbers; says when.
+        SimDiverged: the state left the finite numbers; gives the time.
     """
     run = Run(fish, step)
     run.place(start, push, np.asarray(joints, float) + fish.zero)

@@ -1,9 +1,9 @@
-"""Trials of a generator's robot: trial folders as a lab's, labelled synthetic, with nothing in them that tells what is hidden.
+"""Trials of a generator's robot: trial folders like a lab's, labelled synthetic, without any trace of the hidden effects.
 
     from fishmj import generators
     trials = generators.generate("morison", {"command_latency": {"delay": 0.04}}, ["gait", "chirp"], seed=7)
 
-One seed is one robot (its constants) and one noise, whatever is hidden and for however many experiments.
+One seed is one robot (its constants) and one noise, whatever is hidden and for any number of experiments.
 """
 
 from collections.abc import Callable, Iterable
@@ -29,7 +29,7 @@ def robot_of(
     family: str, effects: Effects, seed: int, *, nuisance: float = 0.1, robot: "str | Robot" = "fish",
     flow: tuple[float, float] = (0.0, 0.0),
 ) -> Fish:  # fmt: skip
-    """One robot with what is hidden in it. flow: speed [m/s] of the ordered stream and where it moves to [rad].
+    """One robot with hidden effects. flow: speed [m/s] and direction [rad] of the ordered stream.
 
     Raises:
         UnknownName: no such generator, effect or parameter. ConfigError: an impossible value, fewer than 2 or more than 8 links,
@@ -59,9 +59,10 @@ def generate(
 
     Args:
         family: a name of `families`. effects: {name: {parameter: value}}, SI; {} hides nothing.
-        noise: factor on every sensor's noise and on how badly the fish is placed; 0 leaves counts and latencies.
-        nuisance: relative half width of unmeasured constants; 0.1 takes each one's own tolerance.
-        tick: is told how many trials are done.
+        noise: factor on every sensor's noise and on the error of placing; 0 leaves counts and latencies.
+        nuisance: relative half width of unmeasured constants; 0.1 uses each one's own tolerance.
+        tick: receives the number of finished trials.
+
     Raises:
         as `robot_of`. SimDiverged: the robot left the finite numbers.
     """
@@ -84,7 +85,7 @@ def laid_on(fish: Fish, what: Excitation) -> np.ndarray:
 
 
 def record(fish: Fish, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> Recording:
-    """What really happens in trial `index`."""
+    """True motion in trial `index`."""
     commands = laid_on(fish, what)
     hand = noise * random_numbers.stream(seed, "placing", index).standard_normal(3)
     start = np.array(what.start) + hand * np.array([PLACED[0], PLACED[0], PLACED[1]])
@@ -97,7 +98,7 @@ def trial_of(
     fish: Fish, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str = "",
     flow: tuple[float, float] = (0.0, 0.0),
 ) -> Trial:  # fmt: skip
-    """Swim, then look through the sensors."""
+    """Swims and measures: one trial with the sensors' readings."""
     motion, draw = record(fish, what, seed, index, noise), lambda purpose: random_numbers.stream(seed, purpose, index)
     commands = laid_on(fish, what)
     tables = {

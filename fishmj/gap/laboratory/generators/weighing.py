@@ -1,4 +1,4 @@
-"""The weighing table of a generator's robot: what scales, a knife edge and two threads say of it, with their errors.
+"""Weighings of a generator's robot: readings of scales, a knife edge and two threads, with their errors.
 
 scales    every link by itself, m (1 + e), e of 0.1 %, read to 1 g;   knife edge  balance point from the nose, 1 mm
 pendulum  the straight fish on two threads of length l, d apart:  T = 4 pi sqrt(I l / (m g d^2)), 0.2 %      bifilar suspension
@@ -22,7 +22,7 @@ SCALE, READ, EDGE, CLOCK = 0.001, 0.001, 0.001, 0.002  # relative, kg, m, relati
 
 
 class Weight(NamedTuple):
-    """What perfect instruments would find of the straight fish."""
+    """Readings of perfect instruments on the straight fish."""
 
     links: np.ndarray  # (N,) kg
     balance: float  # m from the nose
@@ -30,7 +30,7 @@ class Weight(NamedTuple):
 
 
 def weight(run: Run) -> Weight:
-    """Read off MuJoCo's model; what slides or hangs in a link counts as its part."""
+    """Weight from MuJoCo's model; parts that slide or hang in a link count as its own."""
     model, data = run.model, run.data
     mujoco.mj_resetData(model, data)
     mujoco.mj_kinematics(model, data)

@@ -1,1 +1,1 @@
-"""Logs of the flow solver in which effects or numbers are hidden, and how well they were found."""
+"""Logs of the flow solver with hidden effects or numbers, and the score of their estimates."""

@@ -1,4 +1,4 @@
-"""Calibration trials of a robot whose numbers nobody wrote down, and the sealed file that holds them.
+"""Calibration trials of a robot with hidden numbers, and the sealed file that holds them.
 
     python -m fishmj campaign hidden_trials --water second                     seconds; all water is the second robot's
     python -m fishmj campaign hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
@@ -6,8 +6,8 @@
 
 Sine, square and impulse hung in air and put in water, swims at two beat rates, a coast-down; repeats of each; a page of
 weighings. The robot is `virtual_robot` with constants drawn anew: gain, damping, friction, latencies, masses; its swims may be
-the flow solver's, with a slip ratio drawn too. Who fits it may read everything in the folder but `sealed.json`, whose sha256
-stands in the manifest; `hidden_score` opens it.
+the flow solver's, with a drawn slip ratio too. A fit may read everything in the folder except `sealed.json`, whose sha256
+is in the manifest; `hidden_score` opens it.
 """
 
 import secrets
@@ -63,7 +63,7 @@ DRAWS = (
 
 
 def hidden(seed: int, medium: str = "water") -> RobotConstants:
-    """The robot of a seed: nuisance as every virtual robot has it, then the hidden numbers."""
+    """The robot of a seed: nuisance as in every virtual robot, then the hidden numbers."""
     made = plant({}, seed, medium=medium)
     rng = random_streams.stream(seed, "calibration")
     fields = {}
@@ -80,7 +80,7 @@ def slip_of(seed: int) -> float:
 
 
 def truth(made: RobotConstants) -> dict[str, float]:
-    """What a perfect calibration would find, in its own words, SI."""
+    """Result of a perfect calibration, in its own names, SI."""
     m, n, c = made.motor, made.network, made.camera
     return {
         "kp": m.gain,
@@ -154,7 +154,7 @@ def solver_trials(seed: int, args) -> dict[str, Trial]:
 
 
 def write(out: str | Path, seed: int, made: dict[str, Trial], generators: dict[str, str], *, overwrite: bool = False) -> Path:
-    """Trials, weighings, seal, manifest; with `overwrite`, trials of an earlier robot go. Returns the manifest's path."""
+    """Writes trials, weighings, seal, manifest; `overwrite` removes trials of an earlier robot. Returns the manifest's path."""
     out, robot = Path(out), hidden(seed)
     for old in sorted(out.glob("*/meta.toml")) if overwrite else ():
         if old.parent.name not in made:
@@ -165,7 +165,7 @@ def write(out: str | Path, seed: int, made: dict[str, Trial], generators: dict[s
 
 
 def seal(out: Path, seed: int, values: dict[str, float], generators: dict[str, str]) -> Path:
-    """Write the sealed file and, last, the manifest that knows its sha256 and does not list it."""
+    """Writes the sealed file and, last, the manifest, which holds its sha256 and does not list it."""
     (out / SEALED).unlink(missing_ok=True)
     found = Manifest.of(out)
     write_json(out / SEALED, {"schema": SCHEMA, "origin": "synthetic", "seed": seed, "values": values, "generators": generators})
@@ -175,6 +175,7 @@ def seal(out: Path, seed: int, values: dict[str, float], generators: dict[str, s
 
 
 def main(argv: list[str]) -> int:
+    """The command `campaign hidden_trials`. Returns the exit code."""
     parser = console.parser("campaign hidden_trials", "Calibration trials of a robot drawn anew, its numbers sealed.")
     add = parser.add_argument
     add("--out", type=console.out_folder, default=str(OUT), help="data set to write; refused when it is there")

@@ -1,11 +1,11 @@
-"""Many data sets of the flow solver with hidden effects, in several tanks; the same command goes on where it was stopped.
+"""Many data sets of the flow solver with hidden effects, in several tanks; the same command continues an interrupted run.
 
 python -m fishmj campaign hidden --sets 48 --effects none --device cuda --out data/gap/lbm_null --truth truth_null.json
 python -m fishmj campaign hidden --sets 36 --effects command_latency yaw_drag ... --device cuda --out data/gap/lbm --truth t.json
 python -m fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --excitations gait,steps,tow_ahead --seconds 5 ...
 
-Set i hides effect i of the list, round and round, in a robot of its own. OUT/<set>/ is a data set; what is hidden in it stands
-in the truth file only.
+Set i hides effect i of the list, cyclically, in its own robot. OUT/<set>/ is a data set; only the truth file names its hidden
+effect.
 """
 
 from collections.abc import Iterator
@@ -34,6 +34,7 @@ ON_GPU = 12
 
 
 def main(argv: list[str]) -> int:
+    """The command `campaign hidden`. Returns the exit code."""
     parser = console.parser("campaign hidden", "Data sets of the flow solver in which effects are hidden.")
     add = parser.add_argument
     add("--sets", type=console.whole(1, 10_000), default=1, metavar="N", help="data sets, a robot each")
@@ -83,7 +84,7 @@ def main(argv: list[str]) -> int:
 
 
 def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) -> dict[str, str]:
-    """Run what is missing in `out`; a set that is complete gets its manifest. Returns what nothing sound was left of.
+    """Runs the missing part of `out`; a complete set gets its manifest. Returns the trials without a sound part, with reasons.
 
     device: one, or several as for `devices_of`. tanks: side by side on each.
     """
@@ -109,7 +110,7 @@ def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) 
 
 
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int) -> Iterator[tuple[tuple, Trial | str]]:
-    """Trials of jobs on one device (`spread`), each with what its job came with; why, where nothing of it was sound."""
+    """Trials of jobs on one device (`spread`), each with its job's key; the reason in place of a trial without a sound part."""
     jobs_of = Owned(waiting)
     for run in swum(jobs_of, device, tanks):
         made: Trial | str
@@ -144,7 +145,7 @@ def plan_of(args, sets: int) -> dict[str, list[Job]]:
 
 
 def effects_of(args, i: int) -> dict:
-    """What set i hides."""
+    """Hidden effects of set i."""
     text = args.effects[i % len(args.effects)]
     return {} if text == "none" else parse([text], args.seed + i)
 
@@ -159,10 +160,10 @@ def _cut(what: Excitation, seconds: float | None) -> Excitation:
 
 
 def _apart(args) -> None:
-    """Where trials and truth go, before anything is planned.
+    """Checks the places of trials and truth, before anything is planned.
 
     Raises:
-        ConfigError: nobody said, or the truth would lie among the trials.
+        ConfigError: not stated, or the truth would lie among the trials.
     """
     if None in (args.out, args.truth) and not args.dry_run:
         raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
@@ -171,7 +172,7 @@ def _apart(args) -> None:
 
 
 def _seal(args) -> None:
-    """Write what is hidden, before anything is run; a later call must ask for the same."""
+    """Writes the hidden effects before anything is run; a later call must ask for the same."""
     asked = {key: getattr(args, key) for key in ("sets", "seed", "noise", "nuisance", "slip", "domain", "excitations", "seconds")}
     asked |= {} if args.model == "fish" else {"model": args.model}
     hidden = {f"set_{i:03d}": {"effects": effects_of(args, i), "seed": args.seed + i} for i in range(args.sets)}
@@ -186,6 +187,6 @@ def _seal(args) -> None:
 
 
 def _close(folder: Path, lost: dict[str, str]) -> None:
-    """The manifest makes it a data set."""
+    """Writes the manifest, which makes the folder a data set."""
     if folder.is_dir() and not (folder / "manifest.json").is_file():
         Manifest.of(folder, {"origin": "synthetic", "licence": "Apache-2.0", "lost": lost}).write(folder)

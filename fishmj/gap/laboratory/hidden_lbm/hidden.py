@@ -4,8 +4,8 @@
     trials = generate_lbm({"command_latency": {"delay": 0.04}}, ["gait", "steps", "tow_ahead"], seed=7)
 
 Actuator, timing and measurement effects are the second robot's own code; masses are the immersed body's; a steady current is the
-solver's; other effects of the water are the force that they make in the second robot's water, added to the solver's. One seed
-is one robot (servo, radio, masses, slip) and one noise, whatever is planted. Nothing in a trial says what that is.
+solver's; other effects of the water are their force in the second robot's water, added to the solver's. One seed
+is one robot (servo, radio, masses, slip) and one noise, whatever is planted. Nothing in a trial names the planted effect.
 """
 
 from collections import deque
@@ -45,10 +45,10 @@ CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, fra
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One trial: a robot, an experiment, what its noise is drawn from.
+    """One trial: a robot, an experiment, the seeds of its noise.
 
     heavier: factor on all masses. slip, sharpness: of the boundary. flow: ordered stream, m/s and rad. hand: seed of
-    how the fish is placed and how late packets are, in the place of the robot's own.
+    placing and packet delays, in place of the robot's own.
     """
 
     made: RobotConstants
@@ -67,12 +67,12 @@ class Job:
 
     @property
     def placing(self) -> int:
-        """Seed of the hand and the radio."""
+        """Seed of placing and radio."""
         return self.seed if self.hand is None else self.hand
 
     @property
     def steps(self) -> int:
-        """Of the domain's own length, the coarsest water's."""
+        """Number of time steps of the domain, the coarsest water's."""
         return round((self.what.seconds + (CARRY if self.carried else 0.0)) / self.domain.dt)
 
     @property
@@ -83,12 +83,12 @@ class Job:
 
     @property
     def carried(self) -> bool:
-        """Whether a carriage takes the fish along, or holds it in a stream, before it lets go."""
+        """Returns True if a carriage takes the fish along, or holds it in a stream, before it lets go."""
         return any(self.what.push) or bool(np.any(self.stream))
 
 
 class HiddenRun(Run):
-    """A `Run` on the second robot's servos; `tick` takes no notice of the command, the queue has them all.
+    """A `Run` on the second robot's servos; `tick` ignores the command, since the queue has them all.
 
     Raises:
         OracleUnstable, ConfigError: the job could not be set up.
@@ -117,11 +117,12 @@ class HiddenRun(Run):
 
     @property
     def end(self) -> int:
-        """Ticks of the whole experiment."""
+        """Number of ticks of the whole experiment."""
         return round(self.job.what.seconds / PERIOD)
 
     @property
     def done(self) -> bool:
+        """Returns True after the last tick, or if the run has stopped."""
         return self.ticks >= self.end or bool(self.stopped)
 
     def recording(self) -> Recording:
@@ -131,7 +132,7 @@ class HiddenRun(Run):
         return Recording(whole.t[:rows], whole.data[:rows])
 
     def _carry(self, start: np.ndarray) -> None:
-        """Take the fish along, or hold it, joints still, until t = 0 at `start`."""
+        """Carries the fish along, or holds it, joints still, until t = 0 at `start`."""
         dt, push = self.coupled.body.dt, self.job.what.push
         steps, still = round(CARRY / dt), np.zeros(self.joints)
         before = carriage(start, push, CARRY)
@@ -150,12 +151,12 @@ class HiddenRun(Run):
 
 
 def hidden_run(job: Job, device: str) -> HiddenRun:
-    """The run of a job, in levels where its box of water has some; raises as `HiddenRun`."""
+    """The run of a job, with refined levels if its domain has some; raises as `HiddenRun`."""
     return (HiddenRun if job.domain.fine is None else in_levels(HiddenRun))(job, device)
 
 
 class ElectronicsDriver:
-    """The joints' torque from the electronics for one tick; a joint that friction holds is prescribed not to move."""
+    """Joint torques from the electronics for one tick; a joint held by friction is prescribed not to move."""
 
     power = 0.0  # their own record has it
 
@@ -165,14 +166,16 @@ class ElectronicsDriver:
         electronics.place(self.body)
 
     def actuate(self, step: int) -> tuple[np.ndarray, np.ndarray]:
+        """Sets the joints' law for one step; returns the flags of prescribed motions and their rates, zero."""
         self.electronics.actuate(self.body, self.began + step * self.body.dt)
         fixed = np.concatenate([np.zeros(3), self.electronics.held])
         return fixed, np.zeros(len(fixed))
 
     def record(self) -> None:
-        """Nothing to keep."""
+        """Does nothing."""
 
     def follow(self) -> None:
+        """Passes the solver's state to the electronics."""
         self.electronics.follow(self.body)
 
 
@@ -181,7 +184,7 @@ def _hidden(coupled: FluidStructure) -> HiddenBody:
 
 
 def carriage(start: np.ndarray, push, before: float) -> np.ndarray:
-    """Pose (3,) `before` s ahead of t = 0 of a carriage with steady velocity `push` in its own axes, at `start` at t = 0."""
+    """Pose (3,) at `before` s ahead of t = 0 of a carriage with steady velocity `push` in its own axes, at `start` at t = 0."""
     u, v, r = push
     turned = -r * before
     yaw = start[2] + turned
@@ -228,7 +231,7 @@ def generate_lbm(
 
     Raises:
         UnknownName, ConfigError: as `virtual_robot.generate`; no such domain. OracleUnstable: an experiment could not be set up,
-        or less than a second of it was sound.
+            or less than a second of it was sound.
     """
     waiting = jobs(effects, excitations, seed, noise, nuisance, domain, slip, flow=flow, robot=robot)
     order = [job.name for job in waiting]
@@ -272,7 +275,7 @@ def jobs(
 
 
 def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
-    """Run jobs, `tanks` side by side; they come back as they finish, or stop; a device of several (`spread`) has its part."""
+    """Runs jobs, `tanks` side by side; yields them as they finish or stop. Of several devices (`spread`) each takes its part."""
     queue: Waiting = deque(waiting) if isinstance(waiting, Iterable) else waiting
     busy: list[HiddenRun] = []
     while busy or queue:
@@ -285,7 +288,7 @@ def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1
 
 
 class Owned:
-    """Jobs of a `waiting` that holds pairs of an owner and its job: `swum` takes the jobs, `owner` says whose a run was."""
+    """Queue of jobs from pairs of an owner and its job: `swum` takes the jobs, `owner` returns the owner of a run."""
 
     def __init__(self, waiting: Waiting):
         self.waiting = waiting
@@ -295,22 +298,24 @@ class Owned:
         return bool(self.waiting)
 
     def popleft(self) -> Job:
+        """Takes the next job."""
         owner, job = self.waiting.popleft()
         self.of[id(job)] = owner
         return job
 
     def owner(self, run: HiddenRun) -> Any:
+        """Owner of a run's job; forgets the pair."""
         return self.of.pop(id(run.job))
 
 
 def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = None) -> Trial:
-    """What the sensors made of a finished run; a run that failed is kept as far as it was sound.
+    """The sensors' readings of a finished run; of a failed run, its sound part.
 
-    noise: factor on the sensors' noise in the place of the job's. draw: of which trial number their noise is, by default the
+    noise: factor on the sensors' noise in place of the job's. draw: number of the trial that selects their noise, by default the
     job's.
 
     Raises:
-        OracleUnstable: less than a second of it was.
+        OracleUnstable: less than a second of it was sound.
     """
     job, made, what = run.job, run.job.made, run.job.what
     record, ticks = run.recording(), run.ticks

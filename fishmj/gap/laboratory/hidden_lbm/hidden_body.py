@@ -2,16 +2,16 @@
 
     f  = T^T (f_effect - f_null),   A = T^T (A_effect - A_null) T          W_k = psi' + j_1' + .. + j_k'  in T
 
-What a hydrodynamic effect adds in the second robot's own water, at the same state, is added to the solver's: force explicitly,
-added mass in the mass matrix. Masses, balance and inertia are the MuJoCo body's own.
+The contribution of a hydrodynamic effect in the second robot's own water, at the same state, is added to the solver's: force
+explicitly, added mass in the mass matrix. Masses, balance and inertia are the MuJoCo body's own.
 
     tau_j ~ a_j - D_j w_j      over one step of the water, a_j = P_j / dt + D_j w_j*
 
-The solver finds fish and water together and needs each joint's torque in that form. Firmware, bridge, gears and friction of the
-second robot run 1 ms at a time; they are sent ahead through the step with the second robot's own water as a guess of what the
-joints will do. P_j is the impulse that they gave, friction included, w_j* the rate that they ended with, D_j the mean slope of
-back-EMF and grease. Where the solver's water moves the joint otherwise, the slope answers, implicitly. A joint that friction
-held all the way is not moved at all (`held`): its row of the solve is w_j = 0.
+The solver solves for fish and water together and needs each joint's torque in that form. Firmware, bridge, gears and friction of
+the second robot run 1 ms at a time; they run ahead through the step with the second robot's own water as a prediction of the
+joints' motion. P_j is their impulse, friction included, w_j* their final rate, D_j the mean slope of back-EMF and grease. If the
+solver's water moves the joint otherwise, the slope corrects the torque, implicitly. A joint that friction held all the time is
+not moved at all (`held`): its row of the solve is w_j = 0.
 """
 
 from math import exp
@@ -39,10 +39,10 @@ REAL = ("flow_x", "flow_y", "current_x", "current_y")  # of the tank: the solver
 
 @entry
 def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, record, work, law):
-    """Send the servos len(record) milliseconds ahead; moves `s` on, its places and rates only as a guess.
+    """Runs the servos len(record) milliseconds ahead; advances `s`, its places and rates only as a prediction.
 
     Args:
-        as `virtual_robot.loop.advance`; a joint's rotor counts in the guess and belongs into the solver's mass matrix, too.
+        as `virtual_robot.loop.advance`; a joint's rotor counts in the prediction and belongs into the solver's mass matrix, too.
         law: (J, 5) written: impulse N m s, slope summed over time N m s^2/rad, rate at the end, greatest rate rad/s, scratch.
     """
     A, f, mobility, columns, bound, w, stream, sprung = work
@@ -108,12 +108,12 @@ class HiddenBody(DrivenBody):
         self.set_masses(heavier * rigid.mass, middle, heavier * (rigid.second - rigid.mass * middle**2))
 
     def set_torque(self, a: np.ndarray, slope: np.ndarray) -> None:
-        """tau = a - slope w on the joints (J,) in the next step, N m and N m s/rad."""
+        """Sets tau = a - slope w on the joints (J,) for the next step, N m and N m s/rad."""
         self.drive(np.concatenate([self.applied[:3], a]), slope)
 
 
 class HiddenDifference:
-    """What the planted effects change in the second robot's water; None of it for actuators, clocks and sensors."""
+    """Change of the second robot's water by the planted effects; zero for actuators, clocks and sensors."""
 
     def __init__(self, made: RobotConstants, gust: np.ndarray):
         rigid = HullConstants(mass=made.hull.mass, com=made.hull.com, inertia=made.hull.inertia)
@@ -132,7 +132,7 @@ class HiddenDifference:
         self._work = [(np.zeros(4), np.zeros((n, n)), np.zeros(n)) for _ in self.pair]
 
     def __call__(self, state: State, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Force (n,) and added mass (n, n) over (x, y, psi, j1..jJ) at `state`; moves the wakes on by h."""
+        """Force (n,) and added mass (n, n) over (x, y, psi, j1..jJ) at `state`; advances the wakes by h."""
         found = []
         for groups, wake, (stream, A, f) in zip(self.pair, self.wakes, self._work, strict=True):
             *groups_, gust = groups
@@ -161,10 +161,10 @@ class Queue(NamedTuple):
 class Electronics:
     """One robot's electronics on the joints of the solver's fish: commands arrive, servos push, everything is recorded.
 
-    Per step of the water `actuate` sends the servos ahead and gives the solver their law, `follow` takes the state that it found.
+    Per step of the water `actuate` runs the servos ahead and gives the solver their law, `follow` takes the solver's state.
 
     Args:
-        made: the robot. state: at t = 0. queue: what arrives, and when. gust: weather of the second robot's water (G, 2).
+        made: the robot. state: at t = 0. queue: arriving commands with times. gust: weather of the second robot's water (G, 2).
     """
 
     def __init__(self, made: RobotConstants, state: State, queue: Queue, gust: np.ndarray):
@@ -177,7 +177,7 @@ class Electronics:
         self._kept: tuple[list[np.ndarray], int, float] = ([], 0, 0.0)
 
     def begin_tick(self, tick: int) -> None:
-        """Called at the start of every attempt at a tick: a second one starts from where the first did."""
+        """Prepares an attempt at a tick: a second attempt starts from the same state as the first."""
         arrays = (*self.state, *self.difference.wakes)
         if tick != self._tick:
             self._tick, self._kept = tick, ([a.copy() for a in arrays], len(self.rows), self._next)
@@ -188,7 +188,7 @@ class Electronics:
         del self.rows[rows:]
 
     def actuate(self, body: HiddenBody, time: float) -> None:
-        """Set the joints' law, and what effects add, for the step of the water that begins at `time` s."""
+        """Sets the joints' law, and the effects' contributions, for the step of the water that begins at `time` s."""
         extra = np.zeros(self.joints)
         if self.difference.acts:
             force, mass = self.difference(self.state, body.dt)
@@ -211,7 +211,7 @@ class Electronics:
         self.rows.append(record)
 
     def follow(self, body: HiddenBody) -> None:
-        """The state that the solver found in place of the guess; between its steps the recording is a straight line."""
+        """Replaces the prediction by the solver's state; between its steps the recording is linear."""
         self.place(body)
         record = self.rows[-1]
         if len(record) > 1:
@@ -220,7 +220,7 @@ class Electronics:
             record[:, : len(now)] = record[0, : len(now)] + share * (now - record[0, : len(now)])
 
     def place(self, body: HiddenBody) -> None:
-        """Places and rates of the body, links by absolute angle."""
+        """Copies places and rates of the body, links by absolute angle."""
         q, v = body.data.qpos, body.data.qvel
         self.state.z[:2], self.state.rate[:2] = q[:2], v[:2]
         self.state.z[2:], self.state.rate[2:] = np.cumsum(q[2:]), np.cumsum(v[2:])

@@ -1,4 +1,4 @@
-"""Who opens the seal: fitted numbers against the hidden ones. Nothing that fits imports this; `calibrate score` calls it."""
+"""Opens the seal: fitted numbers against the hidden ones. No fit imports this; `calibrate score` calls it."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from fishmj.gap.laboratory.hidden_lbm import calibration_trials
 
 
 def main(argv: list[str]) -> int:
-    """Compare the [calibration.*] blocks of a fish file with the seal."""
+    """Compares the [calibration.*] blocks of a fish file with the seal. Returns the exit code."""
     parser = console.parser("calibrate score", "Fitted numbers against the sealed ones of synthetic trials.")
     shipped = calibration_trials.OUT if calibration_trials.OUT.is_dir() else calib_folder() / "trials"
     parser.add_argument("--data", type=console.path, default=shipped, help="data set of synthetic trials with its seal")

@@ -2,9 +2,9 @@
 
 It shares the drawn outline, masses and servo numbers with the first one and nothing else; see docs/search/virtual_robot.md.
 
-    generate(effects, excitations, seed) -> [Trial]     trials in which effects are hidden
+    generate(effects, excitations, seed) -> [Trial]     trials with hidden effects
     plant(effects, seed) -> Plant                       the numbers of such a robot
-    EFFECTS                                             what can be hidden: the catalogue and families outside it
+    EFFECTS                                             effects that can be hidden: the catalogue and families outside it
 """
 
 from typing import TYPE_CHECKING, Any

@@ -89,7 +89,7 @@ def _runs(text: str, logs: int | None) -> list[str]:
 
 
 def stream(text: str) -> tuple[float, float]:
-    """`0.2,3.14`: speed [m/s] and direction [rad].
+    """Parses `0.2,3.14`: speed [m/s] and direction [rad].
 
     Raises:
         ArgumentTypeError: no two numbers in their ranges.

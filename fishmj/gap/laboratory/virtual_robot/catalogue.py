@@ -1,8 +1,8 @@
-"""What can be hidden in a virtual robot by this room's own code: named effects, each parameter a field of `constants.py`.
+"""Effects that can be hidden in a virtual robot by this room's own code: each parameter is a field of `constants.py`.
 
-`CATALOGUE` are the effects of the catalogue, `ODDITIES` those that no catalogue holds: given one of them, a workflow should say
-that it does not know. One row each: parameters, where they show, what shows them. Units are SI, nulls 0 unless the row says
-otherwise. Delays come on top of the nominal ones in the fish description.
+`CATALOGUE` are the effects of the catalogue. `ODDITIES` are others: for one of them, the right answer of a workflow is that it
+does not know. One row each: parameters, channels in which they show, experiments that show them. Units are SI, nulls 0 unless the
+row has another. Delays come on top of the nominal ones in the fish description.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 
 @dataclass(frozen=True, kw_only=True)
 class EntryParameter:
-    """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur; least, most: what is possible."""
+    """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur; least, most: possible range."""
 
     name: str
     unit: str
@@ -43,7 +43,7 @@ class CatalogueEntry:
 
     @property
     def nulls(self) -> dict[str, float]:
-        """Values at which it is not there."""
+        """Parameter values without effect."""
         return {p.name: p.null for p in self.parameters}
 
     @property
@@ -68,7 +68,7 @@ class CatalogueEntry:
         return values
 
     def fields(self, values: Mapping[str, float]) -> dict[str, float]:
-        """{"motor.deadband": 0.01} for given parameter values; those not named stay at their null.
+        """Fields for given parameter values, as {"motor.deadband": 0.01}; missing parameters stay at their null.
 
         Raises:
             UnknownName: a parameter that the effect does not have. ConfigError: a value that is no number or impossible.
@@ -90,7 +90,7 @@ _SWIM, _TURN = ("gait", "turn_left"), ("turn_left", "spin")
 
 
 def _one(name, unit, field, low, high, *, null=0.0, signed=False, least=None, most=np.inf) -> tuple[EntryParameter, ...]:
-    """The main parameter. What is not signed is not negative, except inertia and water: there may be less than believed."""
+    """The main parameter. An unsigned one is not negative, except for inertia and water, which may be less than believed."""
     if least is None:
         least = -np.inf if signed or field.startswith(("hull.", "water.")) else 0.0
     return (
@@ -99,7 +99,7 @@ def _one(name, unit, field, low, high, *, null=0.0, signed=False, least=None, mo
 
 
 def _keep(name, unit, field, value, spread=1.5, least=1e-3) -> EntryParameter:
-    """A second parameter that means nothing while the first is null."""
+    """A second parameter that has no meaning while the first is null."""
     return EntryParameter(
         name=name, unit=unit, field=field, typical=(value / spread, value * spread), null=value, default=True, least=least
     )

@@ -55,7 +55,7 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
             uy = stream[1] + tank.swirl * px
             dux = stream[2] + (tank.shear - tank.swirl) * uy
             duy = stream[3] + tank.swirl * ux
-            # the stream's turning along the link: n . (grad U) t
+            # rotation of the stream along the link: n . (grad U) t
             turning = nx * (tank.shear - tank.swirl) * ty + ny * tank.swirl * tx
             u, v, r = tx * (ox - ux) + ty * (oy - uy), nx * (ox - ux) + ny * (oy - uy), w - turning
             ft, fn, m = link_force(body, water, odd, s, i, u, v, r, bend, time, h)
@@ -83,7 +83,7 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
 
 @compiled
 def _add_link(A, f, i, inertia, axes, load, arms):
-    """Add link i to A and f, and through the arms x_k n_k (k < i) to the links before it; inertia and load in its axes."""
+    """Adds link i to A and f, and through the arms x_k n_k (k < i) to the links before it; inertia and load in its axes."""
     along, across, cross, spin = inertia
     tx, ty, nx, ny = axes
     Fx, Fy, moment = load
@@ -113,7 +113,7 @@ def _add_link(A, f, i, inertia, axes, load, arms):
 
 @compiled
 def hang(air, s, anchor, f):
-    """A fish in air hangs on a thread: springs and damping of (stiffness, damping, twist, twist damping)."""
+    """Adds the forces of a thread on a fish in air: springs and damping of (stiffness, damping, twist, twist damping)."""
     f[0] -= air[0] * (s.z[0] - anchor[0]) + air[1] * s.rate[0]
     f[1] -= air[0] * (s.z[1] - anchor[1]) + air[1] * s.rate[1]
     f[2] -= air[2] * (s.z[2] - anchor[2]) + air[3] * s.rate[2]
@@ -121,7 +121,7 @@ def hang(air, s, anchor, f):
 
 @compiled
 def push_joint(A, f, j, torque, inertia):
-    """Torque between links j and j + 1; inertia: rotor and h times damping, kg m2."""
+    """Adds a torque between links j and j + 1; inertia: rotor and h times damping, kg m2."""
     f[2 + j] -= torque
     f[3 + j] += torque
     A[2 + j, 2 + j] += inertia
@@ -142,7 +142,7 @@ def factor(body, A):
 
 @compiled
 def solve(body, L, b):
-    """Solve L L^T x = b in place."""
+    """Solves L L^T x = b in place."""
     n = len(body.links) + 2
     for i in range(n):
         total = b[i]

@@ -1,10 +1,10 @@
-"""The same robot step by step, for a loop that is closed from outside: a radio that loops back, a controller under test.
+"""The same robot step by step, for a closed loop: a radio loopback, or a controller under test.
 
     fish = ClosedLoopRobot({"command_latency": {"delay": 0.02}}, seed=3)
     fish.send((0.3, 0.2, 0.1))                  # leaves now, arrives after the radio's latency, or never
     packets = fish.advance(0.02)                # {"joint": {...}, "power": {...}, "pose": {...}} that became readable
 
-Time is the robot's own and moves only with `advance`; whoever wants real time waits between calls.
+Time is the robot's own and moves only with `advance`; a real-time caller waits between calls.
 """
 
 import heapq
@@ -59,7 +59,7 @@ class ClosedLoopRobot:
         return float(self._state.clock[0])
 
     def send(self, command: Sequence[float] | np.ndarray) -> None:
-        """Send the joints' angles (J,) [rad] now."""
+        """Sends the joints' angles (J,) [rad] now."""
         angles, joints = np.asarray(command, float), len(self.plant.zero)
         if angles.shape != (joints,) or not np.all(np.isfinite(angles)):
             raise ConfigError(f"virtual robot: command {command!r}; expected {joints} finite angles in rad")
@@ -68,7 +68,7 @@ class ClosedLoopRobot:
             heapq.heappush(self._queue, (arrival, next(self._order), angles))
 
     def advance(self, seconds: float) -> dict[str, dict[str, np.ndarray]]:
-        """Move on by whole milliseconds; returns the tables' rows that fell due, without the tracker's velocity."""
+        """Advances by whole milliseconds; returns the rows of the tables that fell due, without the tracker's velocity."""
         steps = round(seconds / H)
         if steps < 1:
             raise ConfigError(f"virtual robot: advance({seconds}); at least one step of {H} s")
@@ -91,6 +91,6 @@ class ClosedLoopRobot:
 
 
 def _joined(past: Recording, fresh: Recording) -> Recording:
-    """Both in a row, the last MEMORY seconds before the fresh part kept."""
+    """Both recordings in a row, with the last MEMORY seconds before the fresh part."""
     keep = past.t >= fresh.t[0] - MEMORY
     return Recording(np.concatenate([past.t[keep], fresh.t]), np.concatenate([past.data[keep], fresh.data]))

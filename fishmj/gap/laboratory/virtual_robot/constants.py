@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class HullConstants(NamedTuple):
-    """What is added to the weighed and drawn fish, at the reference point; all effects."""
+    """Additions to the weighed and drawn fish, at the reference point; all effects."""
 
     mass: float = 0.0  # kg
     com: float = 0.0  # m, the head's centre of mass moves forward
@@ -89,7 +89,7 @@ class MotorConstants(NamedTuple):
 
 
 class TankConstants(NamedTuple):
-    """Water that moves by itself, a tether, walls at +-half."""
+    """Moving water, a tether, walls at +-half."""
 
     half: float  # m
     flow_x: float = 0.0  # m/s, the stream that was ordered
@@ -106,14 +106,14 @@ class TankConstants(NamedTuple):
 
 
 class Placing(NamedTuple):
-    """How well the hand puts the fish at its start."""
+    """Errors of placing the fish at its start."""
 
     position: float  # m
     heading: float  # rad
 
 
 class Network(NamedTuple):
-    """Radio and bus: when commands arrive, when angles are read."""
+    """Radio and bus: arrival of commands, times of angle readings."""
 
     period: float  # s, between commands and between readings
     latency: float  # s, nominal, from sending to the servo
@@ -128,7 +128,7 @@ class Network(NamedTuple):
 
 
 class Camera(NamedTuple):
-    """The tracker above the tank: when it looks, what it makes of the marker."""
+    """The tracker above the tank: its timing, and its errors of the marker."""
 
     period: float  # s
     latency: float  # s, nominal, from exposure to the stamp
@@ -158,7 +158,7 @@ class Meter(NamedTuple):
 
 
 class Uncatalogued(NamedTuple):
-    """What no catalogue holds; every field is an effect and null at 0 unless its default says otherwise."""
+    """Effects outside every catalogue; every field is null at 0 unless its default differs."""
 
     bouc_torque: float = 0.0  # N m, hysteresis of the skin
     bouc_angle: float = 0.1  # rad, at which it saturates

@@ -1,4 +1,4 @@
-"""What the second robot swims like: the figures of docs/search/virtual_robot.md.
+"""Swimming figures of the second robot, for docs/search/virtual_robot.md.
 
 python -m fishmj.gap.laboratory.virtual_robot.figures
 """
@@ -46,13 +46,14 @@ def tow(made: RobotConstants, speed: float = 0.3) -> float:
 
 
 def coast(made: RobotConstants, speed: float = 0.3) -> float:
-    """Seconds until a straight fish that was let go at `speed` is half as fast."""
+    """Time until a straight fish that was let go at `speed` [m/s] is half as fast, s."""
     record = run(made, at_rest((0.0, 0.0, 0.0), 0.0 * made.zero, made.motor.voltage, (speed, 0.0, 0.0)), [], [], 15.0)
     slow = np.flatnonzero(record.at(record.t, "vx")[:, 0] < speed / 2)
     return float(record.t[slow[0]]) if len(slow) else float("nan")
 
 
 def main(argv: list[str]) -> int:
+    """Prints the figures. Returns the exit code."""
     console.parser("virtual_robot.figures", "Steady gaits of the second robot.", json=False).parse_args(argv)
     made, degree = plant({}, nuisance=0.0), np.pi / 180
     rows = []

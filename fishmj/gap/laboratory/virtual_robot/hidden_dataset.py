@@ -1,6 +1,6 @@
 """Hidden effects on disk: a data set of trials, and its truth in another file.
 
-The truth file is JSON with what was planted, the seed and the hash of the data set's manifest. It may not lie in the data set.
+The truth file is JSON with the planted effects, the seed and the hash of the data set's manifest. It may not lie in the data set.
 """
 
 import re
@@ -31,13 +31,13 @@ LOTTERIES = {"random": CATALOGUE, "random_odd": ODDITIES}
 
 
 def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> dict[str, dict[str, float]]:
-    """What `--plant` says: `NAME`, `NAME=value` (main parameter), `NAME:p=1,q=2`, `random`, `random_odd`.
+    """Parses `--plant`: `NAME`, `NAME=value` (main parameter), `NAME:p=1,q=2`, `random`, `random_odd`.
 
-    Values that are not said are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their nulls.
+    Missing values are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their nulls.
     limits: of each parameter of an effect; default, `bounds`.
 
     Raises:
-        UnknownName: no such effect or parameter. ConfigError: no number, one out of its range, an effect that is said twice, or
+        UnknownName: no such effect or parameter. ConfigError: no number, one out of its range, an effect twice, or
             one of the user's own.
     """
     effects: dict[str, dict[str, float]] = {}
@@ -76,13 +76,13 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
 
 
 def own_reference(text: str) -> str:
-    """The `package.module:Name` or `file.py:Name` that what a user wrote begins with; "" for a plain name."""
+    """The `package.module:Name` or `file.py:Name` at the start of the user's text; "" for a plain name."""
     found = OWN.match(text)
     return found[0] if found else ""
 
 
 def bounds(name: str, parameter: EntryParameter) -> tuple[float, float]:
-    """What may be planted: what is possible, up to WIDEST times the largest typical size; without a sign, little below null."""
+    """Range of a planted value: the possible one, up to WIDEST times the largest typical size; little below null if unsigned."""
     size = max(abs(t - (0.0 if parameter.default else parameter.null)) for t in parameter.typical)
     below = WIDEST if parameter.signed or parameter.null else BELOW
     low, high = max(parameter.least, parameter.null - below * size), min(parameter.most, parameter.null + WIDEST * size)
@@ -97,10 +97,10 @@ def _ranged(text: str, parameter: EntryParameter, value: float, limits: tuple[fl
 
 
 def placed(folder: Path, truth: Path, names: Iterable[str], overwrite: bool) -> tuple[Path, Path]:
-    """Where a data set and its truth go, as absolute paths; asked before the work.
+    """Absolute paths of a data set and its truth, checked before the work.
 
     Raises:
-        ConfigError: a name that cannot stand in a path, something else is there, or it would lie inside another data set.
+        ConfigError: a name that cannot stand in a path, an existing file, or a place inside another data set.
     """
     folder, truth = Path(folder).absolute(), Path(truth).absolute()
     checked(folder.resolve().name, "data set", "--out")
@@ -136,10 +136,10 @@ def write_hidden(
     folder: Path, truth: Path, trials: list[Trial], effects: Mapping, facts: Mapping, overwrite: bool = False,
     page: Mapping | None = None,
 ) -> None:  # fmt: skip
-    """Write the data set, with a page of weighings if there is one, then its truth.
+    """Writes the data set, with a page of weighings if there is one, then its truth.
 
     Raises:
-        ConfigError: the truth would lie inside the data set. StoreError: a file is there already, or the disk refuses.
+        ConfigError: the truth would lie inside the data set. StoreError: a file exists, or the disk refuses.
     """
     folder, truth = Path(folder), Path(truth)
     _apart(folder, truth)

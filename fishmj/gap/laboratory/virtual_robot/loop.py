@@ -13,7 +13,7 @@ GUST = 0.02  # s, spacing of the gust table
 
 @entry
 def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, commands, s, record, work):
-    """Run len(record) steps; writes `simulate.columns` of every step, before it moves, into record (T, 8 + 4 J).
+    """Runs len(record) steps; writes `simulate.columns` of every step, before the motion, into record (T, 8 + 4 J).
 
     arrivals (K,): times [s] at which commands (K, J) [rad] reach the servos, rising. gust (G, 2): water velocity that varies in
     time [m/s], every GUST s from t = 0, linear between. work: `simulate.workspace`.
@@ -69,7 +69,7 @@ def blow(gust, tank, time, stream):
 
 @compiled
 def rub(body, L, dv, s, mobility, columns, bound, w):
-    """Add to the velocity change dv what dry friction does; L the factor of the mass matrix."""
+    """Adds the effect of dry friction to the velocity change dv; L: factor of the mass matrix."""
     joints, places = len(body.joints), len(body.links) + 2
     for j in range(joints):
         for a in range(places):
@@ -88,7 +88,7 @@ def rub(body, L, dv, s, mobility, columns, bound, w):
 
 @compiled
 def write(body, record, step, s):
-    """One row of `simulate.columns`."""
+    """Writes one row of `simulate.columns`."""
     joints = len(body.joints)
     for a in range(3):
         record[step, a] = s.z[a]

@@ -1,8 +1,8 @@
 """Radio and bus: a queue of command packets, each with its own delay; telemetry of the joints.
 
-A packet that is sent at t_k reaches the servos at t_k + latency + jitter, unless it is lost; a late packet may be overtaken, and
-then the older command comes last and stays until the next one. The small jitter of a good radio has no mean (the nominal latency
-holds it); the effect only ever delays. Stamps are the sender's.
+A packet that is sent at t_k reaches the servos at t_k + latency + jitter, unless it is lost. A late packet may be overtaken; then
+the older command comes last and stays until the next one. The small jitter of a good radio has zero mean (the nominal latency
+includes it); the effect only delays. Stamps are the sender's.
 """
 
 import heapq
@@ -16,14 +16,14 @@ from fishmj.gap.laboratory.virtual_robot.simulate import Recording
 
 
 class Delivery(NamedTuple):
-    """What reaches the servos. times (K,) s rising, commands (K, J) rad."""
+    """Commands at the servos. times (K,) s rising, commands (K, J) rad."""
 
     times: np.ndarray
     commands: np.ndarray
 
 
 class Radio:
-    """Decides, packet by packet, when a command reaches the servos."""
+    """Decides, packet by packet, the arrival of a command at the servos."""
 
     def __init__(self, network: Network, odd: Uncatalogued, seed: int, trial: int, noise: float):
         self.network, self.odd, self.noise = network, odd, noise
@@ -46,7 +46,7 @@ class Radio:
 def deliver(
     network: Network, odd: Uncatalogued, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
 ) -> Delivery:
-    """Send commands (K, J) at `sent` (K,) and take them out of the queue in order of arrival."""
+    """Sends commands (K, J) at `sent` (K,) and takes them out of the queue in order of arrival."""
     radio = Radio(network, odd, seed, trial, noise)
     times = [radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)]
     queue = [(t, k) for k, t in enumerate(times) if t is not None]
@@ -57,7 +57,7 @@ def deliver(
 
 
 def telemetry(net: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
-    """Table `joint`: the hinges' own sensors, read at t (K,), reported for the stamped time but `joint_delay` old."""
+    """Table `joint`: the hinges' own sensors, read at t (K,); a value is `joint_delay` older than its stamp."""
     stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
     names = [f"j{k + 1}" for k in range(len(zero))]
     angle = record.at(stamps - net.joint_delay, *names) - zero

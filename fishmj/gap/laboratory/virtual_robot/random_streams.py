@@ -1,4 +1,4 @@
-"""Random numbers with a stream of its own for every purpose: planting one effect never shifts the noise of another channel."""
+"""A separate random stream for every purpose: planting one effect never changes the noise of another channel."""
 
 import zlib
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def stream(seed: int, purpose: str, trial: int = 0) -> np.random.Generator:
-    """The generator of one purpose ("camera", "loss", ..) in one trial of one robot."""
+    """Random generator of one purpose ("camera", "loss", ..) in one trial of one robot."""
     return np.random.default_rng([seed, trial, zlib.crc32(purpose.encode())])
 
 

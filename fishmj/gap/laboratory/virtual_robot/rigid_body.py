@@ -48,7 +48,7 @@ class RigidBody(NamedTuple):
 
 
 def body_of(robot: Robot, water: dict, hull: HullConstants) -> RigidBody:
-    """Arrays of `robot` with the section coefficients in `water` (table of virtual_robot.toml) and what `hull` adds."""
+    """Arrays of `robot` with the section coefficients in `water` (table of virtual_robot.toml) and the additions of `hull`."""
     geometry = geometry_of(robot)
     n, rho = geometry.n_links, robot.density_water
     fronts = np.concatenate([[0.0], np.cumsum([link.length for link in robot.links])])
@@ -108,19 +108,19 @@ def _rigid(geometry: Geometry, hull: HullConstants) -> tuple[np.ndarray, np.ndar
 
 
 def counted(n: int, known: bool) -> tuple[int, ...] | np.ndarray:
-    """(n,) 0, 1, .. as a tuple, whose length the compiler knows, or as an array: one machine code for chains of any length."""
+    """Numbers 0 .. n - 1 as a tuple, whose length the compiler knows, or as an array, for one machine code for all chains."""
     return tuple(range(n)) if known else np.arange(n)
 
 
 def alike(values, links: int) -> np.ndarray:
-    """(N,) of a chain of `links`: the value of the link in the same place of another chain, `values` from nose to tail."""
+    """(N,) values of a chain of `links`, from those at the same relative places of another chain; `values` from nose to tail."""
     places = np.round(np.arange(links) * ((len(values) - 1) / (links - 1))).astype(int)
     return np.asarray(values, float)[places]
 
 
 @cache
 def shipped_volume() -> tuple[float, ...]:
-    """What each link of the shipped fish displaces, kg."""
+    """Displaced mass of each link of the shipped fish, kg."""
     return tuple(geometry_of(load_robot(SHIPPED)).displaced.tolist())
 
 

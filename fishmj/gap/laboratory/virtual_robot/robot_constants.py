@@ -1,4 +1,4 @@
-"""One virtual robot's numbers: description, own constants, a draw of nuisance, and the effects that are planted in it."""
+"""One virtual robot's numbers: description, own constants, a draw of nuisance, and the planted effects."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +22,7 @@ FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on averag
 
 @dataclass(frozen=True, kw_only=True)
 class RobotConstants:
-    """Groups of constants (`constants.py`) and what the body is built from."""
+    """Groups of constants (`constants.py`) and the inputs of the body."""
 
     robot: Robot
     sections: dict  # table [water] of the constants after the nuisance draw
@@ -58,8 +58,7 @@ class RobotConstants:
 
 
 def buildable(robot: Robot, whose: object = "") -> None:
-    """Raise ConfigError, with what would work, where the second robot has no equations for this one. whose: what the user called
-    it."""
+    """Raises ConfigError, with an alternative, if the second robot has no equations for this one. whose: the user's name."""
     few, most = LINKS
     name, links = f"virtual robot: {str(whose or robot.name)[-80:]}", len(robot.links)
     if not few <= links <= most:
@@ -84,7 +83,7 @@ class WaterScales(NamedTuple):
     edge: float = 1.0
 
     def of(self, wet: dict) -> dict:
-        """The table [water] times them."""
+        """The table [water] times these factors."""
         out = dict(wet)
         out["sections"] = [self.mass * k for k in wet["sections"]]
         for keys, scale in ((CROSS, self.cross), (ALONG, self.drag), (("edge",), self.edge)):
@@ -103,7 +102,7 @@ def nominal(
     rng: np.random.Generator | None = None,
     scales: WaterScales = AS_IT_IS,
 ) -> RobotConstants:
-    """The robot without effects; `nuisance` is the half width of the relative draw of what nobody measured.
+    """The robot without effects; `nuisance` is the half width of the relative draw of unmeasured constants.
 
     Water coefficients get all of it, friction all, servo gain and motor resistance a fifth.
     """
@@ -172,8 +171,8 @@ def nominal(
 def electrical(servo: Servo) -> tuple[float, float]:
     """(resistance [ohm], constant [V s/rad]) of the motor behind a servo's torque-speed line.
 
-    A line says both: constant = voltage / speed_no_load, resistance = constant voltage / torque. What the description states is
-    taken where it gives the same damping to within what a data sheet rounds; a calibration moves the line alone.
+    A line determines both: constant = voltage / speed_no_load, resistance = constant voltage / torque. The description's values
+    are used if they give the same damping within the rounding of a data sheet; a calibration changes the line alone.
     """
     if abs(servo.constant**2 / servo.resistance / servo.kb - 1.0) <= ROUNDED:
         return servo.resistance, servo.constant

@@ -1,6 +1,6 @@
 """The camera over the tank and the meter in the battery lead.
 
-marker      p = (X, Y) + R(yaw) (d, 0)                        where the marker sits
+marker      p = (X, Y) + R(yaw) (d, 0)                        place of the marker
 lens        p (1 + k1 |p|^2),  then scale, then turned by the mounting angle
 stamp       t = exposure + latency, on the camera's own clock t drift + offset
 velocity    slope of a straight line through the last frames, then an optional low-pass
@@ -75,7 +75,7 @@ def low_pass(value: np.ndarray, step: float, time: float) -> np.ndarray:
 def metered(meter: Meter, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
     """Table `power`: battery voltage and current, averaged over the time before each stamp t (K,), a reading every millisecond.
 
-    Single readings would beat with the servos' clock: the mean power would depend on when in a period a command arrives.
+    Single readings would beat with the servos' clock: the mean power would depend on a command's time of arrival in a period.
     """
     lags = np.arange(0.5, 1000.0 * meter.average) / 1000.0
     volts, amps = np.mean([record.at(t - lag, "V", "I") for lag in lags], 0).T

@@ -1,4 +1,4 @@
-"""Bus servos: what the firmware does 200 times a second, what the motor does in between, and dry friction that really sticks.
+"""Bus servos: the firmware 200 times a second, the motor in between, and true dry friction with sticking.
 
     firmware   drive = clip(g e - g_d de/dt, +-limit),  e = aim - angle in whole counts
     bridge     V = drive R/K V_battery / V_nominal
@@ -24,7 +24,7 @@ def counts(value, step):
 
 @compiled
 def shaped(motor, s, j, command):
-    """Command of joint j after everything that the firmware does to it before it closes its loop."""
+    """Command of joint j after all of the firmware's changes before it closes its loop."""
     c = command * (1.0 + motor.command_gain)
     if motor.command_step > 0.0:
         c = counts(c, motor.command_step)
@@ -42,7 +42,7 @@ def shaped(motor, s, j, command):
 
 @compiled
 def firmware(body, motor, odd, zero, s):
-    """One tick of all servos: reads angles, writes s.aim and s.drive."""
+    """Runs one tick of all servos: reads angles, writes s.aim and s.drive."""
     time = s.clock[0]
     if odd.reset > 0.0 and s.battery[1] > odd.reset_current and time > s.clock[2] + 1.0:
         s.clock[2] = time + odd.reset
@@ -84,7 +84,7 @@ def _sine(x):
 
 @compiled
 def motor_torque(motor, s, j, rate, fresh, h):
-    """(torque N m, damping N m s/rad to be taken implicitly) of motor j; fresh = 1 - e^(-h R/L). Moves current and gap on."""
+    """(torque N m, damping N m s/rad to be taken implicitly) of motor j; fresh = 1 - e^(-h R/L). Advances current and gap."""
     volts = s.drive[j] * motor.resistance / motor.constant * (s.battery[0] / motor.nominal_voltage)
     held = (1.0 - fresh) * s.amps[j] + fresh * volts / motor.resistance
     damping = fresh * motor.constant * motor.constant / motor.resistance
@@ -103,7 +103,7 @@ def motor_torque(motor, s, j, rate, fresh, h):
 
 @compiled
 def spring_torque(motor, odd, water, zero, s, j, angle, rate, h):
-    """Torque of skin, water and bad teeth on joint j. Moves the skin's memory on."""
+    """Torque of skin, water and bad teeth on joint j. Advances the skin's memory."""
     torque = -motor.skin * angle - odd.cubic * angle * angle * angle - water.joint * water.active * rate * abs(rate)
     if motor.branch > 0.0:
         s.branch[j] += h * (rate - s.branch[j] / motor.branch_time)
@@ -147,7 +147,7 @@ def stick_slip(w, mobility, bound, impulse, joints):
 
 @compiled
 def battery(body, motor, s, h):
-    """Terminal voltage and current of the common battery, one step on."""
+    """Advances terminal voltage and current of the common battery by one step."""
     amps = motor.idle / motor.nominal_voltage
     for j in range(len(body.joints)):
         amps += max(s.drive[j] / motor.torque * s.amps[j], 0.0)  # the bridge does not charge the battery

@@ -1,4 +1,4 @@
-"""Run the compiled loop for a plant: from commands with their arrival times to a recording at 1 kHz."""
+"""Runs the compiled loop for a plant: from commands with their arrival times to a recording at 1 kHz."""
 
 from functools import cache
 from typing import NamedTuple
@@ -42,7 +42,7 @@ class State(NamedTuple):
 
 
 def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
-    """A fish at `start` (x, y, yaw), joints at `angles` and told to stay there, launched with `push` (u, v, r), its own axes."""
+    """A fish at `start` (x, y, yaw), joints at `angles` with these as targets, launched with `push` (u, v, r) in its own axes."""
     x, y, yaw = start
     u, v, r = push
     joints = np.asarray(angles, float)
@@ -74,7 +74,7 @@ class Recording(NamedTuple):
 
     @property
     def joints(self) -> int:
-        """How many the robot has."""
+        """Number of joints of the robot."""
         return (self.data.shape[1] - len(POSE) - len(METER)) // 4
 
     def at(self, times: np.ndarray, *names: str) -> np.ndarray:
@@ -92,10 +92,10 @@ def workspace(joints: int = 3) -> tuple[np.ndarray, ...]:
 def run(
     plant: RobotConstants, state: State, arrivals, commands, seconds: float, gust: np.ndarray = STILL, anchor=None
 ) -> Recording:
-    """Advance `state` in place by `seconds`; commands (K, J) [rad] reach the servos at arrivals (K,) [s].
+    """Advances `state` in place by `seconds`; commands (K, J) [rad] reach the servos at arrivals (K,) [s].
 
     Raises:
-        SimDiverged: the state left the finite numbers; says when.
+        SimDiverged: the state left the finite numbers; gives the time.
     """
     steps = round(seconds / H)
     joints = len(plant.body.joints)

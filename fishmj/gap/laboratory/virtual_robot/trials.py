@@ -1,9 +1,9 @@
-"""Synthetic trials of a robot in which effects are hidden.
+"""Synthetic trials of a robot with hidden effects.
 
     from fishmj.gap.laboratory.virtual_robot import generate
     trials = generate({"command_latency": {"delay": 0.038}}, ["gait", "chirp"], seed=7)
 
-Nothing in a trial says what was planted. One seed is one robot (nuisance draw) and one noise, whatever is planted.
+Nothing in a trial names the planted effects. One seed is one robot (nuisance draw) and one noise, whatever is planted.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -38,7 +38,7 @@ def plant(
 ) -> RobotConstants:  # fmt: skip
     """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
 
-    flow: speed [m/s] of the stream that was ordered and where it moves to [rad]. scales: of its water.
+    flow: speed [m/s] and direction [rad] of the ordered stream. scales: of its water.
 
     Raises:
         UnknownName: an effect or parameter that does not exist. ConfigError: an impossible value, medium or robot.
@@ -67,12 +67,12 @@ def generate(
 
     Args:
         effects: {name: {parameter: value}}, SI; {} hides nothing.
-        noise: factor on the noise of every sensor (and on how badly the fish is placed); 0 leaves counts and latencies.
+        noise: factor on the noise of every sensor (and on the error of placing); 0 leaves counts and latencies.
         nuisance: relative half width of the draw of unmeasured constants.
         medium: "water", or "air": hung on a thread, no camera.
-        flow: speed [m/s] of the stream that was ordered and where it moves to [rad].
-        sensors: fields of network, camera and meter (constants.py) that are not the usual: {"camera.period": 1 / 30}.
-        tick: is told how many trials are done.
+        flow: speed [m/s] and direction [rad] of the ordered stream.
+        sensors: unusual fields of network, camera and meter (constants.py): {"camera.period": 1 / 30}.
+        tick: receives the number of finished trials.
     """
     made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow).with_fields(dict(sensors))
     trials: list[Trial] = []
@@ -87,12 +87,12 @@ def generate(
 
 
 def trial_name(index: int, excitation_id: str) -> str:
-    """Of the trial number `index` [from 0] of a session."""
+    """Name of the trial number `index` [from 0] of a session."""
     return f"{index + 1:02d}_{excitation_id}"
 
 
 def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
-    """What really happens in trial `index`: place the fish, send the commands, move."""
+    """True motion in trial `index`: places the fish, sends the commands, moves."""
     if what.commands.shape[1] != made.robot.n_joints:
         counts = f"{what.commands.shape[1]} joints, {made.robot.name} has {made.robot.n_joints}"
         raise ConfigError(f"virtual robot: experiment {what.id!r} commands {counts}; take excitation.get(name, joints)")
@@ -106,7 +106,7 @@ def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: f
 
 
 def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.ndarray:
-    """Water velocity that varies in time (G, 2), every GUST s: turbulence, and a current that comes and goes."""
+    """Time-varying water velocity (G, 2), every GUST s: turbulence, and a current that comes and goes."""
     tank, odd, n = made.tank, made.odd, int(seconds / GUST) + 3
     table = np.zeros((n, 2))
     if tank.sigma > 0.0:
@@ -121,7 +121,7 @@ def trial_of(
     made: RobotConstants, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str,
     flow: tuple[float, float], stamps: Mapping[str, np.ndarray] = NOMINAL,
 ) -> Trial:  # fmt: skip
-    """Move, then look through the sensors; the trial holds what a lab would have on disk. stamps: as `sense`."""
+    """Swims and measures; the trial holds the files of a lab. stamps: as `sense`."""
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
     tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
@@ -158,7 +158,7 @@ def sense(
 ) -> dict[str, dict]:  # fmt: skip
     """Tables joint, power and (in water) pose with the readings from span[0] to before span[1].
 
-    stamps: sensor -> times (K,) s at which it is read in the place of its own period.
+    stamps: sensor -> times (K,) s of its readings in place of its own period.
     """
 
     def due(sensor: str, period: float) -> np.ndarray:

@@ -6,7 +6,7 @@
     trailing edge  f_t = 1/2 m_e s w_c^2,  f_n = - m_e u+ w_c
     circulation    w_c = p w_e + (1 - p) z,  z' = (w_e - z) V / (n h_e)               first-order form of Wagner's function
 
-w_c is kept between 0 and 2 w_e, so that the edge never returns more than it takes: (1/2 w_c^2 - w_c w_e) u <= 0. The suction
+w_c is kept between 0 and 2 w_e, so that the edge never returns energy: (1/2 w_c^2 - w_c w_e) u <= 0. The suction
 is lost when the lagged flow meets the edge steeply: s = 1 / (1 + (z / (u tan a))^4).
 """
 
@@ -32,7 +32,7 @@ def crossflow(x, d, u, v, r, oblique):
 
 @compiled
 def trailing_edge(water, odd, wake, u, w, h):
-    """(f_t, f_n) at the trailing edge; moves the circulation wake[0] on by h."""
+    """(f_t, f_n) at the trailing edge; advances the circulation wake[0] by h."""
     ahead = max(u, 0.0)
     z = wake[0]
     c = water.wagner_start * w + (1.0 - water.wagner_start) * z
@@ -52,7 +52,7 @@ def trailing_edge(water, odd, wake, u, w, h):
 
 @compiled
 def whole_body(body, water, odd, u, v, r, bend):
-    """(f_t, f_n, moment) at the reference point that effects add; head axes. bend: tail rate relative to the head, rad/s."""
+    """(f_t, f_n, moment) of effects at the reference point; head axes. bend: tail rate relative to the head, rad/s."""
     waves = water.surface * u * u / (G * body.length)  # grows with the Froude number squared
     along = -u * (water.linear_surge + (water.quadratic_surge + waves) * abs(u))
     across = -water.lift * u * v + odd.cross_force * bend * r
@@ -62,7 +62,7 @@ def whole_body(body, water, odd, u, v, r, bend):
 
 @compiled
 def link_force(body, water, odd, s, i, u, v, r, bend, time, h):
-    """(f_t, f_n, moment) of link i without its added mass. Moves the wake on."""
+    """(f_t, f_n, moment) of link i without its added mass. Advances the wake."""
     normal, moment = crossflow(body.station[i], body.drag[i], u, v, r, water.oblique)
     normal *= 1.0 + water.crossflow
     moment *= 1.0 + water.crossflow

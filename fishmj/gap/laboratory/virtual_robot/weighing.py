@@ -1,4 +1,4 @@
-"""The weighing table: what scales, a knife edge and a bifilar pendulum say of a virtual robot, with their errors.
+"""Weighings of a virtual robot: readings of scales, a knife edge and a bifilar pendulum, with their errors.
 
 scales      every link alone, m (1 + e),                    e ~ 0.1 %, readable to 1 g
 knife edge  balance point of the straight fish, from the nose, +- 1 mm
@@ -23,7 +23,7 @@ THREAD, APART, CLOCK_ERROR = 1.2, 0.30, 0.002  # m, m, relative
 
 
 def masses(made: RobotConstants) -> dict[str, float]:
-    """What perfect instruments would find: mass [kg], com, the balance point from the nose [m], yaw inertia about it [kg m2]."""
+    """Readings of perfect instruments: mass [kg], com, the balance point from the nose [m], yaw inertia about it [kg m2]."""
     body, origin = made.body, np.concatenate([[0.0], np.cumsum(made.body.hinge[:-1])])
     first = float(np.sum(body.first + body.mass * origin))
     second = float(np.sum(body.second + 2 * origin * body.first + body.mass * origin**2))
@@ -33,12 +33,12 @@ def masses(made: RobotConstants) -> dict[str, float]:
 
 
 def page(effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
-    """The table of the robot of a seed in which effects are hidden."""
+    """Page of weighings of the robot of a seed with hidden effects."""
     return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), random_streams.stream(seed, "weighing"))
 
 
 def weighings(made: RobotConstants, rng: np.random.Generator) -> dict:
-    """Table of the measurements, three of each."""
+    """Tables of the measurements, three of each."""
     truth = masses(made)
 
     def read(value: float, error: float) -> list[float]:
