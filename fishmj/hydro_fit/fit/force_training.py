@@ -87,7 +87,7 @@ def size_of(net: residual_network.Net):
 
 
 def adam(rate: float, steps: int) -> optax.GradientTransformation:
-    """Adam with small momenta and a learning rate that falls by a cosine."""
+    """Adam with clipped gradients and a learning rate that falls by a cosine."""
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.03)))
 
 
