@@ -41,7 +41,7 @@ def write(
     folder: Path, model: HydroModel, robot: Robot, records: Sequence[SegmentRecord],
     repeats: Sequence[tuple[SegmentRecord, SegmentRecord]] = (),
 ) -> Path:  # fmt: skip
-    """Judge `model` on held-out records and write report.html and report.json; returns the page's path."""
+    """Judges `model` on held-out records and writes report.html and report.json; returns the page's path."""
     found = free_swims.judge(model, robot, records, repeats)
     swum = free_swims.FreeSwims(model, robot, records)
     forces, runs = by_regime(model, robot, records), free_runs(swum)

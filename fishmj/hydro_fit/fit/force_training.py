@@ -95,7 +95,7 @@ def learn(
     ch: planar_chain.Chain, windows: TrainingWindows, net: residual_network.Net, *, steps: int = 800, seed: int = 0,
     ablated: dict | None = None, report: Callable | None = None, loop: Loop | None = None,
 ) -> ForceFit:  # fmt: skip
-    """Train on forces.
+    """Trains on forces.
 
     Args:
         ablated: parts that `residual_network.without` leaves out, for comparison.

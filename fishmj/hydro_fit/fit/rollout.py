@@ -152,7 +152,7 @@ class SwimWindow:
     def run(
         self, fleet: FishBatch, water: np.ndarray, learnt: "residual_hooks.Residual | None" = None, attached=None, memory=None
     ) -> SwimTrack:
-        """Swim every piece from its recorded start.
+        """Swims every piece from its recorded start.
 
         Args:
             water: (P,) or (B, P) flat coefficients. learnt: a residual, or None for the base alone.
