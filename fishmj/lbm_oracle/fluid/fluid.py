@@ -107,31 +107,24 @@ class Fluid:
     Attributes:
         f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
             scaled (`storage`).
-        u: (nx, ny, nz) velocity of the last step as it is stored (storage.py), vec3s with eddy viscosity, else vec3. Without
-            `keep_velocity` it is derived on access.
+        u: (nx, ny, nz) velocity of the last step as stored (storage.py); without `keep_velocity` it is derived on access.
         force: (nx, ny, nz) vec3, acceleration G by the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
         origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
         clock: (1,) int32, steps done.
 
     Args:
-        boundaries: kinds of the six faces.
-        subgrid: eddy viscosity, `wale` or `none`.
-        flow: background flow, which enters through open faces; still water by default.
-        body_acceleration: (3,) m/s2, everywhere.
-        cw: WALE's constant.
-        omega_bulk: rate at which the trace of the stress relaxes.
-        blend: share of the stress that is taken from the velocity gradient in a step of this grid (collide.py), 0 to 1. 0 is
-            allowed in order to show that it fails. `blend_at` keeps the loss in a second equal for another step.
-        dtype: storage of the populations.
-        threads: slabs on a CPU; all cores by default.
+        boundaries: kinds of the six faces. subgrid: eddy viscosity, `wale` or `none`. cw: WALE's constant.
+        flow: background flow, still water by default. body_acceleration: (3,) m/s2, everywhere.
+        omega_bulk: rate at which the trace of the stress relaxes. blend: share of the stress from the velocity gradient in a step
+            of this grid (collide.py), 0 to 1; 0 is kept to show that it fails. `blend_at` adapts it to another step.
+        dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
 
     Arrays are indexed by world node modulo shape. `step` and `run` check the water every 50 steps (`watch`).
 
     Raises:
         ConfigError, UnknownName: invalid arguments.
-        OracleUnstable: a set-up that would not stay stable: a flow or a wall beyond Mach 0.3, tau below 0.5005 without an eddy
-            viscosity. `step` and `run` raise it when the water leaves the limits of `watch`.
+        OracleUnstable: a flow or a wall beyond Mach 0.3, tau below 0.5005 without eddy viscosity; later, the limits of `watch`.
     """
 
     def __init__(
@@ -266,8 +259,7 @@ class Fluid:
         """Changes the background flow from now on; the water inside follows through the sponge.
 
         Raises:
-            ConfigError: not a `Flow`.
-            OracleUnstable: the flow is faster than the Mach limit of this grid.
+            ConfigError: not a `Flow`. OracleUnstable: the flow is faster than the Mach limit of this grid.
         """
         checked_kind("fluid: flow", flow, Flow, needed=True)
         check_speed(self.lattice, flow.speed, "fluid: background flow")
@@ -292,8 +284,8 @@ class Fluid:
         """Sets velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them.
 
         Raises:
-            ConfigError: another shape, or values that are not finite.
-            OracleUnstable: a speed beyond the Mach limit, or a pressure whose density the watch would stop.
+            ConfigError: another shape, or not finite. OracleUnstable: a speed beyond the Mach limit, a density beyond the
+                watch's.
         """
         u = numbers("fluid: velocity", u, (*self.shape, 3))
         check_speed(self.lattice, float(np.sqrt((u * u).sum(-1).max())), "fluid: velocity")
@@ -479,11 +471,7 @@ class Fluid:
         return {"f": f, "u": u, "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Continues from a snapshot, bit for bit.
-
-        Raises:
-            ConfigError: not a snapshot, or one of another shape or storage.
-        """
+        """Continues from a snapshot, bit for bit. Raises ConfigError for other data, or another shape or storage."""
         check_snapshot(state, (Q, *self.shape), wp.dtype_to_numpy(self.f.dtype))
         self.f.assign(state["f"])
         self._keep(state["u"])

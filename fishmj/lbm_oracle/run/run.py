@@ -110,9 +110,8 @@ class Run:
     Attributes:
         root: path of a tethered fish, t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
         ahead: pipelines ticks: tick n + 1 starts before the host reads tick n. Needs a command latency of one tick or more and
-            a window that does not move. The ticks are the same, without a pause between them. The water is then one tick ahead
-            of the fish, and `FluidStructure.scope` refuses to show it. A fish whose speed doubles within one tick gets finer
-            steps one tick later.
+            a window that does not move. The water is then one tick ahead of the fish, and `FluidStructure.scope` refuses to
+            show it. A fish whose speed doubles within one tick gets finer steps one tick later.
 
     Raises:
         ConfigError: the fluid's step does not divide the bus tick, or an invalid latency.
@@ -153,10 +152,9 @@ class Run:
         self.begin()
 
     def begin(self) -> None:
-        """Starts a run from the present state: no ticks, no rows, the present joint angles on the bus.
+        """Starts from the present state: no ticks, no rows, the present joint angles.
 
-        Raises:
-            ConfigError: the water is ahead of the fish.
+        Raises ConfigError if the water is ahead.
         """
         if self.coupled.ahead:
             raise ConfigError("run: the water is ahead of the fish; begin before its first tick ahead")
@@ -424,12 +422,9 @@ def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = 
     """Tables of the log's schema from T ticks of a fish with J joints and L links.
 
     Args:
-        began, t: start and end of each tick, s.
-        command: (T, J) rad.
-        q, v: (T, 3 + J) at the end of each tick.
-        flow: (T, L, 2) m/s at its start.
+        began, t: start and end of each tick, s. command: (T, J) rad. q, v: (T, 3 + J) at its end.
+        flow: (T, L, 2) m/s at its start. power: voltage V, and current A (T,), if servos drove the joints.
         whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water.
-        power: voltage V, and current A (T,), if servos drove the joints.
     """
     place, joint, rate = dict(zip(("x", "y", "yaw"), q[:, :3].T, strict=True)), q[:, 3:], v[:, 3:]
     wrench: dict[str, np.ndarray] = {}
@@ -482,8 +477,7 @@ class ConcurrentRuns:
 
         Returns the indices still swimming.
 
-        Raises:
-            ConfigError: not one command for every tank.
+        Raises ConfigError if there is not one command for every tank.
         """
         for _ in self.ticking(commands):
             pass
