@@ -1,13 +1,13 @@
-"""How fast shapes of `fishmj new` swim in their unfitted water and in the flow solver, and a real fish beside them.
+"""Speeds of shapes of `fishmj new` in their unfitted water and in the flow solver, compared with a real fish.
 
     python -m studies.new_shapes --out runs/new_shapes                      the preview: 52 swims, some 40 s each on a CPU
     python -m studies.new_shapes --preset window --out runs/new_shapes      a finer grid, on a GPU
 
-Every shape swims every gait from rest in still water, driven by its servos: in the strip water with the coefficients that its
-shape gives (`fishmj/mjcf/priors.py`), and in the flow solver at each slip ratio. `tendon_fish` has the measured gaits and speeds
-of a real robot (data/calib/tendon_fish.toml): at the slip ratio that gives it its speeds, 0.99, the solver's hull has a real
-hull's friction. The last two of five beats count. Each finished swim is a row of OUT/new_shapes_PRESET.csv; the same command
-does the missing ones, and the picture. A swim of a shape beyond a factor of `WITHIN` ends with exit status 1.
+Every shape swims every gait from rest in still water, driven by its servos: in the strip water with the coefficients of its shape
+(`fishmj/mjcf/priors.py`), and in the flow solver at each slip ratio. `tendon_fish` has the measured gaits and speeds of a real
+robot (data/calib/tendon_fish.toml): at the slip ratio that reproduces its speeds, 0.99, the solver's hull has a real hull's
+friction. The last two of five beats count. Each finished swim is a row of OUT/new_shapes_PRESET.csv; the same command does the
+missing swims and the picture. If a swim of a shape is beyond a factor of `WITHIN`, the exit status is 1.
 """
 
 import csv
@@ -39,7 +39,7 @@ SLIP = 0.99  # of the solver's hull: at it the real fish swims as it was measure
 
 
 class Shape(NamedTuple):
-    """Answers to `fishmj new`: lengths in m, mass in kg or None for what the hull displaces, head as a share of the length."""
+    """Answers to `fishmj new`: lengths in m, mass in kg or None for the displaced mass, head as a share of the length."""
 
     length: float
     height: float
@@ -75,7 +75,7 @@ NUMBERS = ("slip", "measured_m_s", "strips_m_s", "solver_m_s", "ratio")
 
 
 class Swim(NamedTuple):
-    """A gait of a fish. measured: speed of the real one, m/s."""
+    """Gait of a fish. measured: speed of the real one, m/s."""
 
     fish: str
     name: str
@@ -84,7 +84,7 @@ class Swim(NamedTuple):
 
 
 def swims(fish: str) -> list[Swim]:
-    """Of a shape, those of `GAITS`; of the real fish, those that were measured."""
+    """Swims of a fish: those of `GAITS` for a shape, the measured ones for the real fish."""
     if fish != REAL:
         joints = SHAPES[fish].links - 1
         wave = lambda hertz, swing, lag: Gait(joints=joints, frequency=hertz, amplitude=radians(swing), lag=radians(lag))
@@ -119,7 +119,7 @@ def in_strips(robot: Robot, gait: Gait) -> float:
 
 
 def swum(swim: Swim, slip: float, domain: Domain, device: str) -> dict:
-    """One row of the table. A solver that does not finish leaves no ratio; `status` says why."""
+    """Row of one swim in the table. A solver that does not finish leaves no ratio; `status` has the reason."""
     robot, gait = robot_named(swim.fish), swim.gait
     strips = in_strips(robot, gait)
     row = dict.fromkeys(COLUMNS) | {"fish": swim.fish, "gait": swim.name, "slip": slip}
@@ -136,7 +136,7 @@ def swum(swim: Swim, slip: float, domain: Domain, device: str) -> dict:
 
 
 def read(path: Path) -> dict[tuple, dict]:
-    """Rows that are there, by fish, gait and slip. Raises ConfigError for a table with other columns."""
+    """Existing rows, by fish, gait and slip. Raises ConfigError for a table with other columns."""
     if not path.is_file():
         return {}
     table = csv.DictReader(path.read_text("utf-8").splitlines())
@@ -147,10 +147,12 @@ def read(path: Path) -> dict[tuple, dict]:
 
 
 def key(row: dict) -> tuple:
+    """Key of a row: fish, gait, slip."""
     return row["fish"], row["gait"], row["slip"]
 
 
 def as_csv(rows: list[dict]) -> str:
+    """CSV text of the rows."""
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()
@@ -159,6 +161,7 @@ def as_csv(rows: list[dict]) -> str:
 
 
 def main(argv: list[str]) -> int:
+    """Runs the missing swims, prints the table and draws the picture; returns the exit code."""
     args = _parser().parse_args(argv)
     domain, path = preset(args.preset), Path(args.out) / f"new_shapes_{args.preset}.csv"
     rows = read(path)
@@ -186,7 +189,7 @@ def main(argv: list[str]) -> int:
 
 
 def judged(rows: list[dict]) -> list[dict]:
-    """By slip ratio: how many swims of the shapes are within `WITHIN` either way, and both waters over the real fish's speeds."""
+    """Rows by slip ratio: number of swims within `WITHIN` either way, and both waters' ratios to the real fish's speeds."""
     out = []
     for slip in sorted({row["slip"] for row in rows}):
         here = [row for row in rows if row["slip"] == slip]
@@ -201,7 +204,7 @@ def judged(rows: list[dict]) -> list[dict]:
 
 
 def drawn(rows: list[dict], path: Path) -> Path:
-    """Speeds in the solver over those in the strips at the least slip ratio, a colour a gait; the band is `WITHIN`."""
+    """Draws speeds in the solver over those in the strips at the lowest slip ratio, one colour a gait; the band is `WITHIN`."""
     plt = pyplot()
     figure, axis = plt.subplots(figsize=(5.5, 4.5), layout="constrained")
     least = min(row["slip"] for row in rows if row["ratio"])
@@ -221,7 +224,7 @@ def drawn(rows: list[dict], path: Path) -> Path:
 
 
 def spread(values: list[float | None]) -> str:
-    """Least, median and greatest of those that are there."""
+    """Least, median and greatest of the values that are not None, as text."""
     given = [value for value in values if value is not None]
     return f"{min(given):.2f}, {np.median(given):.2f}, {max(given):.2f}" if given else "-"
 

@@ -1,7 +1,7 @@
 """The moving picture of the README: a shipped policy holds station in the flow solver, beside the vorticity that it sheds.
 
     python -m studies.station_film             swims and draws; two cores
-    python -m studies.station_film --drawn     draws the swim that is there once more
+    python -m studies.station_film --drawn     draws the existing swim again
 
 One trial of the judge's (0.2 m/s, target straight upstream), in a box that follows the fish: 128 x 56 x 30 cells of 2 cm.
 That is too small and too coarse for a judgement, and enough for a picture. The policy sees neither the current nor the water.
@@ -46,14 +46,14 @@ class Filmed(Engine):
         self.recorder: FieldRecorder | None = None
 
     def _fill(self, state, params):
-        """As of the engine; somebody looks at this water between two ticks."""
+        """Fills the tanks as `Engine`, without pipelining, because the recorder reads the water between two ticks."""
         tanks = yield from super()._fill(state, params)
         for run in tanks.runs:
             run.ahead = False
         return tanks
 
     def advancing(self, state, commands, params, current, tick):
-        """As of the engine, one bus tick at a time, with a look at the water after each."""
+        """Advances as `Engine.advancing`, one bus tick at a time, and records the water after each."""
         traces = []
         for k in range(commands.shape[1]):
             state, trace = yield from super().advancing(state, commands[:, k : k + 1], params, current, tick)
@@ -67,7 +67,7 @@ class Filmed(Engine):
 
 
 def swim(folder: Path, device: str, seconds: float = SECONDS) -> None:
-    """Run the trial in the solver; writes `folder`/trial and `folder`/fields."""
+    """Runs the trial in the solver; writes `folder`/trial and `folder`/fields."""
     plan = protocol.trials(speeds=[SPEED], los_deg=[0], repeats=1, duration=seconds)
     robot = load_robot("fish")
     engine = Filmed(robot, plan.flows(), folder / "fields", device)
@@ -105,7 +105,7 @@ def drawn(folder: Path, start: float = START) -> list[np.ndarray]:
 
 
 def words(image: np.ndarray, below: str) -> None:
-    """What is shown, where the fish is, and the current as an arrow."""
+    """Writes the caption, the line `below`, and the current with its arrow into the image."""
     cv2, low = opencv(), SIZE[1] - 12
     write = lambda text, at: cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.48, INK, 1, cv2.LINE_AA)
     write(f"policy '{POLICY}' in the flow solver: vorticity at mid-depth, red turns left (synthetic)", (12, 22))
@@ -126,7 +126,7 @@ def animated(frames: list[np.ndarray], quality: int = 60) -> bytes:
 
 
 def options() -> console.Parser:
-    """The arguments."""
+    """Parser of the study."""
     p = console.parser("studies.station_film", "The moving picture of the README.", json=False)
     p.add_argument("--device", default="auto", help="auto, cpu or cuda (default: %(default)s)")
     p.add_argument("--folder", type=console.out_folder, default="runs/station_film", help="of trial and fields")
@@ -136,7 +136,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """Swim, draw, write. Returns the exit code."""
+    """Swims, draws and writes; returns the exit code."""
     args = options().parse_args(argv)
     if not args.drawn:
         solver_cost.agree("station_film", args.device, [(BOX, SECONDS)], instead="take another machine")

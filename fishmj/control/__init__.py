@@ -37,7 +37,7 @@ class Controller(Protocol):
     name: str
 
     def reset(self, n: int) -> None:
-        """Start n trials."""
+        """Starts n trials."""
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Returns the control step's bus commands (B, T, J), rad, for obs (B, 5 + 2 J)."""

@@ -35,7 +35,7 @@ class Own:
         self.sha256 = plugins.source_sha256(factory)
 
     def reset(self, n: int) -> None:
-        """Start n trials."""
+        """Starts n trials."""
         self.n, self.count = n, 0
         plugins.call(f"{self.what}: reset({n})", self.controller.reset, n)
 

@@ -342,7 +342,7 @@ class Policy:
 
     @classmethod
     def load(cls, source: "str | Path") -> "Policy":
-        """Read a policy by shipped name or path, as `file_of`.
+        """Reads a policy by shipped name or path, as `file_of`.
 
         Raises:
             UnknownName: no such file or name. StoreError: damaged file. ConfigError: not a policy, or shapes that do not fit.
@@ -362,7 +362,7 @@ class Policy:
         return policy
 
     def save(self, path: "str | Path") -> Path:
-        """Write the policy; atomic, checksummed."""
+        """Writes the policy, atomically and with a checksum."""
         self.check(str(path))
         arrays = {}
         for i, (w, b) in enumerate(self.weights):

@@ -65,7 +65,7 @@ class Graph:
         return node[1] if node[0] == "const" else None
 
     def apply(self, op: str, *args: int) -> int:
-        """Add an operation, simplified where a constant allows it."""
+        """Adds an operation, simplified if a constant allows it; returns its number."""
         known = [self.value(a) for a in args]
         if op in FOLD and None not in known:
             return self.constant(FOLD[op](*known))

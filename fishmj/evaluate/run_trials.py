@@ -54,7 +54,7 @@ def run(
     shift: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[int], None] = lambda step: None,
 ) -> Result:
-    """Judge one controller.
+    """Judges one controller.
 
     Args:
         controller: name, policy file, or an object with `reset` and `__call__` (see `fishmj.control`).
@@ -255,7 +255,7 @@ def judge_in_solver(
     variation: Variation = UNCHANGED,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Result:
-    """Judge one controller in the flow solver: the same trials and figures, `tanks` trials at a time on each device.
+    """Judges one controller in the flow solver: the same trials and figures, `tanks` trials at a time on each device.
 
     Every trial is kept in <folder>/lbm as one npz as soon as it ends, and its tank starts the next one. An interrupted judgement
     continues with the trials that had not ended. A file made with another controller, robot or box of water is not used.

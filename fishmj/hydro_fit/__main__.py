@@ -24,7 +24,7 @@ FRESH = "-fresh"  # of a data set's name: more test episodes, solved when the mo
 
 
 def run(verb: str, argv: list[str]) -> int | None:
-    """One of all, fit, calibrate, check, report, ablation."""
+    """Runs one of all, fit, calibrate, check, report, ablation."""
     args = options(verb).parse_args(argv)
     robot = load_robot(args.fish)
     code = console.OK
@@ -50,10 +50,10 @@ def run(verb: str, argv: list[str]) -> int | None:
 
 
 def gathered(robot: Robot, args) -> Path:
-    """The data set that the bare verb fits to: at hand, or solved first; refused before the fit where it is too small for one.
+    """Data set for the bare verb: at hand, or solved first; refused before the fit if it is too small.
 
     Raises:
-        DatasetError: nothing to check the fit by. ConfigError: as `at_hand.segments_at_hand`.
+        DatasetError: no data to check the fit. ConfigError: as `at_hand.segments_at_hand`.
     """
     from fishmj.hydro_fit.campaign.data.at_hand import Request, segments_at_hand
 
@@ -83,7 +83,7 @@ def gathered(robot: Robot, args) -> Path:
 
 
 def data_of(robot: Robot, args) -> Path:
-    """The data set that was asked for, else the fish's own, the shipped one if it is of this fish, the fish's preview."""
+    """Data set of the option, else the fish's own, the shipped one if it is of this fish, the fish's preview."""
     own = DATA / robot.name
     if args.data or (own / MANIFEST).is_file():
         return Path(args.data or own)
@@ -96,7 +96,7 @@ def data_of(robot: Robot, args) -> Path:
 
 
 def options(verb: str) -> console.Parser:
-    """The arguments of a command."""
+    """Parser of a command."""
     made = console.parser(f"hydro_fit {verb}", COMMANDS[verb].summary[:1].upper() + COMMANDS[verb].summary[1:] + ".")
     add = made.add_argument
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
@@ -126,7 +126,7 @@ def options(verb: str) -> console.Parser:
 
 
 def slip_of(data: SegmentDataset, asked: float | None, model: HydroModel | None = None) -> float:
-    """The slip ratio that was asked for, else the only one of the data, else that of the model where the data have it, else 1."""
+    """Slip ratio of the option, else the only one of the data, else that of the model if the data have it, else 1."""
     there = {float(meta["grid"]["slip"]) for meta in data.about.values()}
     if asked is not None:
         return asked
@@ -136,7 +136,7 @@ def slip_of(data: SegmentDataset, asked: float | None, model: HydroModel | None 
 
 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
-    """The records of one part at one slip ratio, repeats left out.
+    """Records of one part at one slip ratio, without repeats.
 
     Raises:
         ConfigError: the data are of another robot, or the part is empty.
@@ -155,10 +155,10 @@ def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> l
 
 
 def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[SegmentRecord], list[SegmentRecord]]:
-    """Training and validation records at one slip ratio; where none validate there, every fifth training record does.
+    """Training and validation records at one slip ratio; if none validate there, every fifth training record does.
 
     Raises:
-        DatasetError: fewer than `FEWEST` free swims to fit, or none to validate: no fit of them would mean anything.
+        DatasetError: fewer than `FEWEST` free swims to fit, or none to validate: a fit would be meaningless.
     """
     from fishmj.hydro_fit.fit.rollout import SHORTEST, is_free
 
@@ -177,19 +177,19 @@ def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[
 
 
 def _more(data: SegmentDataset) -> str:
-    """How a data set that is too small gets larger."""
+    """Hint on how to enlarge a data set that is too small."""
     if missing := data.meta.get("missing", 0):
         return f"{missing} segments of its plan are missing: the bare python -m fishmj.hydro_fit goes on with them"
     return "solve more segments: python -m fishmj.hydro_fit collect"
 
 
 def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:
-    """Write `model` to `folder`, or beside it as `rejected-<hash>` when the standing model does better on the same validation.
+    """Writes `model` to `folder`, or beside it as `rejected-<hash>` if the existing model is better on the same validation.
 
     Args:
-        score, standing: squared error of the validation swims of the new and of the standing model; None where there is none.
+        score, standing: squared error of the validation swims of the new and of the existing model; None if there is none.
     Returns:
-        (path of the TOML, whether the model took the place).
+        (path of the TOML, True if the model replaced the existing one).
     """
     if standing is None or score <= standing:
         return model.save(folder), True
@@ -207,9 +207,9 @@ def promote(model: HydroModel, folder: Path, *, score: float, standing: float | 
 
 
 def standing_model(folder: Path, name: str, robot_sha256: str) -> tuple[HydroModel, Path] | None:
-    """What stands in the place, with its path, if it is for the same robot and of the present form.
+    """Existing model of this name with its path, if it is for the same robot and of the present form, else None.
 
-    In the default place the shipped model stands where there is no other.
+    In the default place the shipped model counts if there is no other.
     """
     places = FOLDERS if Path(folder) == FOLDERS[0] else (folder,)
     path = next((path for place in places if (path := Path(place) / f"{name}.toml").is_file()), None)
@@ -224,9 +224,9 @@ def standing_model(folder: Path, name: str, robot_sha256: str) -> tuple[HydroMod
 
 
 def fit(robot: Robot, folder: Path, args) -> dict:
-    """Fit, and put the model in its place if it is not worse than what stands there.
+    """Fits, and puts the model in its place if it is not worse than the existing one.
 
-    A preview never takes the place of a model that is none: it is named `<name>-preview`.
+    A preview never replaces a complete model: it is named `<name>-preview`.
     """
     from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
@@ -274,7 +274,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 
 
 def chosen(robot: Robot, args) -> HydroModel:
-    """The model that is judged."""
+    """Model to be judged."""
     if args.prior:
         from fishmj.hydro_fit.water_ablation.ablation import unfitted
 
@@ -290,7 +290,7 @@ def chosen(robot: Robot, args) -> HydroModel:
 
 
 def repeats_of(data: SegmentDataset, slip: float) -> list[tuple[SegmentRecord, SegmentRecord]]:
-    """Pairs of a repeat and what it repeats."""
+    """Pairs of a repeat and its original."""
     pairs = []
     for name in data.names("test", slip=slip):
         original = data.about[name].get("replicate_of")
@@ -302,10 +302,10 @@ def repeats_of(data: SegmentDataset, slip: float) -> list[tuple[SegmentRecord, S
 def held_out(
     robot: Robot, folder: Path, args, model: HydroModel | None = None
 ) -> tuple[list[SegmentRecord], list[tuple[SegmentRecord, SegmentRecord]]]:
-    """What `model` is judged on: the test part, with that of the fresh episodes beside it unless --data asks for one set.
+    """Records on which `model` is judged: the test part, plus that of the fresh episodes unless --data selects one set.
 
     Returns:
-        the records, repeats left out, and pairs of a repeat and what it repeats.
+        the records without repeats, and pairs of a repeat and its original.
     """
     beside = folder.with_name(folder.name + FRESH)
     records, repeats = [], []
@@ -320,7 +320,7 @@ def held_out(
 
 
 def calibrate(robot: Robot, folder: Path, args) -> dict:
-    """Scale the error bar of the model in its place by the test part of a data set that nothing else is judged by."""
+    """Scales the error bar of the installed model by the test part of a data set that is used for no other judgement."""
     from fishmj.hydro_fit.fit.prediction_interval import calibrated
 
     data, model = open_dataset(folder, test=True), chosen(robot, args)
@@ -334,7 +334,7 @@ def calibrate(robot: Robot, folder: Path, args) -> dict:
 
 
 def check(robot: Robot, folder: Path, args) -> dict:
-    """Judge the model on the test part; a preview's misses are told and are no failure."""
+    """Judges the model on the test part; a preview's misses are printed but are not a failure."""
     from fishmj.hydro_fit.free_swims import judge
     from fishmj.hydro_fit.report import PREVIEW_TOLERANCES, check_rows
 
@@ -347,7 +347,7 @@ def check(robot: Robot, folder: Path, args) -> dict:
 
 
 def ablation(robot: Robot, folder: Path, args) -> dict:
-    """The fit without each of its parts, on the same held-out records."""
+    """Fits the model without each of its parts, on the same held-out records."""
     from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitSettings
     from fishmj.hydro_fit.water_ablation import ablation_table
@@ -369,7 +369,7 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
 
 
 def report(robot: Robot, folder: Path, args) -> Path:
-    """Write report.html and report.json beside the model."""
+    """Writes report.html and report.json beside the model."""
     from fishmj.hydro_fit.report import write
 
     model = chosen(robot, args)

@@ -1,4 +1,4 @@
-"""Does a fitted water swim as the flow solver does? Judged on records that no fit has seen.
+"""Judges a fitted water by the flow solver's swims, on records outside every fit.
 
 | figure | over | what |
 |---|---|---|
@@ -9,10 +9,10 @@
 | thrust_error | held fish with moving joints | mean force along the links, difference over the tow drag at 0.3 m/s |
 | freerun_position_error | gaits, from `began` on | distance between the fish after 10 s, m; shorter runs are not judged |
 | coverage90 | all free swims | share of episode means inside the 90 % band, by channel |
-| guard_rate | all free swims | share of steps outside the fitted range: there the base swims alone |
+| guard_rate | all free swims | share of steps outside the fitted range: only the base acts there |
 
-A figure passes at or below max(stated, 2 x the solver's own repeatability), which comes from the records that repeat others with
-a nudged grid or a finer step, by the same measure.
+A figure passes at or below max(stated, 2 x the solver's own repeatability). Repeatability comes from the records that repeat
+others with a nudged grid or a finer step, by the same measure.
 """
 
 from collections.abc import Sequence
@@ -66,9 +66,9 @@ class FreeSwims:
         self.cruise, self.cruise_track = self._freerun(ch, robot, swim, model)
 
     def _freerun(self, ch, robot, swim, model) -> tuple[FishBatch, SwimTrack]:
-        """The gaits again, `FREERUN` s from a recorded state, the water's memory as the record filled it.
+        """Repeats the gaits for `FREERUN` s from a recorded state, with the water's memory filled by the record.
 
-        They begin at `SETTLED`, or as much earlier, but not before `SHORTEST`, as leaves `FREERUN` s of the shortest.
+        They start at `SETTLED`, or earlier, but not before `SHORTEST`, if the shortest would have less than `FREERUN` s.
         """
         tick = self.records[0].tick
         chosen = [r for r in self.records if r.meta["block"] in GAITS and r.seconds >= 2 * SHORTEST]
@@ -150,7 +150,7 @@ def judge(
 
 
 def errors(swum: "FreeSwims | Any", late: dict[str, np.ndarray]) -> tuple[dict[str, float], dict[str, int]]:
-    """Errors of the late means of gaits; nan where no record tells."""
+    """Errors of the late means of gaits, and their numbers; nan if no record applies."""
     seen = swum.seen
     gait = np.array([r.meta["block"] in GAITS for r in swum.records])
     still = np.array([float(np.abs(r.flow).max()) < 1e-6 for r in swum.records])
@@ -172,7 +172,7 @@ def errors(swum: "FreeSwims | Any", late: dict[str, np.ndarray]) -> tuple[dict[s
 
 
 def _bias(record: SegmentRecord) -> float:
-    """Mean bend that was commanded after `SETTLED`, rad, sum over the joints; whole beats cancel their wave."""
+    """Mean commanded bend after `SETTLED`, rad, sum over the joints; over whole beats the wave cancels."""
     drive = record.meta["segment"].get("drive", {})
     if "bias" in drive:
         return abs(float(drive["bias"]))
@@ -182,7 +182,7 @@ def _bias(record: SegmentRecord) -> float:
 
 
 def model_force(model: HydroModel, ch: planar_chain.Chain, rows: RegressionRows, tick: float) -> np.ndarray:
-    """(3, N, M), with the force of the acceleration."""
+    """Force of the model, (3, N, M), with that of the acceleration."""
     force = base_force(rows, ch.strips, model.base, attachment(rows, ch.strips, model.base, tick))
     return force if model.learnt is None else force + warm_up(ch, rows, model.base, model.learnt, tick).force
 
@@ -198,7 +198,7 @@ def _thrust(model: HydroModel, robot: Robot, held: Sequence[SegmentRecord]) -> f
 
 
 def repeatability(robot: Robot, repeats: Sequence[tuple[SegmentRecord, SegmentRecord]]) -> dict[str, float]:
-    """The same figures between the solver's own repeats: how exactly there is anything to agree with."""
+    """The same figures between the solver's own repeats: the limit of any agreement."""
     ch = planar_chain.chain_of(robot)
     out: dict[str, float] = {}
     free = [(a, b) for a, b in repeats if is_free(a) and len(a.q) == len(b.q)]

@@ -1,15 +1,15 @@
 """One segment of a campaign on disk: `<id>.npz` with the arrays and `<id>.json` with everything else, written in this order.
 
-The JSON holds the sha256 of the arrays, so a pair is complete or not there. SI units, tank frame; T ticks of 20 ms, N links,
+The JSON holds the sha256 of the arrays, so a pair is complete or absent. SI units, tank frame; T ticks of 20 ms, N links,
 J = N - 1 joints. Row k is the tick from t_k - 20 ms to t_k.
 
     q, v     (T, 3 + J)   pose of the reference point and joint angles, and their rates, at the end of the tick
     command  (T, J)       on the bus at the start of the tick, rad
     wrench   (T, N, 3)    mean over the tick of the water's F_x, F_y [N] and M_z [N m]; M_z about the link's front joint, the
                           head's about the reference point
-    raw      (T, N, 3)    the same without the momentum of the water inside the hull: what the immersed boundary exchanged
+    raw      (T, N, 3)    the same without the momentum of the water inside the hull: the immersed boundary's own exchange
     flow     (T, N, 2)    undisturbed flow at the link's centre at the start of the tick, m/s
-    power    (T,)         electrical, with electronics, mean over the tick, W; absent where no servo drives the joints
+    power    (T,)         electrical, with electronics, mean over the tick, W; absent if no servo drives the joints
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ KICK = 0.3  # s, of a free swim that begins at rest in a stream
 
 @dataclass(frozen=True, eq=False)
 class SegmentRecord:
-    """One segment in memory, arrays in float64 as in the table above; `power` is nan where it is not known.
+    """One segment in memory, arrays in float64 as in the table above; `power` is nan if it is not known.
 
     meta: id, episode, block, split, segment (how it was made), robot, grid, start (q, v before row 0), tick, stopped, ...
     """
@@ -50,25 +50,27 @@ class SegmentRecord:
 
     @property
     def id(self) -> str:
+        """Id of the segment."""
         return self.meta["id"]
 
     @property
     def tick(self) -> float:
-        """s."""
+        """Duration of a tick, s."""
         return float(self.meta["tick"])
 
     @property
     def t(self) -> np.ndarray:
-        """(T,) s, ends of the ticks, counted from the start of the recorded part."""
+        """Ends of the ticks, (T,) s, counted from the start of the recorded part."""
         return (np.arange(len(self.q)) + 1) * self.tick
 
     @property
     def seconds(self) -> float:
+        """Duration of the record, s."""
         return len(self.q) * self.tick
 
     @property
     def background(self) -> Flow:
-        """The undisturbed flow as a whole: `background.at(x, meta["settle"] + t)`."""
+        """Undisturbed flow as a whole: `background.at(x, meta["settle"] + t)`."""
         return Flow(**self.meta["segment"]["flow"])
 
     @property
@@ -79,9 +81,9 @@ class SegmentRecord:
 
     @property
     def steadied(self) -> "SegmentRecord":
-        """The record without its first `KICK` s where a free fish was let go at rest in a stream.
+        """Record without its first `KICK` s, for a free fish that was released at rest in a stream.
 
-        All water around it is stopped by the fish alone within the first tick, and carries it along: no fish is ever let go so.
+        The fish alone has to stop all the water around it within the first tick, which carries it along: no real fish starts so.
         """
         held = self.meta.get("prescribed", {}).get("root", True)
         skip = round(KICK / self.tick)
@@ -94,12 +96,12 @@ class SegmentRecord:
 
     @property
     def acceleration(self) -> np.ndarray:
-        """Mean v' over every tick, (T, 3 + J), m/s2 and rad/s2: to be set against the mean wrenches."""
+        """Mean v' over every tick, (T, 3 + J), m/s2 and rad/s2, comparable with the mean wrenches."""
         return (self.v - self.before[1]) / self.tick
 
 
 def narrow(values: np.ndarray) -> np.ndarray:
-    """(T, ...) in 16 bits where this moves no channel by more than `HALF` of its range, else in 32."""
+    """Values (T, ...) in 16 bits if this changes no channel by more than `HALF` of its range, else in 32."""
     with np.errstate(invalid="ignore", over="ignore"):
         half = values.astype(np.float16)
         error = np.abs(half.astype(float) - values).max(0)
@@ -107,12 +109,12 @@ def narrow(values: np.ndarray) -> np.ndarray:
 
 
 def files(folder: Path, name: str) -> tuple[Path, Path]:
-    """Arrays and description of segment `name`."""
+    """Paths of arrays and description of segment `name`."""
     return folder / f"{name}.npz", folder / f"{name}.json"
 
 
 def write_record(folder: Path, meta: dict, arrays: dict[str, np.ndarray]) -> dict:
-    """Keep one segment; returns its meta data with `file`. No arrays: the description alone says why.
+    """Keeps one segment; returns its metadata with `file`. Without arrays only the description is written, with the reason.
 
     Raises:
         StoreError: the disk refuses.
@@ -128,7 +130,7 @@ def write_record(folder: Path, meta: dict, arrays: dict[str, np.ndarray]) -> dic
 
 
 def read_record(folder: Path, name: str) -> SegmentRecord:
-    """One segment, its arrays checked against the sha256 beside them.
+    """Reads one segment, its arrays checked against the sha256 beside them.
 
     Raises:
         DatasetError: one of the two files is missing, or they do not belong together.
@@ -149,10 +151,10 @@ def read_record(folder: Path, name: str) -> SegmentRecord:
 
 
 def described(about: Path) -> dict:
-    """The JSON of a segment.
+    """JSON of a segment.
 
     Raises:
-        DatasetError: missing, damaged, or no segment.
+        DatasetError: missing, damaged, or not a segment.
     """
     try:
         meta = read_json(about)
@@ -170,7 +172,7 @@ def described(about: Path) -> dict:
 
 @cache
 def _description():
-    """What a segment's JSON must hold for a fit; other keys are kept."""
+    """Required fields of a segment's JSON for a fit; other keys are kept."""
     from pydantic import AllowInfNan, ConfigDict, Field, TypeAdapter, create_model
 
     number = Annotated[float, AllowInfNan(False)]

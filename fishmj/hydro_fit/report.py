@@ -1,7 +1,7 @@
 """The report of a fitted water: one HTML page without outside references, and the same figures as JSON.
 
-Besides the judgement of `free_swims`: how well the model says what the flow solver's wrenches were, by regime and link, the
-acceleration's share taken off.
+Besides the judgement of `free_swims`: accuracy of the model's wrenches relative to the flow solver's, by regime and link, without
+the acceleration's share.
 """
 
 import io
@@ -41,7 +41,7 @@ def write(
     folder: Path, model: HydroModel, robot: Robot, records: Sequence[SegmentRecord],
     repeats: Sequence[tuple[SegmentRecord, SegmentRecord]] = (),
 ) -> Path:  # fmt: skip
-    """Judge `model` on held-out records and write report.html and report.json; returns the page's path."""
+    """Judges `model` on held-out records and writes report.html and report.json; returns the page's path."""
     found = free_swims.judge(model, robot, records, repeats)
     swum = free_swims.FreeSwims(model, robot, records)
     forces, runs = by_regime(model, robot, records), free_runs(swum)
@@ -64,7 +64,7 @@ def write(
 
 
 def about(model: HydroModel, records: Sequence[SegmentRecord]) -> str:
-    """One line on where the figures come from."""
+    """Line on the origin of the figures."""
     seconds = sum(r.seconds for r in records)
     first = f"preview, {PREVIEW_TOLERANCES}; " if model.preview else ""
     return (
@@ -74,7 +74,7 @@ def about(model: HydroModel, records: Sequence[SegmentRecord]) -> str:
 
 
 def check_rows(found: dict) -> list[dict]:
-    """The judgement, one row a figure."""
+    """Rows of the judgement, one for each figure."""
     rows = []
     for key, value in found["figures"].items():
         for name, part in value.items() if isinstance(value, dict) else [("", value)]:
@@ -128,7 +128,7 @@ def gait_rows(swum: free_swims.FreeSwims) -> tuple[list[dict], list[dict]]:
 
 
 def coefficients(model: HydroModel) -> list[dict]:
-    """What the data say about each parameter, by stage."""
+    """Fit results of each parameter, by stage."""
     keys = ("name", "value", "sd", "prior", "status", "partner", "correlation")
     rows = []
     for stage, found in model.found.items():
@@ -137,7 +137,7 @@ def coefficients(model: HydroModel) -> list[dict]:
 
 
 def means_figure(swum: free_swims.FreeSwims, band: dict[str, list[float]]) -> bytes:
-    """Means of every free swim, model over record, with the 90 % band."""
+    """Plot of the means of every free swim, model over record, with the 90 % band."""
     figure, axes = _panels(1, len(CHANNELS), 3.8)
     got, seen = means(swum.track, swum.fleet), means(recorded(swum.fleet), swum.fleet)
     gait = np.array([r.meta["block"] in free_swims.GAITS for r in swum.records])
@@ -157,7 +157,7 @@ def means_figure(swum: free_swims.FreeSwims, band: dict[str, list[float]]) -> by
 
 
 def runs_figure(swum: free_swims.FreeSwims) -> bytes:
-    """Paths of some free runs beside the recorded ones."""
+    """Plot of the paths of some free runs beside the recorded ones."""
     which = np.linspace(0, len(swum.cruise.q) - 1, min(RUNS, len(swum.cruise.q))).astype(int)
     figure, axes = _panels(2, (len(which) + 1) // 2, 5.5)
     for axis, b in zip(axes, which, strict=False):
@@ -172,7 +172,7 @@ def runs_figure(swum: free_swims.FreeSwims) -> bytes:
 
 
 def forces_figure(points: dict[str, np.ndarray]) -> bytes:
-    """Drag and lateral force of held, straight and bent fish over the angle of attack, solver and model."""
+    """Plot of drag and lateral force of held, straight and bent fish over the angle of attack, solver and model."""
     figure, axes = _panels(1, 3, 3.8)
     titles = ("force along x, N", "force along y, N", "yaw moment, N m")
     for axis, name, title in zip(axes, ("x", "y", "m"), titles, strict=True):
@@ -202,7 +202,7 @@ def _png(figure) -> bytes:
 
 
 def regimes(records: Sequence[SegmentRecord], rows: RegressionRows) -> np.ndarray:
-    """The regime of every row, (M,) text: by block, but for the first 2 s of a free swim and angles of attack above 60 deg."""
+    """Regime of every row, (M,) text: by block, except the first 2 s of a free swim and angles of attack above 60 deg."""
     out = np.concatenate([np.full(len(r.q), NAMES.get(r.meta["block"], r.meta["block"]), dtype="<U20") for r in records])
     for record, span in zip(records, rows.spans(), strict=True):
         if not any(record.meta["prescribed"].values()) and record.meta.get("settle", 0.0) == 0:
@@ -213,7 +213,7 @@ def regimes(records: Sequence[SegmentRecord], rows: RegressionRows) -> np.ndarra
 
 
 def by_regime(model: HydroModel, robot: Robot, records: Sequence[SegmentRecord]) -> list[dict]:
-    """One row a regime and link: R2 and NRMSE of F_t, F_n and the moment, without the acceleration's part, and mean thrust."""
+    """Rows by regime and link: R2 and NRMSE of F_t, F_n and the moment, without the acceleration's part, and mean thrust."""
     ch, tick = planar_chain.chain_of(robot), records[0].tick
     rows = rows_of(ch, records)
     got, label = free_swims.model_force(model, ch, rows, tick), regimes(records, rows)

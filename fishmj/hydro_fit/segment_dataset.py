@@ -1,12 +1,12 @@
-"""A data set of segments, checked before anything is learnt from it.
+"""A data set of segments, checked before it is used for a fit.
 
     data = open_dataset("data/hydro/laptop")
     for record in data.records("train"): ...            `records` yields `SegmentRecord`s, in order of id
     data.records("test")                                refused: only the check opens it, with open_dataset(folder, test=True)
 
-A data set is a folder:  `segments/<id>.npz, .json`,  `split.json` (which episode is for what, written before the first segment
-was run) and `manifest.json` (sha256 of every file). Segments of one episode, at other slip ratios too, share its split.
-Where no segment but those of `INSTALLED` is there, as in an installed fishmj, the data set is open for judging alone.
+A data set is a folder:  `segments/<id>.npz, .json`,  `split.json` (the split of every episode, written before the first segment
+was run) and `manifest.json` (sha256 of every file). Segments of one episode share its split, also at other slip ratios. A data
+set with only the segments of `INSTALLED`, as in an installed fishmj, can be used for judging only.
 """
 
 import hashlib
@@ -30,7 +30,10 @@ SHOWN = 12  # files that a message lists by name
 
 @dataclass(frozen=True)
 class SegmentDataset:
-    """An opened data set. `about`: the meta data of every segment by id, test ones without their arrays. whole: all are there."""
+    """An opened data set. `about`: metadata of every segment by id, test ones without their arrays.
+
+    whole: all segments are there.
+    """
 
     folder: Path
     about: dict[str, dict]
@@ -41,17 +44,17 @@ class SegmentDataset:
 
     @property
     def sha256(self) -> str:
-        """Of the manifest: the same data set has the same one."""
+        """sha256 of the manifest, which identifies the data set."""
         return hashlib.sha256((self.folder / MANIFEST).read_bytes()).hexdigest()
 
     @property
     def robot(self) -> dict:
-        """name, joints and sha256 of the description; one for all segments."""
+        """Name, joints and sha256 of the description; one for all segments."""
         return next(iter(self.about.values()))["robot"]
 
     @property
     def preview(self) -> bool:
-        """Solved in a preview's box, or not all of what was planned."""
+        """Returns True if it was solved in a preview's box, or is a part of its plan."""
         cut = ", first " in str(self.meta.get("label", ""))
         return bool(cut or self.meta.get("missing", 0) or self.meta.get("grid", {}).get("preview", False))
 
@@ -84,22 +87,22 @@ class SegmentDataset:
         return (read_record(self.folder / SEGMENTS, name).steadied for name in self.names(split, block=block, slip=slip))
 
     def __getitem__(self, name: str) -> SegmentRecord:
-        """One segment by id; errors as in `names`."""
+        """Reads one segment by id; errors as in `names`."""
         if name not in self.about or name not in self.names(self.about[name]["split"]):
             raise DatasetError(f"{self.folder}: no segment {name!r} with arrays")
         return read_record(self.folder / SEGMENTS, name).steadied
 
     def lost(self) -> dict[str, str]:
-        """Why segments stopped early or hold nothing, by id."""
+        """Reasons of segments that stopped early or hold nothing, by id."""
         return {name: meta["stopped"] for name, meta in self.about.items() if meta.get("stopped")}
 
 
 def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:
-    """Open a data set after checking every file of it; `test` also opens the test part, for the check command only.
+    """Opens a data set after checking every file of it; `test` also opens the test part, for the check command only.
 
     Raises:
         DatasetError: files missing, changed or not in the manifest; schemas, units, solvers, robots or grids mixed; an episode
-            that is not where the split says. Lists the files, what was expected and what was found.
+            in the wrong split. Lists the files, the expected and the found.
     """
     folder = Path(folder)
     manifest, whole = _manifest(folder)
@@ -125,7 +128,7 @@ def split_hashes(episodes: dict[str, str]) -> dict[str, str]:
 
 
 def _manifest(folder: Path) -> tuple[Manifest, bool]:
-    """What must be there, every file checked, and whether that is all of the data set."""
+    """Manifest after checking every file, and True if that is all of the data set."""
     try:
         manifest = Manifest.read(folder)
     except StoreError as error:
@@ -157,7 +160,7 @@ def _split(folder: Path) -> dict[str, str]:
 
 
 def _belong_together(folder: Path, about: dict[str, dict]) -> None:
-    """One schema, set of units, solver, robot and grid; slip ratios may differ, and a repeat may have a finer time step."""
+    """Checks for one schema, set of units, solver, robot and grid; slip ratios may differ, and a repeat may have a finer step."""
     kinds: dict[str, tuple[str, ...]] = {"schema": (), "units": (), "solver": ()}
     kinds |= {"robot": ("name", "joints", "sha256"), "grid": ("domain", "dx", "dt")}
     known = {"schema": SCHEMA, "units": UNITS}

@@ -91,7 +91,7 @@ class ControlLoop:
         self.ticks = engines.ticks_per(robot)[1]
 
     def start(self, pose, scenario) -> None:
-        """Begin at rest over ground at poses (B, 3) [m, rad], encoders at zero; scenario: a `Scenario` or more."""
+        """Begins at rest over ground at poses (B, 3) [m, rad], encoders at zero; scenario: a `Scenario` or more."""
         self.scenario = scenario
         self.fish = engines.at_rest(self.robot, pose)
         self.fish.q[:, 3:] = scenario.params.zero
@@ -105,7 +105,7 @@ class ControlLoop:
         return task.observe_with_sensors(np, self.robot, self.sensors, now.params, *senses, target, noise)
 
     def act(self, commands) -> Trace:
-        """Swim one control step of bus commands (B, T, J) rad. Raises SimDiverged."""
+        """Swims one control step of bus commands (B, T, J) rad. Raises SimDiverged."""
         self.fish, trace = self.advance(self.fish, commands)
         return self._seen(trace)
 
@@ -316,7 +316,7 @@ class Episodes(ControlLoop):
         self.begin(rules.scenario(rules.draws(np.random.default_rng(0), n)))
 
     def begin(self, scenario: EpisodeDraw, rows=slice(None)) -> None:
-        """Start the episodes `rows` (index array; all by default) at rest over ground, as many as `scenario` has."""
+        """Starts the episodes `rows` (index array; all by default) at rest over ground, as many as `scenario` has."""
         before = None if isinstance(rows, slice) else self._running()
         self.start(scenario.launch.start.pose, scenario)
         self.command = np.zeros((len(self.count), self.rules.n_act))

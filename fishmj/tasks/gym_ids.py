@@ -19,7 +19,7 @@ IDS = {
 
 
 def register() -> None:
-    """Put the environments into Gymnasium's registry; a second call changes nothing."""
+    """Puts the environments into Gymnasium's registry; a second call changes nothing."""
     import gymnasium
 
     for name, task in IDS.items():
@@ -33,7 +33,7 @@ def register() -> None:
 
 
 def announce() -> None:
-    """Register now, or as soon as Gymnasium has been imported."""
+    """Registers now, or as soon as Gymnasium has been imported."""
     if "gymnasium" in sys.modules:
         if hasattr(sys.modules["gymnasium"], "registry"):  # not in the middle of its own import
             register()

@@ -203,7 +203,7 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
     """Folders of every seed's run, checked before the first one starts.
 
     Raises:
-        ConfigError: one holds a run and neither --resume nor removal was asked for, or something that must not be removed.
+        ConfigError: one holds a run, without --resume or its removal as an option, or something that must not be removed.
         ArgumentTypeError: one cannot be written.
     """
     from fishmj.base import plugins

@@ -87,7 +87,7 @@ class Lane:
             self.export("best", actors, i, done)
 
     def export(self, name: str, actors, i: int, done: int) -> None:
-        """Write the policy `name`."""
+        """Writes the policy `name`."""
         network = self.policy_layers(jax.tree.map(lambda a: a[i], actors))
         meta = {"steps": done, "command": self.command, **({"tune": self.best} if name == "best" else {})}
         export(network, self.settings, meta, self.folder / f"{name}.safetensors")

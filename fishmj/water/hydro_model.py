@@ -222,7 +222,7 @@ class HydroModel:
         return f"; a preview, not fitted to a whole plan{other}" if self.preview else other
 
     def save(self, folder: "str | Path") -> Path:
-        """Write `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""
+        """Writes `<name>.safetensors`, then `<name>.toml`, which names its sha256; each atomically. Returns the TOML's path."""
         folder, arrays = Path(folder), {"members": np.asarray(self.members, float), "alone": np.asarray(self.alone, float)}
         if self.learnt is not None:
             arrays |= {key: value.astype(np.float32) for key, value in residual_hooks.packed(self.learnt).items()}
@@ -239,7 +239,7 @@ class HydroModel:
 
     @classmethod
     def load(cls, source: "str | Path") -> "HydroModel":
-        """Read a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual, `NAME#2` its member 2.
+        """Reads a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual, `NAME#2` its member 2.
 
         Raises:
             UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model, or

@@ -1,1 +1,1 @@
-"""How often the monitor of `fishmj.deploy` alarms without a reason, and how soon with one."""
+"""False alarms of the monitor of `fishmj.deploy`, and its delay in finding a fault."""

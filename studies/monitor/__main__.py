@@ -1,12 +1,13 @@
-"""How often the monitor alarms without a reason, and how soon with one: the loopback robot under a policy, faster than real time.
+"""False alarms of the monitor and its delay in finding an effect: the loopback robot under a policy, faster than real time.
 
     python -m studies.monitor --out runs/monitor                     10 h healthy, and the effects
     python -m studies.monitor --robots 1 --swims 1 --out runs/look   a quick look
 
-A robot is a draw of the second robot's unmeasured constants; it swims through the host, in lockstep. Each has one healthy swim to
-learn from, others to watch, and one for every effect, of the middle of its catalogue's range, that comes at 60 s. Finished swims
-are kept: the same command goes on. A swim that was watched needs its tables no more: NAME.json and reference_ROBOT.npz are enough
-to go on elsewhere. Robots of other seeds (`--first`) are other robots.
+A robot is a draw of the second robot's unmeasured constants; it swims through the host, in lockstep. Each has one healthy swim
+for learning, others to watch, and one for every effect, which sets in at 60 s with the middle of its catalogue's range. Finished
+swims
+are kept: the same command continues. A watched swim no longer needs its tables: NAME.json and reference_ROBOT.npz are enough to
+continue on another machine. Robots of other seeds (`--first`) are other robots.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -45,18 +46,18 @@ def middle(effect: str) -> Effects:
 
 
 def name_of(job: Job) -> str:
-    """The file of a job."""
+    """File of a job."""
     robot, number, effect = job
     return f"{robot}_{number}{'_' + effect if effect else ''}.npz"
 
 
 def result_of(job: Job) -> str:
-    """The file of what the monitor said of a job."""
+    """File of the monitor's result for a job."""
     return str(Path(name_of(job)).with_suffix(".json"))
 
 
 def made(folder: Path, job: Job) -> None:
-    """Swim one job, unless it is there."""
+    """Swims one job, unless its file exists."""
     robot, number, effect = job
     file = folder / name_of(job)
     if not file.is_file():
@@ -66,7 +67,7 @@ def made(folder: Path, job: Job) -> None:
 
 
 def speed_of(robot: int) -> float:
-    """m/s of the stream that a robot swims in."""
+    """Speed of the stream in which a robot swims, m/s."""
     return SPEEDS[robot % len(SPEEDS)]
 
 
@@ -86,33 +87,33 @@ def predicted(folder: Path, jobs: list[Job]) -> dict[Job, Blocks]:
 
 
 def parts(jobs: list[Job], count: int) -> list[list[Job]]:
-    """The jobs in `count` parts or more, none longer than TOGETHER."""
+    """Jobs in `count` parts or more, none longer than TOGETHER."""
     size = max(min(TOGETHER, -(-len(jobs) // count)), 1)
     return [jobs[begin : begin + size] for begin in range(0, len(jobs), size)]
 
 
 def learnt_from(folder: Path, jobs: list[Job]) -> None:
-    """Keep the reference of each of these robots' first swims."""
+    """Learns and keeps the reference of each robot's first swim."""
     for job, blocks in predicted(folder, jobs).items():
         results.write_reference(folder / results.reference_name(job[0]), learn([b for _, b in blocks], channels(3)))
 
 
 def watched_in(folder: Path, rate: float, jobs: list[Job]) -> None:
-    """Keep what the monitor says of each of these swims."""
+    """Watches each of these swims and keeps the monitor's result."""
     references = {robot: results.read_reference(folder / results.reference_name(robot)) for robot in {job[0] for job in jobs}}
     for job, blocks in predicted(folder, jobs).items():
         write_json(folder / result_of(job), results.watched(references[job[0]], blocks, rate)._asdict())
 
 
 def kept(folder: Path, job: Job, rate: float) -> Watched | None:
-    """What the monitor said of a swim; None: it has not watched it, or at another rate."""
+    """Kept result of the monitor for a swim; None if it was not watched, or at another rate."""
     file = folder / result_of(job)
     found = Watched(**read_json(file)) if file.is_file() else None
     return found if found and found.rate == rate else None
 
 
 def walked(folder: Path, robots: list[int], swims: int, rate: float, jobs_at_once: int, swim_more: bool) -> None:
-    """Swim what is missing, learn every robot, watch its swims; what is finished is kept."""
+    """Swims the missing jobs, learns every robot, watches its swims; finished parts are kept."""
     todo = [job for job in watched_jobs(robots, swims) if kept(folder, job, rate) is None]
     unknown = [(r, 0, "") for r in robots if not (folder / results.reference_name(r)).is_file() and any(j[0] == r for j in todo)]
     with ProcessPoolExecutor(jobs_at_once) as pool:
@@ -135,13 +136,13 @@ def walked(folder: Path, robots: list[int], swims: int, rate: float, jobs_at_onc
 
 
 def watched_jobs(robots: list[int], swims: int) -> list[Job]:
-    """Every swim that is watched, robot by robot in turn, so that a run that is cut has some of each."""
+    """Swims to be watched, one of each robot in turn, so that an interrupted run has some of each."""
     healthy = [(r, n, "") for n in range(1, swims + 1) for r in robots]
     return [*healthy[: len(robots)], *((r, 500, effect) for r in robots for effect in PLANTED), *healthy[len(robots) :]]
 
 
 def main(argv: list[str]) -> int:
-    """Exit code 0: no alarm without a reason; 1: there were some."""
+    """Runs the study. Exit code 0: no false alarm; 1: some."""
     parser = console.parser("studies.monitor", __doc__ or "")
     parser.add_argument("--robots", type=console.whole(1, 1000), default=6, help="draws of the unmeasured constants (default 6)")
     parser.add_argument("--first", type=console.whole(0, 10**6), default=FIRST, help=f"seed of the first robot (default {FIRST})")
@@ -176,7 +177,7 @@ def main(argv: list[str]) -> int:
 
 
 def summary(seen: dict[Job, Watched], rate: float) -> dict:
-    """Alarms of the healthy swims, and how soon each effect was found."""
+    """False alarms of the healthy swims, and the delay of each effect."""
     healthy = {f"{r}_{n}": result for (r, n, effect), result in seen.items() if not effect}
     false = {name: result.alarms for name, result in healthy.items() if result.alarms}
     hours = sum(result.blocks for result in healthy.values()) * BLOCK / 3600
@@ -199,7 +200,7 @@ def highest_rate(alarms: int, hours: float) -> float:
 
 
 def row_of(effect: str, swims: list[Watched]) -> dict:
-    """How soon an effect was found, s after it came."""
+    """Row of an effect: its delays, s after its start."""
     first = [alarm for alarm in (next((a for a in s.alarms if a[0] > AT), None) for s in swims) if alarm]
     delays, names = sorted(t - AT for t, _, _ in first), [f"{channel} {probe}" for _, channel, probe in first]
     return {
@@ -214,7 +215,7 @@ def row_of(effect: str, swims: list[Watched]) -> dict:
 
 
 def said(told: dict) -> list[str]:
-    """What a person reads of a summary."""
+    """Lines of a summary for people."""
     expected, alarms = told["rate"] * told["hours"], f"{told['alarms']} alarms in {told['hours']:.2f} h"
     return [
         f"healthy: {alarms} of {len(told['robots'])} robots, asked for at most {told['rate']:g} an hour",

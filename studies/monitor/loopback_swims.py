@@ -1,7 +1,7 @@
 """Swims of the loopback robot through the host in lockstep, from target to target: healthy, or with an effect in mid-swim.
 
-The whole chain of `fishmj deploy swim --link loopback` is there: radio, firmware, servo counts, supervisor, limits, log. No
-frame is drawn: the fixes have the errors of the tag on clean frames, as measured (`loopback.lockstep.PoseTracker`).
+The whole chain of `fishmj deploy swim --link loopback` is included: radio, firmware, servo counts, supervisor, limits, log. No
+frame is drawn: the fixes have the measured errors of the tag on clean frames (`loopback.lockstep.PoseTracker`).
 """
 
 from math import pi
@@ -34,7 +34,7 @@ NUISANCE = 0.1  # relative half width of the draw of unmeasured constants, the l
 
 
 class ChangingClock(LockstepClock):
-    """A lockstep clock whose robot has other effects from `at` s of its swim on."""
+    """Lockstep clock whose robot has other effects from `at` s of its swim on."""
 
     def __init__(self, robot: LoopbackRobot, robot_seed: int, flow: tuple[float, float]):
         super().__init__(robot)
@@ -42,7 +42,7 @@ class ChangingClock(LockstepClock):
         self.change(HEALTHY)
 
     def change(self, effects: Effects) -> None:
-        """From now on the robot has these effects."""
+        """Gives the robot these effects from now on."""
         body = self.robot.body
         if not isinstance(body, VirtualBody):
             raise ConfigError(f"monitor study: body {type(body).__name__}; expected the second robot's")
@@ -50,13 +50,14 @@ class ChangingClock(LockstepClock):
 
 
 class Tour(Swim):
-    """A swim from target to target, each held for a minute, in which effects come at `at` s."""
+    """Swim from target to target, each held for a minute; effects set in at `at` s."""
 
     targets: np.ndarray  # (K, 2) m
     effects: Effects = HEALTHY
     at = 0.0
 
     def listen(self, now: float) -> None:
+        """Reads the link and the camera, sets the present target, and starts the effects when they are due."""
         super().listen(now)
         if self.began is None:
             return
@@ -70,9 +71,9 @@ def swim(
     robot_seed: int, seed: int, seconds: float, effects: Effects = HEALTHY, at: float = 0.0, speed: float = 0.2,
     direction: float = pi, policy: str = "station",
 ) -> Tables:  # fmt: skip
-    """Tables cmd, joint, pose and power of one swim, t s from where the policy took over; arguments as `swims.swim`.
+    """Tables cmd, joint, pose and power of one swim, t in s since the policy took over; arguments as `swims.swim`.
 
-    Poses are stamped as late as the description says, after their picture was taken.
+    The stamp of a pose is later than its picture by the description's latency.
 
     Raises:
         ConfigError: the supervisor ended the swim.

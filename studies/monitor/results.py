@@ -1,4 +1,4 @@
-"""What the monitor said of one swim, and what it had learnt of its robot, as small files: a study goes on without the swims."""
+"""Small files of the monitor's result for a swim and of its reference for a robot: a study continues without the swims."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -18,8 +18,8 @@ class Watched(NamedTuple):
     """One swim under the monitor.
 
     Attributes:
-        rate: false alarms an hour that were asked for. blocks: how many were watched, of `monitor.BLOCK` s.
-        alarms: (s, channel, probe) of each, the tests beginning afresh after it. highest: of the CUSUMs, over their limit.
+        rate: allowed false alarms an hour. blocks: number of watched blocks of `monitor.BLOCK` s.
+        alarms: (s, channel, probe) of each; the tests restart after it. highest: highest CUSUM over its limit.
     """
 
     rate: float
@@ -29,7 +29,7 @@ class Watched(NamedTuple):
 
 
 def watched(reference: Reference, blocks: Blocks, rate: float) -> Watched:
-    """What the monitor says of the blocks of a swim."""
+    """Result of the monitor for the blocks of a swim."""
     cusums, found, highest = Cusums(reference, rate, BLOCK), [], 0.0
     for t, block in blocks:
         cusums.take(block)
@@ -41,12 +41,12 @@ def watched(reference: Reference, blocks: Blocks, rate: float) -> Watched:
 
 
 def reference_name(robot: int) -> str:
-    """The file of what was learnt of a robot."""
+    """File of the reference of a robot."""
     return f"reference_{robot}.npz"
 
 
 def write_reference(file: Path, reference: Reference) -> None:
-    """Keep a reference: channel by channel, its names as text."""
+    """Writes a reference: channel by channel, its names as text."""
     made: dict[str, np.ndarray] = {"blocks": np.array(reference.blocks), "channels": np.array(list(reference.channels))}
     for name, channel in reference.channels.items():
         made |= {f"{name}.{field}": np.array(getattr(channel, field)) for field in FIELDS}
@@ -54,7 +54,7 @@ def write_reference(file: Path, reference: Reference) -> None:
 
 
 def read_reference(file: Path) -> Reference:
-    """The reference that was kept. Raises StoreError: missing or damaged."""
+    """Reads a reference. Raises StoreError if it is missing or damaged."""
     kept = read_npz(file)
     made = {}
     for name in map(str, kept["channels"]):

@@ -47,7 +47,7 @@ class Compiled(Observer):
 
 
 def blocks_of(robot: Robot, swims: Sequence[Tables], flows: Sequence[tuple[float, float]]) -> list[Blocks]:
-    """Blocks of every swim, in float32: hours of them lie side by side. Tables have no pauses; flows: (m/s, rad)."""
+    """Blocks of every swim, in float32, because hours of them are in memory. Tables have no pauses; flows: (m/s, rad)."""
     seen = []
     for tables in swims:
         ticks = Ticks(robot)

@@ -1,6 +1,6 @@
 """Swims of the second robot from target to target under a policy: healthy, or with an effect that comes in mid-swim.
 
-Every target is held for a minute; targets and first pose are drawn. The tables are what a host would have logged.
+Every target is held for a minute; targets and first pose are drawn. The tables are those of a host's log.
 """
 
 import heapq
@@ -22,7 +22,7 @@ HEALTHY: Effects = {}
 
 
 class ChangingRobot(ClosedLoopRobot):
-    """A second robot whose numbers may change while it swims. robot_seed: its constants; seed: its noise."""
+    """Second robot whose constants may change during a swim. robot_seed: its constants; seed: its noise."""
 
     def __init__(self, robot_seed: int, seed: int, start: tuple[float, float, float], flow: tuple[float, float]):
         super().__init__({}, seed=seed, start=start, flow=flow)
@@ -30,12 +30,12 @@ class ChangingRobot(ClosedLoopRobot):
         self.change(HEALTHY)
 
     def change(self, effects: Effects) -> None:
-        """From now on it has these effects."""
+        """Gives the robot these effects from now on."""
         self.plant = plant(effects, self.robot_seed, flow=self.stream)
         self._radio.network, self._radio.odd = self.plant.network, self.plant.odd
 
     def send_all(self, times: np.ndarray, commands: np.ndarray) -> None:
-        """Commands (K, J) that will leave at `times` (K,): a control step's are known at its beginning, which saves 10 calls."""
+        """Sends commands (K, J) that leave at `times` (K,): those of a control step are known at its start, saving 10 calls."""
         for t, command in zip(times, commands, strict=True):
             arrival = self._radio.arrival(float(t), command)
             if arrival is not None:
@@ -81,7 +81,7 @@ def swim(
 
 
 def _observed(rows: dict[str, list], target: np.ndarray, window: int, dt: float) -> np.ndarray:
-    """The 11 observations (1, 11), as the host makes them."""
+    """Observations (1, 11) of the host."""
     poses = np.array(rows["pose"][-window:])[:, 1:]
     poses[:, 2] = np.unwrap(poses[:, 2])
     pose, velocity = estimate(np, poses, dt)

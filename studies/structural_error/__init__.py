@@ -1,1 +1,1 @@
-"""Widths of the structural error of the search: how far healthy robots of other waters lie from their calibrated models."""
+"""Scales of the structural error of the search: distance of healthy robots of other waters from their calibrated models."""

@@ -1,11 +1,11 @@
-"""Measure the structural error of the search: what healthy robots of other forms of water leave of their calibrated models.
+"""Measures the structural error of the search: residuals of healthy robots in other waters under their calibrated models.
 
     python -m studies.structural_error --robots 8 --out runs/structural_error      then copy structural_error.toml
 
 Every robot of every family (half of them the shipped fish, half drawn chains) is calibrated to free swims of its own and does the
-twelve designed experiments, nothing hidden; a fish of the flow solver is calibrated to six of them and compared on the others.
-The most likely widths for all families, and without each in turn, go into OUT/structural_error.toml; data/calib has the shipped
-one. The robots are none of a benchmark's.
+twelve designed experiments, with nothing hidden. A fish of the flow solver is calibrated to six of them and compared on the
+others. The most likely scales for all families, and without each in turn, go into OUT/structural_error.toml; data/calib has the
+shipped one. No robot belongs to a benchmark.
 """
 
 import hashlib
@@ -57,6 +57,7 @@ DROP = 1e-2  # of where a width begins: one that fell below it is none
 
 
 def main(argv: list[str]) -> int:
+    """Measures the missing robots, fits the scales and writes the file; returns the exit code."""
     parser = console.parser("studies.structural_error", __doc__)
     add = parser.add_argument
     add("--robots", type=console.whole(2, 1000), default=8, metavar="N", help="of each family (default 8)")
@@ -90,7 +91,7 @@ def main(argv: list[str]) -> int:
     owns = by_widths(free, found, args.out, jobs, "own", own_left)
     healthy: dict[Left, Healthy] = {}
     for out in LEFT_OUT[: 1 + len(NAMES)]:
-        # by fits that have seen neither their family nor the one left out
+        # by fits that used neither their family nor the one left out
         unseen = [(name, both(out, family)) for name, family in robots.items() if family not in out]
         left = [asked(samples[name], found[told].u, found[told].p).adequacy for name, told in unseen]
         own = [owns[name][key(told)] if name in owns else np.nan for name, told in unseen]
@@ -104,7 +105,7 @@ def main(argv: list[str]) -> int:
 
 
 def kept(folder: Path, of: list[str], search: Callable[[], Found]) -> Found:
-    """A fit that is in the folder, or is made and put there. of: all that decides it."""
+    """Fit that is kept in the folder, or is made and kept there. of: all its inputs."""
     path = folder / f"fit-{hashlib.sha256(' '.join(of).encode()).hexdigest()[:12]}.json"
     if not path.is_file():
         made = search()
@@ -114,9 +115,11 @@ def kept(folder: Path, of: list[str], search: Callable[[], Found]) -> Found:
 
 
 class Healthy(NamedTuple):
-    """Of robots of families that a fit has not seen: their families; |z|^2 / m of new experiments, and of the free swims that
-    their water was calibrated to (NaN of a fish of the solver, which has none: it is calibrated to designed experiments); and
-    |z|^2 a record that an effect of each stage takes off."""
+    """Misfits of healthy robots of families that a fit did not use, by robot.
+
+    Their families; |z|^2 / m of new experiments, and of the free swims to which their water was calibrated (NaN for a fish of the
+    solver, which is calibrated to designed experiments); and the fall of |z|^2 per record by the best effect of each stage.
+    """
 
     families: list[str]
     adequacy: list[float]
@@ -125,7 +128,7 @@ class Healthy(NamedTuple):
 
     @property
     def beyond_own(self) -> float:
-        """What `HEALTHY` of the robots of a family that nobody has seen leave of new experiments over their own free swims."""
+        """Ratio of |z|^2 / m of new experiments over own free swims that `HEALTHY` of an unseen family's robots stay below."""
         ratios: dict[str, list[float]] = {name: [] for name in self.families if name != SOLVER}  # it has no free swims
         for name, new, own in zip(self.families, self.adequacy, self.own, strict=True):
             if name != SOLVER:
@@ -134,25 +137,27 @@ class Healthy(NamedTuple):
 
     @property
     def most(self) -> dict[str, float]:
-        """By stage, of all robots."""
+        """Largest gain by stage, over all robots."""
         return {stage: max(one[stage] for one in self.gains) for stage in self.gains[0]}
 
 
 def both(out: Left, family: str) -> Left:
-    """Those left out and one more."""
+    """Families left out, and one more."""
     return tuple(name for name in NAMES if name in (*out, family))
 
 
 def key(out: Left) -> str:
-    """Of a table."""
+    """Name of a table."""
     return "-".join(out) or structural_error.ALL
 
 
 def by_widths(
     todo: list, found: dict[Left, Found], folder: Path, jobs: int, what: str, of: Callable[..., dict]
 ) -> dict[str, dict[str, Any]]:
-    """What `of` says of each healthy robot, by all widths without its family: robot -> name of widths -> that. Kept in `folder`
-    under the widths' hash. what: `gains` or `own`, its key."""
+    """Results of `of` for each healthy robot, by all scales fitted without its family: robot -> name of scales -> result.
+
+    Kept in `folder` under the scales' hash. what: `gains` or `own`, the key of the result.
+    """
     text = toml(found, {})
     tables = {name: Widths(**table) for name, table in tomllib.loads(text).items() if isinstance(table, dict)}
     ask = partial(of, folder=folder, mark=hashlib.sha256(text.encode()).hexdigest()[:12])
@@ -166,14 +171,14 @@ def by_widths(
 
 
 def chosen(seed: int, many: int) -> list[BenchRobot | SolverFish]:
-    """`many` robots of each family, as a benchmark of that seed would draw them, and as many fish of the flow solver."""
+    """`many` robots of each family, drawn as for a benchmark of that seed, and as many fish of the flow solver."""
     return [*islice(every(seed, generators.NAMES, 1), many * len(generators.NAMES)), *solver_fish(many)]
 
 
 def begin(of_all: Found | None) -> tuple[np.ndarray, np.ndarray]:
-    """Variances to begin from: of the numbers, in units of their prior's, and of the effects, of `EFFECTS`; of the channels.
+    """Initial variances: of the numbers, in units of their prior's, and of the effects, of `EFFECTS`; and of the channels.
 
-    of_all: those of all families, where known, the closer start. None of them at zero, from where no variance comes back.
+    of_all: those of all families, if known, which are closer. None is zero, because a variance of zero would stay zero.
     """
     white = np.append(np.full(len(CHANNELS), WHITE**2), 0.0)
     u = np.append(np.full(2 * len(NUMBERS), BEGIN**2), np.ones(sum(map(len, EFFECTS.values()))))
@@ -181,12 +186,12 @@ def begin(of_all: Found | None) -> tuple[np.ndarray, np.ndarray]:
 
 
 def asker(samples: list[Sample], pool: ThreadPoolExecutor) -> Callable[[np.ndarray, np.ndarray], list[Asked]]:
-    """Every robot, side by side: nearly all of it is linear algebra, which lets go of Python's lock."""
+    """Function that evaluates every robot, side by side: nearly all of it is linear algebra, which releases Python's lock."""
     return lambda u, p: list(pool.map(lambda s: asked(s, u, p), samples))
 
 
 def line(out: Left, found: Found, healthy: Healthy) -> dict:
-    """How well the widths do: of robots that took part, and of those of families that did not."""
+    """Row of a table: misfit and gains of robots in the fit, and of robots of families outside it."""
     shown = lambda values: f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
     return {
         "without": ", ".join(out) or "-",
@@ -201,7 +206,7 @@ def line(out: Left, found: Found, healthy: Healthy) -> dict:
 
 
 def toml(tables: dict[Left, Found], healthy: dict[Left, Healthy]) -> str:
-    """The file of the search."""
+    """Text of the search's file."""
     out = ["# Structural error of the search (fishmj/gap/null/structural_error.py): [all], and [FAMILY] without its robots."]
     out += ["# Measured on healthy robots of fishmj/gap/laboratory/generators and of the flow solver, *synthetic*:"]
     out += ["# python -m studies.structural_error --out DIR", f'schema = "{structural_error.SCHEMA}"']

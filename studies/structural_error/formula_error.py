@@ -1,4 +1,4 @@
-"""How far off the size is that a formula asks for in another water: measured on effects that the search named right.
+"""Error of an effect's size by a formula in another water, measured on effects that the search named right.
 
     python -m studies.structural_error.formula_error docs/figures/gap/families_611.jsonl docs/figures/gap/solver_21.jsonl
         docs/figures/gap/solver_21_again.jsonl --out data/calib/formula_error.toml          (one line)
@@ -7,10 +7,11 @@
     V    = (1 + 1/F) B + (1 - 1/R) W           B: mean square of the families' means; W: mean variance within a family
     f    = t_(0.95, nu) V^1/2 / 1.645          nu by Satterthwaite (1946)
 
-A current moves a fish by the coefficients that it has in that water, so the errors of one family have one sign, and many effects
-of few families say little about the next: the same prediction limit as of `unseen_family`, about zero, since the sign is not
-known. t / 1.645 makes it the standard deviation of a normal distribution with that 90 % interval. Effects whose size is a vector
-are left out: a component may be near none. A stage of which fewer than three families have two effects is left out, too.
+A current moves a fish by the coefficients of that water, so the errors of one family have one sign, and many effects of few
+families say little about the next. The prediction limit is that of `unseen_family`, about zero, because the sign is not known.
+t / 1.645 makes it the standard deviation of a normal distribution with that 90 % interval. Effects whose size is a vector are
+left
+out: a component may be near zero. A stage with two effects in fewer than three families is also left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,6 +37,7 @@ SIDE = 0.95  # upper end of a 90 % interval
 
 
 def main(argv: list[str]) -> int:
+    """Measures the errors, prints the table and writes the file; returns the exit code."""
     parser = console.parser("studies.structural_error.formula_error", __doc__)
     parser.add_argument(
         "rows", nargs="+", type=console.path, help="rows.jsonl of gap bench --generator; of one id the last counts"
@@ -61,13 +63,13 @@ def main(argv: list[str]) -> int:
 
 
 def named_right(row: dict) -> bool:
-    """Whether it is a detectable single with its name and no other."""
+    """Returns True for a detectable single effect that was named right and alone."""
     right = row["answer"] == "NAMED" and row["kind"] == "single" and names(row) == set(row["truth"])
     return right and row.get("detectable", 0.0) > BOUND and valued(row["said"][0])
 
 
 def errors_of(rows: Sequence[dict]) -> dict[str, dict[str, list[float]]]:
-    """stage -> family -> relative errors of the sizes of detectable singles that were named right."""
+    """Relative errors of the sizes of detectable singles that were named right: stage -> family -> errors."""
     out: dict[str, dict[str, list[float]]] = {}
     for row in rows:
         if not named_right(row):
@@ -84,7 +86,7 @@ def errors_of(rows: Sequence[dict]) -> dict[str, dict[str, list[float]]]:
 
 
 def limit(families: Sequence[Sequence[float]]) -> float:
-    """f of the relative errors of several families, each of two at least."""
+    """Factor f from the relative errors of several families, each with at least two."""
     groups = [np.asarray(values, float) for values in families]
     count, many = len(groups), float(hmean([len(values) for values in groups]))
     between = (1.0 + 1.0 / count) * float(np.mean([values.mean() ** 2 for values in groups]))
@@ -97,9 +99,9 @@ def limit(families: Sequence[Sequence[float]]) -> float:
 
 
 def held(rows: Sequence[dict], table: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[int, int]]:
-    """family -> (90 % intervals that hold, of how many), each widened to the errors measured without its own family.
+    """Numbers of 90 % intervals that hold, and of all, by family; each is widened to the errors measured without its own family.
 
-    rows: of a search by `formula_error` of [intervals] alone, whose part is taken off.
+    rows: of a search by `formula_error` of [intervals] alone, whose part is removed.
     """
     limits, out = thresholds().intervals, {}
     for row in filter(named_right, rows):
@@ -116,7 +118,7 @@ def held(rows: Sequence[dict], table: Mapping[str, Mapping[str, float]]) -> dict
 
 
 def tables(found: Mapping[str, Mapping[str, list[float]]]) -> dict[str, dict[str, float]]:
-    """f by stage: of all families, and without each in turn."""
+    """Factors f by stage: of all families, and without each in turn."""
     every = sorted({family for mine in found.values() for family in mine})
     out = {}
     for without in ("", *every):
@@ -129,7 +131,7 @@ def tables(found: Mapping[str, Mapping[str, list[float]]]) -> dict[str, dict[str
 
 
 def toml(table: Mapping[str, Mapping[str, float]]) -> str:
-    """The file of the search."""
+    """Text of the search's file."""
     lines = ["# Relative error of the size that an effect's formula asks for in a water that nobody has seen, by stage: of all"]
     lines += ["# families, and without each. Measured on right names of gap bench --generator, *synthetic*:"]
     lines += ["# python -m studies.structural_error.formula_error ROWS --out data/calib/formula_error.toml"]

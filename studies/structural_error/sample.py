@@ -1,4 +1,4 @@
-"""One healthy robot: what its calibrated model leaves of the designed experiments, and the parts that may explain it."""
+"""One healthy robot: the residual of its calibrated model in the designed experiments, and the parts that may explain it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -61,9 +61,9 @@ FEW = 4  # effects of a stage that are fitted to all records
 
 
 class SolverFish(NamedTuple):
-    """One of the flow solver's healthy fish, which did the designed experiments.
+    """Healthy fish of the flow solver that did the designed experiments.
 
-    half: 0 or 1, of the experiments that it is compared on; its model is calibrated to the other half.
+    half: 0 or 1, half of the experiments on which it is compared; its model is calibrated to the other half.
     """
 
     id: str
@@ -73,7 +73,7 @@ class SolverFish(NamedTuple):
 
 
 def solver_fish(many: int) -> list[SolverFish]:
-    """The first so many of data/gap/lbm/nulls, in halves in turn.
+    """First so many fish of data/gap/lbm/nulls, in halves in turn.
 
     Raises:
         StoreError: they are not here, as in an installed package.
@@ -86,7 +86,7 @@ def solver_fish(many: int) -> list[SolverFish]:
 
 
 def measured(one: "BenchRobot | SolverFish", folder: Path) -> dict:
-    """Swim, calibrate, compare; arrays go into `folder`. A robot that cannot be searched says why."""
+    """Swims, calibrates and compares; arrays go into `folder`. A robot that cannot be searched has the reason in its row."""
     about = {"robot": one.id, "family": one.family, "file": str(folder / f"{one.id}.npz")}
     if Path(about["file"]).is_file():
         return about
@@ -99,7 +99,7 @@ def measured(one: "BenchRobot | SolverFish", folder: Path) -> dict:
 
 
 def questioned(one: "BenchRobot | SolverFish") -> tuple[Robot, list[Trial]]:
-    """The calibrated description of a healthy robot, and trials that took no part in it."""
+    """Calibrated description of a healthy robot, and trials outside its calibration."""
     if isinstance(one, SolverFish):
         trials = list(trials_of(one.path))
         believed, _ = calibrate_trials(trials[1 - one.half :: 2], "fish")
@@ -110,15 +110,17 @@ def questioned(one: "BenchRobot | SolverFish") -> tuple[Robot, list[Trial]]:
 
 
 def calibrated_to(one: BenchRobot) -> tuple[Robot, list[Trial]]:
-    """The same description, and the free swims that it was calibrated to."""
+    """Calibrated description, and the free swims of its calibration."""
     known, _, _ = described(one)
     believed, _ = calibrated.calibrated(one.family, one.seed, known)
     return believed, calibrated.swims(one.family, one.seed, known)
 
 
 def own_left(asked: tuple[BenchRobot, dict[str, Widths]], folder: Path, mark: str) -> dict:
-    """|z|^2 / m that the model of a healthy robot leaves of the swims that it was calibrated to, with each of these widths. Kept
-    in `folder` under `mark`."""
+    """|z|^2 / m of a healthy robot's model on the swims of its calibration, with each of these scales.
+
+    Kept in `folder` under `mark`.
+    """
     one, tables = asked
     path = folder / f"{one.id}.own-{mark}.json"
     if path.is_file():
@@ -130,8 +132,10 @@ def own_left(asked: tuple[BenchRobot, dict[str, Widths]], folder: Path, mark: st
 
 
 def stage_gains(asked: "tuple[BenchRobot | SolverFish, dict[str, Widths]]", folder: Path, mark: str) -> dict:
-    """Of a healthy robot, what the best effect of each stage gains a record, with each of these widths. Kept in `folder` under
-    `mark`."""
+    """Gains per record of the best effect of each stage on a healthy robot, with each of these scales.
+
+    Kept in `folder` under `mark`.
+    """
     one, tables = asked
     path = folder / f"{one.id}.gains-{mark}.json"
     if path.is_file():
@@ -147,7 +151,7 @@ def stage_gains(asked: "tuple[BenchRobot | SolverFish, dict[str, Widths]]", fold
 
 
 def by_stage(e: Likelihood) -> dict[str, float]:
-    """|z|^2 a record that the best effect of each stage takes off, as `decide.support_of` counts it."""
+    """Fall of |z|^2 per record by the best effect of each stage, as `decide.support_of` counts it."""
     gates, base, gains = replace(frozen(), shortlist=FEW), e.subset().base(), {}
     for stage in STAGES:
         short = shortlist(e, base, [x for x in e.model.active.effects if x.stage == stage and is_absent(e.model, x)], gates)
@@ -159,7 +163,7 @@ def by_stage(e: Likelihood) -> dict[str, float]:
 
 
 def arrays(model: SwimmingFish, trials: list) -> dict[str, np.ndarray]:
-    """Of `Sample`, the tangents not yet set apart by record."""
+    """Arrays of a `Sample`, with the tangents not yet split by record."""
     records = [record_of(trial, model.dt) for trial in trials]
     layout = ResidualLayout(records)
     null = SimulatedNull().residuals(model, records, layout)
@@ -179,7 +183,7 @@ def arrays(model: SwimmingFish, trials: list) -> dict[str, np.ndarray]:
 
 
 def sample(file: Path) -> Sample:
-    """Read a robot's arrays. A number of the strips has two variances: throughout a record, and from moment to moment."""
+    """Reads a robot's arrays. A number of the strips has two variances: over a whole record, and from moment to moment."""
     a = read_npz(file)
     names, count = [NUMBERS.index(str(name)) for name in a["names"]], len(NUMBERS)
     parts = [a[f"part{i}"].astype(float) for i in range(int(a["record"].max()) + 1)]

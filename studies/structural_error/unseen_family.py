@@ -1,13 +1,13 @@
-"""What a healthy robot of a family that nobody has seen stays below, told from robots of a few families.
+"""Upper limit for a healthy robot of an unseen family, from robots of a few families.
 
     y_fr = log |z|^2 / m = mu + b_f + e_fr     family f of F, robot r of R; b, e normal; each by widths without its family
     y    of a robot of a new family: about mean y with the variance V = (1 + 1/F) B + (1 - 1/R) W
     B    variance of the families' means; W: mean variance within a family
     level = exp(mean y + t_(share, nu) V^1/2),    nu by Satterthwaite (1946)
 
-The robots of one family are alike: of F families there are F draws of how far another water may lie off, however many robots of
-each there are, and a quantile over all the robots says little about the next family. This is the prediction limit of a one-way
-random model (Lin & Liao 2008, "Prediction intervals for general balanced linear random models").
+The robots of one family are alike: F families are F draws of the distance of another water, for any number of robots in each. A
+quantile over all the robots therefore says little about the next family. This is the prediction limit of a one-way random model
+(Lin & Liao 2008, "Prediction intervals for general balanced linear random models").
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ def level(families: Sequence[Sequence[float]], share: float) -> float:
     """|z|^2 / m that `share` of the robots of a new family stay below.
 
     Args:
-        families: of each one |z|^2 / m (R_f,) of its healthy robots, all > 0; of unequal counts R is the harmonic mean.
+        families: |z|^2 / m (R_f,) of the healthy robots of each, all > 0; for unequal counts R is the harmonic mean.
 
     Raises:
         ConfigError: fewer than two families, or a family of fewer than two robots.

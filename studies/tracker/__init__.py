@@ -1,4 +1,4 @@
-"""How well the camera trackers find a drawn fish: errors, share of fixes, frames a second, false locks.
+"""Accuracy of the camera trackers on a drawn fish: errors, share of fixes, frames a second, false locks.
 
 python -m studies.tracker --help
 """

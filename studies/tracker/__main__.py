@@ -1,13 +1,13 @@
-"""How well the camera trackers find a drawn fish.
+"""Accuracy of the camera trackers on a drawn fish.
 
     python -m studies.tracker --out runs/tracker                     both methods, gates and reported cases
-    python -m studies.tracker --parts heights --out runs/tracker     which tag fits which height of the camera
+    python -m studies.tracker --parts heights --out runs/tracker     the tag for each height of the camera
     python -m studies.tracker --parts decoys --frames 10000 --out runs/tracker
 
-Frames are drawn (synthetic): 1280x720, a lens with distortion, a camera a little askew. Writes OUT/PART.csv, a row a case, and
-with the gates OUT/camera_noise.toml: the errors' white and lasting parts (m, rad, s) and the share of frames without a fix; the
-one that ships is data/calib/camera_noise.toml. Ends with exit status 1 where a gate is missed. A case's frames a second are those
-of the tracker alone, CPU time, one thread.
+Frames are drawn (synthetic): 1280x720, a lens with distortion, a slightly tilted camera. Writes OUT/PART.csv, a row a case, and
+with the gates OUT/camera_noise.toml: the errors' white and correlated parts (m, rad, s) and the share of frames without a fix;
+the shipped one is data/calib/camera_noise.toml. The exit status is 1 if a gate is missed. A case's frames a second are those of
+the tracker alone, CPU time, one thread.
 """
 
 import csv
@@ -28,7 +28,7 @@ SHORT = 200  # frames of a case of `heights`, where every one is read anew
 
 
 def options() -> console.Parser:
-    """The arguments."""
+    """Parser of the study."""
     p = console.parser("studies.tracker", "How well the camera trackers find a drawn fish.")
     p.add_argument("--parts", nargs="+", default=["gates", "reported"], choices=PARTS, action=console.Distinct)
     p.add_argument(
@@ -44,7 +44,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """Measure, write, say. Returns the exit code."""
+    """Measures, writes and prints; returns the exit code."""
     args = options().parse_args(argv)
     out, missed, told = Path(args.out), [], {}
     for part in args.parts:
@@ -87,7 +87,7 @@ def _plan(part: str, methods: list[str]) -> list[cases.Case]:
 
 
 def _missed(part: str, rows: list[dict[str, Any]]) -> list[str]:
-    """What a gate forbids, one line each."""
+    """Missed gates, one line each."""
     missed = []
     for row in rows:
         if part in ("gates", "decoys") and row["false_locks"]:

@@ -1,4 +1,4 @@
-"""Frames of a swim with known truth, and what a tracker makes of them."""
+"""Frames of a swim with known truth, and the tracker's results on them."""
 
 import time
 from collections.abc import Callable
@@ -37,12 +37,12 @@ class Case:
     absent: bool = False  # the fish is out of sight
 
     def camera(self) -> Calibration:
-        """The drawn camera: it hangs a little askew."""
+        """Drawn camera, slightly tilted."""
         height = FOCAL * self.metres_per_pixel
         return overhead(SIZE, self.metres_per_pixel, height, distortion=LENS, tilt=(0.03, -0.02), turn=0.1)
 
     def tracker(self, calibration: Calibration) -> Tracker:
-        """A tracker as a person would set it up."""
+        """Tracker with a typical user's settings."""
         if self.method == "colour":
             return ColourTracker(calibration, PAINT, height=-0.005)
         p = self.plate
@@ -50,7 +50,7 @@ class Case:
 
 
 class Measured(NamedTuple):
-    """What came of a case, frame by frame."""
+    """Results of a case, frame by frame."""
 
     truth: np.ndarray  # (n, 3) m, m, rad
     error: np.ndarray  # (n, 3), NaN where there was no fix
@@ -59,7 +59,7 @@ class Measured(NamedTuple):
     covered: np.ndarray  # (n,) share of the marks under saturated light
 
     def figures(self) -> dict[str, Any]:
-        """One row of the table."""
+        """Row of the table."""
         fixed = np.isfinite(self.error[:, 0])
         e = self.error[fixed]
         far = np.hypot(*e[:, :2].T) if len(e) else np.zeros(0)
@@ -81,7 +81,7 @@ class Measured(NamedTuple):
 
 
 def swim(seed: int, reach: np.ndarray) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
-    """A path (pose, velocity) of time through the view +-reach (2,) m: sums of sines, every heading, a beating head."""
+    """Path (pose, velocity) over time through the view +-reach (2,) m: sums of sines, every heading, a beating head."""
     random = np.random.default_rng([seed, 77])
     phases, rates = random.uniform(0, 2 * np.pi, (3, 2)), random.uniform(0.13, 0.31, (3, 2))
     turn, swing = random.uniform(-0.5, 0.5), random.uniform(0.5, 1.2)
@@ -95,7 +95,10 @@ def swim(seed: int, reach: np.ndarray) -> Callable[[float], tuple[np.ndarray, np
 
 
 def run(case: Case, frames: int, seed: int = 0, tick: Callable[[int], None] | None = None) -> Measured:
-    """Draw and track; `tick` is told after every frame how many are done. The seconds are the tracker's own, of CPU."""
+    """Draws and tracks frames; `tick` is called after every frame with the number done.
+
+    Seconds are the tracker's own CPU time.
+    """
     cv2, calibration = opencv("the tracker study"), case.camera()
     artist = FrameArtist(calibration, FishLook.of("fish", case.method, plate=case.plate), replace(case.options, seed=seed))
     tracker = case.tracker(calibration)
@@ -133,7 +136,7 @@ def _error(fix: Fix, truth: np.ndarray) -> np.ndarray:
 
 
 def _covered(cv2, frame: np.ndarray, calibration: Calibration, case: Case, pose: np.ndarray) -> float:
-    """Share of the marks' rectangle that is white light."""
+    """Share of the marks' rectangle under saturated light."""
     if case.options.glare == 0:
         return 0.0
     reach = 0.5 * case.plate.size
@@ -153,7 +156,7 @@ FASTEST = 60.0  # frames a second on one core that a tracker must reach
 
 
 def gated() -> list[Case]:
-    """The cases that have a bound, both methods."""
+    """Cases with a bound, both methods."""
     both = []
     for method in ("tag", "colour"):
         both += [Case(name=f"{method} clean", method=method), Case(name=f"{method} glare", method=method, options=GLARE)]
@@ -161,7 +164,7 @@ def gated() -> list[Case]:
 
 
 def reported() -> list[Case]:
-    """What is reported besides."""
+    """Cases that are reported without a bound."""
     more = []
     for method in ("tag", "colour"):
         of = lambda name, method=method, **k: Case(name=f"{method} {name}", method=method, options=replace(CLEAN, **k))
@@ -177,7 +180,7 @@ def reported() -> list[Case]:
 
 
 def heights() -> list[Case]:
-    """Which tag fits which height: every frame read anew."""
+    """Cases of tags by camera height: every frame is read without memory."""
     return [
         Case(
             name=f"{family} {1e3 * size:.0f} mm at {1e3 * scale:g} mm/px",
@@ -193,7 +196,7 @@ def heights() -> list[Case]:
 
 
 def decoys(method: str) -> list[Case]:
-    """A second red object, with a tag of another number on it where the fish has one: beside the fish, and alone."""
+    """Cases with a second red object, which has a tag of another number if the fish has one: beside the fish, and alone."""
     options = replace(CLEAN, glare=1.0, decoy=True)  # glints make the fish vanish; waves would only move both
     beside = Case(name=f"{method} beside a decoy", method=method, options=options)
     return [beside, replace(beside, name=f"{method} decoy alone", absent=True)]

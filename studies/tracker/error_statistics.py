@@ -1,11 +1,11 @@
-"""What the errors of consecutive fixes are made of: a white part, and a part that lasts.
+"""Statistics of the errors of consecutive fixes: a white part and a correlated part.
 
 The autocovariance of an error e_k, one frame apart from the next,
 
     c_m = mean(e_k e_{k+m}) = w^2 [m = 0] + s^2 exp(-m dt / tau)
 
-w is what changes from frame to frame (noise of pixels), s what lasts (waves, the paint's shape), tau how long. A line through
-log c_m over the lags that are well above zero gives s and tau, and w^2 = c_0 - s^2.
+w is the part that changes from frame to frame (pixel noise), s the correlated part (waves, the paint's shape), tau its time. A
+line through log c_m over the lags that are well above zero gives s and tau, and w^2 = c_0 - s^2.
 """
 
 from typing import Any
@@ -17,12 +17,12 @@ LONG = 5.0  # s that a tau is at most told as
 
 
 def autocovariance(error: np.ndarray) -> np.ndarray:
-    """(LAGS + 1,) c_m of one channel (n,), NaN where there was no fix; about zero, so that a bias lasts."""
+    """Autocovariance c_m (LAGS + 1,) of one channel (n,), NaN without a fix; about zero, so that a bias counts as correlated."""
     return np.array([float(np.nanmean(error[: len(error) - m] * error[m:])) for m in range(LAGS + 1)])
 
 
 def parts(lags: np.ndarray, dt: float) -> dict[str, float]:
-    """White part, lasting part and its time, of an autocovariance (LAGS + 1,)."""
+    """White part, correlated part and its time, of an autocovariance (LAGS + 1,)."""
     good = 1 + np.flatnonzero(np.cumprod(lags[1:] > 0.1 * lags[0]))
     if len(good) < 2:
         return {"white": float(np.sqrt(lags[0])), "lasting": 0.0, "tau": 0.0}

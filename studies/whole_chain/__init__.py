@@ -1,1 +1,1 @@
-"""Holding station through the host, its camera and its radio, against the direct simulation of the same trials."""
+"""Station holding through the host, its camera and its radio, compared with the direct simulation of the same trials."""

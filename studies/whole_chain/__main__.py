@@ -10,12 +10,12 @@ latency and loss, supervisor, limits. Direct: `evaluate`'s own loop, or the seco
 the noise of the chain's own tracker: the errors of the chain's fixes through the velocity filter (`direct`).
 
     distance      between the true reference point and the target
-    RMSE          of it from the first entry into 0.1 m until 30 s; of a trial that does not arrive 10 to 30 s
+    RMSE          of it from the first entry into 0.1 m until 30 s; for a trial that does not arrive 10 to 30 s
     within        the mean of chain - direct, paired by trial, and its 95 % bootstrap interval
 
 --train measures the second robot, calibrates its water, and trains there; the training begins with --policy (`trained`).
 
-0 s is where the policy takes over. The chain's fish drifts a little before, while robot and host greet.
+At 0 s the policy takes over. The chain's fish drifts a little before that, during the handshake of robot and host.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -44,7 +44,7 @@ TURBULENCE = {FITTED: "default", VIRTUAL: "gust"}  # the second robot's water is
 
 
 def one(out: Path, trials: Trials, policy: str, marks: str, loss: float, body: str, item: int) -> dict:
-    """The figures of a trial, kept in `out`."""
+    """Figures of a trial, kept in `out`."""
     name = str(Path(policy).relative_to(out) if out in Path(policy).parents else policy)
     file = out / f"{name.replace('/', '_')}_{body}_{marks}_{loss:g}_{trials.items[item].seed[0]}_{item:02d}.json"
     if not file.is_file():
@@ -53,7 +53,7 @@ def one(out: Path, trials: Trials, policy: str, marks: str, loss: float, body: s
 
 
 def options() -> console.Parser:
-    """The arguments."""
+    """Parser of the study."""
     parser = console.parser("studies.whole_chain", __doc__ or "")
     add = parser.add_argument
     add("--policy", type=console.text, default="station", help="shipped name, file or folder of a training (default station)")
@@ -72,7 +72,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """Exit code 0: the chain is within 0.02 m of the direct simulation; 1: it is not."""
+    """Runs the study. Exit code 0: the chain is within 0.02 m of the direct simulation; 1: it is not."""
     args = options().parse_args(argv)
     if args.train:
         args.policy = _own(args)
@@ -113,7 +113,7 @@ def main(argv: list[str]) -> int:
 
 
 def _own(args) -> str:
-    """The folder of a policy that is trained for the body. Raises ConfigError: the body's water is a description already."""
+    """Folder of a policy that is trained for the body. Raises ConfigError if the body's water is a description already."""
     if args.body != VIRTUAL:
         raise ConfigError(f"--train --body {args.body}: fishmj train --water knows that water; take --body {VIRTUAL}")
     return trained(Loop(out=args.out, policy=args.policy, preset=args.preset, engine=args.engine, steps=int(args.steps)))
@@ -129,7 +129,7 @@ def _each(work, count: int, jobs: int, what: str) -> list[dict]:
 
 
 def _direct(policy: str, body: str, trials: Trials, count: int, jobs: int) -> tuple[np.ndarray, int]:
-    """RMSE (n,) m of the direct simulation, and how many arrived."""
+    """RMSE (n,) m of the direct simulation, and the number of arrivals."""
     if body == VIRTUAL:
         rows = _each(partial(in_second_robot, trials=trials, policy=policy), count, jobs, "direct")
         return np.array([row["rmse"] for row in rows]), sum(row["arrival"] is not None for row in rows)

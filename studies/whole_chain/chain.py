@@ -1,4 +1,4 @@
-"""One trial through the whole chain of the robot, in lockstep: its figures, and the errors of what its tracker found.
+"""One trial through the whole chain of the robot, in lockstep: its figures, and the errors of its tracker's fixes.
 
 Chain: drawn camera frames that a tracker reads, servo counts, radio latency and loss, the host with its supervisor and limits.
 """
@@ -31,35 +31,38 @@ MARKS = ("tag", "colour", "poses")
 
 
 class Watched(LockstepClock):
-    """A lockstep clock that keeps the true path, (s, m, m) a row."""
+    """Lockstep clock that records the true path, one row (s, m, m) each step."""
 
     def __init__(self, robot: LoopbackRobot):
         super().__init__(robot)
         self.path: list[tuple[float, float, float]] = []
 
     def sleep_until(self, t: float) -> None:
+        """Advances the robot to time t, s, and records its position."""
         super().sleep_until(t)
         pose = self.robot.pose()
         self.path.append((self.now(), float(pose[0]), float(pose[1])))
 
 
 class Remembering(LockstepCamera):
-    """A lockstep camera that keeps the pose (3,) that each frame shows, by its stamp."""
+    """Lockstep camera that records the pose (3,) that each frame shows, by its stamp."""
 
     def open(self) -> None:
+        """Opens the camera with an empty record."""
         super().open()
         self.shown: dict[float, np.ndarray] = {}
 
     def read(self, now: float) -> list[tuple[float, np.ndarray]]:
+        """Frames up to `now`, s, as (time, image); records their poses."""
         self.shown |= {self.clock.origin + frame.t: frame.pose[:3] for frame in self.clock.robot.frames(self._since)}
         return super().read(now)
 
 
 class Compared:
-    """A tracker whose fixes are compared with what was shown.
+    """Tracker whose fixes are compared with the shown poses.
 
     Attributes:
-        errors: (3,) m, m, rad of each frame, NaN where there was no fix.
+        errors: (3,) m, m, rad of each frame, NaN without a fix.
     """
 
     def __init__(self, tracker: Tracker, camera: Remembering):
@@ -67,9 +70,11 @@ class Compared:
         self.errors: list[np.ndarray] = []
 
     def reset(self) -> None:
+        """Clears the tracker's memory."""
         self.tracker.reset()
 
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
+        """Fix of the tracker in an image at t, s, or None; records its error."""
         fix, truth = self.tracker.locate(image, t), self.camera.shown[t]
         error = np.full(3, np.nan)
         if fix is not None:
@@ -82,8 +87,9 @@ def swum(item: int, trials: Trials, policy: str, marks: str, loss: float, body: 
     """One trial through the chain.
 
     Args:
-        marks: what is drawn and tracked; "poses": nothing is drawn, the errors are those measured of a tag on clean frames.
-        loss: share of datagrams lost each way. body: of the loopback robot, fitted or virtual.
+        marks: marks that are drawn and tracked; "poses": nothing is drawn, the errors are the measured ones of a tag on clean
+            frames.
+        loss: share of datagrams lost each way. body: body of the loopback robot, fitted or virtual.
     Returns:
         {"rmse" m, "arrival" s or None, "share_of_fixes", "complete", "ended", "covariance" (3, LAGS + 1) of x, y [m^2] and
         yaw [rad^2] of the fixes' errors}

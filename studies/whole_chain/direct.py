@@ -1,11 +1,11 @@
-"""The direct simulation of a trial with the sensing noise of a camera tracker that was measured, not the task's.
+"""The direct simulation of a trial, with the measured noise of a camera tracker instead of the task's noise.
 
 A line fit over W poses, dt apart, with errors of autocovariance c_m, one frame apart from the next, gives
 
     position   var = c_0
     velocity   var = sum_ij a_i a_j c_|i-j|,      a: weights of the fit (tasks.sensing.slope_weights)
 
-and so do the readings of a joint, whole counts of the servo: var = count^2 / 12, white, and a fit over the host's window of them.
+The readings of a joint are whole counts of the servo: var = count^2 / 12, white, with a fit over the host's window.
 """
 
 from collections import deque
@@ -35,7 +35,7 @@ class AsSensed(Trials):
 
     @classmethod
     def of(cls, trials: Trials, sigma: np.ndarray) -> "AsSensed":
-        """The same trials with this noise."""
+        """Trials with this noise."""
         return cls(sigma=tuple(sigma.tolist()), **{field.name: getattr(trials, field.name) for field in fields(Trials)})
 
     def sensor_noise(self, robot: Robot, steps: int) -> np.ndarray:
@@ -44,7 +44,7 @@ class AsSensed(Trials):
 
 
 def observation_noise(covariance: np.ndarray, robot: Robot) -> np.ndarray:
-    """(5 + 2 J,) standard deviations of the observation behind a tracker.
+    """Standard deviations (5 + 2 J,) of the observation behind a tracker.
 
     Args:
         covariance: (3, M), M at least the velocity window: autocovariances of its errors in x, y [m^2] and yaw [rad^2].
@@ -61,8 +61,11 @@ def observation_noise(covariance: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def in_second_robot(item: int, trials: Trials, policy: str) -> dict:
-    """One trial of the second robot without its chain: exact poses as late as the camera's, joints as they are, plus the trials'
-    noise; commands with the nominal latency. Returns {"rmse" m, "arrival" s or None}."""
+    """Result of one trial of the second robot without its chain: {"rmse" m, "arrival" s or None}.
+
+    The observations are exact poses with the camera's latency and exact joints, plus the trials' noise; commands have the nominal
+    latency.
+    """
     robot = load_robot("fish")
     (starts, targets), flow = trials.ends(), trials.flows()[item]
     body = bodies.make(bodies.VIRTUAL, robot=robot, seed=item, start=tuple(starts[item].tolist()), flow=flow)

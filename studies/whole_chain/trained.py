@@ -1,12 +1,12 @@
-"""A policy for the second robot's water, by what its user would type: experiments in still water, `calibrate water`, `train`.
+"""A policy for the second robot's water, by its user's commands: experiments in still water, `calibrate water`, `train`.
 
     OUT/seed_00/healthy              deploy experiment: twelve records of one second robot, in lockstep
     OUT/seed_00/fish.toml            calibrate water: the description, its water fitted to those
     OUT/seed_00/trained_unpatched    train --begin POLICY --robot fish.toml
-    OUT/seed_00/log.txt              the commands, and what they said
+    OUT/seed_00/log.txt              the commands and their output
 
-The steps are those of `whole_loop`, each done once and kept. Second robots differ from one another in what nobody measured
-(`nuisance`); this one is that of seed 0, each trial has one of its own.
+The steps are those of `whole_loop`, each done once and kept. Second robots differ from one another in their unmeasured constants
+(`nuisance`). This one has seed 0; each trial has one of its own.
 """
 
 from studies.whole_loop import steps
@@ -16,10 +16,10 @@ SEED = 0  # of the robot that was measured
 
 
 def trained(loop: Loop) -> str:
-    """The folder of a training in the calibrated description; it begins with `loop.policy`. What is there is not made again.
+    """Folder of a training in the calibrated description, which starts from `loop.policy`. Existing results are not made again.
 
     Raises:
-        FishmjError: a command failed; the robot's `log.txt` says why.
+        FishmjError: a command failed; the robot's `log.txt` has the reason.
     """
     steps.measure(loop, SEED, faulty=False)
     steps.calibrate(loop, SEED)

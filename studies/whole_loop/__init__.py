@@ -1,1 +1,1 @@
-"""A fault is hidden in a robot, and its user goes the whole way: measure, search, patch, train, swim. How often does it help?"""
+"""A fault is hidden in a robot, and its user does all steps: measure, search, patch, train, swim. Counts the successes."""

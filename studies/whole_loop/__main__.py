@@ -3,14 +3,14 @@
     python -m studies.whole_loop --seeds 10 --out runs/whole_loop
     python -m studies.whole_loop --only 0 --steps 5e5 --swims 4 --out runs/look           one robot, a shorter training
 
-A robot is the second one with constants of its seed; horn and side follow from the seed by rule (`steps.Fault.of`). Every step is
-a command of its user's: twelve experiments while it is healthy, its water calibrated to them; then the fault sets in, the same
-experiments again, `gap find` and `gap apply --counted-in`; a training in the patched model; eight swims of 30 s in a stream of
-0.2 m/s. What is finished is kept: the same command goes on.
+A robot is the second one with constants of its seed; horn and side follow from the seed by a rule (`steps.Fault.of`). Every step
+is a command of its user: twelve experiments while it is healthy, and the calibration of its water to them. Then the fault sets
+in: the same experiments again, `gap find` and `gap apply --counted-in`; a training in the patched model; eight swims of 30 s in a
+stream of 0.2 m/s. Finished steps are kept: the same command continues.
 
-    named        an effect counts where `gap find` said NAMED with it
-    counted in   fitted beside it, too small a part of the gap to be named; `gap apply --counted-in` takes it too
-    zeros        the horn as the sum of the three zeros: swims tell the bend of the body, hardly of which joint
+    named        an effect counts if `gap find` answered NAMED with it
+    counted in   fitted jointly, below the naming threshold; `gap apply --counted-in` also applies it
+    zeros        the horn as the sum of the three zeros: swims show the bend of the body, but hardly the joint
     RMSE         of the true distance from the first entry into 0.1 m until the end; without arrival from 10 s on
     differences  by robot (the mean of its swims), with 95 % bootstrap intervals over robots
 """
@@ -25,9 +25,9 @@ from studies.whole_loop.steps import ARMS, Loop
 
 
 def walked(loop: Loop, seeds: list[int], jobs: int) -> None:
-    """Every robot goes through the chain, `jobs` robots at once.
+    """Takes every robot through all steps, `jobs` robots at once.
 
-    Swims run in processes, commands are waited for in threads: both are children of this process, which end with it.
+    Swims run in processes, and threads wait for commands: both are children of this process, which end with it.
     """
     todo = {seed: chain() for seed in seeds}
     waiting, total, done = list(seeds), sum(map(len, todo.values())), 0
@@ -56,7 +56,7 @@ def walked(loop: Loop, seeds: list[int], jobs: int) -> None:
 
 
 def main(argv: list[str]) -> int:
-    """Exit code 0: every robot went to the end."""
+    """Runs the study. Exit code 0: every robot finished all steps."""
     parser = console.parser("studies.whole_loop", __doc__ or "")
     add = parser.add_argument
     add("--seeds", type=console.whole(1, 1000), default=10, metavar="N", help="robots, of seeds 0 to N - 1 (default 10)")

@@ -1,12 +1,12 @@
-"""What latency and horn gain in the search of a robot, channel by channel: why the horn is fitted and not named.
+"""Gains of latency and horn in the search of a robot, channel by channel: the reason that the horn is fitted but not named.
 
     python -m studies.whole_loop.gains --only 4 --out runs/whole_loop      after whole_loop --only 4 --out runs/whole_loop
 
-The search is made again from `fish.toml` and `faulty/trials` of the robot's folder, some 3 minutes of a core; records that are
-not there are played again. Of each effect that was found:
+The search is repeated from `fish.toml` and `faulty/trials` of the robot's folder, some 3 minutes of a core; missing records are
+played again. For each effect that was found:
 
-    gain     drop of |z|^2 beyond what errors of the other formulas could gain in its place (`Likelihood.tolerating`)
-    asked    of such a gain by the search, before it takes a further effect in (`search.stepwise.Beyond`)
+    gain     drop of |z|^2 beyond the possible gain of errors of the other formulas (`Likelihood.tolerating`)
+    asked    gain that the search requires before it adds a further effect (`search.stepwise.Beyond`)
     of all   its share of the gains of all effects
     there    its share on the channels where it shows (`Effect.shows`)
 """
@@ -30,7 +30,7 @@ from studies.whole_loop.steps import Fault, Loop
 
 
 def gains(found: Selection, gates: Gates) -> dict[str, dict]:
-    """{effect: {"gain", "asked", "by_channel": {channel: gain}}} of what was found, in |z|^2."""
+    """Gains of the found effects, in |z|^2: {effect: {"gain", "asked", "by_channel": {channel: gain}}}."""
     out = {}
     for name in found.best.names:
         others = drop_effect(found.near.subset(), found.best, name)
@@ -46,14 +46,14 @@ def gains(found: Selection, gates: Gates) -> dict[str, dict]:
 
 
 def shares(told: dict[str, dict], shows: dict[str, tuple[str, ...]]) -> dict[str, tuple[float, float]]:
-    """{effect: (share of all gains, share on the channels where it shows)}. shows: {effect: channels}."""
+    """Shares {effect: (share of all gains, share on the channels where it shows)}. shows: {effect: channels}."""
     there = lambda name, channels: sum(told[name]["by_channel"].get(channel, 0.0) for channel in channels)
     whole = sum(row["gain"] for row in told.values())
     return {n: (told[n]["gain"] / whole, there(n, shows[n]) / sum(there(other, shows[n]) for other in told)) for n in told}
 
 
 def searched(loop: Loop, seed: int) -> dict[str, dict]:
-    """Of one robot, with the shares. Raises ConfigError: its water was not calibrated yet."""
+    """Gains of one robot, with the shares. Raises ConfigError if its water was not calibrated yet."""
     folder = loop.folder(seed)
     if not (folder / "fish.toml").is_file():
         raise ConfigError(f"{folder}/fish.toml: no such file; python -m studies.whole_loop --only {seed} --out {loop.out}")
@@ -67,7 +67,7 @@ def searched(loop: Loop, seed: int) -> dict[str, dict]:
 
 
 def main(argv: list[str]) -> int:
-    """Exit code 0: every robot was searched."""
+    """Runs the study. Exit code 0: every robot was searched."""
     parser = console.parser("studies.whole_loop.gains", __doc__ or "")
     add = parser.add_argument
     add("--only", type=console.Listed(console.SEED), default=[0], metavar="SEED,..", help="robots (default 0)")

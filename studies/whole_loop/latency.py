@@ -1,12 +1,12 @@
-"""How late the joints of a loopback robot follow its commands, for latencies that are hidden in it: the delay alone, fitted.
+"""Delay of a loopback robot's joints behind its commands, for latencies that are hidden in it: the delay alone, fitted.
 
     python -m studies.whole_loop.latency --out runs/latency                            seeds 0 to 2; 0, 30, 50, 150 ms
     python -m studies.whole_loop.latency --seeds 1 --hidden 0 150 --out runs/latency   one robot, two latencies
 
     miss(d)   mean square of (predicted - measured) joint angle over samples and joints of one `gait`, with command_latency d
-    fitted    d where the parabola through miss(hidden - 4 ms .. hidden + 8 ms) is least
+    fitted    d at the minimum of the parabola through miss(hidden - 4 ms .. hidden + 8 ms)
 
-A robot of its own radio, servos and friction is late by a little even where nothing is hidden: that is in every column alike.
+A robot with its own radio, servos and friction is a little late even if nothing is hidden; this is equal in every column.
 """
 
 from pathlib import Path
@@ -27,7 +27,7 @@ ROUND = np.linspace(-0.004, 0.008, 7)  # s, that are tried about the hidden one
 
 
 def swum(out: Path, seed: int, hidden: float, dt: float) -> Record:
-    """A `gait` of the robot of this seed with `hidden` s more command latency; what is there is not swum again."""
+    """A `gait` of the robot of this seed with `hidden` s more command latency; an existing record is not swum again."""
     folder = out / f"hidden_{1e3 * hidden:g}ms"
     loop = Loop(out=folder, healthy=("gait",))
     steps.played(loop, seed, loop.healthy, loop.folder(seed) / "rig", f"--effect command_latency={hidden:g}" if hidden else "")
@@ -35,7 +35,7 @@ def swum(out: Path, seed: int, hidden: float, dt: float) -> Record:
 
 
 def fitted(model: SwimmingFish, record: Record, hidden: float) -> float:
-    """The delay [s] with which the model's joints come nearest to the record's; it is looked for about `hidden` s."""
+    """Delay [s] at which the model's joints come nearest to the record's; the search is about `hidden` s."""
     delays = hidden + ROUND  # less than none is a robot that is quicker than its description
     rows = np.tile(model.null, (len(delays), 1))
     rows[:, model.index("command_latency", "delay")] = delays
@@ -47,7 +47,7 @@ def fitted(model: SwimmingFish, record: Record, hidden: float) -> float:
 
 
 def main(argv: list[str]) -> int:
-    """Exit code 0: every robot swam."""
+    """Runs the study. Exit code 0: every robot swam."""
     parser = console.parser("studies.whole_loop.latency", __doc__ or "")
     add = parser.add_argument
     add("--seeds", type=console.whole(1, 1000), default=3, metavar="N", help="robots, of seeds 0 to N - 1 (default 3)")

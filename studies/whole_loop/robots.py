@@ -1,4 +1,4 @@
-"""One robot from the first step to the last, what came of it, and what came of all."""
+"""Steps and results of one robot, and the summary of all."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,14 +15,14 @@ LATENCY, HORN = "command_latency", "joint_zero_offset"
 
 
 class Step(NamedTuple):
-    """One step of a robot. lockstep: it swims in this process; else it waits for commands that run beside."""
+    """One step of a robot. lockstep: it swims in this process; else it waits for commands in processes of their own."""
 
     do: Callable[[Loop, int], None]
     lockstep: bool
 
 
 def chain() -> list[Step]:
-    """Of one robot, in order."""
+    """Steps of one robot, in order."""
     return [
         Step(partial(steps.measure, faulty=False), True),
         Step(steps.calibrate, False),
@@ -35,7 +35,7 @@ def chain() -> list[Step]:
 
 
 def row_of(loop: Loop, seed: int) -> dict:
-    """What came of one robot."""
+    """Row with the results of one robot."""
     folder, fault = loop.folder(seed), Fault.of(seed)
     found = read_json(folder / "searched.json")
     fitted = {**found["counted_in"], **found["named"]}
@@ -58,7 +58,7 @@ def row_of(loop: Loop, seed: int) -> dict:
 
 
 def summary(rows: list[dict]) -> dict:
-    """How often, and how much: counts over robots, and differences of RMSE [m] over those that were patched."""
+    """Summary: counts over robots, and differences of RMSE [m] over those that were patched."""
     has = lambda row, name: name in row["named"]
     both = sum(has(row, LATENCY) and has(row, HORN) for row in rows)
     one = sum(has(row, LATENCY) != has(row, HORN) for row in rows)
@@ -74,5 +74,5 @@ def summary(rows: list[dict]) -> dict:
 
 
 def mean_of(values: list[float]) -> float | None:
-    """Of robots; None where there is none."""
+    """Mean over robots; None for an empty list."""
     return float(np.mean(values)) if values else None

@@ -1,9 +1,9 @@
-"""The steps of one robot's way through the loop: the commands that its user would type, each done once and kept.
+"""The steps of one robot through the loop: the commands of its user, each done once and kept.
 
-    seed_03/healthy      deploy experiment, before anything is wrong        seed_03/fish.toml    calibrate water
+    seed_03/healthy      deploy experiment, before the fault                seed_03/fish.toml    calibrate water
     seed_03/faulty       deploy experiment, with latency and horn           seed_03/report       gap find; fish.v2.toml: gap apply
     seed_03/trained_*    train, in the patched model and in the old one     seed_03/swims        deploy swim, four arms
-    seed_03/log.txt      what the commands said
+    seed_03/log.txt      output of the commands
 
 Robot commands run in lockstep (`tank.Tank`), the others as processes of their own.
 """
@@ -31,7 +31,7 @@ HEALTHY, BEFORE, UNPATCHED, AFTER = ARMS = ("healthy", "before", "unpatched", "a
 
 
 class Fault(NamedTuple):
-    """What is hidden in a robot. horn: 1 at the head. angle_deg: of its zero."""
+    """Fault that is hidden in a robot. delay: s. horn: 1 at the head. angle_deg: of its zero."""
 
     delay: float
     horn: int
@@ -39,11 +39,11 @@ class Fault(NamedTuple):
 
     @classmethod
     def of(cls, seed: int) -> "Fault":
-        """A fixed rule, so that no seed is chosen: horns in turn, even seeds to one side and odd ones to the other."""
+        """Fault by a fixed rule, so that no seed is selected: horns in turn, even seeds to one side and odd ones to the other."""
         return cls(DELAY, 1 + seed % 3, ANGLE_DEG if seed % 2 == 0 else -ANGLE_DEG)
 
     def options(self) -> str:
-        """Of `fishmj deploy loopback`."""
+        """Options of `fishmj deploy loopback`."""
         return (
             f"--effect command_latency={self.delay:g} --effect joint_zero_offset:offset{self.horn}={radians(self.angle_deg):.6f}"
         )
@@ -51,12 +51,12 @@ class Fault(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """What every robot goes through.
+    """Settings of the loop for every robot.
 
     Attributes:
-        out: folder. policy: that swims before. healthy, experiments: names of `deploy experiment` before and after the fault set
-            in, each once. null_runs: of `gap find`.
-        steps: of each training, of `preset`, on `engine`. swims: of each arm, seconds long.
+        out: folder. policy: the first policy. healthy, experiments: names of `deploy experiment` before and after the fault,
+            each once. null_runs: of `gap find`.
+        steps: of each training, of `preset`, on `engine`. swims: number in each arm, seconds long.
     """
 
     out: Path
@@ -71,12 +71,12 @@ class Loop:
     seconds: float = SECONDS
 
     def folder(self, seed: int) -> Path:
-        """Of one robot."""
+        """Folder of one robot."""
         return self.out / f"seed_{seed:02d}"
 
 
 def measure(loop: Loop, seed: int, faulty: bool) -> None:
-    """The designed experiments: `deploy experiment ... --out healthy | faulty`."""
+    """Does the designed experiments: `deploy experiment ... --out healthy | faulty`."""
     out = loop.folder(seed) / ("faulty" if faulty else "healthy")
     if (loop.folder(seed) / "searched.json").is_file():
         return
@@ -84,7 +84,7 @@ def measure(loop: Loop, seed: int, faulty: bool) -> None:
 
 
 def played(loop: Loop, seed: int, names: Sequence[str], out: Path, hidden: str) -> None:
-    """`deploy experiment NAMES --out OUT` in still water, once each. hidden: options of the loopback robot.
+    """Does `deploy experiment NAMES --out OUT` in still water, once each. hidden: options of the loopback robot.
 
     Raises:
         FishmjError: the command failed.
@@ -97,7 +97,7 @@ def played(loop: Loop, seed: int, names: Sequence[str], out: Path, hidden: str) 
 
 
 def calibrate(loop: Loop, seed: int) -> None:
-    """The robot's water, from the day on which nothing was wrong."""
+    """Calibrates the robot's water to the healthy experiments."""
     folder = loop.folder(seed)
     if not (folder / "fish.toml").is_file():
         words = ("--data", folder / "healthy/trials", "--model", "fish", "--report", folder / "calibration")
@@ -105,7 +105,7 @@ def calibrate(loop: Loop, seed: int) -> None:
 
 
 def search(loop: Loop, seed: int) -> None:
-    """`gap find`, then `gap apply --counted-in`; `searched.json` has what was found."""
+    """Runs `gap find`, then `gap apply --counted-in`; `searched.json` has the result."""
     folder = loop.folder(seed)
     report, version = folder / "report", folder / "fish.v2.toml"
     if (folder / "searched.json").is_file():
@@ -122,7 +122,7 @@ def search(loop: Loop, seed: int) -> None:
 
 
 def answered(verdict: dict) -> dict:
-    """Of a verdict: the answer, and {effect: {parameter: value}} of what is named and of what is fitted but not named."""
+    """Answer of a verdict, and {effect: {parameter: value}} of the named and of the fitted but unnamed effects."""
     sizes = lambda effects: {e["name"]: {k: p["value"] for k, p in e["parameters"].items()} for e in effects}
     named, counted = sizes(verdict["effects"]), sizes(verdict.get("tentative", []))
     if verdict["answer"] != "NAMED":
@@ -132,8 +132,7 @@ def answered(verdict: dict) -> dict:
 
 
 def train(loop: Loop, seed: int, arm: str) -> None:
-    """A short training in the last version (`after`), or in the model before any patch (`unpatched`). It begins with the policy
-    of the healthy day."""
+    """Trains briefly in the last version (`after`), or in the model before any patch (`unpatched`), from the healthy policy."""
     folder = loop.folder(seed)
     model, out = model_of(loop, seed, arm), folder / f"trained_{arm}"
     done = folder / f"trained_{arm}.json"  # not a policy file: an interrupted training leaves these, too
@@ -146,18 +145,18 @@ def train(loop: Loop, seed: int, arm: str) -> None:
 
 
 def patched(loop: Loop, seed: int) -> bool:
-    """Whether the search led to a new version of the model."""
+    """Returns True if the search led to a new version of the model."""
     return bool(read_json(loop.folder(seed) / "searched.json")["patched"])
 
 
 def model_of(loop: Loop, seed: int, arm: str) -> str:
-    """The description that the host has in an arm."""
+    """Description that the host uses in an arm."""
     folder = loop.folder(seed)
     return {AFTER: str(folder / "fish.v2.toml"), UNPATCHED: str(folder / "fish.toml")}.get(arm, "fish")
 
 
 def called(loop: Loop, seed: int, *words: object, ok: tuple[int, ...] = (0,)) -> int:
-    """Run `python -m fishmj WORDS` as a user would; its exit code. Raises FishmjError: one that is not `ok`."""
+    """Runs `python -m fishmj WORDS` as a user would; returns its exit code. Raises FishmjError if that is not in `ok`."""
     argv = [str(word) for word in words]
     with log_of(loop, seed, argv) as log:
         code = subprocess.run([sys.executable, "-m", "fishmj", *argv], stdout=log, stderr=log, check=False).returncode
@@ -168,7 +167,7 @@ def called(loop: Loop, seed: int, *words: object, ok: tuple[int, ...] = (0,)) ->
 
 @contextmanager
 def log_of(loop: Loop, seed: int, argv: list[str]) -> Iterator[IO[str]]:
-    """The robot's `log.txt`, open at its end, with the command line in it."""
+    """Opens the robot's `log.txt` at its end, with the command line in it."""
     loop.folder(seed).mkdir(parents=True, exist_ok=True)
     with (loop.folder(seed) / "log.txt").open("a", encoding="utf-8") as log:
         log.write(f"$ {shlex.join(['fishmj', *argv])}\n")
@@ -178,6 +177,6 @@ def log_of(loop: Loop, seed: int, argv: list[str]) -> Iterator[IO[str]]:
 
 @contextmanager
 def told(loop: Loop, seed: int, argv: list[str]) -> Iterator[list[str]]:
-    """`argv`, and what is said within goes to `log.txt`: for commands that run in this process."""
+    """Yields `argv`, and sends the output inside to `log.txt`: for commands that run in this process."""
     with log_of(loop, seed, argv) as log, redirect_stdout(log), redirect_stderr(log):
         yield argv

@@ -1,4 +1,4 @@
-"""Swims to targets all round in a stream, by `deploy swim`, and the figure of each.
+"""Swims to targets in all directions in a stream, by `deploy swim`, and the figure of each.
 
     healthy      the policy before the fault, the robot as it was           before       the same, with the fault
     unpatched    a policy of the model before any patch, with the fault     after        one of the patched model, with the fault
@@ -24,7 +24,7 @@ TICK = 0.02  # s, of the path that a figure is taken from
 
 
 def swim(loop: Loop, seed: int, arm: str) -> None:
-    """Swims to targets all round, in a stream: the same for every arm of a seed. `swims/ARM.json` has a row for each."""
+    """Swims to targets in all directions in a stream, the same for every arm of a seed. `swims/ARM.json` has a row for each."""
     folder = loop.folder(seed) / "swims"
     if (folder / f"{arm}.json").is_file() or arm == AFTER and not patched(loop, seed):
         return
@@ -33,7 +33,7 @@ def swim(loop: Loop, seed: int, arm: str) -> None:
 
 
 def one_swim(loop: Loop, seed: int, arm: str, item: int) -> dict:
-    """{"rmse" m, "arrival" s or None, "complete", "ended"} of one swim."""
+    """Result of one swim: {"rmse" m, "arrival" s or None, "complete", "ended"}."""
     trials = protocol.trials(speeds=(SPEED,), repeats=-(-loop.swims // 8), seed=seed, turbulence="gust")
     starts, targets = trials.ends()
     kept, out = loop.folder(seed) / "swims" / f"{arm}_{item}.json", loop.folder(seed) / "swims" / f"{arm}_{item}"
@@ -60,11 +60,11 @@ def one_swim(loop: Loop, seed: int, arm: str, item: int) -> dict:
 
 
 def figures(path: np.ndarray, began: float, ended: float, target: np.ndarray, seconds: float) -> dict:
-    """RMSE, arrival and whether a swim came to its end.
+    """RMSE, arrival, and True if a swim was complete.
 
     Args:
-        path: (T, 4) [s, m, m, rad]. began, ended: s, first and last command of the policy; what is later does not count, and the
-            distance of a swim that ended early stays what it was. target: (2,) m. seconds: that it should have lasted.
+        path: (T, 4) [s, m, m, rad]. began, ended: s, first and last command of the policy; later rows do not count, and the
+            distance of a swim that ended early stays at its last value. target: (2,) m. seconds: its planned duration.
     """
     t = np.arange(0.0, seconds + 1e-9, TICK)
     when = np.minimum(began + t, ended)
@@ -77,5 +77,5 @@ def figures(path: np.ndarray, began: float, ended: float, target: np.ndarray, se
 
 
 def free(folder: Path) -> Path:
-    """A folder of this name that is not there: an interrupted swim keeps its log."""
+    """Folder name that does not exist yet: an interrupted swim keeps its log."""
     return next(path for path in (folder, *(folder.with_name(f"{folder.name}.{k}") for k in range(2, 1000))) if not path.exists())

@@ -2,7 +2,7 @@
 
     python peer_xlb.py 80 56 30        then a line with a number of steps on standard input, `done` on standard output
 
-Run by path with the interpreter of that environment; nothing of fishmj is there to be imported.
+Run by path with the interpreter of that environment, in which fishmj cannot be imported.
 """
 
 import sys

@@ -14,7 +14,7 @@ WORDS = {"rmse_after_arrival": "RMSE after arrival", "rmse_holding": "RMSE while
 
 
 def picture(found: dict, path: Path, title: str) -> Path:
-    """Draw one figure's ranking.
+    """Draws one figure's ranking.
 
     Args:
         found: of `rank.judged`. title: the condition, shown above.

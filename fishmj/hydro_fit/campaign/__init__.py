@@ -1,1 +1,1 @@
-"""The campaign: movements of a fish in the flow solver, drawn, run, kept. What every simpler water is fitted to."""
+"""The campaign: movements of a fish in the flow solver, drawn, run, kept. Every simpler water is fitted to them."""

@@ -1,13 +1,13 @@
-"""Loops of a fit: gone on with where they were broken off, and on several devices at once.
+"""Resumable training loops, optionally data-parallel over devices.
 
-    k, state = loop.begin(state)            from its first step, or from where it was broken off
+    k, state = loop.begin(state)            from its first step, or from the kept one
     for k in range(k, steps): ...; loop.after(k + 1, state)
 
-The state is kept now and then, and when the command is interrupted: every array to the bit, so the end is the one of a loop that
-nobody broke off. On several devices a loss's batch is sharded in equal parts, values and gradients are averaged:
+The state is kept at intervals, and when the command is interrupted. Every array is kept to the bit, so a resumed loop ends like
+an uninterrupted one. On several devices a loss's batch is sharded in equal parts, values and gradients are averaged:
 
     gradient_of = sharded(loss, devices)    value, gradient = gradient_of(net, *stacked(batches)), a batch for each device
-    state = replicated(state, devices)      before the first step: where the state of every later one lies
+    state = replicated(state, devices)      before the first step: on all devices, as the state after every step
 """
 
 import os
@@ -34,7 +34,7 @@ MOST = 8  # devices: a batch of fewer than eight swims takes as long as one of e
 
 
 class Loop:
-    """One loop. path: of its file, None keeps nothing. key: of what it depends on; a file of another key is not gone on with."""
+    """One loop. path: of its file, None keeps nothing. key: hash of its inputs; a file of another key is not resumed."""
 
     def __init__(self, path: Path | None = None, key: str = ""):
         self.path, self.key = path, key
@@ -42,7 +42,7 @@ class Loop:
         self._written, self._lock = time.monotonic(), Lock()
 
     def begin(self, state: Any) -> tuple[int, Any]:
-        """Steps done and the state after them; `state` itself where nothing fits."""
+        """Number of steps done and the state after them; 0 and `state` itself without a matching file."""
         if self.path is None or not self.path.is_file():
             return 0, state
         try:
@@ -58,13 +58,13 @@ class Loop:
         return int(meta["step"]), jax.tree_util.tree_unflatten(tree, kept)
 
     def after(self, step: int, state: Any) -> None:
-        """`step` steps are done; the state's arrays are never written into again."""
+        """Notes that `step` steps are done; the state's arrays must not be written again."""
         self._newest = step, state
         if time.monotonic() - self._written > EVERY:
             self.save()
 
     def save(self) -> None:
-        """Write the newest state; from any thread."""
+        """Writes the newest state; may be called from any thread."""
         newest = self._newest
         if self.path is None or newest is None:
             return
@@ -75,17 +75,17 @@ class Loop:
             self._written = time.monotonic()
 
     def end(self) -> None:
-        """Done: what comes of it is kept elsewhere."""
+        """Removes the kept state of a finished loop, whose result is kept elsewhere."""
         self._newest = None
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
 
 def several() -> None:
-    """Let the CPU be as many devices as this process may use cores, and join operations there; nothing once JAX has begun.
+    """Uses the CPU's cores as devices, and lets XLA join operations there; has no effect once JAX has started.
 
-    A step of a swim is some 850 operations on a few fish: its cost is their number. XLA joins those that share what they read
-    where it is asked to (`JOINED`): a gradient step takes less than half of the time, its compilation 0.7.
+    A step of a swim is some 850 operations on a few fish: its cost is their number. On request (`JOINED`) XLA joins those that
+    share their inputs: a gradient step takes less than half of the time, its compilation 0.7.
     """
     try:
         jax.config.update("jax_num_cpu_devices", min(MOST, usable_cores()))
@@ -97,17 +97,17 @@ def several() -> None:
 
 
 def devices(*sizes: int) -> list:
-    """As many of this process's devices as divide all sizes."""
+    """Devices of this process, as many as divide all sizes."""
     available = jax.devices()[:MOST]
     return available[: next(n for n in range(len(available), 0, -1) if not any(size % n for size in sizes))]
 
 
 @cache
 def quick(platform: str) -> dict | None:
-    """Compiler options for a long loop of short operations; None where there are none, or this JAX knows them no longer.
+    """Compiler options for a long loop of short operations; None if there are none, or this JAX no longer has them.
 
     JAX 0.10: compiled in 17 s in place of 42, a step takes 125 ms in place of 203. JAX 0.11 is as fast without, and so are both
-    where operations are joined (`several`).
+    if operations are joined (`several`).
     """
     if platform != "cpu" or JOINED in os.environ.get("XLA_FLAGS", ""):
         return None
@@ -120,20 +120,21 @@ def quick(platform: str) -> dict | None:
 
 
 def mesh_of(shards: Sequence) -> Mesh:
-    """The devices side by side."""
+    """Mesh of the devices side by side."""
     return Mesh(np.array(shards), ("devices",))
 
 
 def replicated(tree: Any, shards: Sequence) -> Any:
-    """The arrays of a tree, whole, on every device.
+    """Arrays of a tree, whole, on every device.
 
-    What a step on a mesh gives lies there; a first step whose state lay elsewhere would be another program, compiled by itself.
+    The result of a step on a mesh lies there; a first step with its state elsewhere would be another program, compiled
+    separately.
     """
     return jax.device_put(tree, NamedSharding(mesh_of(shards), PartitionSpec()))
 
 
 def sharded(loss: Callable, shards: Sequence) -> Callable:
-    """(net, *arrays with one row a device) -> mean value and gradient of loss(net, *rows)."""
+    """Returns the function (net, *arrays with one row a device) -> mean value and gradient of loss(net, *rows)."""
 
     def mean(net, *batch):
         return lax.pmean(jax.value_and_grad(loss)(net, *jax.tree.map(lambda a: a[0], batch)), "devices")
@@ -148,5 +149,5 @@ def sharded(loss: Callable, shards: Sequence) -> Callable:
 
 
 def stacked(batches: Sequence[tuple]) -> tuple[Any, ...]:
-    """Trees of arrays, one tuple a device, as one tuple of trees with a row for each."""
+    """Trees of arrays, one tuple a device, joined to one tuple of trees with a row for each."""
     return jax.tree.map(lambda *rows: np.stack(rows), *batches)

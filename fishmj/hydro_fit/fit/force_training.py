@@ -2,8 +2,8 @@
 
     L = mean_rows,members b min(|dF / size|^2, far) + thrust b |mean dF_t / size|^2 + decay |W|^2
 
-b are bootstrap weights, drawn by episode: each member sees another sample of the episodes. Features get noise, so that
-small differences are no information. Adam with a cosine schedule; one seed gives one result on one machine.
+b are bootstrap weights, drawn by episode: each member gets another sample of the episodes. Features get noise, so that small
+differences carry no information. Adam with a cosine schedule; one seed gives one result on one machine.
 """
 
 from collections.abc import Callable
@@ -28,14 +28,14 @@ THIN = 2  # forces are looked at in every second row
 
 
 class ForceFit(NamedTuple):
-    """Weights and the losses on the way."""
+    """Weights, and the losses during the training."""
 
     net: residual_network.Net
     losses: np.ndarray
 
 
 def bootstrap(episodes: np.ndarray, members: int, seed: int) -> np.ndarray:
-    """(E, P) how often each member draws the episode of each piece."""
+    """Number of draws (E, P) of each piece's episode by each member."""
     rng = np.random.default_rng([41, seed])
     count = int(episodes.max()) + 1
     drawn = np.stack([np.bincount(rng.integers(0, count, count), minlength=count) for _ in range(members)])
@@ -45,7 +45,7 @@ def bootstrap(episodes: np.ndarray, members: int, seed: int) -> np.ndarray:
 def wakes(net: residual_network.Net, x, speed, step: float):
     """Wake states before every row, (T, G, P), from features (T, F, P) and V (T, P), each piece from rest; and after the last.
 
-    Rows of no speed leave the wake alone.
+    Rows without speed do not change the wake.
     """
     weights = residual_network.halves(jnp, net)  # sorted once, and not in every step
 
@@ -68,7 +68,7 @@ def forces(net: residual_network.Net, p: residual_network.Panels, rho: float, x,
 
 
 def loss(net: residual_network.Net, windows: TrainingWindows, drawn, p: residual_network.Panels, rho: float):
-    """The force part of L; drawn (E, P): the bootstrap weights b."""
+    """Force part of L; drawn (E, P): the bootstrap weights b."""
     z, _ = wakes(net, windows.x, windows.speed, windows.step)
     thin = lambda a: a[::THIN]
     x, push, left, weight = (thin(a) for a in (windows.x, windows.push, windows.left, windows.weight))
@@ -87,7 +87,7 @@ def size_of(net: residual_network.Net):
 
 
 def adam(rate: float, steps: int) -> optax.GradientTransformation:
-    """Adam with short slopes and a rate that falls by a cosine."""
+    """Adam with clipped gradients and a learning rate that falls by a cosine."""
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.03)))
 
 
@@ -95,10 +95,10 @@ def learn(
     ch: planar_chain.Chain, windows: TrainingWindows, net: residual_network.Net, *, steps: int = 800, seed: int = 0,
     ablated: dict | None = None, report: Callable | None = None, loop: Loop | None = None,
 ) -> ForceFit:  # fmt: skip
-    """Train on forces.
+    """Trains on forces.
 
     Args:
-        ablated: what `residual_network.without` leaves out, for comparison.
+        ablated: parts that `residual_network.without` leaves out, for comparison.
         report: called with (step, steps, loss). loop: keeps the state.
     """
     p, rho, ablated = residual_network.panels(ch), ch.strips.rho, ablated or {}

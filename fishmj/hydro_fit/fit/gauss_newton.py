@@ -1,9 +1,9 @@
-"""The base coefficients by what fish do in it: Gauss-Newton through free swims, on a few physical scales.
+"""Base coefficients from free swims: Gauss-Newton on a few physical factors.
 
-A fit of forces alone can be right to a per cent in every force and wrong by a tenth in speed: thrust is the small difference
-of large forces. So ten factors, each on one kind of force, are moved until the swims of the model match the recorded ones in
-velocity, yaw rate and servo power over windows, and held fish in mean thrust. Levenberg (1944) and Marquardt (1963) damp the
-step; the Jacobian is by differences, all disturbed waters in one batch.
+A fit of forces alone can be right to a per cent in every force and wrong by a tenth in speed: thrust is the small difference of
+large forces. Ten factors, each on one kind of force, are therefore fitted until the swims of the model match the recorded ones in
+velocity, yaw rate and servo power over windows, and held fish in mean thrust. Steps are damped (Levenberg 1944, Marquardt 1963).
+The Jacobian is by differences, all perturbed waters in one batch.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ TOW = 0.3  # m/s, of that drag
 
 
 class Scaled(NamedTuple):
-    """Coefficients after the fit, what is known of the factors, and the objective before and after."""
+    """Coefficients after the fit, uncertainty of the factors, and the objective before and after."""
 
     water: strip_forces.Coefficients
     found: Identified
@@ -45,7 +45,7 @@ class Scaled(NamedTuple):
 
 
 def groups(links: int) -> dict[str, tuple[str, ...]]:
-    """Which coefficients each factor multiplies."""
+    """Coefficients that each factor multiplies."""
     return {
         "body_mass": tuple(f"k{i + 1}" for i in range(links - 1)),
         "tail_mass": (f"k{links}",),
@@ -72,11 +72,11 @@ def scaled(water: np.ndarray, factors: np.ndarray, links: int, limits: Prior) ->
 
 
 class Match:
-    """How far a water is from the records, in tolerances.
+    """Residuals of a water relative to the records, in tolerances.
 
     Args:
-        fleet: free swims. held: rows of held fish, or None. tick: s. drag: tow drag that thrust errors are measured in, N.
-        swim: rollouts. learnt: a residual that swims along.
+        fleet: free swims. held: rows of held fish, or None. tick: s. drag: tow drag, the unit of thrust errors, N.
+        swim: rollouts. learnt: a residual that acts in the swims.
     """
 
     _residual_force: np.ndarray | None  # (3, N, M) force of the residual on held fish
@@ -89,14 +89,16 @@ class Match:
 
     @property
     def learnt(self):
+        """Residual that acts in the swims, or None."""
         return self._learnt
 
     @learnt.setter
     def learnt(self, learnt) -> None:
+        """Sets the residual."""
         self._learnt, self._residual_force = learnt, None
 
     def residuals(self, waters: np.ndarray) -> np.ndarray:
-        """(W, R) for W flat waters."""
+        """Residuals (W, R) of W flat waters."""
         fleet, count = repeated(self.fleet, len(waters)), len(waters)
         size = len(self.fleet.q)
         track = self.swim.run(fleet, np.repeat(waters, size, 0), self.learnt)
@@ -133,7 +135,7 @@ class Match:
 
 
 def pseudo_huber(error: np.ndarray) -> np.ndarray:
-    """Residuals whose squares grow as the errors do beyond `CLIP` (pseudo-Huber): far off, they pull on, but no harder.
+    """Pseudo-Huber residuals: their squares grow linearly beyond `CLIP`, so that large errors pull with a constant force.
 
     r^2 = 2 c^2 (sqrt(1 + (e / c)^2) - 1)
     """
@@ -141,7 +143,7 @@ def pseudo_huber(error: np.ndarray) -> np.ndarray:
 
 
 def flaps(record: SegmentRecord) -> bool:
-    """A held fish that beats its tail: what is judged by its thrust."""
+    """Returns True for a held fish that beats its tail, which is judged by its thrust."""
     return record.meta["block"] in FLAPPING and not is_free(record)
 
 
@@ -152,7 +154,7 @@ def thrusts(rows: RegressionRows, force: np.ndarray) -> np.ndarray:
 
 
 def tow_drag(ch: planar_chain.Chain, robot: Robot, speed: float = TOW) -> float:
-    """Drag of the straight fish by the prior coefficients, N: the yardstick of thrust errors."""
+    """Drag of the straight fish by the prior coefficients, N: the unit of thrust errors."""
     q, v = [0.0] * (ch.n + 2), [speed, *[0.0] * (ch.n + 1)]
     k = planar_chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
     forces = planar_chain.water_forces(np, ch, planar_chain.nominal(robot), k, 0.0, (0.0, 0.0), 1.0)
@@ -163,7 +165,7 @@ def fit_rollout(
     robot: Robot, ch: planar_chain.Chain, match: Match, water: strip_forces.Coefficients, *, rounds: int = 8,
     report: Callable | None = None, loop: Loop | None = None,
 ) -> Scaled:  # fmt: skip
-    """Move the factors from `water` until the swims match; never ends worse than it began.
+    """Fits the factors from `water` until the swims match; never ends worse than it began.
 
     Args:
         report: called with (round, rounds, objective). loop: keeps the state after each round.
@@ -174,7 +176,7 @@ def fit_rollout(
     jacobian, loop = np.zeros((0, size)), loop or Loop()
     at = lambda values: np.stack([scaled(start, value, ch.n, limits) for value in values])
     cost = lambda r, x: float(0.5 * r @ r + 0.5 * x @ x / SPREAD**2)
-    # ten factors cost eleven swims, forwards only, in one batch: no gradient has to be kept through thousands of steps
+    # ten factors cost eleven swims, forwards only, in one batch: no gradient through thousands of steps is needed
     with_differences = lambda x: match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
     begun, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
     x, damping, best, first = kept
@@ -184,10 +186,11 @@ def fit_rollout(
     done = begun
     for done in range(begun + 1, rounds + 1):
         jacobian = ((residuals[1:] - residuals[0]) / STEP).T
-        # the prior is one more residual a factor, x / SPREAD: what the swims do not tell stays where the forces put it
+        # the prior is one more residual for each factor, x / SPREAD: factors that the swims do not determine keep the forces'
+        # value
         normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
         gradient = jacobian.T @ residuals[0] + x / SPREAD**2
-        # all dampings in one batch: no round is lost to a step that fails
+        # all dampings in one batch: a failing step costs no round
         dampings = [damping * share for share in DAMPING]
         steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), gradient) for d in dampings]
         tried = match.residuals(at(steps))
@@ -206,6 +209,6 @@ def fit_rollout(
         residuals = with_differences(x)
     prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
     result = scaled(start, x, ch.n, limits)
-    # the Jacobian of the last round, one step before `x`: that at `x` would cost another round of swims
+    # the Jacobian of the last round, one step before `x`: one at `x` would cost another round of swims
     judged = identify(prior, np.exp(x), jacobian.T @ jacobian)
     return Scaled(unflat(result.tolist()), judged, float(first), float(best), jacobian, done)

@@ -1,8 +1,8 @@
-"""Which parameters a fit tells apart: the shape of its valley, not only its bottom.
+"""Identifiability of the parameters of a fit, from the curvature of its objective.
 
     H = J^T W J  (data alone),   S = (H + P^-1)^-1  (with the prior P)
-A parameter is `on bound` where it ends at a hard bound, `not identified` where the data shrink its prior by less than
-`SHRINK`, and else `identified`. Its partner is the parameter that it trades with: the largest correlation under weak prior.
+A parameter is `on bound` if it ends at a hard bound, `not identified` if the data shrink its prior by less than `SHRINK`, and
+else `identified`. Its partner is the parameter with which it trades: the one of the largest correlation under a weak prior.
 """
 
 from dataclasses import asdict, dataclass
@@ -19,7 +19,7 @@ CLOSE = 0.7  # correlation from which a partner is named
 
 @dataclass(frozen=True)
 class IdentifiedParameter:
-    """What a fit says about one parameter."""
+    """Fit result of one parameter."""
 
     name: str
     value: float
@@ -44,11 +44,11 @@ class Identified:
 
 
 def identify(prior: Prior, value: np.ndarray, hessian: np.ndarray) -> Identified:
-    """Judge a fit.
+    """Judges a fit.
 
     Args:
-        value: (P,) where it ended. hessian: (P, P) of the data's half squared error, in honest units (noise and its correlation
-            in time divided out).
+        value: (P,) fitted values.
+        hessian: (P, P) of the data's half squared error, in honest units (noise and its correlation in time divided out).
     """
     scaled = hessian * np.outer(prior.sd, prior.sd)
     size = len(value)

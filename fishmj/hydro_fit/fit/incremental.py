@@ -1,9 +1,9 @@
-"""A fitted water, fitted again to more swims: the residual learns from them, then the ten factors move.
+"""Refit of a fitted water to more swims: first the residual, then the ten factors.
 
     model = Refit(robot, model, train, val, dataset={...}).run()
 
-As in the first fit, what makes the validation swims worse is not taken, and the notes say so. The range grows with the new swims
-and keeps what it had.
+As in the first fit, a stage that makes the validation swims worse is not used, and the notes record that. The range grows with
+the new swims and keeps its old extent.
 """
 
 import hashlib
@@ -31,8 +31,9 @@ class Refit(FitPipeline):
     """One more fit of a model.
 
     Args:
-        train: records at the model's slip ratio. val: those of the first fit, and new ones, which count for half however few
-            they are: what was added is what the model is fitted again for. dataset, folder: as in `FitPipeline`.
+        train: records at the model's slip ratio.
+        val: those of the first fit, and new ones, which count for half in any number: the new swims are the reason of the refit.
+        dataset, folder: as in `FitPipeline`.
     """
 
     def __init__(
@@ -46,12 +47,15 @@ class Refit(FitPipeline):
         self.key = hashlib.sha256(json.dumps([self.key, sums]).encode()).hexdigest()
 
     def run(self) -> HydroModel:
-        """The factors of the model as it swims, then the error bar; strips fitted without the residual stay as they are."""
+        """Fits the residual and the factors of the model, then the error bar.
+
+        Strips fitted without the residual stay unchanged.
+        """
         stages = ("rollout", "finish") if self.model.learnt is None else ("swims", "retune", "finish")
         return self._model(self.run_stages(stages, state=self._first()))
 
     def _first(self) -> dict[str, Any]:
-        """The model as a fit has it that comes to its swims."""
+        """State of a fit at its swims, from the model."""
         model, still = self.model, np.zeros((self.settings.members, len(groups(self.chain.n))))
         state: dict[str, Any] = {"water": flat(model.base), "factors": still, "alone": model.alone[0], "alone_factors": still}
         return state if model.learnt is None else state | residual_hooks.packed(model.learnt)
@@ -64,7 +68,7 @@ class Refit(FitPipeline):
         return {}
 
     def _with_range(self, net: residual_network.Net, water: np.ndarray) -> residual_hooks.Residual:
-        """The range of before, as far as the new swims go beyond it wider."""
+        """Residual with the old range, widened as far as the new swims exceed it."""
         made, before = super()._with_range(net, water), self.model.learnt
         if before is None or before.reach is None:
             return made
@@ -72,5 +76,5 @@ class Refit(FitPipeline):
         return made._replace(reach=residual_hooks.widened(before.reach, *features))
 
     def score(self, water: np.ndarray, learnt) -> float:
-        """As in the first fit, the mean of the parts."""
+        """Mean over the parts of the validation error of the first fit."""
         return float(np.mean([self.score_of(part, water, learnt) for part in self.parts]))

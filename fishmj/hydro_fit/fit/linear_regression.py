@@ -3,9 +3,9 @@
     min  sum_rows ((F - A theta) / noise)^2 / n_c  +  sum ((theta - prior) / sd)^2,      low <= theta <= high
 
 theta = k, cn (a link), cf, ca_forward, ca_backward, the trailing edge's ke, ke a, ke b, and k s of the suction behind the head,
-whose share is s = sum k s / sum k. Noise is a channel's own remaining error, found by going round twice, so the great forces of
-acceleration do not drown the small ones of drag; n_c = 15 rows, 0.3 s, is how long such errors hang together. What is not
-linear, stall angle and lag, is looked for on a grid.
+whose share is s = sum k s / sum k. Noise is a channel's own remaining error, found in two iterations, so that the large forces of
+acceleration do not dominate the small ones of drag; n_c = 15 rows, 0.3 s, is the correlation time of such errors. The nonlinear
+parameters, stall angle and lag, are searched on a grid.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ SUCTION = "k_suction"  # k s, with the number of the link
 
 
 class LinearFit(NamedTuple):
-    """Coefficients, what the data say about each, and the remaining error of every channel, (3, N), N and N m."""
+    """Coefficients, fit result of each, and the remaining error of every channel, (3, N), N and N m."""
 
     water: strip_forces.Coefficients
     found: Identified
@@ -36,7 +36,7 @@ class LinearFit(NamedTuple):
 
 
 def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick: float, *, stall: bool = True) -> LinearFit:
-    """Fit all linear coefficients; with `stall`, the stall angle and lag on a grid as well.
+    """Fits all linear coefficients; with `stall`, also the stall angle and lag on a grid.
 
     Raises:
         DatasetError: forces are not finite.
@@ -123,7 +123,7 @@ def _edge(data: RegressionRows, s: strip_forces.Strips, attached: np.ndarray) ->
 
 
 class _Sums(NamedTuple):
-    """One link's columns A and target b, each by channel: all that least squares need of M rows."""
+    """Sums over M rows for one link's columns A and target b, each by channel, as least squares need them."""
 
     at: list[int]  # of theta, p of them
     square: np.ndarray  # (3, p, p) A^T A

@@ -1,9 +1,9 @@
-"""The whole fit, stage by stage: each is kept when done, so an interrupted fit goes on where it was.
+"""The whole fit, stage by stage: each stage is kept when done, so an interrupted fit resumes.
 
     linear     least squares on wrenches                               rollout   factors by free swims
-    residual   forces that are left over                               swims     the residual again, by free swims
+    residual   remaining forces                                        swims     the residual again, by free swims
     retune     the factors again, with the residual in place           finish    members, range and error bar
-A stage that makes the validation swims worse is not taken; the notes say so. The test part is never looked at.
+A stage that makes the validation swims worse is not used; the notes record that. The test part is never read.
 """
 
 import hashlib
@@ -41,9 +41,9 @@ QUIET = {"__main__.py", "report.py", "online_correction.py"}  # what only asks o
 
 @cache
 def code(*more: str) -> str:
-    """sha256 over everything that a fit and its figures are computed by, and over the rooms `more`.
+    """sha256 of all code that computes a fit and its figures, and of the rooms `more`.
 
-    A stage that other code finished is not gone on with.
+    A stage that other code finished is not reused.
     """
     files = [path for room in (*ROOMS, *more) for path in sorted((PACKAGE / room).glob("*.py")) if path.name not in QUIET]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
@@ -51,9 +51,9 @@ def code(*more: str) -> str:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """What a fit may be told.
+    """Settings of a fit.
 
-    steps, swims: of learning by forces and by free swims.
+    steps, swims: numbers of learning steps by forces and by free swims.
     swim: seconds of free swimming at most in each Gauss-Newton batch.
     """
 
@@ -73,11 +73,11 @@ Report = Callable[[str, float, dict], None]  # stage, share of the whole fit, fi
 
 
 def quiet(stage: str, share: float, figures: dict) -> None:
-    """Say nothing."""
+    """Prints nothing."""
 
 
 def learnt_of(state: dict) -> residual_hooks.Residual | None:
-    """The residual of a state, if there is one."""
+    """Residual of a state, or None."""
     return residual_hooks.unpacked(state) if "net.reach" in state else None
 
 
@@ -85,8 +85,8 @@ class FitPipeline:
     """One fit of one robot.
 
     Args:
-        train, val: records at one slip ratio. folder: where finished stages are kept; None keeps nothing.
-        dataset: sha256 and what else is to be told about the data.
+        train, val: records at one slip ratio. folder: folder of finished stages; None keeps nothing.
+        dataset: sha256 and further metadata of the data.
     Raises:
         DatasetError: a part is empty or has no free swim.
     """
@@ -107,7 +107,7 @@ class FitPipeline:
         self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": prior, "data": dataset, "code": code()}
         self.about["water"] = flat(planar_chain.nominal(robot).water).tolist()
         self.about["records"] = [r.id for r in [*self.train, *self.val]]
-        # everything that decides the result: a stage that was kept is read again only where all of it is the same
+        # all inputs of the result: a kept stage is reused only if they are all the same
         depends = self.about | {"settings": asdict(self.settings)}
         self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
         self.notes: list[str] = []
@@ -116,13 +116,13 @@ class FitPipeline:
         self.loop = Loop()  # of the stage that is under way
 
     def run(self) -> HydroModel:
-        """All stages; returns the model."""
+        """Runs all stages; returns the model."""
         return self._model(self.run_stages(STAGES))
 
     def run_stages(
         self, stages: Iterable[str], clock: Callable[[], float] = time.perf_counter, state: dict[str, Any] | None = None
     ) -> dict[str, Any]:
-        """What the stages leave, each read where it is kept and else done; `clock` times them, they begin with `state`."""
+        """State after the stages, each read if it is kept and else run; `clock` times them, they begin with `state`."""
         state = dict(state or {})
         for stage in stages:
             self.begin_stage(stage)
@@ -141,7 +141,10 @@ class FitPipeline:
         return state
 
     def kept_so_far(self) -> str:
-        """Keep the stage that is under way as far as it has come; says what there is. For `interrupt.keeping`: another thread."""
+        """Keeps the present state of the running stage; returns a text about it.
+
+        For `interrupt.keeping`: called in another thread.
+        """
         self.loop.save()
         if self.folder is None:
             return "nothing of it is kept"
@@ -149,9 +152,9 @@ class FitPipeline:
         return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; {interrupt.again()}"
 
     def begin_stage(self, stage: str) -> None:
-        """Before each stage; a fit whose stages have keys of their own sets `key` here."""
+        """Called before each stage; a fit whose stages have keys of their own sets `key` here."""
 
-    # stages: state -> what they add to it
+    # stages: state -> additions to it
 
     def _linear(self, state) -> dict:
         rows = rows_of(self.chain, self.force_records)
@@ -169,7 +172,7 @@ class FitPipeline:
         report = lambda k, n, cost: self._report(stage, k / n, cost=cost)
         match, start = self._match(self.train, learnt), unflat(state["water"])
         done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, report=report, loop=self.loop)
-        # on swims that Gauss-Newton has not seen: it may fit the noise of the training swims, or leave its valley
+        # on swims outside Gauss-Newton's data: it may fit the noise of the training swims, or diverge
         after = self.score(flat(done.water), learnt)
         if after > before:
             self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
@@ -217,13 +220,13 @@ class FitPipeline:
         return {"memory": self.settings.memory, "products": self.settings.products}
 
     def _with_range(self, net: residual.Net, water) -> residual_hooks.Residual:
-        """The net with the range of its training data, and a note on how it swims."""
+        """Net with the range of its training data, and a note on how it swims."""
         rows = rows_of(self.chain, self.force_records)
         reach = residual_hooks.fitted(*training_windows.features(self.chain, rows), 1e6)
         spread = training_windows.warm_up(
             self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick
         ).spread
-        # three times the typical disagreement of the members halves the force: beyond the data members disagree first
+        # three times the typical disagreement of the members halves the force: outside the data members disagree first
         learnt = residual_hooks.Residual(net, reach._replace(spread=np.array(3.0 * np.sqrt(spread.mean()) + 1e-6)))
         before, after = self.score(water, None), self.score(water, learnt)
         self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
@@ -238,7 +241,7 @@ class FitPipeline:
         if learnt is not None:
             alone, both = self.score(state["alone"], None), self.score(water, learnt)
             self.notes.append(f"validation swims, in squared tolerances: base {alone:.4g}, with residual {both:.4g}")
-            # the strips alone were fitted for this case; the residual must earn its place on swims
+            # the strips alone were fitted for this case; the residual is used only if it improves the swims
             if alone < both:
                 self.notes.append("the residual is not taken")
                 learnt, water = None, state["alone"]
@@ -261,14 +264,14 @@ class FitPipeline:
         mean, seen = (prediction_interval.means(track, fleet) for track in tracks)
         return prediction_interval.fit_band(mean, parts, seen, trained)
 
-    # what stages share
+    # common to all stages
 
     def score(self, water: np.ndarray, learnt) -> float:
         """Mean squared error of the validation swims, in tolerances."""
         return self.score_of(self._validation, water, learnt)
 
     def score_of(self, match: gauss_newton.Match, water: np.ndarray, learnt) -> float:
-        """The same of some of them."""
+        """Mean squared error of some of the validation swims, in tolerances."""
         match.learnt = learnt
         error = match.residuals(np.asarray(water)[None])[0]
         return float(error @ error / len(error) * match.recorded_windows.surge.shape[1])
@@ -285,7 +288,7 @@ class FitPipeline:
         most = max(8, int(self.settings.swim / (fleet.mask.shape[1] * self.tick)))
         if len(fleet.q) > most:
             rng = np.random.default_rng([59, self.settings.seed])
-            # drawn by block: the blocks with most swims would leave none of the rare manoeuvres
+            # drawn by block: otherwise the largest blocks would leave out the rare manoeuvres
             share = swims.shares([records[number].meta["block"] for number, _ in fleet.source])
             fleet = rollout.some(fleet, np.sort(rng.choice(len(fleet.q), most, replace=False, p=share)))
         tethered = [r for r in records if gauss_newton.flaps(r)]
@@ -296,7 +299,7 @@ class FitPipeline:
         self.report(stage, self._share(stage, min(part, 1.0)), figures)
 
     def _share(self, stage: str, part: float) -> float:
-        """Of the whole fit that is done when `part` of a stage is."""
+        """Share of the whole fit that is done when `part` of a stage is."""
         took = TYPICAL | {"swims": TYPICAL["swims"] * self.settings.swims / 1000}
         before = sum(took[s] for s in STAGES[: STAGES.index(stage)])
         return (before + part * took[stage]) / sum(took.values())
@@ -324,7 +327,7 @@ class FitPipeline:
         )
 
     def _scores(self, state) -> dict:
-        """`from_rest`: what the strips' movement misses by (`rollout.from_rest`)."""
+        """Scores of the model; `from_rest`: movement error of the strips (`rollout.from_rest`)."""
         whole = learnt_of(state) if state["taken"] else None
         rested = rollout.from_rest(self.swim, self.robot, [*self.train, *self.val], state["alone"])
         return {"validation": self.score(state["water"], whole), "from_rest": rested, "seconds": self.seconds}
@@ -339,7 +342,7 @@ class FitPipeline:
             write_tensors(path, state, meta)
 
     def _read(self, stage: str) -> dict | None:
-        """The state after a stage that was finished for the same data and settings."""
+        """State after a stage that was finished for the same data and settings, or None."""
         path = self._path(stage)
         if path is None or not path.is_file():
             return None

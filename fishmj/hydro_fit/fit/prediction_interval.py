@@ -1,14 +1,16 @@
-"""The error bar: how far the means of a swim may be off, as the swims of the training and validation parts say.
+"""The error bar of the means of a swim, from the swims of the training and validation parts.
 
     half width = sqrt(offset^2 + (share |mean|)^2 + (spread s)^2)       s: spread of the members at this swim
-The variance that swims leave over, as a sum of three parts that are not negative (least squares, weighted by what it is), then
-all scaled until 90 % of the swims lie inside (split conformal, Lei et al. 2018). Nothing is assumed about which part counts:
-where the members do not tell good swims from bad, their share is zero. Training swims, which the fit has seen, count as they are
-as long as they are no easier than the validation ones by more than chance; else their errors are scaled up by what they are.
+The residual variance of the swims is fitted as a sum of three parts that are not negative (least squares, weighted by the
+variance itself). Then all parts are scaled until 90 % of the swims lie inside (split conformal, Lei et al. 2018). The fit decides
+which part
+matters: if the members do not separate good swims from bad, their share is zero. Training swims, on which the model was fitted,
+count unchanged if they are easier than the validation ones by no more than chance; else their errors are scaled up by the ratio.
 
-These swims need not resemble what the bar is asked about, and the fit has seen most of them. So `calibrated` scales every channel
-by the ceil((n + 1) 90 %)-th smallest of error / half width over n fresh swims, drawn as those it is for: a swim drawn in the same
-way lies inside in 90 % of all cases, whatever the errors look like (Lei et al. 2018, doi 10.1080/01621459.2017.1307116).
+These swims need not resemble those of a later question, and the model was fitted to most of them. `calibrated` therefore scales
+every channel by the ceil((n + 1) 90 %)-th smallest of error / half width over n fresh swims, drawn like those of the later use. A
+swim drawn in the same way lies inside in 90 % of all cases, for any distribution of the errors (Lei et al. 2018,
+doi 10.1080/01621459.2017.1307116).
 """
 
 from collections.abc import Sequence
@@ -42,7 +44,7 @@ class Means(NamedTuple):
 
 
 def means(track: SwimTrack, fleet: FishBatch) -> Means:
-    """Over what was recorded of each piece; speed is that along the body."""
+    """Means over the recorded part of each piece; speed is that along the body."""
     yaw = track.q[..., 2]
     surge = np.cos(yaw) * track.v[..., 0] + np.sin(yaw) * track.v[..., 1]
     over = lambda a: (a * fleet.mask).sum(1) / fleet.mask.sum(1)
@@ -50,23 +52,23 @@ def means(track: SwimTrack, fleet: FishBatch) -> Means:
 
 
 def of_members(swim: SwimWindow, fleet: FishBatch, waters, learnt) -> list[Means]:
-    """Those of every member of the ensemble: waters (E, P), each with its own part of the residual where there is one."""
+    """Means of every member of the ensemble: waters (E, P), each with its own part of the residual if there is one."""
     return [means(swim.run(fleet, row, learnt and residual_hooks.member(learnt, e)), fleet) for e, row in enumerate(waters)]
 
 
 def half_width(channel: str, mean: Means, members: list[Means], band: dict[str, list[float]]) -> np.ndarray:
-    """(B,) of a channel; `band`: (offset, share, spread) by channel, a missing one has no width."""
+    """Half width (B,) of a channel; `band`: (offset, share, spread) by channel, a missing one has no width."""
     return np.sqrt(_parts(channel, mean, members) @ np.square(band.get(channel, [0.0] * 3)))
 
 
 def _parts(channel: str, mean: Means, members: list[Means]) -> np.ndarray:
-    """(B, 3): one, squared mean, variance of the members."""
+    """One, squared mean, variance of the members: (B, 3)."""
     value, spread = getattr(mean, channel), np.var([getattr(m, channel) for m in members], axis=0, ddof=1)
     return np.stack([np.ones(len(value)), value**2, spread], 1)
 
 
 def fit_band(mean: Means, members: list[Means], seen: Means, trained: np.ndarray) -> dict[str, list[float]]:
-    """(offset, share, spread) of every channel from predictions and records of whole swims; `trained` (B,): seen by the fit."""
+    """(offset, share, spread) of every channel from predictions and records of whole swims; `trained` (B,): used in the fit."""
     out = {}
     for channel in CHANNELS:
         error = np.abs(getattr(mean, channel) - getattr(seen, channel))
@@ -79,7 +81,7 @@ def fit_band(mean: Means, members: list[Means], seen: Means, trained: np.ndarray
 
 
 def conformal(needed: np.ndarray) -> float:
-    """The factor that another swim's error over its unit stays below in 90 % of all cases, from those of n swims alike."""
+    """Factor that bounds another swim's error over its unit in 90 % of all cases, from those of n exchangeable swims."""
     at = min(len(needed) - 1, int(np.ceil(COVER * (len(needed) + 1))) - 1)
     return float(np.sort(needed)[at])
 
@@ -97,7 +99,7 @@ def _variance(parts: np.ndarray, square: np.ndarray) -> np.ndarray:
 
 
 def easier(needed: np.ndarray, trained: np.ndarray) -> float:
-    """By how much the errors of training swims are smaller than of others, 1 where that may be chance (one in twenty)."""
+    """Ratio by which errors of training swims are smaller than of others, 1 if that may be chance (one in twenty)."""
     apart, count = needed[~trained], int((~trained).sum())
     if not count or count == len(needed):
         return 1.0
@@ -112,12 +114,12 @@ def covered(mean: Means, members: list[Means], seen: Means, band: dict[str, list
 
 
 def calibrated(model: HydroModel, robot: Robot, records: Sequence[SegmentRecord], about: dict) -> HydroModel:
-    """The model with its bands scaled by swims that no fit has seen, with its residual and alone.
+    """Model with its bands scaled by swims outside every fit, with its residual and alone.
 
     Args:
-        records: of which the free swims count. about: what is to be told about them; the number of swims is added.
+        records: records, of which the free swims count. about: metadata of them; the number of swims is added.
     Raises:
-        DatasetError: too few free swims, or records that the model was fitted to.
+        DatasetError: too few free swims, or records to which the model was fitted.
     """
     swims = [r for r in records if is_free(r)]
     if len(swims) < FEWEST:

@@ -1,6 +1,7 @@
-"""What the links did over every recorded tick, and the water's force on them, in the links' own axes.
+"""Movement of the links over every recorded tick, and the water's force on them, in the links' own axes.
 
-Wrenches are means over a tick, so every regressor is one, too: Simpson's rule over the state at its start, middle and end, with
+Wrenches are means over a tick, so every regressor is also a mean: Simpson's rule over the state at its start, middle and end,
+with
 the constant acceleration (v_end - v_start) / tick. The turn of a link within a tick is neglected in the direction of the force.
 """
 
@@ -33,12 +34,12 @@ class RegressionRows(NamedTuple):
         return self.u[:, i], self.w[:, i], self.omega[:, i]
 
     def spans(self) -> list[slice]:
-        """The rows of each record."""
+        """Rows of each record."""
         edges = [0, *(np.flatnonzero(np.diff(self.record)) + 1).tolist(), len(self.record)]
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
     def wide(self, values: np.ndarray) -> np.ndarray:
-        """The records side by side, (.., M) -> (.., T, R); zero behind the end of a shorter one."""
+        """Records side by side, (.., M) -> (.., T, R); zero after the end of a shorter one."""
         spans = self.spans()
         out = np.zeros((*values.shape[:-1], max(span.stop - span.start for span in spans), len(spans)))
         for j, span in enumerate(spans):
@@ -46,12 +47,12 @@ class RegressionRows(NamedTuple):
         return out
 
     def line(self, values: np.ndarray) -> np.ndarray:
-        """The inverse of `wide`."""
+        """Inverse of `wide`."""
         return np.concatenate([values[..., : span.stop - span.start, j] for j, span in enumerate(self.spans())], -1)
 
 
 def ambient_of(record: SegmentRecord) -> np.ndarray:
-    """DU/Dt over every tick, (T, 2) m/s2: of gusts only, which are uniform in space."""
+    """Flow acceleration DU/Dt over every tick, (T, 2) m/s2: of gusts only, which are uniform in space."""
     flow = record.flow.mean(1)
     if record.meta.get("segment", {}).get("flow", {}).get("turbulence") != "gust" or len(flow) < 2:
         return np.zeros_like(flow)
@@ -119,7 +120,7 @@ def _mean(value, shape) -> np.ndarray:
 
 
 def mean3(parts) -> np.ndarray:
-    """(F_t, F_n, moment) of (3, M) or scalar parts -> (3, M) means over the tick."""
+    """Means (3, M) over the tick of (F_t, F_n, moment) of (3, M) or scalar parts."""
     shape = np.broadcast_shapes(*(np.shape(p) for p in parts))
     return np.stack([_mean(p, shape) for p in parts])
 
@@ -137,7 +138,7 @@ def attachment(
 
 
 def added(rows: RegressionRows, s: strip_forces.Strips, i: int) -> np.ndarray:
-    """Force of the link's acceleration on its added mass for k = 1, (3, M): what is taken off before drags are compared."""
+    """Force of the link's acceleration on its added mass for k = 1, (3, M), which is subtracted before drags are compared."""
     m0, m1, m2 = s.mu[i]
     a, alpha = rows.normal[i], rows.alpha[i]
     return np.stack([0 * a, -(m0 * a + m1 * alpha), -(m1 * a + m2 * alpha)])
@@ -146,7 +147,7 @@ def added(rows: RegressionRows, s: strip_forces.Strips, i: int) -> np.ndarray:
 def base_force(
     rows: RegressionRows, s: strip_forces.Strips, c: strip_forces.Coefficients, attached: np.ndarray, *, inertial: bool = True
 ) -> np.ndarray:
-    """What the strip model says about every row, (3, N, M); `inertial` with the force of the acceleration."""
+    """Force of the strip model in every row, (3, N, M); `inertial` with the force of the acceleration."""
     out = []
     for i in range(len(s.mu)):
         u, w, omega = rows.of(i)

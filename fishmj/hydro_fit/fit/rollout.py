@@ -1,10 +1,10 @@
 """Free swims of a whole batch of recorded fish, from their recorded starts, by their recorded commands, in a model of the water.
 
     fleet = fish_batch_of(ch, robot, records, seconds=10)           pieces of free swimming, padded to one length
-    track = SwimWindow(ch, swimmer).run(fleet, water (B, P), learnt)    what the model's fish do; JAX, one compilation a shape
+    track = SwimWindow(ch, swimmer).run(fleet, water (B, P), learnt)    swims in the model; JAX, one compilation a shape
     view = windows(track, fleet); rec = windows(recorded(fleet), fleet)
 
-Commands take the same path as on the robot; the undisturbed flow is what the recorded fish met, tick by tick.
+Commands take the same path as on the robot; the undisturbed flow is that of the records, tick by tick.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class FishBatch(NamedTuple):
 
 
 class SwimTrack(NamedTuple):
-    """What the model's fish did, (B, T, ..), at the ends of ticks; `memory` (B, M) at the end, `outside` (B,) share of steps."""
+    """Swims in the model, (B, T, ..), at the ends of ticks; `memory` (B, M) at the end, `outside` (B,) share of steps."""
 
     q: Any
     v: Any
@@ -55,7 +55,7 @@ class SwimTrack(NamedTuple):
 
 
 def is_free(record: SegmentRecord) -> bool:
-    """Driven by its servos alone."""
+    """Returns True for a record driven by its servos alone."""
     held = record.meta["prescribed"]
     return not (held["joints"] or held["root"])
 
@@ -81,7 +81,7 @@ def fish_batch_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[Segmen
 def cut(
     ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], pieces: Sequence[tuple[int, int, int]]
 ) -> FishBatch:
-    """These pieces, (number of the record, first tick, end)."""
+    """Batch of these pieces, (number of the record, first tick, end)."""
     longest = max(b - a for _, a, b in pieces)
     columns = [_piece(ch, robot, records[n], a, b, longest) for n, a, b in pieces]
     return FishBatch._make([*(np.stack(c) for c in zip(*columns, strict=True)), tuple((n, a) for n, a, _ in pieces)])
@@ -108,23 +108,23 @@ def _piece(ch: planar_chain.Chain, robot: Robot, record: SegmentRecord, a: int, 
 
 
 def recorded(fleet: FishBatch) -> SwimTrack:
-    """The recorded swims in the same shape."""
+    """Recorded swims in the same shape."""
     return SwimTrack(fleet.q[:, 1:], fleet.v[:, 1:], fleet.power, np.zeros(len(fleet.q)))
 
 
 def repeated(fleet: FishBatch, times: int) -> FishBatch:
-    """The fleet `times` after itself, for as many waters."""
+    """Fleet repeated `times` times, for as many waters."""
     return FishBatch._make([*(np.concatenate([a] * times) for a in fleet[:-1]), fleet.source * times])
 
 
 def some(fleet: FishBatch, keep) -> FishBatch:
-    """Pieces by number or boolean."""
+    """Pieces of the fleet by number or boolean."""
     at = np.arange(len(fleet.q))[keep]
     return FishBatch._make([*(a[at] for a in fleet[:-1]), tuple(fleet.source[int(i)] for i in at)])
 
 
 def padded(fleet: FishBatch, like: FishBatch) -> FishBatch:
-    """At least as many pieces and ticks as `like`, the rest masked: both then share one compilation."""
+    """Fleet with at least as many pieces and ticks as `like`, the rest masked: both then share one compilation."""
     more, ticks = max(0, len(like.q) - len(fleet.q)), max(0, like.mask.shape[1] - fleet.mask.shape[1])
     long = [np.concatenate([a, np.repeat(a[:, -1:], ticks, 1)], 1) for a in fleet[:-2]]
     mask = np.concatenate([fleet.mask, np.zeros((len(fleet.mask), ticks))], 1)
@@ -136,7 +136,7 @@ class SwimWindow:
     """Free swims of one robot in JAX.
 
     Args:
-        swimmer: the fish; its water is replaced by what `run` is given.
+        swimmer: the fish; `run` replaces its water.
     """
 
     def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer):
@@ -152,13 +152,13 @@ class SwimWindow:
     def run(
         self, fleet: FishBatch, water: np.ndarray, learnt: "residual_hooks.Residual | None" = None, attached=None, memory=None
     ) -> SwimTrack:
-        """Swim every piece from its recorded start.
+        """Swims every piece from its recorded start.
 
         Args:
             water: (P,) or (B, P) flat coefficients. learnt: a residual, or None for the base alone.
             attached: (B,) at the start, 0.5 by default; memory: (B, WAKES + 2), at rest by default.
         Returns:
-            Track of NumPy arrays; a fish that left the finite numbers is nan from there on.
+            Track of NumPy arrays; a fish whose state is no longer finite is nan from then on.
         """
         batch = len(fleet.q)
         water = np.broadcast_to(np.asarray(water, np.float32), (batch, np.shape(water)[-1]))
@@ -173,7 +173,7 @@ class SwimWindow:
 
     @partial(jax.jit, static_argnums=0)
     def _run(self, learnt, *given):
-        """Swims of a batch, in equal parts on as many devices as there are."""
+        """Swims a batch, in equal parts on as many devices as there are."""
         mesh, parts = mesh_of(devices(len(given[0]))), PartitionSpec("devices")
         specs = PartitionSpec(), *[parts] * len(given)
         return jax.shard_map(self._track, mesh=mesh, in_specs=specs, out_specs=parts, check_vma=False)(learnt, *given)
@@ -183,7 +183,7 @@ class SwimWindow:
         return (*track, memory[-1] / (target.shape[1] * target.shape[2]))
 
     def trace(self, q, v, target, flow, ambient, water, attached, memory, learnt):
-        """The swim as JAX code: ((q, v, power) (B, T, ..), state at the end)."""
+        """Swim as JAX code: ((q, v, power) (B, T, ..), state at the end)."""
         ch, n = self.chain, self.chain.n
         sw = self.swimmer._replace(water=unflat([water[:, i] for i in range(water.shape[1])]))
         split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
@@ -234,18 +234,18 @@ def windows(track: SwimTrack, fleet: FishBatch, tick: float, seconds: float = WI
 
 
 def begins_at_rest(record: SegmentRecord) -> bool:
-    """A free gait from rest in still water."""
+    """Returns True for a free gait from rest in still water."""
     still = not np.any(record.meta["start"]["v"]) and float(np.abs(record.flow).max()) < 1e-6
     return record.meta["block"] == "gait" and is_free(record) and still and record.seconds >= START
 
 
 def from_rest(swim: SwimWindow, robot: Robot, records: Sequence[SegmentRecord], water: np.ndarray) -> float:
-    """How differently a right model moves in the first two seconds from rest: what a correction may not take for an error.
+    """Movement error of an exact model in the first two seconds from rest, which a correction must not take for its error.
 
-    The wake is not there yet, which no strips know; so this is more than the same model misses by in a swim that goes on.
+    The wake is not developed then, which strips cannot model; the error is therefore larger than later in the same swim.
 
     Returns:
-        What nine of ten such swims stay below, 1 at least: mean square difference of velocity ahead, to the left, and yaw rate
+        90th percentile over such swims, 1 at least: mean square difference of velocity ahead, to the left, and yaw rate
         over windows of `tolerance.WINDOW`, in tolerances.
     """
     chosen = [r for r in records if begins_at_rest(r)]

@@ -1,14 +1,15 @@
-"""The residual, learnt by what fish do: gradients through free swims from recorded states.
+"""The residual, learnt from swims: gradients through free swims from recorded states.
 
     L = mean h(dv / size) + mean h(dV / size) / part^2 + power mean h(dP / size) + mean h(dT / asked) + L_forces
     h(e) = 2 c^2 (sqrt(1 + e^2 / c^2) - 1)
 
 dv: surge, sway and yaw rate over windows of 0.2 s, dV: over the whole piece, dP: servo power, in shares of the record with floors
-(tolerance.py); dT: mean thrust of held fish; L_forces (force_training) keeps forces true where swims do not tell. What is right
-to a per cent in every force may still swim away: the swims decide. A beat's error drowns that of the mean, by which a fish is
-late or turns too wide: the mean counts apart. The wake at a start is filled by the recorded motion of the 1.2 s before it;
-gradients go through that, too. The members act together, as they do in a fish. Backpropagation through a differentiable
-simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
+(tolerance.py); dT: mean thrust of held fish; L_forces (force_training) keeps forces right where swims do not determine them. A
+model that is right to a per cent in every force may still swim wrong, so the swims decide. The error within a beat is larger than
+that of the mean, which makes a fish late or turn too wide, so the mean has a term of its own. The wake at a start is filled by
+the recorded motion of the 1.2 s before it; gradients include that. The members act together, as in a fish. Backpropagation
+through a
+differentiable simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,7 +44,7 @@ TURN = 0.5  # times that of a mean yaw rate: a heading adds up what it is off by
 
 
 class Windows(NamedTuple):
-    """P free swims of T ticks; x (T_b, F, P), speed (T_b, P): recorded motion before them, no speed where there is none."""
+    """P free swims of T ticks; x (T_b, F, P), speed (T_b, P): recorded motion before them, speed zero if there is none."""
 
     fleet: FishBatch
     x: Any
@@ -53,7 +54,7 @@ class Windows(NamedTuple):
 
 
 class TetheredRecords(NamedTuple):
-    """R held fish that flap, T rows as far apart as those of `TrainingWindows`; thrusts are means over a record, (R,) N."""
+    """R held fish that flap, with T rows spaced as in `TrainingWindows`; thrusts are means over a record, (R,) N."""
 
     x: Any  # (T, F, R)
     speed: Any  # (T, R)
@@ -92,14 +93,14 @@ def windows_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRe
 
 
 def shares(blocks: Sequence[str]) -> np.ndarray:
-    """Blocks count by the square root of their pieces: what there is most of does not drown the rest."""
+    """Weights of the blocks, the square root of their pieces, so that the largest do not dominate."""
     _, at, count = np.unique(blocks, return_inverse=True, return_counts=True)
     share = 1 / np.sqrt(count[at])
     return share / share.sum()
 
 
 def tethered_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> TetheredRecords | None:
-    """The held fish that flap, if any."""
+    """Held fish that flap, or None."""
     chosen = [r for r in records if flaps(r)]
     if not chosen:
         return None
@@ -113,13 +114,13 @@ def tethered_of(ch: planar_chain.Chain, records: Sequence[SegmentRecord], c: str
 
 
 def some(pieces: Windows, at) -> Windows:
-    """Some of the pieces; without their sources."""
+    """Some of the pieces, without their sources."""
     fleet = FishBatch._make([*(a[at] for a in pieces.fleet[:-1]), ()])
     return Windows(fleet, pieces.x[..., at], pieces.speed[..., at], pieces.attached[at], pieces.share[at])
 
 
 def huber(error):
-    """Mean of h."""
+    """Mean of h(e)."""
     return jnp.mean(2 * CLIP**2 * (jnp.sqrt(1 + (error / CLIP) ** 2) - 1))
 
 
@@ -127,8 +128,8 @@ class RolloutTrainer:
     """Trains a net by free swims.
 
     Args:
-        water: flat coefficients of the strips, which stay.
-        ablated: what `residual_network.without` leaves out, for comparison.
+        water: flat coefficients of the strips, which stay unchanged.
+        ablated: parts that `residual_network.without` leaves out, for comparison.
     """
 
     def __init__(
@@ -143,18 +144,18 @@ class RolloutTrainer:
         self.panels, self.drag = residual_network.panels(self.ch), tow_drag(self.ch, robot)
 
     def loss(self, net: residual_network.Net, part: Windows, windows: TrainingWindows, drawn, tethered: TetheredRecords | None):
-        """L of a batch."""
+        """Loss L of a batch."""
         net = residual_network.without(net, **self.ablated)
         total = self.swim_loss(net, part) + force_training.loss(net, windows, drawn, self.panels, self.ch.strips.rho)
         return total if tethered is None else total + huber(self.thrust_errors(net, tethered))
 
     def swim_loss(self, net: residual_network.Net, part: Windows):
-        """What the swims are off by."""
+        """Swim terms of the loss."""
         fleet, count = part.fleet, len(part.attached)
-        # the wake at the start hangs on the weights, too: filled within the gradient, else training would forget what fills it
+        # the wake at the start depends on the weights, too: it is filled within the gradient, else training would ignore that
         _, wake = force_training.wakes(net, part.x, part.speed, self.tick)
         memory = jnp.concatenate([wake.T, jnp.zeros((count, 2))], 1)
-        # no range while it learns: a force that fades outside would have no gradient where it is most wrong
+        # no range during training: a force that fades outside would have no gradient where its error is largest
         learnt = residual_hooks.Residual(net, None)
         water = jnp.tile(self.water, (count, 1))
         start = (fleet.q[:, 0], fleet.v[:, 0], fleet.target, fleet.flow, fleet.ambient)
@@ -163,7 +164,7 @@ class RolloutTrainer:
         return huber(error) + huber(whole) / PART**2 + POWER * huber(spent)
 
     def errors(self, q, v, power, fleet: FishBatch):
-        """Of movement (P, W, 3) and of power (P, W) over windows, in units of what is tolerated."""
+        """Errors of movement (P, W, 3) and of power (P, W) over windows, in tolerances."""
         size = round(WINDOW / self.tick)
 
         def mean(a):
@@ -172,17 +173,17 @@ class RolloutTrainer:
 
         got, recorded = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
         (part, least), spent, wanted = TOLERANCE["power"], mean(power), mean(fleet.power)
-        # nan where no power was recorded: such windows count nothing
+        # nan if no power was recorded: such windows have no weight
         off = (spent - wanted) / (part * jnp.abs(wanted) + FLOORS * least)
         return (got - recorded) / _tolerated(recorded, FLOORS), jnp.where(jnp.isfinite(off), off, 0.0)
 
     def means(self, q, v, fleet: FishBatch):
-        """Of movement over whole pieces, (P, 3), in the same units."""
+        """Errors of movement over whole pieces, (P, 3), in tolerances."""
         got, recorded = _body(q, v).mean(1), _body(fleet.q[:, 1:], fleet.v[:, 1:]).mean(1)
         return (got - recorded) / (_tolerated(recorded, 1.0) * np.array([1.0, 1.0, TURN], np.float32))
 
     def thrust_errors(self, net: residual_network.Net, tethered: TetheredRecords):
-        """Errors of the mean thrust of held fish, (R,), in what is asked for."""
+        """Errors of the mean thrust of held fish, (R,), in the required accuracy."""
         z, _ = force_training.wakes(net, tethered.x, tethered.speed, self.force_windows.step)
         force = force_training.forces(net, self.panels, self.ch.strips.rho, tethered.x, tethered.push, z).mean(0)  # (T, 3, N, R)
         got = tethered.strips + (tethered.weight * force[:, 0].sum(1)).sum(0)
@@ -198,7 +199,7 @@ class RolloutTrainer:
     def learn(
         self, net: residual_network.Net, *, steps: int, seed: int = 0, report: Callable | None = None, loop: Loop | None = None
     ) -> residual_network.Net:
-        """Go down L from `net`. One seed gives one result on one machine.
+        """Minimises L from `net`. One seed gives one result on one machine.
 
         Args:
             report: called with (step, steps, loss). loop: keeps the state.
@@ -244,6 +245,6 @@ def _body(q, v):
 
 
 def _tolerated(recorded, floors: float):
-    """Of surge, sway and yaw rate as recorded, (.., 3)."""
+    """Tolerances of recorded surge, sway and yaw rate, (.., 3)."""
     speed, turn = of_movement(recorded[..., 0], recorded[..., 1], recorded[..., 2], floors, jnp)
     return jnp.stack([speed, speed, turn], -1)

@@ -1,7 +1,7 @@
-"""What the residual learns from: pieces of records with the force that the strips leave over, padded to one length.
+"""Training data of the residual: pieces of records with the force that the strips do not explain, padded to one length.
 
-Where a piece begins the water remembers: the wake is filled by the recorded motion before it (`warm_up`). The judge of forces
-needs the same.
+At the start of a piece the water has a memory: the wake is filled by the recorded motion before it (`warm_up`). The judge of
+forces needs the same.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ class TrainingWindows(NamedTuple):
     """P pieces of T ticks for N links.
 
     left: force beyond the base, moment about the middle of the link. weight: 0 in burn-in and padding. size: rms of the force
-    without the acceleration's part, what errors are measured in. episode: number of the episode of each piece.
+    without the acceleration's part, the unit of errors. episode: number of the episode of each piece.
     """
 
     step: float  # s from row to row
@@ -41,7 +41,7 @@ def motion_of(p: residual_network.Panels, rows: RegressionRows) -> residual_netw
 
 
 def links_of(rows: RegressionRows) -> planar_chain.Links:
-    """What the links did through the water in the middle of every tick."""
+    """Motion of the links through the water in the middle of every tick."""
     u, w, omega = (list(value[1]) for value in (rows.u, rows.w, rows.omega))
     return planar_chain.Links([], [], omega, u, w, [])
 
@@ -101,7 +101,7 @@ def subset(windows: TrainingWindows, at) -> TrainingWindows:
 
 
 class WarmUp(NamedTuple):
-    """A model along M recorded ticks."""
+    """State of a model along M recorded ticks."""
 
     force: np.ndarray  # (3, N, M) of the residual, N and N m about the link's origin
     memory: np.ndarray  # (M, WAKES + 2) before each tick
@@ -112,7 +112,7 @@ class WarmUp(NamedTuple):
 def warm_up(
     ch: planar_chain.Chain, rows: RegressionRows, c: strip_forces.Coefficients, learnt: residual_hooks.Residual, tick: float
 ) -> WarmUp:
-    """The model along all records side by side, each from rest: its forces are noted and do not act on the fish."""
+    """Runs the model along all records side by side, each from rest: its forces are recorded and do not act on the fish."""
     u, w, omega = (rows.wide(value[1]) for value in (rows.u, rows.w, rows.omega))  # (N, T, R)
     longest, count = u.shape[1:]
     memory = [np.zeros(count) for _ in residual_hooks.at_rest()]
@@ -129,7 +129,7 @@ def warm_up(
 
 
 def features(ch: planar_chain.Chain, rows: RegressionRows) -> tuple[np.ndarray, np.ndarray]:
-    """xi (M, N, 5) and V_i (M, N) of every row: what the fitted range is made from."""
+    """xi (M, N, 5) and V_i (M, N) of every row, from which the fitted range is made."""
     p, k = residual_network.panels(ch), links_of(rows)
     xi, speed = residual_hooks.near(np, p, k, residual_network.motion(np, p, k))
     return np.array(xi).transpose(2, 0, 1), np.array(speed).T

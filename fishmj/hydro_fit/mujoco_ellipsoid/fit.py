@@ -1,9 +1,10 @@
 """MuJoCo's fluid coefficients fitted as the strips' are: by forces, then by free swims, on the same records and windows.
 
     forces   min sum ((F - A c) / noise)^2 / n_c + sum ((c - c0) / c0)^2,   0 <= c <= `MOST` c0
-    search   `DRAWN` waters around both starts, on `FEW` swims: the valley of MuJoCo's model need not be where forces point
+    search   `DRAWN` waters around both starts, on `FEW` swims: the minimum of MuJoCo's model may be far from the fit of forces
     swims    damped Gauss-Newton with the same prior and bounds from the `BEST` of them, on all swims of `FitPipeline`
-c0 are MuJoCo's defaults. Swims that make the validation swims worse than forces did are not taken, as in the recipe.
+c0 are MuJoCo's defaults. A fit by swims that makes the validation swims worse than the fit by forces is not used, as in the
+recipe.
 
 Without inertia the factor on the added mass stays 1: MuJoCo computes the mass, a user cannot set it.
 """
@@ -39,10 +40,11 @@ class Fitted:
 
     @property
     def coefficients(self) -> dict[str, float]:
+        """Coefficients by name."""
         return dict(zip(force.names_of(), self.flat.tolist(), strict=True))
 
     def swim(self, robot: Robot) -> Swim:
-        """Free swims; `run` still wants the coefficients."""
+        """Free swims in this water; `run` still needs the coefficients."""
         return Swim(planar_chain.chain_of(robot), planar_chain.nominal(robot), self.ellipsoids, self.inertia)
 
 
@@ -52,6 +54,7 @@ class Match(gauss_newton.Match):
     swim: Swim
 
     def thrust_errors(self, water: np.ndarray) -> np.ndarray:
+        """Errors of the mean thrust of the ellipsoids on held fish."""
         if self.held is None:
             return np.zeros(0)
         got = gauss_newton.thrusts(self.held, forces(self.swim.e, self.held, water, self.swim.inertia, self.tick))
@@ -71,7 +74,7 @@ class Fit(pipeline.FitPipeline):
         self.free = np.array([i for i in range(len(self.unit)) if i not in fixed])
 
     def solve(self) -> Fitted:
-        """Forces, search, swims; the coefficients."""
+        """Runs forces, search and swims; returns the coefficients."""
         began = time.process_time()
         by_forces = self.by_forces(rows_of(self.chain, self.train))
         match = self._match(self.train, None)
@@ -90,7 +93,7 @@ class Fit(pipeline.FitPipeline):
         return Fitted(self.e, flat, self.inertia, score, time.process_time() - began, notes)
 
     def by_forces(self, rows: RegressionRows) -> np.ndarray:
-        """(12,) by least squares on link wrenches, weights as in `linear`."""
+        """Coefficients (12,) by least squares on link wrenches, weights as in `linear`."""
         n = self.chain.n
         every = [columns(self.e, i, rows, self.inertia, self.tick) for i in range(n)]
         names = force.names_of()
@@ -115,7 +118,7 @@ class Fit(pipeline.FitPipeline):
         return flat
 
     def _bounded(self, normal: np.ndarray, right: np.ndarray, about: np.ndarray) -> np.ndarray:
-        """argmin of c.normal.c / 2 - right.c plus the prior around `about`, within the bounds."""
+        """Minimiser of c.normal.c / 2 - right.c plus the prior around `about`, within the bounds."""
         names, at = force.names_of(), self.free
         prior = Prior(tuple(names[i] for i in at), about[at], self.unit[at], self.low[at], self.high[at])
         out = self.unit.copy()
@@ -171,7 +174,7 @@ class Fit(pipeline.FitPipeline):
 
 
 def columns(e: force.Ellipsoids, i: int, rows: RegressionRows, inertia: bool, tick: float) -> dict[str, np.ndarray]:
-    """(3, M) force on link i for a unit of each coefficient, means over the tick; with `inertia`, of the added mass's whole."""
+    """Force (3, M) on link i for a unit of each coefficient, means over the tick; with `inertia`, of the whole added mass."""
     u, w, omega = rows.of(i)
     out = {name: mean3(part) for name, part in force.parts(np, e, i, u, w, omega).items()}
     if inertia:
@@ -183,7 +186,7 @@ def columns(e: force.Ellipsoids, i: int, rows: RegressionRows, inertia: bool, ti
 
 
 def forces(e: force.Ellipsoids, rows: RegressionRows, flat: np.ndarray, inertia: bool, tick: float) -> np.ndarray:
-    """(3, N, M) what the model says about every row."""
+    """Force of the model in every row, (3, N, M)."""
     out = []
     for i in range(len(e.semi)):
         unit = columns(e, i, rows, inertia, tick)

@@ -42,7 +42,7 @@ class Ellipsoids(NamedTuple):
 
 
 def ellipsoids_of(robot: Robot) -> Ellipsoids:
-    """What MuJoCo makes of the robot: `Sim(water="ellipsoid")` swims in these."""
+    """Ellipsoids that MuJoCo makes of the robot; `Sim(water="ellipsoid")` swims in these."""
     from fishmj import mjcf
 
     model = mjcf.build(robot, bare=True, ellipsoid=True)
@@ -60,7 +60,7 @@ def ellipsoids_of(robot: Robot) -> Ellipsoids:
 
 
 def parts(xp, e: Ellipsoids, i: int, u, w0, omega) -> dict:
-    """Force on link i for a unit of each coefficient, for the added mass's velocity part and for what has no coefficient.
+    """Force on link i for a unit of each coefficient, for the added mass's velocity part and for the terms without coefficient.
 
     Returns:
         (F_t, F_n, moment about the link's origin) by name: TERMS, "added", "viscous".
@@ -93,14 +93,14 @@ def parts(xp, e: Ellipsoids, i: int, u, w0, omega) -> dict:
 
 
 def link_force(xp, e: Ellipsoids, i: int, u, w0, omega, flat):
-    """(F_t, F_n, moment) on link i without the force of the acceleration; `flat` as in `names_of`."""
+    """Force (F_t, F_n, moment) on link i without that of the acceleration; `flat` as in `names_of`."""
     unit = parts(xp, e, i, u, w0, omega)
     own = coefficients_of(flat, i == len(e.semi) - 1)
     return tuple(unit["viscous"][c] + sum(value * unit[name][c] for name, value in own.items()) for c in range(3))
 
 
 def names_of() -> tuple[str, ...]:
-    """The flat order: five coefficients and the factor on the added mass, of the body and of the tail."""
+    """Names in flat order: five coefficients and the factor on the added mass, of the body and of the tail."""
     return tuple(f"{group}_{term}" for group in GROUPS for term in (*TERMS, "added"))
 
 
@@ -111,5 +111,5 @@ def coefficients_of(flat, tail: bool) -> dict:
 
 
 def default(e: Ellipsoids) -> np.ndarray:
-    """(12,) what MuJoCo takes where nothing is said."""
+    """MuJoCo's defaults, (12,)."""
     return np.array([*e.coefficients, 1.0] * len(GROUPS))

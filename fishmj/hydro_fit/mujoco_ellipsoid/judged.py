@@ -18,7 +18,10 @@ from fishmj.water.dynamics import planar_chain, strip_forces
 
 
 class Start(NamedTuple):
-    """What `free_swims.FreeSwims` asks of a model to begin a free run; the ellipsoids remember nothing and ignore it."""
+    """Attributes of a model that `free_swims.FreeSwims` needs to start a free run.
+
+    The ellipsoids have no memory and ignore them.
+    """
 
     base: strip_forces.Coefficients
     learnt: None = None
@@ -38,7 +41,7 @@ class Swum(free_swims.FreeSwims):
 
 
 def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict:
-    """{"figures", "n", "freerun_s"} as `check.judge` gives them, but for the error bar and the guard, which this has not."""
+    """{"figures", "n", "freerun_s"} as from `check.judge`, without error bar and guard, which this water does not have."""
     swum = Swum(water, robot, records)
     got, n = free_swims.errors(swum, swum.late)
     held = [r for r in records if flaps(r)]

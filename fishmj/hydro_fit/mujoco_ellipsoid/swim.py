@@ -1,7 +1,7 @@
 """Free swims in MuJoCo's fluid, a batch in JAX: the closed-form fish with the ellipsoids' force in the place of the strips'.
 
-`inertia` False: as MuJoCo swims, the added mass acts through velocities alone. True: its whole force, in the mass matrix,
-which MuJoCo leaves out (it hands no acceleration to its added-mass term).
+`inertia` False: as in MuJoCo, the added mass acts through velocities alone. True: its whole force is in the mass matrix, which
+MuJoCo leaves out (it passes no acceleration to its added-mass term).
 """
 
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from fishmj.water.dynamics import planar_chain
 
 
 class Hooks:
-    """The sites of `chain.step` that put the fish into the ellipsoids' water and take the strips' away.
+    """Sites of `chain.step` that replace the strips' water by the ellipsoids'.
 
     Args:
         flat: 12 coefficients, see `force.names_of`; scalars or arrays of one batch shape.
@@ -24,19 +24,23 @@ class Hooks:
         self.xp, self.e, self.flat, self.inertia = xp, e, flat, inertia
 
     def fish(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer):
+        """Chain and swimmer without the strips' added mass."""
         return ch, sw._replace(water=sw.water._replace(k=[0.0] * ch.n))
 
     def flow(self, ch, q, flow):
+        """Water velocity at each link, unchanged."""
         return flow
 
     def servos(self, ch, sw, q, v, target):
+        """Drive torque (N m) of each joint, without additional damping."""
         return planar_chain.servo_drive(self.xp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
 
     def water(self, ch, sw, q, k: planar_chain.Links, hydro):
+        """Forces of the ellipsoids on each link (N, N, N m)."""
         return [force.link_force(self.xp, self.e, i, k.u[i], k.w[i], k.omega[i], self.flat) for i in range(ch.n)]
 
     def body(self, ch: planar_chain.Chain, sw, q, k: planar_chain.Links, rhs, m) -> None:
-        """M_a and what it makes of centripetal accelerations, as the rates of u and w: u' = a_t + Omega w, w' = a_n - Omega u."""
+        """Adds M_a and its centripetal forces, from the rates of u and w: u' = a_t + Omega w, w' = a_n - Omega u."""
         if not self.inertia:
             return
         for i, centre in enumerate(self.e.centre):
@@ -53,6 +57,7 @@ class Hooks:
                             m[r][c] = m[r][c] + mass * left * row[c]
 
     def end(self, ch, sw, v, drive):
+        """Memory for the next step: none."""
         return ()
 
 
@@ -76,7 +81,7 @@ class Swim(rollout.SwimWindow):
         self._key = repr((ch, swimmer[:5], e, inertia))
 
     def trace(self, q, v, target, flow, ambient, water, attached, memory, learnt):
-        """As in `rollout.SwimWindow`; a stream's own acceleration pushes nothing here, as in MuJoCo."""
+        """Swim as JAX code, as in `rollout.SwimWindow`; a stream's own acceleration has no effect here, as in MuJoCo."""
         ch, n = self.chain, self.chain.n
         split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
         hooks = Hooks(jnp, self.e, split(water), self.inertia)
@@ -100,11 +105,12 @@ class Swim(rollout.SwimWindow):
 
 
 class Bound(Swim):
-    """Swims with its own coefficients, whatever water it is given."""
+    """Swims with its own coefficients, for any given water."""
 
     def __init__(self, swim: Swim, water: np.ndarray):
         super().__init__(swim.chain, swim.swimmer, swim.e, swim.inertia)
         self.own = np.asarray(water, float)
 
     def run(self, fleet, water, learnt=None, attached=None, memory=None) -> rollout.SwimTrack:
+        """Swims every piece with its own coefficients; `water` is ignored."""
         return super().run(fleet, self.own)

@@ -1,1 +1,1 @@
-"""What each part of the fitted water is worth."""
+"""Ablation of the fitted water: the contribution of each part."""

@@ -1,9 +1,9 @@
-"""Does each part of the model earn its place? The same data fitted without it, judged on the same held-out records.
+"""Ablation: the same data fitted without each part of the model, judged on the same held-out records.
 
     rows = table(robot, train, val, test, settings=Settings(), folder=Path("runs/ablation"))
 
-One JSON file a row and seed, written when the row is done: an interrupted table goes on there. A row of other data, settings
-or code (of `hydro_fit`) is done again.
+One JSON file for each row and seed, written when the row is done, so that an interrupted table resumes. A row of other data,
+settings or code (of `hydro_fit`) is done again.
 """
 
 import hashlib
@@ -33,7 +33,10 @@ SCHEMA = "fishmj.ablation/1"
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table. kind: prior, ellipsoid or strips; `changes` of the settings; drawn: another seed, another result."""
+    """One line of the table. kind: prior, ellipsoid or strips; `changes` of the settings.
+
+    Drawn: the result depends on the seed.
+    """
 
     title: str
     kind: str = "strips"
@@ -65,10 +68,10 @@ def table(
     settings: FitSettings, dataset: dict, folder: Path, names: Iterable[str] = (), seeds: Iterable[int] = (0,),
     report: Callable | None = None,
 ) -> list[dict]:  # fmt: skip
-    """All rows, or those of these names; drawn ones once a seed.
+    """Makes all rows, or those of these names; drawn ones once for each seed.
 
     Args:
-        dataset: what the data are known by, into every row's key. report: called with (done, of, title) before and after a row.
+        dataset: identity of the data, in every row's key. report: called with (done, of, title) before and after a row.
     Returns:
         Rows as they are on disk: row, title, seed, figures, n, freerun_s, validation, seconds, notes.
     Raises:
@@ -103,13 +106,13 @@ def table(
 
 
 def _key(about: dict, row: Row, settings: FitSettings) -> str:
-    """What a row's figures depend on."""
+    """Hash of everything on which a row's figures depend."""
     whole = about | {"row": asdict(row) | {"title": ""}, "settings": asdict(settings)}
     return hashlib.sha256(json.dumps(plain(whole)).encode()).hexdigest()
 
 
 def _kept(place: Path, key: str) -> dict | None:
-    """A row that is there for the same data, settings and code."""
+    """Row that is kept for the same data, settings and code, or None."""
     if not place.is_file():
         return None
     try:
@@ -122,7 +125,7 @@ def _kept(place: Path, key: str) -> dict | None:
 def _one(
     robot: Robot, parts, row: Row, settings: FitSettings, about: dict, stages: Path, report: Callable, words: interrupt.Words
 ) -> dict:
-    """Fit and judge a row. words: what an interrupted table says, which also keeps the stage of the fit that is under way."""
+    """Fits and judges a row. words: text of an interrupted table, which also keeps the stage of the fit under way."""
     train, val, test = parts
     if row.kind == "ellipsoid":
         fit = ellipsoid.Fit(robot, train, val, dataset={}, settings=settings, inertia=row.inertia, report=report)
@@ -151,7 +154,7 @@ def _told(found: dict, *, seconds: float = 0.0, notes: str = "") -> dict:
 
 
 def unfitted(robot: Robot) -> HydroModel:
-    """The robot's own water table as a model."""
+    """Model with the robot's own water table."""
     water, ch = planar_chain.nominal(robot).water, planar_chain.chain_of(robot)
     members = np.tile(flat(water), (5, 1))
     return HydroModel(

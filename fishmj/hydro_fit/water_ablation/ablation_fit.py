@@ -1,7 +1,7 @@
-"""The recipe's fit with parts of it left out, and stages shared: fits that differ only later begin with the same files.
+"""The recipe's fit without some of its parts. Fits that differ only in later stages share the files of the earlier ones.
 
-`FitPipeline` takes the residual only where the validation swims like it better. Here it stays in: the question is what it is
-worth. `Variant.scores` says what the recipe would have done. Members, range checks and the error bar are left out.
+`FitPipeline` uses the residual only if it improves the validation swims. Here it is always used, because its contribution is to
+be measured. `Variant.scores` has the decision of the recipe. Members, range checks and the error bar are left out.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ class Variant(pipeline.FitPipeline):
     """A fit without some parts.
 
     Args:
-        code: sha256 of what computes; stages of other code are done again. retune: whether the factors follow the residual.
+        code: sha256 of the code; stages of other code are done again. retune: fit the factors again after the residual.
         The rest as for `FitPipeline`.
     """
 
@@ -43,10 +43,11 @@ class Variant(pipeline.FitPipeline):
         self.scores: dict[str, float] = {}
 
     def begin_stage(self, stage: str) -> None:
+        """Sets the key of the stage, which depends only on the settings up to it."""
         self.key = self._key(stage)
 
     def solve(self) -> HydroModel:
-        """All stages but the last; the model with the residual in it, if there is one."""
+        """Runs all stages but the last; returns the model with the residual in it, if there is one."""
         state = self.run_stages(NEEDS, time.process_time)
         learnt = pipeline.learnt_of(state)
         self.scores = {"base": self.score(state["alone"], None), "whole": self.score(state["water"], learnt)}

@@ -23,7 +23,7 @@ ROOM = 2.0  # beside the outermost dots, a factor
 
 
 def grouped(rows: Sequence[dict]) -> dict[str, list[dict]]:
-    """Rows of one name, one a seed, in the order in which they came."""
+    """Rows by name, one for each seed, in their original order."""
     out: dict[str, list[dict]] = {}
     for row in rows:
         out.setdefault(row["row"], []).append(row)
@@ -31,7 +31,10 @@ def grouped(rows: Sequence[dict]) -> dict[str, list[dict]]:
 
 
 def cells(rows: Sequence[dict]) -> list[dict]:
-    """One line a row name: figures as text, mean and range over seeds; last what is asked for and the numbers of records."""
+    """Lines, one for each row name: figures as text, mean and range over seeds.
+
+    Last the required values and numbers of records.
+    """
     lines = []
     for some in grouped(rows).values():
         line: dict = {"water": some[0]["title"] + (f" ({len(some)} seeds)" if len(some) > 1 else "")}
@@ -59,7 +62,7 @@ def _text(values: Sequence[float | None], factor: float, text: str) -> str:
 
 
 def write(folder: Path, rows: Sequence[dict], about: dict) -> list[Path]:
-    """ablation.json, ablation.csv (one line a row and seed), ablation.md and ablation.png in `folder`."""
+    """Writes ablation.json, ablation.csv (one line for each row and seed), ablation.md and ablation.png in `folder`."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(["row", "seed", *SHOWN, "guard_rate", *(f"n_{key}" for key in SHOWN), "freerun_s", "fit_s", "notes"])
@@ -78,7 +81,7 @@ def write(folder: Path, rows: Sequence[dict], about: dict) -> list[Path]:
 
 
 def picture(rows: Sequence[dict]) -> bytes:
-    """PNG: one panel a figure that is known, one line a water, one dot a seed; what is asked for as a line."""
+    """PNG: one panel for each known figure, one line for each water, one dot for each seed; the required value as a line."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -126,7 +126,7 @@ class Held(NamedTuple):
 
 
 def hold(cells: int, reynolds: float, times: float, device: str, *, stream=STREAM, box=BOX, kick: float = 0.0, **options) -> Held:
-    """Hold a cylinder of `cells` cells for `times` D / U, from undisturbed flow; `kick` is its first swing aside, of U."""
+    """Holds a cylinder of `cells` cells for `times` D / U, from undisturbed flow; `kick` is its first swing aside, of U."""
     faces = Boundaries(x=Axis("open", "open"), y=Axis("slip", "slip"), sponge=max(8, cells))
     held = cylinder(cells, stream, reynolds, box, AT, device, faces=faces, flow=Flow(speed=stream), **options)
     every = max(1, round(cells / stream / 50))

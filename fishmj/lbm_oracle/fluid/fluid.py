@@ -107,8 +107,7 @@ class Fluid:
     Attributes:
         f: (19, nx, ny, nz) populations after collision, minus their weights; the next step pulls them. float32, or float16 and
             scaled (`storage`).
-        u: (nx, ny, nz) velocity of the last step as it is stored (storage.py), vec3s with eddy viscosity, else vec3. Without
-            `keep_velocity` it is derived on access.
+        u: (nx, ny, nz) velocity of the last step as stored (storage.py); without `keep_velocity` it is derived on access.
         force: (nx, ny, nz) vec3, acceleration G by the body, zero outside the box given to `step`.
         box: (6,) int32, low and high world node of that box, on the device.
         origin: (6,) int32, world node of the low corner and the same modulo shape, on the device (`origin_lu` on the host).
@@ -116,17 +115,16 @@ class Fluid:
 
     Args:
         boundaries: kinds of the six faces. subgrid: eddy viscosity, `wale` or `none`. cw: WALE's constant.
-        flow: background flow, which enters through open faces; still water by default.
-        body_acceleration: (3,) m/s2, everywhere. omega_bulk: rate at which the trace of the stress relaxes.
-        blend: share of the stress that is taken from the velocity gradient in a step of this grid (collide.py), 0 to 1. 0 is
-            allowed in order to show that it fails. `blend_at` keeps the loss in a second equal for another step.
+        flow: background flow, still water by default. body_acceleration: (3,) m/s2, everywhere.
+        omega_bulk: rate at which the trace of the stress relaxes. blend: share of the stress from the velocity gradient in a step
+            of this grid (collide.py), 0 to 1; 0 is kept to show that it fails. `blend_at` adapts it to another step.
         dtype: storage of the populations. threads: slabs on a CPU; all cores by default.
 
     Arrays are indexed by world node modulo shape. `step` and `run` check the water every 50 steps (`watch`).
 
     Raises:
-        ConfigError, UnknownName: invalid arguments. OracleUnstable: an unstable set-up (flow or a wall beyond Mach 0.3, tau
-            below 0.5005 without an eddy viscosity); from `step` and `run`, water beyond the limits of `watch`.
+        ConfigError, UnknownName: invalid arguments.
+        OracleUnstable: a flow or a wall beyond Mach 0.3, tau below 0.5005 without eddy viscosity; later, the limits of `watch`.
     """
 
     def __init__(
@@ -286,8 +284,8 @@ class Fluid:
         """Sets velocity (nx, ny, nz, 3) m/s and pressure (nx, ny, nz) Pa, with the viscous stress that belongs to them.
 
         Raises:
-            ConfigError: another shape, or values that are not finite.
-            OracleUnstable: a speed beyond the Mach limit, or a pressure whose density the watch would stop.
+            ConfigError: another shape, or not finite. OracleUnstable: a speed beyond the Mach limit, a density beyond the
+                watch's.
         """
         u = numbers("fluid: velocity", u, (*self.shape, 3))
         check_speed(self.lattice, float(np.sqrt((u * u).sum(-1).max())), "fluid: velocity")
@@ -364,7 +362,10 @@ class Fluid:
         return args + [_flat(self.force), _flat(self._f[b]), _flat(self._u[b]), self._clock[b]]
 
     def run(self, steps: int, before: Callable[[], None] | None = None) -> None:
-        """Does `steps` steps without a body, on cuda in a graph; `before` is called before every step and forbids the graph."""
+        """Does `steps` steps without a body; on cuda in a captured graph.
+
+        `before` is called before every step and forbids a graph.
+        """
         whole_numbers("fluid: steps", steps, low=0)
         self.set_box(NOWHERE)
         if before is None and self.device.is_cuda and steps >= 4:
@@ -470,11 +471,7 @@ class Fluid:
         return {"f": f, "u": u, "origin": self.origin_lu.copy(), "steps": np.array(self.steps)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Continues from a snapshot, bit for bit.
-
-        Raises:
-            ConfigError: not a snapshot, or one of another shape or storage.
-        """
+        """Continues from a snapshot, bit for bit. Raises ConfigError for other data, or another shape or storage."""
         check_snapshot(state, (Q, *self.shape), wp.dtype_to_numpy(self.f.dtype))
         self.f.assign(state["f"])
         self._keep(state["u"])

@@ -10,7 +10,7 @@ continues from its own state.
 
 The arithmetic is that of `body.py` and `link_dynamics.py`, with a thread for each link and each degree of freedom
 (`device_body.py`), and that of `kernels.py`, with a warp for each marker (`marker_warps.py`). The host's MuJoCo takes the
-state at the end and goes on from there, with this or step by step; every so often it does the same steps itself (`audit`).
+state at the end and continues from it, with this or step by step; at intervals it does the same steps itself (`audit`).
 Servos and a push from outside drive the body, and some of its degrees of freedom may be held; other velocities that are
 prescribed, and the explicit scheme, are left to the host.
 """

@@ -26,7 +26,7 @@ NAMES = {"f4": "Float32", "f8": "Float64", "i4": "Int32", "u1": "UInt8"}
 
 
 def write_box(path: str | Path, velocity: np.ndarray, dx: float, low, t: float) -> Path:
-    """Write (nx, ny, nz, 3) m/s on nodes dx apart from `low` (3,) m as ImageData at time t s."""
+    """Writes (nx, ny, nz, 3) m/s on nodes dx apart from `low` (3,) m as ImageData at time t s."""
     omega, q = turning(velocity, dx)
     fields = {"velocity": velocity, "vorticity_z": omega, "q_criterion": q}
     flat = {name: _rounded(np.asarray(f, np.float32)).swapaxes(0, 2) for name, f in fields.items()}  # VTK counts x fastest
@@ -39,7 +39,7 @@ def write_box(path: str | Path, velocity: np.ndarray, dx: float, low, t: float) 
 
 
 def write_fish(path: str | Path, skin: Skin, q, height: float, t: float) -> Path:
-    """Write the skin at q = (x, y, yaw, joints) m, rad and mid-height `height` m as PolyData at time t s."""
+    """Writes the skin at q = (x, y, yaw, joints) m, rad and mid-height `height` m as PolyData at time t s."""
     points = (posed(skin, q) + (0.0, 0.0, height)).astype(np.float32)
     colour = (255 * skin.colour + 0.5).astype(np.uint8)
     made = _Appended()
@@ -51,7 +51,7 @@ def write_fish(path: str | Path, skin: Skin, q, height: float, t: float) -> Path
 
 
 def write_series(path: str | Path, frames: list[tuple[float, list[str]]]) -> Path:
-    """Write the list (time s, files beside it) that ParaView opens as one film."""
+    """Writes the list (time s, files beside it) that ParaView opens as one film."""
     rows = [
         f'<DataSet timestep="{t:.6g}" group="" part="{part}" file={quoteattr(name)}/>'
         for t, names in frames

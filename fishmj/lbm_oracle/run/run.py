@@ -98,7 +98,8 @@ class Run:
     """A coupled fish with its command path and its log.
 
     Args:
-        coupled: fish and water. robot: description, path or name. tethered: the root does not move over ground.
+        coupled: fish and water. robot: description, path or name.
+        tethered: the root does not move over ground.
         prescribed: joint angles as a function of time [s] -> (J,) rad, in place of the servos.
         latency: of commands, s; the robot's nominal one by default.
         follow: called with the coupled fish after every step: it moves a window, or checks a tank's walls. It may use the water
@@ -109,8 +110,8 @@ class Run:
     Attributes:
         root: path of a tethered fish, t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
         ahead: pipelines ticks: tick n + 1 starts before the host reads tick n. Needs a command latency of one tick or more and
-            a window that does not move. The ticks are the same. The water is one tick ahead of the fish, and
-            `FluidStructure.scope` refuses to show it. A fish whose speed doubles in one tick gets finer steps one tick later.
+            a window that does not move. The water is then one tick ahead of the fish, and `FluidStructure.scope` refuses to
+            show it. A fish whose speed doubles within one tick gets finer steps one tick later.
 
     Raises:
         ConfigError: the fluid's step does not divide the bus tick, or an invalid latency.
@@ -151,10 +152,9 @@ class Run:
         self.begin()
 
     def begin(self) -> None:
-        """Starts a run from the present state: no ticks, no rows, the present joint angles on the bus.
+        """Starts from the present state: no ticks, no rows, the present joint angles.
 
-        Raises:
-            ConfigError: the water is ahead of the fish.
+        Raises ConfigError if the water is ahead.
         """
         if self.coupled.ahead:
             raise ConfigError("run: the water is ahead of the fish; begin before its first tick ahead")
@@ -422,8 +422,9 @@ def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = 
     """Tables of the log's schema from T ticks of a fish with J joints and L links.
 
     Args:
-        began, t: start, end of each tick, s. command: (T, J) rad. q, v: (T, 3 + J) at the end. flow: (T, L, 2) m/s at the start.
-        whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water. power: voltage V, current A (T,), of servos.
+        began, t: start and end of each tick, s. command: (T, J) rad. q, v: (T, 3 + J) at its end.
+        flow: (T, L, 2) m/s at its start. power: voltage V, and current A (T,), if servos drove the joints.
+        whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water.
     """
     place, joint, rate = dict(zip(("x", "y", "yaw"), q[:, :3].T, strict=True)), q[:, 3:], v[:, 3:]
     wrench: dict[str, np.ndarray] = {}
@@ -476,8 +477,7 @@ class ConcurrentRuns:
 
         Returns the indices still swimming.
 
-        Raises:
-            ConfigError: not one command for every tank.
+        Raises ConfigError if there is not one command for every tank.
         """
         for _ in self.ticking(commands):
             pass

@@ -66,7 +66,7 @@ def environment(name: Any, random, environment_kwargs, root: str, setting: dict)
     `fishmj.engines.hybrid.HybridOptions`.
 
     Raises:
-        ConfigError, UnknownName: an option that does not exist or cannot be.
+        ConfigError, UnknownName: an unknown or invalid option.
     """
     setting = dict(setting)
     solver, corrected = setting.pop("solver", None), setting.pop("hybrid", None)
@@ -133,13 +133,13 @@ class FishTask(base.Task):
         super().initialize_episode(physics)
 
     def begin(self, physics: Physics, scenario: EpisodeDraw) -> None:
-        """Start a given episode instead of a drawn one; call inside `physics.reset_context()`."""
+        """Starts a given episode instead of a drawn one; call inside `physics.reset_context()`."""
         self._start(scenario, self._draw_normals())
         physics.begin(scenario.launch.start.pose[0], scenario.params, scenario.current)
         physics.place_target(self._target())
 
     def before_step(self, action, physics: Physics) -> None:
-        """Turn the action into the bus commands of one control step."""
+        """Turns the action into the bus commands of one control step."""
         self.action = task.acting(action, (self.rules.n_act,), "suite")[None]
         commands = task.chunk(np, self.rules.robot, self.command, self.action)
         self.command = commands[:, -1]

@@ -161,14 +161,14 @@ class Physics(dm_mujoco.Physics):
         )  # fmt: skip
 
     def send(self, commands) -> None:
-        """Queue bus commands (T, J) [rad], one a bus tick; the last one holds when they run out."""
+        """Queues bus commands (T, J) [rad], one a bus tick; the last one holds when they run out."""
         commands = np.asarray(commands, float)
         if commands.ndim != 2 or commands.shape[1] != self.model.nu or not np.isfinite(commands).all():
             raise ConfigError(f"suite: commands of shape {commands.shape}; expected finite (ticks, {self.model.nu}) in rad")
         self.swim.pending, self.swim.rows = commands, ()
 
     def set_control(self, control) -> None:
-        """Hold one command (J,) rad; the servo obeys after its latency."""
+        """Holds one command (J,) rad; the servo obeys after its latency."""
         self.send(np.asarray(control, float)[None])
 
     def step(self, n_sub_steps: int = 1) -> None:
@@ -203,7 +203,7 @@ class Physics(dm_mujoco.Physics):
         return self.data.mocap_pos[0, :2].copy()
 
     def place_target(self, position) -> None:
-        """Move the target to (2,) m."""
+        """Moves the target to (2,) m."""
         self.data.mocap_pos[0, :2] = position
 
     def water_velocity(self) -> np.ndarray:

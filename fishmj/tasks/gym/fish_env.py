@@ -184,7 +184,7 @@ class FishEnv(_Fish, gymnasium.Env):
         options: fields of `tasks.episode.TaskOptions` and of the task's course.
 
     Raises:
-        ConfigError, UnknownName: an argument that cannot be. ResetNeeded: `step` before the first `reset`.
+        ConfigError, UnknownName: an invalid argument. ResetNeeded: `step` before the first `reset`.
     """
 
     def __init__(self, task: Any = "station_hold", engine=None, render_mode: str | None = None, **options):
@@ -192,7 +192,7 @@ class FishEnv(_Fish, gymnasium.Env):
         self.observation_space, self.action_space = self._bounds, action_space(self.rules)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Start an episode; options may fix pose (x, y, yaw), target (x, y), flow speed [m/s] and direction [rad]."""
+        """Starts an episode; options may fix pose (x, y, yaw), target (x, y), flow speed [m/s] and direction [rad]."""
         super().reset(seed=seed)
         fixed = fixed_by(self.rules, options, 1)
         return self.begin(self.rules.scenario(self.rules.draws(self.np_random, 1), **fixed))
@@ -229,7 +229,7 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         max_episode_steps: control steps after which an episode is truncated, if it is not shorter anyway; -1 for no such limit.
 
     Raises:
-        ConfigError, UnknownName: an argument that cannot be.
+        ConfigError, UnknownName: an invalid argument.
         ResetNeeded: `step` before the first `reset`, or, with "Disabled", while a fish has ended.
     """
 
@@ -266,7 +266,7 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         return tuple(self._seeds)
 
     def reset(self, *, seed=None, options: dict | None = None):
-        """Start all episodes, or those of options["reset_mask"], and leave the others as they are.
+        """Starts all episodes, or those of options["reset_mask"], and leaves the others as they are.
 
         Args:
             seed: int, or one (or None) for each fish.

@@ -1,1 +1,1 @@
-"""DAgger for the water: a policy swims in the refitted water, the solver swims what it met, and both train the next fit."""
+"""DAgger for the water: a policy swims in the refitted water, the solver repeats its states, and both train the next fit."""

@@ -1,21 +1,21 @@
-"""DAgger (dataset aggregation) for the water: a model is fitted again where the policy that uses it goes.
+"""DAgger (dataset aggregation) for the water: a model is refitted in the states that its policy visits.
 
     roll out in the surrogate -> the flow solver swims the same states -> do the returns agree? else aggregate, refit, ...
 
-A water fitted once is right where the campaign's movements were, and a policy soon leaves them. So in each round the policy
-acts in the present surrogate; the solver, as the expert, says what the water does there; the new segments join all earlier ones,
-and the next model is fitted to the lot (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics Ross, Bagnell 2012,
+A fitted water is accurate for the campaign's movements, and a policy soon leaves these. In each round the policy therefore acts
+in the present surrogate, and the solver, as the expert, computes the water there. The new segments join all earlier ones, and the
+next model is fitted to all (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics Ross, Bagnell 2012,
 arXiv 1203.1007). The policy itself is not trained here.
 
     found = correct("paper", robot, model, folder, setup, refit=refit)       until the returns differ by less than `AGREED`
 
-Each episode yields two segments: the whole of it, steered by the policy in the solver from the same start, from which the return
-is judged, and a short one from the state that the surrogate was in half-way, where the solver may never have taken the policy.
-The last episode of a round validates. Segments, models and rows of finished rounds are kept: the same call goes on with them.
+Each episode yields two segments: the whole episode, steered by the policy in the solver from the same start, which gives the
+return; and a short one from the state of the surrogate half-way, which the policy may never reach in the solver. The last episode
+of a round validates. Segments, models and rows of finished rounds are kept: the same call continues with them.
 
     python -m fishmj.hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct
 
-Nothing is written outside --out: the data set of the first fit is read, the rounds' segments have one of their own.
+Nothing is written outside --out: the data set of the first fit is only read, and the rounds' segments have one of their own.
 """
 
 import hashlib
@@ -64,24 +64,27 @@ class Rollout(NamedTuple):
 
 
 class PolicyDriver:
-    """The part of a `Run` that a `Drive` reads, of a surrogate."""
+    """The attributes of a `Run` that a `Drive` reads, for a surrogate."""
 
     def __init__(self, fish: Surrogate):
         self.fish = fish
 
     @property
     def pose(self) -> np.ndarray:
+        """Pose and rates (x, y, yaw, x', y', yaw') of the reference point, m and rad."""
         return np.concatenate([self.fish.q[:3], self.fish.v[:3]])
 
     def angles(self) -> np.ndarray:
+        """Joint angles (J,) rad."""
         return self.fish.q[3:].copy()
 
     def rates(self) -> np.ndarray:
+        """Joint rates (J,) rad/s."""
         return self.fish.v[3:].copy()
 
 
 def roll_out(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
-    """The segment's drive, in the surrogate instead of the solver, settling included but not returned."""
+    """Swims the segment's drive in the surrogate instead of the solver; the settling is included but not returned."""
     fish = Surrogate(robot, planar_chain.chain_of(robot), model.swimmer(robot).water, learnt=model.learnt, pose=segment.pose)
     if segment.velocity:
         fish.v[:] = segment.velocity
@@ -107,7 +110,7 @@ def mean_return(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) ->
 
 
 def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], number: int) -> Plan:
-    """The segments of a round: each episode, and a short one from the surrogate's state half-way through it."""
+    """Plan of a round: each episode, and a short segment from the surrogate's state half-way through it."""
     segments = []
     for segment, rolled in rolls:
         at = len(rolled.q) // 2
@@ -121,15 +124,16 @@ def correct(
     policy: str, robot: Robot, model: HydroModel, folder: Path, setup: Setup, *, refit: Callable[[HydroModel, Path], HydroModel],
     rounds: int = 5, episodes: int = 4, seconds: float = 20.0, pool: Pool | None = None,
 ) -> dict:  # fmt: skip
-    """Collect, compare, refit, until the returns agree within `AGREED` or the rounds are over.
+    """Collects, compares and refits until the returns agree within `AGREED` or the rounds are over.
 
     Args:
-        model: the surrogate at the start. folder: of the rounds: `solver`, a data set that grows, and a model and a row of each.
-        refit: from the model of a round and the rounds' data set, the next model.
+        model: the surrogate at the start.
+        folder: folder of the rounds: `solver`, a data set that grows, and a model and a row of each round.
+        refit: function of a round's model and the rounds' data set that returns the next model.
     Returns:
         rounds (a row each: returns of solver and surrogate, gap), agreed, model (the last one).
     Raises:
-        ConfigError: a policy that does not know the fish, or no round. DatasetError: the solver kept nothing of a round.
+        ConfigError: a policy for another fish, or no round. DatasetError: the solver kept nothing of a round.
     """
     if rounds < 1 or episodes < 1:
         raise ConfigError(f"correct: {rounds} rounds of {episodes} episodes; expected 1 or more of each")
@@ -152,7 +156,7 @@ def correct(
 
 
 def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, number: int, episodes, seconds, pool) -> dict:
-    """Roll out, solve, compare."""
+    """Rolls out, solves and compares one round."""
     plan = plans.on_policy(robot, policy, episodes=episodes, seconds=seconds, seed=number, slip=model.slip)
     rolls = [(segment, roll_out(robot, model, segment)) for segment in plan.segments]
     collect(round_plan(robot, policy, rolls, number), solver, setup, pool=pool, quiet=True)
@@ -160,7 +164,7 @@ def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, 
 
 
 def _refitted(model: HydroModel, folder: Path, row: dict, refit: Callable[[HydroModel, Path], HydroModel]) -> HydroModel:
-    """The model after a round, as it is kept; refitted where none is kept for this model and what it did."""
+    """Model after a round; refitted if none is kept for this model and these segments."""
     place = folder / f"round-{row['round']}"
     made = {"from": sha256_of(model), "round": row}
     note = place / "made.json"
@@ -173,7 +177,7 @@ def _refitted(model: HydroModel, folder: Path, row: dict, refit: Callable[[Hydro
 
 
 def sha256_of(model: HydroModel) -> str:
-    """Of what decides how a fish swims in it."""
+    """sha256 of the coefficients and weights that determine how a fish swims in the model."""
     parts: list = [flat(model.base), *(() if model.learnt is None else (*model.learnt.net, *(model.learnt.reach or ())))]
     return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()
 
@@ -195,7 +199,7 @@ def compare_returns(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollo
 
 
 def main(argv: list[str]) -> int:
-    """The verb `correct`; exit code 1 where the returns do not agree after the last round."""
+    """Runs the verb `correct`; exit code 1 if the returns do not agree after the last round."""
     parser = console.parser("hydro_fit correct", "Correct a surrogate where a policy takes it.")
     add = parser.add_argument
     add("policy", type=console.text, metavar="POLICY", help="name of a controller or a policy file")
@@ -234,13 +238,13 @@ def main(argv: list[str]) -> int:
 
 
 def kept_words(out: Path) -> str:
-    """What an interrupted correction says."""
+    """Text of an interrupted correction."""
     rounds, swims = (len(list(out.glob(kind))) for kind in ("round-*.json", f"solver/{SEGMENTS}/*.json"))
     return f"{out} holds {rounds} finished rounds and {swims} segments of the solver; {interrupt.again()}"
 
 
 def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Path, out: Path) -> HydroModel:
-    """Taught again by the free swims of all rounds and, thinned to `SWIMS` s, of the first data set.
+    """Model refitted to the free swims of all rounds and, thinned to `SWIMS` s, of the first data set.
 
     Args:
         out: folder of the rounds; finished stages of the fit are kept there.

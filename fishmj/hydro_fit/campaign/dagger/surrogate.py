@@ -1,4 +1,4 @@
-"""One fish in the fitted water by bus ticks, in NumPy: what a policy is rolled out in."""
+"""One fish in the fitted water by bus ticks, in NumPy, for roll-outs of a policy."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class Surrogate(SingleFish):
         self.commands, self.ticks = [np.zeros(ch.n - 1)], 0
 
     def tick(self, command, flow) -> None:
-        """20 ms on, after sending `command`, (J,) rad; `flow` (N, 2) m/s at the links."""
+        """Advances 20 ms after sending `command`, (J,) rad; `flow` (N, 2) m/s at the links."""
         stream = [tuple(u) for u in np.asarray(flow).tolist()]
         self.commands.append(on_the_bus(self.robot.servo, np.asarray(command, float)))
         ramp = self.robot.timing.command_path == "move_time"

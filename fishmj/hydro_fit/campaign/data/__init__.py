@@ -1,1 +1,1 @@
-"""Segments of the flow solver that a water is fitted to: what is swum, by whom it is steered, how it is kept."""
+"""Segments of the flow solver for the fit of a water: movements, steering, storage."""

@@ -1,14 +1,14 @@
-"""The segments that the bare `python -m fishmj.hydro_fit` fits a water to: those at hand, else what can be solved here.
+"""Default segments of the bare `python -m fishmj.hydro_fit`: those at hand, else those that can be solved here.
 
-| data set | here | what is solved |
+| data set | here | solved segments |
 |---|---|---|
-| complete by its own plan | anything | nothing |
-| cut short | accelerator or Ray | the rest of its plan, in its own box |
-| cut short | CPU | the rest, where that takes `CPU_TIME` at most or --budget asks for it |
-| none | accelerator or Ray | the whole plan, in the box of the model that stands, else `collect.BOX` |
+| complete by its own plan | anything | none |
+| incomplete | accelerator or Ray | the rest of its plan, in its own box |
+| incomplete | CPU | the rest, if that takes `CPU_TIME` at most or --budget allows it |
+| none | accelerator or Ray | the whole plan, in the existing model's domain, otherwise `collect.BOX` |
 | none | CPU | a preview: the plan's first segments at one slip, in a small box, `PREVIEW_TIME` on two idle cores |
 
-On a CPU --budget sets how many segments a preview has; one that the whole plan fits into has the whole plan solved.
+On a CPU --budget sets the number of segments of a preview; a budget for the whole plan solves the whole plan.
 """
 
 from collections import deque
@@ -35,16 +35,16 @@ from fishmj.mjcf.description import Robot
 
 PREVIEW_BOXES = ("laptop", "window_coarse")  # the first that holds the fish
 # s of solving on so many idle cores, so that every machine has the same plan; whole campaigns on a CPU took 1.5 to 1.9 times
-# the estimate (studies/fitted_water/NOTES.md), because setting up and repeated ticks are no part of it
+# the estimate (studies/fitted_water/NOTES.md), because it leaves out set-up and repeated ticks
 PREVIEW_CORES, PREVIEW_TIME = 2, 1000.0
 CPU_TIME = 1800.0  # s of wall clock that a CPU is given unasked
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What was asked for.
+    """Options of the command.
 
-    folder: the data set, or None for `home`/<robot>. grid: box of the model that stands, or empty. budget: s of wall clock.
+    folder: the data set, or None for `home`/<robot>. grid: domain of the existing model, or empty. budget: s of wall clock.
     slip: of a preview's segments.
     """
 
@@ -61,21 +61,23 @@ class Request:
 
     @property
     def solves_fast(self) -> bool:
-        """Whether there is more than a CPU."""
+        """Returns True if there is more than a CPU."""
         return bool(self.ray) or self.device.startswith("cuda") or (self.device == "auto" and accelerator())
 
     def setup(self, domain: Domain) -> Setup:
+        """Set-up of the segments in a box."""
         return Setup(robot=self.robot, domain=domain, device=self.devices[0])
 
     @property
     def devices(self) -> tuple[str, ...]:
-        """Where tanks run. Raises ConfigError: several of them for the workers of a Ray cluster."""
+        """Devices of the tanks. Raises ConfigError for several devices with the workers of a Ray cluster."""
         if self.ray:
             return (ray_device(self.device),)
         return devices_of(self.device) if self.solves_fast or several(self.device) else ("cpu",)
 
     @property
     def pool(self) -> Pool:
+        """Pool that runs the segments: on this machine, or on a Ray cluster."""
         tanks = ON_GPU if self.solves_fast else 1
         if not self.ray:
             return Local(tanks, self.devices)
@@ -85,7 +87,7 @@ class Request:
 
 
 def segments_at_hand(asked: Request) -> Path:
-    """The folder of the data set to fit, after solving what the table above says; every decision is said in a line.
+    """Folder of the data set to fit, after solving the segments of the table above; prints a line for every decision.
 
     Raises:
         ConfigError: the data set is of another fish, the fish fits no box, or the budget is too small for any fit.
@@ -118,12 +120,12 @@ def segments_at_hand(asked: Request) -> Path:
 
 
 def preview(plan: Plan, box: Domain, budget: float | None = None, there: frozenset[str] = frozenset()) -> Plan:
-    """The first segments of a plan that can be solved in `PREVIEW_TIME` on two idle cores, or on those here within a budget.
+    """First segments of a plan that can be solved in `PREVIEW_TIME` on two idle cores, or on this machine within a budget.
 
     Args:
-        there: ids of segments that are solved already and cost nothing.
+        there: ids of segments that are already solved and cost nothing.
     Raises:
-        ConfigError: a budget that the least of a fit is more than.
+        ConfigError: the budget is too small for the smallest fit.
     """
     time, cores = (PREVIEW_TIME, PREVIEW_CORES) if budget is None else (budget, usable_cores())
     cost: Callable[[Segment], float] = lambda s: 0.0 if s.id in there else solver_cost.cpu_seconds([(box, s.water)], cores)
@@ -143,7 +145,7 @@ def preview(plan: Plan, box: Domain, budget: float | None = None, there: frozens
 
 
 def preview_box(robot: Robot) -> Domain:
-    """The first of `PREVIEW_BOXES` in which the straight fish has its margin from every face, however it turns.
+    """First of `PREVIEW_BOXES` in which the straight fish has its margin from every face at any heading.
 
     Raises:
         ConfigError: it fits none of them.
@@ -159,7 +161,7 @@ def preview_box(robot: Robot) -> Domain:
 
 
 def _continued(folder: Path, asked: Request) -> Path:
-    """A data set that is there, brought up to its own plan as far as this machine does."""
+    """Existing data set, completed by its own plan as far as this machine can."""
     table, robot = read_json(folder / SPLIT), asked.robot
     made = table.get("robot", {}).get("sha256", "")
     if made and "plans" in table and made != fingerprint(robot):
@@ -197,14 +199,14 @@ def _continued(folder: Path, asked: Request) -> Path:
 
 
 class _Nothing:
-    """A pool that runs no segment: what is there becomes a data set."""
+    """A pool that runs no segment: it turns the existing segments into a data set."""
 
     def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
         return iter(())
 
 
 def _solve(plan: Plan, folder: Path, asked: Request, box: Domain, limit: float | None = None, pool: Pool | None = None) -> Path:
-    """Collect within `limit` s; what is finished is kept, however it ends."""
+    """Collects within `limit` s; finished segments are kept even after an error."""
     again = f"{folder} holds every segment that was finished; {interrupt.again()}"
     if pool is None:
         console.say(f"every finished segment is kept in {folder}: after Ctrl-C the same command goes on there")

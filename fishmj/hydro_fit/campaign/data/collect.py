@@ -1,9 +1,9 @@
-"""Run what a plan still lacks and keep it as a data set: resumable, with progress and time left, within a budget.
+"""Runs the missing segments of a plan and keeps them as a data set: resumable, with progress and time left, within a budget.
 
     found = collect(full("fish"), "data/hydro/swift", Setup(...), tanks=12)
 
-Written in this order: the split, the segments one by one as they finish, the manifest. What is interrupted is continued by the
-same call; a segment that is there, whole and made in the same way is not run again.
+Written in this order: the split, the segments one by one as they finish, the manifest. The same call continues an interrupted
+one; a segment that exists, is complete and was made in the same way is not run again.
 
     python -m fishmj.hydro_fit collect --device cuda
     python -m fishmj.hydro_fit collect --device cuda:all
@@ -46,29 +46,30 @@ GO = "--budget SECONDS or --device cpu"  # begins what takes a CPU long
 
 
 class Pool(Protocol):
-    """What runs segments: tanks in this process, or workers elsewhere."""
+    """Interface of a pool that runs segments: tanks in this process, or workers elsewhere."""
 
     def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
-        """Finished segments in any order; `go_on` and `waiting` as in `run_segments.side_by_side`."""
+        """Yields finished segments in any order; `go_on` and `waiting` as in `run_segments.side_by_side`."""
 
 
 @dataclass(frozen=True)
 class Local:
     """Tanks side by side on this machine: on the set-up's device in this process, or on several in one process each.
 
-    tanks: on each device. devices: names of them; none: the set-up's.
+    tanks: number on each device. devices: their names; empty: the set-up's.
     """
 
     tanks: int = 1
     devices: tuple[str, ...] = ()
 
     def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
+        """Yields finished segments in any order."""
         return spread(partial(on_device, setup=setup, tanks=self.tanks), waiting, self.devices or (setup.device,), go_on)
 
 
 @dataclass(frozen=True)
 class Collected:
-    """What a call of `collect` found and did; seconds of water, wall time, bytes of the whole data set."""
+    """Result of a call of `collect`; seconds of water, wall time, bytes of the whole data set."""
 
     folder: Path
     segments: int
@@ -84,6 +85,7 @@ class Collected:
 
     @property
     def complete(self) -> bool:
+        """Returns True if no segment is missing."""
         return self.missing == 0
 
 
@@ -97,10 +99,10 @@ def collect(
     retry: bool = False,
     quiet: bool = False,
 ) -> Collected:
-    """Bring the data set in `out` up to the plan; a data set that holds other episodes, too, keeps them.
+    """Completes the data set in `out` to the plan; further episodes in it are kept.
 
     Args:
-        budget: seconds of wall time after which it stops with what is finished. retry: run stopped segments again.
+        budget: seconds of wall time after which it stops with the finished segments. retry: run stopped segments again.
 
     Raises:
         ConfigError: `out` holds segments of another fish, grid or solver. DatasetError: an episode would change its split.
@@ -132,13 +134,16 @@ def collect(
 
 
 def missing(plan: Plan, folder: Path, retry: bool = False) -> deque[Segment]:
-    """Segments of the plan that are not in the folder whole and made as planned; with `retry` those that stopped early, too."""
+    """Segments of the plan that are not complete in the folder and made as planned.
+
+    With `retry` also those that stopped early.
+    """
     there = {segment.id: _about(folder, segment) for segment in plan.segments}
     return deque(s for s in plan.segments if (meta := there[s.id]) is None or (retry and meta.get("stopped")))
 
 
 def _closed(folder: Path, plan: Plan, about: dict, there: int, run: int, water: float, wall: float) -> Collected:
-    """Write the manifest and say what the data set holds."""
+    """Writes the manifest, and returns the content of the data set."""
     kept = {s.id: meta for s in plan.segments if (meta := _about(folder, s)) is not None}
     stopped = {name: meta["stopped"] for name, meta in kept.items() if meta.get("stopped")}
     missing = len(plan.segments) - len(kept)
@@ -167,7 +172,7 @@ def _closed(folder: Path, plan: Plan, about: dict, there: int, run: int, water: 
 
 
 def _state_split(folder: Path, plan: Plan, setup: Setup, adding: bool) -> dict:
-    """Write which episode is for what, before anything is run; returns fish, grid and solver of the data set.
+    """Writes the split of the episodes before the first run; returns fish, grid and solver of the data set.
 
     Raises:
         DatasetError: an episode would change its split. ConfigError: the folder is of another fish or grid, or segments of
@@ -197,7 +202,7 @@ def _state_split(folder: Path, plan: Plan, setup: Setup, adding: bool) -> dict:
 
 
 def _about(folder: Path, segment: Segment) -> dict | None:
-    """The description of a segment that is there and made as wanted, else nothing."""
+    """Description of an existing segment that was made as planned, else None."""
     path, about = files(folder / SEGMENTS, segment.id)
     if not about.is_file():
         return None
@@ -213,7 +218,7 @@ def _about(folder: Path, segment: Segment) -> dict | None:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `collect`; `--json` is the caller's."""
+    """Adds the options of `collect`; `--json` is the caller's."""
     add = parser.add_argument
     add("--fish", type=console.text, default="fish", metavar="NAME|FILE", help="description of the robot")
     place = "data set to write, or to continue when it is there; data/hydro/<fish>[-...] by default"
@@ -255,7 +260,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Collect; exit code 0 when the data set is complete, 1 when segments are missing or nothing of one was sound."""
+    """Collects; exit code 0 if the data set is complete, 1 if segments are missing or one had nothing sound."""
     robot = load_robot(args.fish)
     if args.reference:
         slip = args.slip[0] if args.slip else None
@@ -294,14 +299,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def main(argv: list[str]) -> int:
-    """The verb by itself."""
+    """Runs the verb by itself."""
     parser = console.parser("hydro_fit collect", "Segments of the flow solver that a water is fitted to.")
     add_arguments(parser)
     return run(parser.parse_args(argv))
 
 
 def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
-    """The plan that the options ask for.
+    """Plan that the options select.
 
     Raises:
         ConfigError: two kinds of plan at once; a slip ratio that no segment has.
@@ -319,7 +324,7 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
 
 
 def domain_of(args: argparse.Namespace, out: Path) -> Domain:
-    """The box that was asked for, else that of the data set which is continued, else `BOX` or, for a preview, `PREVIEW_BOX`."""
+    """Domain of the option, else that of the continued data set, else `BOX` or, for a preview, `PREVIEW_BOX`."""
     if args.domain is None and (out / SPLIT).is_file():
         domain = domain_there(out)
     else:
@@ -328,10 +333,10 @@ def domain_of(args: argparse.Namespace, out: Path) -> Domain:
 
 
 def domain_there(folder: Path) -> Domain:
-    """The box and time step of a data set that is there.
+    """Domain and time step of an existing data set.
 
     Raises:
-        DatasetError: it does not say.
+        DatasetError: its metadata lack them.
     """
     path = folder / SPLIT
     try:
@@ -342,18 +347,18 @@ def domain_there(folder: Path) -> Domain:
 
 
 def domain_of_model(asked: str | None, model: HydroModel) -> Domain:
-    """The box that was asked for, else the one that the model's segments were solved in: another grid is another water."""
+    """Domain of the option, else the one in which the model's segments were solved: another grid is another water."""
     return preset(asked or str(model.dataset.get("grid", BOX)))
 
 
 def default_folder(plan: Plan) -> Path:
-    """data/hydro/<fish> for the whole campaign; everything else apart from it."""
+    """Folder data/hydro/<fish> for the whole campaign; a separate one for any other plan."""
     suffix = "" if plan.label == "full" else "-" + plan.label.replace(",", "").replace(" ", "-")
     return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"
 
 
 def pool_of(args: argparse.Namespace, devices: tuple[str, ...]) -> Pool:
-    """Tanks here, or workers of a Ray cluster."""
+    """Pool of tanks here, or of workers of a Ray cluster."""
     tanks = args.tanks or (ON_GPU if devices[0].startswith("cuda") else 1)
     if args.ray:
         from fishmj.hydro_fit.campaign.data.ray_pool import RayPool
@@ -363,10 +368,10 @@ def pool_of(args: argparse.Namespace, devices: tuple[str, ...]) -> Pool:
 
 
 def ray_device(asked: str) -> str:
-    """The device of every worker of a Ray cluster.
+    """Device of every worker of a Ray cluster.
 
     Raises:
-        ConfigError: several; a worker has one, and there is one for every GPU.
+        ConfigError: several devices; a worker has one, and there is one worker for every GPU.
     """
     if several(asked):
         raise ConfigError(f"--device {asked} with --ray: a worker has one device, and each GPU gets a worker; use --device cuda")
@@ -374,7 +379,7 @@ def ray_device(asked: str) -> str:
 
 
 def report(found: Collected) -> None:
-    """What was done, in words."""
+    """Prints a summary."""
     rate = f" ({found.bytes / found.recorded_s / 1e3:.1f} kB/s)" if found.recorded_s else ""
     console.say(
         f"{found.folder}: {found.segments - found.missing} of {found.segments} segments, {found.recorded_s:.0f} s recorded,"

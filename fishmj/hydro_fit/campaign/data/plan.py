@@ -1,4 +1,4 @@
-"""The plan of a campaign: its blocks, how long, at which slip ratios, and which episode is for what. Drawn from one seed.
+"""The plan of a campaign: its blocks, durations, slip ratios, and the split of the episodes. Drawn from one seed.
 
     full(robot)                        about 4000 s of water, a dozen tanks on one GPU
     full(robot, scale=0.1)             the same blocks, a tenth as many episodes
@@ -7,9 +7,9 @@
     full(robot).at([1.0]).first(70)    of one slip ratio, the first 70 in an order that spans the states early
     planned("full, slip 1, first 70", robot)      the plan of this label
 
-An episode's draws depend on (seed, block, number) only: a part of a block consists of the very same episodes. Every eighth is
-for validation; test episodes are drawn apart, with turbulence from another table. A quarter of each block is run at two more slip
-ratios, too.
+An episode's draws depend on (seed, block, number) only: a part of a block has exactly the same episodes. Every eighth is for
+validation; test episodes are drawn separately, with turbulence from another table. A quarter of each block is also run at two
+more slip ratios.
 
 A block is a function (k, u (9,), robot) -> keywords of a `Segment`: drive, flow, pose, joints, settle of its k-th episode. Draws
 u of neighbouring k, in [0, 1), come from one low-discrepancy sequence, so a part of a block is spread like the whole. Angles rad;
@@ -42,17 +42,18 @@ Made = dict[str, Any]
 DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
 EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
 EVERY_VAL = 8
-# What steers unless others are named; those that are made for the fish.
+# Default controllers; those among them that are made for the fish are used.
 POLICIES = ("paper", "pilot", "dob", "paper-sac", "pi", "adrc-c1", "pd")
 SEEDS = 3  # runs of one repeated episode with the grid's own time step
 
 
 def within(u: float, low: float, high: float) -> float:
+    """u mapped linearly from [0, 1) to [low, high)."""
     return low + (high - low) * float(u)
 
 
 def static(k: int, u, robot: Robot) -> Made:
-    """A held fish in a stream: four postures, three speeds, the water from every side; three of four turn slowly."""
+    """Held fish in a stream: four postures, three speeds, the water from every side; three of four turn slowly."""
     reach, n = robot.servo.range / 3, robot.n_joints
     bends = np.array([np.zeros(n), np.full(n, 1.0), np.full(n, 2.0), 1.5 * (-1.0) ** np.arange(n)])
     joints = tuple((reach * bends[k % 4]).tolist())
@@ -75,7 +76,7 @@ def oscillation(k: int, u, robot: Robot) -> Made:
 
 
 def chirp(k: int, u, robot: Robot) -> Made:
-    """Joints from 0.2 to 3 Hz: held in a stream and to the letter, or free by the servos."""
+    """Joints from 0.2 to 3 Hz: held in a stream and prescribed exactly, or free by the servos."""
     held = k % 2 == 0
     drive = {"kind": "chirp", "low": 0.2, "high": 3.0, "held": held, "amplitude": radians(within(u[0], 8, 25 if held else 35))}
     drive |= {"ratio": within(u[1], 0.7, 1.3), "lag": radians(within(u[2], -90, 120))}
@@ -104,7 +105,7 @@ def turning(k: int, u, robot: Robot) -> Made:
 
 
 def random(k: int, u, robot: Robot) -> Made:
-    """New random targets every control step, in a straight line or held, as an untrained policy gives them."""
+    """New random targets every control step, in a straight line or held, as from an untrained policy."""
     drive = {"kind": "targets", "amplitude": within(u[0], 0.15, 0.75) * robot.servo.range, "path": ("linear", "hold")[k % 2]}
     flow = Flow(speed=_current(u[1]), direction=2 * pi * float(u[2]))
     return {"drive": drive | {"seed": int(1e6 * u[3])}, "flow": flow, "pose": _heading(u[4])}
@@ -163,7 +164,7 @@ def steered(k: int, u, robot: Robot, helms: tuple[Made, ...]) -> Made:
 
 
 def flapping(k: int, u, robot: Robot) -> Made:
-    """A held fish that goes through a gait to the letter, at rest or in a stream from ahead: what its beat pushes with."""
+    """Held fish that follows a gait exactly, at rest or in a stream from ahead: the thrust of its beat."""
     wave = {"frequency": within(u[0], 0.5, 1.8), "amplitude": radians(within(u[1], 10, 32)), "lag": radians(within(u[2], 30, 90))}
     drive = {"kind": "gait", "held": True, "bias": 0.0 if k % 3 else radians(within(u[3], -25, 25))}
     flow = Flow(speed=(0.0, 0.15, 0.3)[(k + k // 3) % 3], direction=pi)
@@ -176,7 +177,7 @@ def _wave(u, bias: float) -> Made:
 
 
 def _current(u: float) -> float:
-    """Half still water, half up to 0.45 m/s."""
+    """Speed of the stream: half still water, half up to 0.45 m/s."""
     return 0.0 if u < 0.5 else 0.9 * (float(u) - 0.5)
 
 
@@ -200,7 +201,7 @@ BLOCKS: dict[str, Callable[..., Made]] = {
 
 
 class PlanPart(NamedTuple):
-    """So many episodes of a block, so many seconds each, at least `least` however small the scale."""
+    """Number and duration of a block's episodes; at least `least` episodes at any scale."""
 
     block: str
     episodes: int
@@ -240,7 +241,7 @@ LEAST = (  # split, block, episodes: the least that a water is fitted to and jud
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Segments in the order in which they are run, and how they were drawn."""
+    """Segments in the order in which they are run, and the label of their draws."""
 
     label: str
     robot: Robot
@@ -254,6 +255,7 @@ class Plan:
 
     @property
     def split_sha256(self) -> dict[str, str]:
+        """sha256 of the episodes of each split."""
         return split_hashes(self.episodes)
 
     @property
@@ -274,7 +276,7 @@ class Plan:
         return replace(self, label=f"{self.label}, slip {', '.join(f'{s:g}' for s in sorted(set(slips)))}", segments=kept)
 
     def moved_to(self, slip: float) -> "Plan":
-        """The segments at the default slip ratio, at this one instead."""
+        """Segments at the default slip ratio, moved to this one."""
         made = [replace(s, slip=slip, id=_id(s.episode, slip) + s.id.removeprefix(_id(s.episode, s.slip))) for s in self.default]
         ids = {old.id: new.id for old, new in zip(self.default, made, strict=True)}
         made = [replace(s, replicate_of=ids.get(s.replicate_of, s.replicate_of)) for s in made]
@@ -290,7 +292,7 @@ class Plan:
         return replace(self, label=f"{self.label}, first {count}", segments=tuple(spanning(self.segments)[:count]))
 
     def rows(self) -> list[dict]:
-        """Blocks with their segments and seconds by split, for a table."""
+        """Rows of a table: blocks with their segments and seconds by split."""
         blocks = list(dict.fromkeys(segment.block for segment in self.segments))
         rows = []
         for block in [*blocks, "all"]:
@@ -303,15 +305,15 @@ class Plan:
 
 
 def spanning(segments: Iterable[Segment]) -> list[Segment]:
-    """In an order of which every beginning spans the states.
+    """Segments in an order of which every first part spans the states.
 
-    First come `LEAST`, then of every block and split one episode, then all of them at equal shares, then repeats and other slips.
+    First `LEAST`, then one episode of every block and split, then all at equal shares, then repeats and other slips.
     """
     return [segment for _, segment in _ranked(segments)]
 
 
 def least(segments: Iterable[Segment]) -> list[Segment]:
-    """Those of `LEAST`, as far as they are there."""
+    """Segments of `LEAST`, as far as they exist."""
     return [segment for tier, segment in _ranked(segments) if tier == 0]
 
 
@@ -335,7 +337,7 @@ def _ranked(segments: Iterable[Segment]) -> list[tuple[int, Segment]]:
 
 
 def planned(label: str, robot: "Robot | str", seed: int = 0) -> Plan:
-    """The plan of a label, as a data set states it; its policies are those that are made for the fish.
+    """Plan of a label, as a data set states it; its policies are those made for the fish.
 
     Raises:
         ConfigError: no such label.
@@ -358,7 +360,7 @@ def full(robot: "Robot | str" = "fish", *, seed: int = 0, scale: float = 1.0, po
     """The whole campaign, or the same with `scale` times as many episodes.
 
     Args:
-        policies: names or files of what steers on-policy episodes; by default those of `POLICIES` that know the fish.
+        policies: names or files of controllers for on-policy episodes; by default those of `POLICIES` for this fish.
 
     Raises:
         ConfigError: a scale that is not positive; a named policy is not for this fish.
@@ -374,7 +376,7 @@ def full(robot: "Robot | str" = "fish", *, seed: int = 0, scale: float = 1.0, po
 
 
 def preview(robot: "Robot | str" = "fish", *, seed: int = 0, policies: Sequence[str] = ()) -> Plan:
-    """Every block and split for a few seconds, a held and a swimming fish at the other slips, too."""
+    """Every block and split for a few seconds; also a held and a swimming fish at the other slips."""
     robot = load_robot(robot)
     steer = _steering(robot, policies)
     draw = lambda part, split, n: _episodes(
@@ -389,7 +391,7 @@ def preview(robot: "Robot | str" = "fish", *, seed: int = 0, policies: Sequence[
 
 
 def fresh_test(robot: "Robot | str" = "fish", *, seed: int, policies: Sequence[str] = (), scale: float = 1.0) -> Plan:
-    """Test episodes and repeats that no one has seen: figures on them must be those of the shipped ones."""
+    """New test episodes and repeats, unseen by any fit: figures on them must agree with those of the shipped ones."""
     if seed < 1:
         raise ConfigError(f"campaign: fresh test seed {seed}; expected 1 or more, 0 drew the shipped one")
     robot = load_robot(robot)
@@ -401,7 +403,7 @@ def fresh_test(robot: "Robot | str" = "fish", *, seed: int, policies: Sequence[s
 def on_policy(
     robot: "Robot | str", controller: str, *, episodes: int, seconds: float, seed: int, slip: float = DEFAULT_SLIP
 ) -> Plan:
-    """Training episodes steered by one controller or policy file: what a round of correction adds to a data set."""
+    """Training episodes steered by one controller or policy file: the addition of one round of correction to a data set."""
     robot = load_robot(robot)
     steer = _steering(robot, (controller,))
     made = _episodes(PlanPart("policy", episodes, seconds), robot, seed, "train", episodes, steer, prefix=f"round{seed}-")
@@ -447,7 +449,7 @@ def _at_slips(episodes: list[Segment]) -> list[Segment]:
 
 
 def _repeats(episodes: list[Segment]) -> list[Segment]:
-    """Some test episodes again: the fish shifted by part of a cell, and with half the time step."""
+    """Some test episodes again: with the fish shifted by part of a cell, and with half the time step."""
     out = []
     for block in REPEATED:
         first = next((segment for segment in episodes if segment.block == block), None)
@@ -462,7 +464,7 @@ def _repeats(episodes: list[Segment]) -> list[Segment]:
 
 
 def _ordered(segments: list[Segment]) -> tuple[Segment, ...]:
-    """Long ones first, so that tanks side by side finish together; blocks mixed."""
+    """Segments in running order: long ones first, so that tanks side by side finish together; blocks mixed."""
     rng = np.random.default_rng(0)
     mixed = [segments[i] for i in rng.permutation(len(segments))]
     return tuple(sorted(mixed, key=lambda segment: -segment.water))
@@ -473,7 +475,7 @@ def _count(part: PlanPart, scale: float) -> int:
 
 
 def _steering(robot: Robot, wanted: Sequence[str]) -> tuple[dict, ...]:
-    """What steers on-policy episodes, policies with their sha256; without wishes those that can be made for this fish."""
+    """Controllers of on-policy episodes, policies with their sha256; by default those that can be made for this fish."""
     made = []
     for name in wanted or POLICIES:
         try:

@@ -1,8 +1,8 @@
 """The same campaign on many machines: a Ray worker is one process with its own device, and takes one task at a time.
 
-A task is as many segments as a worker has tanks, one by default. A worker that dies loses only these: they are given to another
-one, `ATTEMPTS` times in all, and stay missing after that. Workers need fishmj installed; results come back to the caller, who
-alone writes files.
+A task has as many segments as a worker has tanks, one by default. A worker that dies loses only these: they go to another worker,
+`ATTEMPTS` times in all, and stay missing after that. Workers need fishmj installed. Results come back to the caller, and only the
+caller writes files.
 
     collect(plan, out, setup, pool=RayPool("auto"))            the cluster that this machine belongs to
     collect(plan, out, setup, pool=RayPool("local:2"))         two workers here
@@ -26,14 +26,14 @@ RUNNER = "fishmj.hydro_fit.campaign.data.run_segments:side_by_side"
 
 
 class Worker:
-    """One process; `runner` is module:function with the signature of `run_segments.side_by_side`."""
+    """Worker process; `runner` is module:function with the signature of `run_segments.side_by_side`."""
 
     def __init__(self, runner: str):
         module, _, name = runner.partition(":")
         self.runner = getattr(import_module(module), name)
 
     def work(self, tables: list[dict], setup: Setup) -> tuple[str, list]:
-        """Segments as plain numbers -> ("", [(meta, arrays), ..]) in their order, or (what went wrong, [])."""
+        """Runs segments given as plain numbers -> ("", [(meta, arrays), ..]) in their order, or (error text, [])."""
         try:
             done = list(self.runner(deque(map(Segment.of, tables)), setup, tanks=len(tables)))
         except FishmjError as error:  # not every error survives the way back
@@ -46,8 +46,10 @@ class Worker:
 class RayPool:
     """Workers of a Ray cluster.
 
-    address: of the cluster, `auto`, or `local:N`. tanks: segments side by side in one worker. workers: how many; by default one a
-    GPU, or one a CPU where there is none. deaths: of workers so far; retried: segments that were given out again, by id.
+    address: of the cluster, `auto`, or `local:N`. tanks: segments side by side in one worker. workers: their number; by default
+        one
+    for each GPU, or one for each CPU without a GPU. deaths: of workers so far; retried: ids of segments that were given out
+    again.
     """
 
     address: str = "auto"
@@ -58,7 +60,7 @@ class RayPool:
     retried: Counter = field(default_factory=Counter)
 
     def run(self, waiting: deque[Segment], setup: Setup, go_on: Callable[[float], bool]) -> Iterator[Finished]:
-        """As `run_segments.side_by_side`, in the order in which workers finish.
+        """Yields finished segments as `run_segments.side_by_side`, in the order in which workers finish.
 
         Raises:
             MissingExtra: Ray is not installed. ConfigError: no such cluster, no such device there, or a segment's own error.
@@ -104,7 +106,7 @@ class RayPool:
                 ray.kill(worker)
 
     def _mourn(self, group: list[Segment], error: Exception) -> list[Segment]:
-        """A worker died: the segments of its task that get another chance."""
+        """Segments of a dead worker's task that get another attempt."""
         self.deaths += 1
         self.retried.update(segment.id for segment in group)
         again = [segment for segment in group if self.retried[segment.id] < ATTEMPTS]
@@ -115,7 +117,7 @@ class RayPool:
         return again
 
     def _connect(self) -> tuple[Any, bool]:
-        """Ray, connected, and whether we started it."""
+        """Returns Ray, connected, and True if this call started it."""
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         try:
             import ray
@@ -137,7 +139,7 @@ class RayPool:
         return ray, True
 
     def _share(self, ray, setup: Setup) -> tuple[int, dict]:
-        """How many workers, and what of a machine each one takes."""
+        """Number of workers, and resources of a machine that each one takes."""
         there = ray.cluster_resources()
         gpus, cpus = int(there.get("GPU", 0)), int(there.get("CPU", 1))
         if setup.device.startswith("cuda") and not gpus:

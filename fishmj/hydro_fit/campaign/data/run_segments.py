@@ -1,8 +1,8 @@
-"""Segments in the flow solver, several tanks side by side: the host's part of one hides behind the water of another.
+"""Segments in the flow solver, several tanks side by side: the host works for one tank while the device steps another's water.
 
     for done in side_by_side(segments, setup, tanks=12): write_record(folder, done.meta, done.arrays)
 
-A segment whose water or fish leaves the finite numbers, or whose fish reaches a wall, is kept as far as it was sound.
+A segment whose water or fish is no longer finite, or whose fish reaches a wall, is kept as far as it was sound.
 """
 
 import gc
@@ -39,7 +39,7 @@ FEWEST = 10  # ticks; a shorter record is not kept
 
 
 class Finished(NamedTuple):
-    """A segment that was run: meta data, and arrays as in `hydro_fit.record` (none where nothing sound was left)."""
+    """A finished segment: metadata, and arrays as in `hydro_fit.record` (none if nothing was sound)."""
 
     segment: Segment
     meta: dict
@@ -48,7 +48,7 @@ class Finished(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """What all segments of one campaign share: fish, box of water, device, grid of the immersed boundary."""
+    """Common set-up of all segments of one campaign: fish, box of water, device, grid of the immersed boundary."""
 
     robot: Robot = field(default_factory=load_robot)
     domain: Domain = field(default_factory=lambda: preset("window"))
@@ -59,7 +59,7 @@ class Setup:
 
     @property
     def about(self) -> dict:
-        """What the fit must know, and what another machine must agree on; not the device."""
+        """Metadata for the fit, which must be equal on every machine; without the device."""
         domain, robot = self.domain, self.robot
         grid: dict[str, Any] = {"domain": domain.name, "dx": domain.dx, "dt": domain.dt, "shape": list(domain.shape)}
         if domain.fine is not None:  # cells at the fish
@@ -73,7 +73,7 @@ class Setup:
 
 
 def fingerprint(robot: Robot) -> str:
-    """sha256 of the body, servos and timing: what moves in the solver. Colours and coefficients of simpler waters are no part."""
+    """sha256 of the body, servos and timing, which matter to the solver; without colours and coefficients of simpler waters."""
     table = asdict(robot)
     links = [{key: value for key, value in link.items() if key != "colour"} for link in table["links"]]
     body = {key: table[key] for key in ("servo", "fins", "timing", "density_water")} | {"links": links}
@@ -81,7 +81,7 @@ def fingerprint(robot: Robot) -> str:
 
 
 class SegmentRunner:
-    """One segment at work."""
+    """One segment while it runs."""
 
     def __init__(self, segment: Segment, setup: Setup):
         self.segment, self.setup, self.began = segment, setup, time.perf_counter()
@@ -92,6 +92,7 @@ class SegmentRunner:
 
     @property
     def done(self) -> bool:
+        """Returns True if all ticks are done, or the run has stopped."""
         return self.run.ticks >= self.end or bool(self.run.stopped)
 
     @property
@@ -100,11 +101,11 @@ class SegmentRunner:
         return self.run.ticks * self.setup.robot.timing.bus_dt * self.segment.finer
 
     def command(self) -> np.ndarray:
-        """(J,) rad for the next tick; zeros where joints follow a path."""
+        """Command (J,) rad for the next tick; zeros if the joints follow a path."""
         return self.drive.command(self.run.ticks, self.run)
 
     def ticking(self) -> Iterator[None]:
-        """All its ticks, pausing whenever other tanks could have their turn; the record begins where the settling ends."""
+        """Does all ticks, pausing when other tanks can have their turn; the record begins after the settling."""
         tank = ConcurrentRuns([self.run])
         while not self.done:
             yield from tank.ticking(self.command()[None])
@@ -112,7 +113,7 @@ class SegmentRunner:
                 self.start = self._state()
 
     def finished(self) -> Finished:
-        """The record, as far as it is sound."""
+        """Record, as far as it is sound."""
         run, rows = self.run, _sound(self.run, self.before)
         meta = self._meta(len(rows))
         if len(rows) < FEWEST:
@@ -164,12 +165,11 @@ class SegmentRunner:
 
 
 def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = always) -> Iterator[Finished]:
-    """Run what is waiting, `tanks` at a time, each at its own pace; a tank that is done takes the next segment.
+    """Runs the waiting segments, `tanks` at a time, each at its own pace; a free tank takes the next segment.
 
     Args:
-        waiting: emptied from the left, asked only where there is room for one more.
-        go_on: called after every round with the seconds of water that the unfinished segments have done; False gives these up and
-            ends.
+        waiting: emptied from the left, only when there is room for one more.
+        go_on: called after every round with the simulated seconds of the unfinished segments; False drops these and ends.
 
     Raises:
         ConfigError, OracleUnstable: a segment could not be set up.
@@ -194,7 +194,7 @@ def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn 
 
 
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, setup: Setup, tanks: int) -> Iterator[Finished]:
-    """`side_by_side` on one of several devices (`spread`)."""
+    """Runs `side_by_side` on one of several devices (`spread`)."""
     return side_by_side(waiting, replace(setup, device=device), tanks=tanks, go_on=go_on)
 
 
@@ -230,7 +230,7 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
 
 
 def _sound(run: Run, first: int) -> list[tuple]:
-    """Rows of the recorded part without what a failing fish or water had spoilt."""
+    """Rows of the recorded part without those that a failing fish or water had spoilt."""
     rows, tick = run.rows, run.robot.timing.bus_dt
     if run.stopped and not run.stopped.startswith("left_domain"):
         rows = rows[: max(0, len(rows) - ceil(DOUBT / tick))]
@@ -242,9 +242,9 @@ def _sound(run: Run, first: int) -> list[tuple]:
 
 
 def trial_of(record: SegmentRecord, robot: Robot) -> Trial:
-    """A record as a trial in the log's own schema, for replay and whatever else reads trials; times from the record's start.
+    """Record as a trial in the log's own schema, for replay and other readers of trials; times from the record's start.
 
-    It has a table `power` where servos drove the joints.
+    It has a table `power` if servos drove the joints.
     """
     volts, driven = robot.servo.voltage, np.isfinite(record.power).all()
     power = (volts, record.power / volts) if driven else None

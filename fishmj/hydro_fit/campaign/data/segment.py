@@ -1,6 +1,6 @@
-"""A segment: one fish in one box of water for some seconds, said in plain numbers, and what moves it: a `Drive`.
+"""A segment: one fish in one box of water for some seconds, described by plain numbers, and the `Drive` that moves it.
 
-Servos follow commands, joints or a root follow a path to the letter, or a policy steers. A kind of drive is a function
+Servos follow commands, joints or a root follow a path exactly, or a policy steers. A kind of drive is a function
 (segment, robot) -> `Drive`, registered by its name in `KINDS`; its keywords are the rest of `segment.drive`. Times count from
 the start of the segment, settling included. Angles are rad.
 """
@@ -32,11 +32,11 @@ EASE = 0.25  # s, over which a manoeuvre's frequency, amplitude and bias change
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """What is run and kept as one record; plain numbers that can be sent to another machine. SI units, radians.
+    """Run that is kept as one record; plain numbers that can be sent to another machine. SI units, radians.
 
     episode: segments of one episode share its split; they differ in slip, nudge or time step. drive: kind of `KINDS`
     and its settings. settle: s before the record begins. pose (3,), joints (J,), velocity (3 + J,): at the start, velocity at
-    rest when empty. nudge: cells by which the fish is shifted. finer: time steps in one of the domain's.
+    rest when empty. nudge: cells by which the fish is shifted. finer: number of time steps in one of the domain's.
     """
 
     id: str
@@ -64,16 +64,16 @@ class Segment:
 
     @property
     def water(self) -> float:
-        """Seconds of water that it takes, in steps of the domain."""
+        """Seconds of water of the segment, in steps of the domain."""
         return (self.settle + self.seconds) * self.finer
 
     def table(self) -> dict:
-        """Plain numbers, for JSON and for other machines."""
+        """Segment as plain numbers, for JSON and for other machines."""
         return asdict(self)
 
     @classmethod
     def of(cls, table: dict) -> "Segment":
-        """The inverse of `table`, after JSON, too."""
+        """Inverse of `table`, also after JSON."""
         known = {item.name for item in fields(cls)}
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in table.items() if key in known
@@ -83,12 +83,12 @@ class Segment:
 
     @property
     def sha256(self) -> str:
-        """Of everything that decides what happens in it."""
+        """sha256 of all settings that determine the segment."""
         return hashlib.sha256(json.dumps(self.table(), sort_keys=True).encode()).hexdigest()
 
 
 class Drive(NamedTuple):
-    """command(tick, run) -> (J,) rad; joints, root: paths (J,) rad and (3,) m, m, rad, None where nothing is prescribed."""
+    """command(tick, run) -> (J,) rad; joints, root: paths (J,) rad and (3,) m, m, rad, None if nothing is prescribed."""
 
     command: Callable[[int, Any], np.ndarray]
     joints: Path | None = None
@@ -96,10 +96,10 @@ class Drive(NamedTuple):
 
 
 def drive(segment: Segment, robot: Robot) -> Drive:
-    """The drive of a segment.
+    """Drive of a segment.
 
     Raises:
-        UnknownName: of no such kind. ConfigError: settings that it does not know.
+        UnknownName: no such kind. ConfigError: unknown settings.
     """
     settings = dict(segment.drive)
     kind = str(settings.pop("kind", ""))
@@ -112,14 +112,14 @@ def drive(segment: Segment, robot: Robot) -> Drive:
 
 
 def ticks_of(segment: Segment, robot: Robot) -> tuple[int, int]:
-    """Bus ticks before the record and in all."""
+    """Numbers of bus ticks before the record and in all."""
     tick = robot.timing.bus_dt
     before = round(segment.settle / tick)
     return before, before + max(1, round(segment.seconds / tick))
 
 
 def gentle(robot: Robot, frequency, amplitude):
-    """The amplitude, lowered where the servo could not follow: A 2 pi f <= `BUSY` of its no-load speed."""
+    """Amplitude, lowered if the servo could not follow: A 2 pi f <= `BUSY` of its no-load speed."""
     return np.minimum(amplitude, BUSY * robot.servo.speed_no_load / (2 * pi * np.asarray(frequency)))
 
 
@@ -145,7 +145,7 @@ def shake(segment: Segment, robot: Robot, *, along: str, amplitude: float, frequ
 def chirp(
     segment: Segment, robot: Robot, *, low: float, high: float, amplitude: float, ratio: float, lag: float, held: bool
 ) -> Drive:
-    """Joints sweep from `low` to `high` Hz, each next one `ratio` times as fast; held and to the letter, or free by the servos.
+    """Joints sweep from `low` to `high` Hz, each next one `ratio` times as fast; held and exact, or free by the servos.
 
     phi = 2 pi low T / k (exp(k t / T) - 1),  k = ln(high / low)
     """
@@ -166,7 +166,10 @@ def chirp(
 def gait(
     segment: Segment, robot: Robot, *, frequency: float, amplitude, lag: float, bias: float, ramp: float = 1.0, held: bool = False
 ) -> Drive:
-    """A travelling wave by the servos, or held and to the letter; `bias`: sum over joints, amplitude: one or one a joint."""
+    """Travelling wave by the servos, or held and exact.
+
+    `bias`: sum over joints, `amplitude`: one number, or one for each joint.
+    """
     n = robot.n_joints
     wanted = tuple(gentle(robot, frequency, np.broadcast_to(amplitude, n)).tolist())
     made = Gait(joints=n, frequency=frequency, amplitude=wanted, lag=lag, bias=bias / n, ramp=ramp)
@@ -215,7 +218,7 @@ def manoeuvre(segment: Segment, robot: Robot, *, phases, lag: float) -> Drive:
 
 
 class ClosedLoop:
-    """A controller that steers a segment: it sees the numbers that it would see anywhere, noisy and late, every control step.
+    """A controller that steers a segment: it gets its usual observations, noisy and late, every control step.
 
     Called as (tick, run) once every bus tick, in order; returns the command (J,) rad.
 
@@ -224,8 +227,8 @@ class ClosedLoop:
     """
 
     def __init__(self, segment: Segment, robot: Robot, controller: str, target, seed: int, noise: float):
-        # A segment teaches a water, so it is the swim of the nominal body, and its identity (run_segments.fingerprint) leaves
-        # effects out. Sensors with effects would make one segment two swims.
+        # A segment serves the fit of a water, so it is the swim of the nominal body, and its identity (run_segments.fingerprint)
+        # leaves effects out. With effects on the sensors, one segment would be two swims.
         self.robot = replace(robot, effects=())
         self.target = np.asarray(target, float)[None]
         self.controller = control.make(controller, robot)

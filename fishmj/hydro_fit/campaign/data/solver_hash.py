@@ -1,6 +1,6 @@
-"""Which solver made a segment: the sha256 of the code of its physics, comments and docstrings left out.
+"""Hash of the solver that made a segment: the sha256 of the code of its physics, without comments and docstrings.
 
-Segments of two solvers do not belong into one data set: a repair of the collision moves every force.
+A data set must not mix segments of two solvers: a fix of the collision changes every force.
 """
 
 import ast
@@ -17,9 +17,9 @@ PHYSICS = (
     *("immersed/marker_warps", "immersed/markers", "refined/crossings", "refined/exchange", "refined/refined_fluid"),
     *("refined/refined_structure", "run/refined_run", "run/time_refinement"),
 )
-# hashes of later code -> that of the code which made the shipped segments: every figure is equal to the bit on a CPU, but for
-# `SECTORS` in refined water, where nodes have other numbers and markers the round-off of these: 1e-9; and from `SHORT` on, where
-# the eddy viscosity sees rounded velocities: 5e-6 of a wrench, 1e-7 of a velocity after 200 steps, as much as another device does
+# hashes of later code -> that of the code which made the shipped segments: all results are equal to the bit on a CPU, with two
+# exceptions. `SECTORS` in refined water: nodes have other numbers and markers their round-off, 1e-9. From `SHORT` on: the eddy
+# viscosity reads rounded velocities, 5e-6 of a wrench, 1e-7 of a velocity after 200 steps, as much as on another device
 SHIPPED = "0dab6aa94d79eb497cd8e8f0b49aca3effdda76c17720fbef289d83c3ccb22d5"
 REBUILT = "5b74e20cd51e912ce1b0b1c66d25d332fdae82f16d3b82799695029cd466b422"
 ANY_LINKS = "5990401b1fdb88dc638e8c5d6e7d9e0ff001677f372f9dc87b5aa1155fa9f9a2"  # one solve for any number of links
@@ -40,7 +40,7 @@ SAME = dict.fromkeys(LATER, SHIPPED)
 
 @cache
 def solver_sha256() -> str:
-    """Of the modules in `PHYSICS`; where no figure changed, still that of the code before it was rebuilt."""
+    """sha256 of the modules in `PHYSICS`; if no result changed, still that of the code before the change."""
     folder = Path(str(lbm_oracle.__file__)).parent
     total = hashlib.sha256()
     for name in PHYSICS:
@@ -49,7 +49,7 @@ def solver_sha256() -> str:
 
 
 def code_of(source: str) -> str:
-    """A module's source without comments, docstrings and layout; the same under every version of Python.
+    """Source of a module without comments, docstrings and layout; the same under every version of Python.
 
     `ast.unparse` and `ast.dump` are not: one writes f-strings another way, the other names new, empty fields.
     """
@@ -61,7 +61,7 @@ def code_of(source: str) -> str:
 
 
 def _plain(node):
-    """A syntax tree as nested tuples, without what is empty."""
+    """Syntax tree as nested tuples, without empty fields."""
     if isinstance(node, ast.AST):
         fields = ((name, _plain(value)) for name, value in ast.iter_fields(node) if name not in ("ctx", "kind"))
         return (type(node).__name__, *((name, value) for name, value in fields if value not in (None, ())))
