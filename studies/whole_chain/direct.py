@@ -82,11 +82,11 @@ def in_second_robot(item: int, trials: Trials, policy: str) -> dict:
         seen = task.observe(np, robot, np.array(poses)[None], late, joint[None], rate[None], targets[item : item + 1], draw[None])
         for command in controller(seen)[0]:
             body.send(command)
-            body.advance(tick - bodies.MILLISECOND)
+            body.advance(tick - body.MILLISECOND)
             before = body.truth()[3:]
-            body.advance(bodies.MILLISECOND)
+            body.advance(body.MILLISECOND)
             now = body.truth()
-            joint, rate = now[3:] - zero, (now[3:] - before) / bodies.MILLISECOND
+            joint, rate = now[3:] - zero, (now[3:] - before) / body.MILLISECOND
             poses.append(now[:3])
             path.append((body.time, float(now[0]), float(now[1])))
     return figures(np.array(path), 0.0, targets[item])

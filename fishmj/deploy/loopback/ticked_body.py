@@ -26,7 +26,7 @@ class Moment(NamedTuple):
 
 
 class TickedBody:
-    """Base of the bodies by ticks; see `bodies.Body`. A subclass simulates one tick.
+    """Base of the bodies by ticks; see `body.Body`. A subclass simulates one tick.
 
     Args:
         zero: (J,) rad, hinge angles at which the servos read zero. start: x, y [m], yaw [rad].

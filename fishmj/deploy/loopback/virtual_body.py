@@ -28,7 +28,7 @@ GUST_TIME = 1.5  # s, memory of its gusts, as of the flow preset `gust`
 
 
 class VirtualBody:
-    """See `bodies.Body`; arguments as `bodies.make`."""
+    """See `body.Body`; arguments as `bodies.make`."""
 
     def __init__(
         self, robot: Robot, effects: dict, seed: int, noise: float, nuisance: float, start: tuple[float, float, float],

@@ -27,6 +27,7 @@ import numpy as np
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import UnknownName
 from fishmj.gap.models.strip_water import strips_of
+from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.variances import Sample, asked
 from fishmj.gap.null.whitening import smooth
 from fishmj.gap.records.records import ResidualLayout
@@ -95,7 +96,7 @@ def applies(model) -> bool:
 
     A model of literature values may be wrong by any amount: its null runs, in a water of that kind, stand alone.
     """
-    return hasattr(model, "strips") and model.robot.water.get("model") == STRUCTURED
+    return isinstance(model, SwimmingFish) and model.robot.water.get("model") == STRUCTURED
 
 
 def of(

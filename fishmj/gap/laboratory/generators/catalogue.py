@@ -15,7 +15,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.gap.laboratory.generators import random_numbers
 from fishmj.gap.laboratory.generators.faults import FAULTS
 from fishmj.gap.laboratory.generators.fish import Fish
-from fishmj.gap.laboratory.generators.hidden import Hidden
+from fishmj.gap.laboratory.generators.hidden_effect import Hidden
 
 LOTTERIES = ("random", "random_odd")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj.effects import Parameter
 from fishmj.gap.laboratory.generators.fish import Fish
-from fishmj.gap.laboratory.generators.hidden import Hidden
+from fishmj.gap.laboratory.generators.hidden_effect import Hidden
 from fishmj.gap.laboratory.generators.swim import LOOSE, SLOSH
 
 
