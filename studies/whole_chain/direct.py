@@ -17,6 +17,7 @@ import numpy as np
 from fishmj.control.learned import LearnedController
 from fishmj.deploy.loop.observer import RATE_WINDOW
 from fishmj.deploy.loopback import bodies
+from fishmj.deploy.loopback.body import MILLISECOND
 from fishmj.deploy.loopback.virtual_body import VirtualBody
 from fishmj.deploy.protocols import servo_counts
 from fishmj.evaluate.protocol import Trials
@@ -82,11 +83,11 @@ def in_second_robot(item: int, trials: Trials, policy: str) -> dict:
         seen = task.observe(np, robot, np.array(poses)[None], late, joint[None], rate[None], targets[item : item + 1], draw[None])
         for command in controller(seen)[0]:
             body.send(command)
-            body.advance(tick - body.MILLISECOND)
+            body.advance(tick - MILLISECOND)
             before = body.truth()[3:]
-            body.advance(body.MILLISECOND)
+            body.advance(MILLISECOND)
             now = body.truth()
-            joint, rate = now[3:] - zero, (now[3:] - before) / body.MILLISECOND
+            joint, rate = now[3:] - zero, (now[3:] - before) / MILLISECOND
             poses.append(now[:3])
             path.append((body.time, float(now[0]), float(now[1])))
     return figures(np.array(path), 0.0, targets[item])
