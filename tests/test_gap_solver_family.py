@@ -1,6 +1,7 @@
 """The flow solver as a family of the benchmark: what is planned, what of it shows, which data sets are made and scored."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ def test_a_plan_is_its_seed_and_its_folder(tmp_path, seen_by_all):
     asked = Asked({"fish": "fish", "tendon_fish": "tendon_fish"}, robots=3, seed=4)
     made = plan.planned(asked)
     assert plan.planned(asked).robots == made.robots
-    assert plan.planned(asked._replace(seed=5)).robots[0].cases[1].effects != made.robots[0].cases[1].effects
+    assert plan.planned(replace(asked, seed=5)).robots[0].cases[1].effects != made.robots[0].cases[1].effects
     plan.write(made, tmp_path)
     assert plan.read(tmp_path).robots == made.robots and set(plan.read(tmp_path).descriptions) == set(asked.models)
     assert len({one.seed for one in made.robots}) == 6 and len({case.id for one in made.robots for case in one.cases}) == 20

@@ -27,6 +27,7 @@ from fishmj.base.options import Distinct as Distinct
 from fishmj.base.options import Listed as Listed
 from fishmj.base.options import Number as Number
 from fishmj.base.options import OneOf as OneOf
+from fishmj.base.options import add_settings as add_settings
 from fishmj.base.options import device as device
 from fishmj.base.options import devices as devices
 from fishmj.base.options import name as name
@@ -34,6 +35,7 @@ from fishmj.base.options import number as number
 from fishmj.base.options import out_file as out_file
 from fishmj.base.options import out_folder as out_folder
 from fishmj.base.options import path as path
+from fishmj.base.options import settings_of as settings_of
 from fishmj.base.options import text as text
 from fishmj.base.options import whole as whole
 from fishmj.base.terminal import cell as cell

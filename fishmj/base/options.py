@@ -9,7 +9,7 @@ import math
 import re
 import tempfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import Field, dataclass, field, fields
 from difflib import get_close_matches
 from numbers import Integral, Real
 from pathlib import Path
@@ -174,6 +174,42 @@ class Listed:
     def expected(self) -> str:
         """The values in words."""
         return f"1 to {self.most} values, each {self.item.expected}"
+
+
+def setting(default: Any, kind: Any, about: str, option: str = "", metavar: str | None = None) -> Any:
+    """A field of a dataclass that is declared once for Python and for the command line.
+
+    Args:
+        kind: the `type=` of the option, a tuple of names to choose from, or None for a flag, `--no-name` of a True default.
+        about: its meaning, the help of the option. option: its name on the command line where that is not the field's.
+    """
+    return field(default=default, metadata={"kind": kind, "about": about, "option": option, "metavar": metavar})
+
+
+def declared(config: type) -> dict[str, Field]:
+    """The fields of a dataclass that `setting` declared, by name."""
+    return {one.name: one for one in fields(config) if "kind" in one.metadata}
+
+
+def option_of(one: Field) -> str:
+    """The command-line option of a field, `--learning-rate`."""
+    negated = one.metadata["kind"] is None and one.default
+    return one.metadata["option"] or f"--{'no-' if negated else ''}{one.name.replace('_', '-')}"
+
+
+def add_settings(parser: argparse.ArgumentParser, config: type, *names: str) -> None:
+    """Adds the options of some fields of a dataclass to a parser, in this order."""
+    for one in map(declared(config).__getitem__, names):
+        kind, how = one.metadata["kind"], {"default": one.default, "metavar": one.metadata["metavar"]}
+        how = {"action": "store_true"} if kind is None else how | {"choices" if isinstance(kind, tuple) else "type": kind}
+        parser.add_argument(option_of(one), help=one.metadata["about"], **how)
+
+
+def settings_of(args: argparse.Namespace, config: type) -> dict[str, Any]:
+    """Values of a dataclass's fields that the command line has options for, by the name of the field."""
+    places = {name: option_of(one)[2:].replace("-", "_") for name, one in declared(config).items()}
+    given = {name: (place, getattr(args, place)) for name, place in places.items() if place in args}
+    return {name: not value if place.startswith("no_") else value for name, (place, value) in given.items()}
 
 
 class Distinct(argparse.Action):

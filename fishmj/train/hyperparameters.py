@@ -4,11 +4,11 @@ The options of `fishmj train`, the checks, the run folder, the policy header and
 these dataclasses. A new algorithm derives from `Hyperparameters` and declares its fields by `setting`.
 """
 
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from fishmj.base.errors import ConfigError
-from fishmj.base.options import Listed, Number, OneOf, number, whole
+from fishmj.base.options import Listed, OneOf, declared, number, setting, whole
 
 FLOAT = 4  # bytes
 STATE = 300  # numbers of a fish besides its observations: poses, commands, draws of the episode
@@ -26,24 +26,6 @@ class Switch(OneOf):
     def holds(self, value: Any) -> bool:
         """Returns True for a truth value."""
         return isinstance(value, bool)
-
-
-Kind = Number | Listed | OneOf
-
-
-def setting(default: Any, kind: Kind, about: str, option: str = "") -> Any:
-    """Field of a dataclass of hyperparameters; option: its name on the command line if that is not the field's."""
-    return field(default=default, metadata={"kind": kind, "about": about, "option": option})
-
-
-def option_of(one: Field) -> str:
-    """Command-line option of a field, `--learning-rate`."""
-    return one.metadata["option"] or f"--{one.name.replace('_', '-')}"
-
-
-def declared(config: type) -> dict[str, Field]:
-    """Fields of a dataclass that `setting` declared, by name."""
-    return {one.name: one for one in fields(config) if "kind" in one.metadata}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from fishmj.base import plugins
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import declared, option_of
 from fishmj.base.store import read_json
 from fishmj.tasks.reference import COURSES
-from fishmj.train.hyperparameters import declared, option_of
 
 FILE = "settings.json"  # of a run: its settings, every hyperparameter among them, and what made it
 MADE_BY = "made_by"  # key of that file: versions and commit

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import number, setting
 from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.mjcf import Robot, geometry_of, load_robot
 from fishmj.mjcf.from_above import opencv
@@ -126,10 +127,10 @@ class FrameOptions:
     blur: float = 0.6
     vignetting: float = 0.3
     exposure: float = 0.0
-    glare: float = 0.0
-    ripple: float = 0.0
-    occlusion: float = 0.0
-    decoy: bool = False
+    glare: float = setting(0.0, number(0, 3), "0 none, 1 glints over some percent of the tank")
+    ripple: float = setting(0.0, number(0, 20), "px, by which waves shift the image")
+    occlusion: float = setting(0.0, number(0, 1), "share of the head that something covers")
+    decoy: bool = setting(False, None, "a second red object")
     light: float = 0.0
     jpeg: int | None = None
     seed: int = 0

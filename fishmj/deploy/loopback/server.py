@@ -24,6 +24,7 @@ from typing import Any
 
 from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, FishmjError
+from fishmj.base.options import number, setting, whole
 from fishmj.deploy.loop.clock import first_in_line
 from fishmj.deploy.loopback.bodies import SOLVER
 from fishmj.deploy.loopback.body import MILLISECOND
@@ -34,7 +35,7 @@ from fishmj.deploy.loopback.settings import Settings, artist_of, calibration_of,
 from fishmj.deploy.loopback.shared_frames import FrameWriter
 from fishmj.deploy.protocols import mish
 
-LOCAL = "127.0.0.1"
+LOCAL, PORT = "127.0.0.1", whole(0, 65535)
 LONGEST = 2048  # bytes of a datagram that is looked at
 MOST = 200  # datagrams that are taken in one turn
 BEHIND = 0.5  # s; whoever is further behind the clock sets it back instead of catching up
@@ -49,19 +50,16 @@ class ServeOptions:
     """Options of the server.
 
     Attributes:
-        address: 127.0.0.1, nothing else. port: of the robot, 0 lets the system choose; None: 2333 of mish, else 0.
-        host_port: destination of telemetry before the first datagram; None: 6060 of mish, else nowhere.
-        camera: True to draw frames. seconds: duration; None: no limit.
-        parent: pid of the process with which it ends.
+        address: 127.0.0.1, nothing else. port, host_port: 0 lets the system choose. camera: True to draw frames.
     """
 
     settings: Settings = Settings()
     address: str = LOCAL
-    port: int | None = None
-    host_port: int | None = None
-    camera: bool = True
-    seconds: float | None = None
-    parent: int | None = None
+    port: int | None = setting(None, PORT, "of the robot; default 2333 of mish, else the system's choice")
+    host_port: int | None = setting(None, PORT, "of the host, before it has sent anything; default 6060 of mish, else none")
+    camera: bool = setting(True, None, "draw no frames")
+    seconds: float | None = setting(None, number(0.1, 1e6), "end after this time; default never")
+    parent: int | None = setting(None, whole(1, 2**31), "end with this process (default: none)", metavar="PID")
 
     def __post_init__(self):
         if self.address != LOCAL:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from fishmj.base.errors import ConfigError
+from fishmj.base.options import SEED, number, setting, text
 from fishmj.deploy.loopback import bodies, network_faults
 from fishmj.deploy.loopback.camera import CameraTiming
 from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, FrameOptions
@@ -15,6 +16,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow
 
+WATERS = (bodies.VIRTUAL, bodies.FITTED, bodies.STRUCTURED)  # in real time
 SIZE, SCALE, HEIGHT = (1280, 720), 2.8e-3, 3.0  # px, m/px and m: the camera over the tank where none is given
 
 
@@ -25,30 +27,28 @@ class Settings:
     Attributes:
         body, robot, effects, noise, nuisance, start, flow, engine, domain: as `bodies.make`.
         protocol, faults, delay, spread, policy_sha256: as `robot.LoopbackRobot`.
-        seed: of all random numbers.
-        camera_latency: time from exposure until a frame is readable, s; None: the description's. frame_rate: 1/s.
-        marks: on the drawn fish, "colour" or "tag". picture: disturbances between the fish and the file.
+        picture: disturbances between the fish and the file.
         calibration: of the drawn camera; None: 1280 x 720 px, 2.8 mm/px, 3 m over the middle of the tank.
     """
 
-    body: str = bodies.VIRTUAL
-    robot: "str | Robot" = "fish"
+    body: str = setting(bodies.VIRTUAL, WATERS, "the second robot, or one fish in this water")
+    robot: "str | Robot" = setting("fish", text, "the robot: name or TOML file (default fish)", "--model", "ROBOT")
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    noise: float = 1.0
-    nuisance: float = 0.1
+    noise: float = setting(1.0, number(0, 100), "factor on the noise of the second robot's sensors")
+    nuisance: float = setting(0.1, number(0, 0.5), "relative half width of its unmeasured constants")
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     flow: Flow = Flow()
-    engine: str = bodies.MUJOCO
+    engine: str = setting(bodies.MUJOCO, bodies.ENGINES, "of the waters fitted and structured")
     domain: str = "paper"
-    protocol: str = PROTOCOLS[0]
+    protocol: str = setting(PROTOCOLS[0], PROTOCOLS, "of the datagrams; servo-bus: servos on a serial line")
     faults: tuple[Fault, ...] = ()
-    delay: float = network_faults.DELAY
+    delay: float = setting(network_faults.DELAY, number(0, 1), "of the radio each way, s")
     spread: float = network_faults.SPREAD
     policy_sha256: str = ""
-    seed: int = 0
-    camera_latency: float | None = None
-    frame_rate: float = 50.0
-    marks: str = "colour"
+    seed: int = setting(0, SEED, "robot, noise, radio")
+    camera_latency: float | None = setting(None, number(0, 1), "s from exposure to frame; default the description's")
+    frame_rate: float = setting(50.0, number(1, 500), "frames a second")
+    marks: str = setting("colour", ("colour", "tag"), "on the fish: red head and yellow neck, or an AprilTag")
     picture: FrameOptions = FrameOptions()
     calibration: Calibration | None = None
 

@@ -27,7 +27,7 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError
-from fishmj.base.options import checked_kind
+from fishmj.base.options import checked_kind, number, setting
 from fishmj.engines import FishParams, FishState
 from fishmj.engines.hybrid import online_correction
 from fishmj.engines.hybrid.online_correction import FACTORS, Correction
@@ -38,6 +38,8 @@ from fishmj.water import choice
 from fishmj.water.flow import Current, Flow, shifted
 
 OWN = 2.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/simulate/fitted_water.md
+SPAN = 2.0  # s of a segment that are compared
+LEAD = f"s of a segment for which the fish is led along MuJoCo's path; {SPAN:g} s more are compared"
 LEAVING = 10.0  # s that the end of the program waits for a tick of the solver
 BOX = "window_coarse"  # where the water does not say which box it was fitted in
 
@@ -51,7 +53,6 @@ class HybridOptions:
         domain: box of water by name; None: the one in which the fitted water was made. `laptop` is a preview.
         slip: slip ratio of the hull in the solver. device: auto, cpu, cuda or cuda:N.
         tank: flow whose mean is the stream of the tanks, with MuJoCo's eddies; None: MuJoCo's own stream.
-        own: 90th percentile of the mean square difference, in tolerances, over segments of an exact water.
         patience: wall-clock s for a segment; a later one is dropped. side_by_side: tanks at a time.
         wait: MuJoCo waits for the solver, however long it takes, and every run is the same.
 
@@ -59,15 +60,15 @@ class HybridOptions:
         ConfigError: invalid times.
     """
 
-    first: float = 10.0
-    every: float = 50.0
-    lead: float = 1.5
-    span: float = 2.0
+    first: float = setting(10.0, number(0, 600), "s before the first segment")
+    every: float = setting(50.0, number(4, 600), "s from segment to segment; each is 3.5 s")
+    lead: float = setting(1.5, number(0, 60, above=True), LEAD)
+    span: float = SPAN
     domain: str | None = None
     slip: float = 1.0
     device: str = "auto"
     tank: Flow | None = None
-    own: float = OWN
+    own: float = setting(OWN, number(0, 1e6, above=True), "mean square miss of a right water")
     patience: float = 60.0
     side_by_side: int = 12
     wait: bool = False

@@ -77,11 +77,7 @@ def options() -> console.Parser:
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
     add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
-    add("--every", type=console.number(4, 600), default=HybridOptions.every, help="s from segment to segment; each is 3.5 s")
-    add("--first", type=console.number(0, 600), default=HybridOptions.first, help="s before the first segment")
-    lead = f"s of a segment for which the fish is led along MuJoCo's path; {HybridOptions.span:g} s more are compared"
-    add("--lead", type=console.number(0, 60, above=True), default=HybridOptions.lead, help=lead)
-    add("--own", type=console.number(0, 1e6, above=True), default=HybridOptions.own, help="mean square miss of a right water")
+    console.add_settings(parser, HybridOptions, "every", "first", "lead", "own")
     add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     add("--tanks", type=console.whole(1, 256), help=f"side by side; default {ON_GPU} on a GPU, which they fill, else 1")
@@ -135,8 +131,7 @@ class Condition:
         """Options of the hybrid in this condition."""
         tank = Flow(speed=args.speed + self.faster) if self.faster else None
         water: dict[str, Any] = {"domain": args.domain or box_of(args), "slip": self.slip, "device": args.device, "tank": tank}
-        water |= {"first": args.first, "every": args.every, "lead": args.lead, "own": args.own}
-        return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water)
+        return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water, **console.settings_of(args, HybridOptions))
 
     def engine(self) -> batch.Engine:
         """Engine: MuJoCo with the body of the robot in the water of the chain."""

@@ -158,8 +158,7 @@ def _parser() -> console.Parser:
     add("--domain", choices=EVERY, default="forcemap", help=box)
     cell = "another cell, same size, dt in proportion; by default the domain's"
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
-    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
-    add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    console.add_settings(p, SwimSetup, "robot", "slip")
     boundary_option(add)
     place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
     add("--device", type=console.devices, default="auto", help=place)

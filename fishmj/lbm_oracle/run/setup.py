@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
-from fishmj.base.options import checked_kind
+from fishmj.base.options import checked_kind, number, setting, text, whole
 from fishmj.lbm_oracle.fluid.fluid import Fluid, blend_at
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
@@ -26,6 +26,7 @@ from fishmj.mjcf import Robot, load_robot
 from fishmj.mjcf.model import reference_pose, reference_qpos
 from fishmj.water.flow import Flow
 
+OFFSET = "retraction of the markers; the measured one by default"
 LOOK = 4  # steps between two looks at fish and faces; a fish moves less than a cell meanwhile
 
 
@@ -80,16 +81,16 @@ class SwimSetup:
     """
 
     domain: Domain = field(default_factory=lambda: preset("window"))
-    robot: "Robot | str" = "fish"
+    robot: "Robot | str" = setting("fish", text, "shipped name or TOML file")
     flow: Flow = field(default_factory=Flow)
-    slip: float = 1.0
-    root: str = "planar"
+    slip: float = setting(1.0, number(0, 1), "at the paper's grid: 1 slides, 0 sticks")
+    root: str = setting("planar", ("planar", "free"), "how the root moves")
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     joints: tuple[float, ...] = ()
     device: str = "cpu"
-    width: int = 3
-    passes: int = 2
-    hydro_offset: float | None = None
+    width: int = setting(3, whole(3, 4), "points of the immersed boundary's kernel: 3 or 4", "--kernel")
+    passes: int = setting(2, whole(1, 100), "of the direct forcing")
+    hydro_offset: float | None = setting(None, number(-5, 5), OFFSET, metavar="CELLS")
     spacing: float = 1.0
     sharpness: Sharpness = PLAIN
     storage: str = "float32"

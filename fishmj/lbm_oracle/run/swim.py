@@ -196,9 +196,7 @@ def _stage(args) -> SwimSetup:
         speed=args.speed, direction=radians(args.direction), turbulence=args.turbulence, intensity=args.intensity, seed=args.seed
     )
     x, y, yaw = args.pose
-    fish: dict[str, Any] = {"robot": args.robot, "root": args.root, "pose": (x, y, radians(yaw)), "slip": args.slip}
-    fish |= {"sharpness": BOUNDARIES[args.boundary]}
-    fish |= {"width": args.kernel, "passes": args.passes, "hydro_offset": args.hydro_offset}
+    fish = console.settings_of(args, SwimSetup) | {"pose": (x, y, radians(yaw)), "sharpness": BOUNDARIES[args.boundary]}
     return SwimSetup(domain=domain, flow=flow, device=args.device, **fish)
 
 
@@ -207,7 +205,7 @@ def _parser() -> console.Parser:
     add, angle = p.add_argument, console.number(-360, 360)
     box = "box of water; laptop is a preview, _refined has finer cells round the fish"
     add("--preset", choices=EVERY, default="window", help=box)
-    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    console.add_settings(p, SwimSetup, "robot")
     add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
     add("--frequency", type=console.number(0.01, 20), default=1.0, metavar="HZ", help="of the beat")
     bend = console.number(-180, 180)
@@ -220,8 +218,7 @@ def _parser() -> console.Parser:
     add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
     add("--prescribed", action="store_true", help="joints follow the gait to the letter, without servos")
     add("--tethered", action="store_true", help="the root does not move")
-    add("--root", choices=("planar", "free"), default="planar", help="how the root moves")
-    add("--slip", type=console.number(0, 1), default=1.0, help="at the paper's grid: 1 slides, 0 sticks")
+    console.add_settings(p, SwimSetup, "root", "slip")
     boundary_option(add)
     add("--speed", type=console.number(0, 4), default=0.0, help="of the current, m/s")
     add("--direction", type=angle, default=180.0, metavar="DEG", help="where the water moves to")
@@ -237,10 +234,7 @@ def _parser() -> console.Parser:
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     add("--dt", type=console.number(1e-5, 0.1), metavar="S", help="another time step; by default the domain's")
     add("--latency", type=console.number(0, 10), metavar="S", help="of commands; the robot's by default")
-    add("--kernel", type=console.whole(3, 4), default=3, help="points of the immersed boundary's kernel: 3 or 4")
-    add("--passes", type=console.whole(1, 100), default=2, help="of the direct forcing")
-    offset = "retraction of the markers; the measured one by default"
-    add("--hydro-offset", type=console.number(-5, 5), metavar="CELLS", help=offset)
+    console.add_settings(p, SwimSetup, "width", "passes", "hydro_offset")
     add("--start", type=console.path, metavar="FILE", help="continue from a saved state; by default from rest")
     add("--save", type=console.out_file, metavar="FILE", help="save the state at the end, in place of an old one; by default not")
     out = "trial folder to write; by default none; one that is there is refused without --overwrite"

@@ -35,13 +35,7 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     add("--plan", action="store_true", help="draw the plan into OUT, say what it costs, and stop")
     add("--models", nargs="+", type=console.text, default=["fish"], metavar="MODEL", help="of --plan: names or TOML files")
-    add("--robots", type=console.whole(1, 500), default=14, metavar="N", help="of --plan: of each model (default 14)")
-    add("--singles", type=console.whole(0, 20), default=2, metavar="N", help="of --plan: of each robot (default 2)")
-    add("--seed", type=console.whole(0, 10_000), default=0, metavar="N", help="of --plan: draws everything anew (default 0)")
-    cut = "of --plan: to which experiments are cut, s (default 10)"
-    add("--seconds", type=console.number(1, 60), default=10.0, metavar="S", help=cut)
-    free = "of --plan: to which free swims are cut, s (default 8)"
-    add("--calibration", type=console.number(1, 60), default=8.0, metavar="S", help=free)
+    console.add_settings(parser, Asked, "robots", "singles", "seed", "seconds", "calibration")
     add("--domain", choices=NAMES, default="window_coarse", help="of --plan: box of water; laptop is a preview")
     place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1 (default auto)"
     add("--device", type=console.devices, default="auto", help=place)
@@ -74,7 +68,7 @@ def drawn(args) -> int:
     models = {Path(source).stem: source for source in args.models}
     if len(models) < len(args.models):
         raise ConfigError(f"solver_family: --models {' '.join(args.models)}: two of one name; rename a file")
-    asked = Asked(models, args.robots, args.singles, args.seed, args.seconds, args.calibration, args.domain)
+    asked = Asked(models, domain=args.domain, **console.settings_of(args, Asked))
     if (args.out / plans.FILE).is_file():
         raise ConfigError(f"solver_family: {args.out} has a plan; go on without --plan, or take another --out")
     with console.Progress(args.robots * len(models), "plan", unit="robots") as bar:

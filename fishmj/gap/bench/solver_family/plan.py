@@ -10,7 +10,7 @@ The solver is slow, so invisible effects are not swum: a single is drawn again u
 robot's water is `LIKELY` at least. That is a forecast; the figure that counts is the solver's own, found afterwards.
 """
 
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, SimDiverged, StoreError
+from fishmj.base.options import setting
 from fishmj.base.store import read_json, write_json, write_text
 from fishmj.gap.bench import calibrated, families
 from fishmj.gap.bench.cases import STRENGTH, Case, dealt
@@ -38,15 +39,16 @@ LIKELY = BOUND / 2
 DRAWS = 12  # of a single, at most
 
 
-class Asked(NamedTuple):
-    """Settings of a plan. models: name -> description. seconds: length of the experiments; calibration: of the free swims."""
+@dataclass(frozen=True)
+class Asked:
+    """Settings of a plan. models: name -> description."""
 
     models: dict[str, str]
-    robots: int = 14
-    singles: int = 2
-    seed: int = 0
-    seconds: float = 10.0
-    calibration: float = 8.0
+    robots: int = setting(14, console.whole(1, 500), "of --plan: of each model (default 14)", metavar="N")
+    singles: int = setting(2, console.whole(0, 20), "of --plan: of each robot (default 2)", metavar="N")
+    seed: int = setting(0, console.whole(0, 10_000), "of --plan: draws everything anew (default 0)", metavar="N")
+    seconds: float = setting(10.0, console.number(1, 60), "of --plan: to which experiments are cut, s (default 10)", metavar="S")
+    calibration: float = setting(8.0, console.number(1, 60), "of --plan: to which free swims are cut, s (default 8)", metavar="S")
     domain: str = "window_coarse"
 
 
@@ -151,7 +153,7 @@ def write(plan: Plan, folder: Path) -> None:
             for case, forecast in zip(one.cases, one.forecasts, strict=True)
         ]
         robots.append({"id": one.id, "model": one.model, "seed": one.seed, "experiments": list(one.experiments), "cases": cases})
-    body = {"schema": SCHEMA, "origin": "synthetic", "asked": plan.asked._asdict() | {"models": models}, "robots": robots}
+    body = {"schema": SCHEMA, "origin": "synthetic", "asked": asdict(plan.asked) | {"models": models}, "robots": robots}
     write_json(folder / FILE, console.plain(body))
 
 
