@@ -35,10 +35,8 @@ FIELDS = ("q", "v", "attached", "power")
 
 def option(parser) -> None:
     """Adds `--effects` to a command line; pass its value to `join`."""
-    parser.add_argument(
-        "--effects", action="append", default=[], metavar="MODULE:EFFECT",
-        help="an effect of your own to put into the catalogue, module:EFFECT or file.py:EFFECT; again for more (default none)",
-    )  # fmt: skip
+    effects = "an effect of your own to put into the catalogue, module:EFFECT or file.py:EFFECT; again for more (default none)"
+    parser.add_argument("--effects", action="append", default=[], metavar="MODULE:EFFECT", help=effects)
 
 
 def join(texts: Iterable[str]) -> list[Effect]:

@@ -74,8 +74,7 @@ def options() -> console.Parser:
     add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
     tanks = "trials of --water lbm on each device, or segments of hybrid, side by side; 12 or more keep one GPU busy; default 1"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
-    kinds = "kind of turbulence of the current; default: default"
-    add("--turbulence", choices=tuple(PRESETS), help=kinds)
+    add("--turbulence", choices=tuple(PRESETS), help="kind of turbulence of the current; default: default")
     add("--intensity", type=console.number(0, 0.99), help="of the turbulence, u_rms / max(speed, 0.1 m/s); default 0.05")
     tank = "a tank's, of fishmj deploy flow-map: TI at every speed, and the kind with the nearest length scale; default none"
     add("--flow-map", type=console.path, metavar="FILE", help=tank)

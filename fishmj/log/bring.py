@@ -63,47 +63,27 @@ def options() -> console.Parser:
     """The arguments of `log import`."""
     sub = console.parser("log import", ABOUT, examples=EXAMPLE)
     add = sub.add_argument
-    add(
-        "source",
-        type=console.path,
-        nargs="+",
-        help="files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders",
-    )
+    source = "files or folders: CSV and its kin, Parquet, .npz, MCAP, rosbag2, trial folders"
+    add("source", type=console.path, nargs="+", help=source)
     add("--out", type=console.out_folder, help="the data set to write; must not exist; needed unless --write-map")
     add("--columns", type=console.path, metavar="MAP.toml", help="which column is which (docs/search/logs.md); default: guessed")
-    add(
-        "--write-map",
-        type=console.out_file,
-        metavar="MAP.toml",
-        help="write the guess as a map to edit; with no --out nothing else is done; default: none",
-    )
-    add(
-        "--set",
-        action="append",
-        default=[],
-        metavar="COLUMN=TABLE.COLUMN:UNIT",
-        help="decide one column, or COLUMN=skip; FILE=skip or TOPIC=skip; may be repeated; default: none",
-    )
+    write_map = "write the guess as a map to edit; with no --out nothing else is done; default: none"
+    add("--write-map", type=console.out_file, metavar="MAP.toml", help=write_map)
+    decided = "decide one column, or COLUMN=skip; FILE=skip or TOPIC=skip; may be repeated; default: none"
+    add("--set", action="append", default=[], metavar="COLUMN=TABLE.COLUMN:UNIT", help=decided)
     add("--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed")
     formats = f"{', '.join(sorted([*importers.FORMATS, TABLE]))}, or your own as module:function; default: found out"
     add("--format", type=console.text, help=f"{formats}; table: by its columns")
-    add(
-        "--robot",
-        type=console.text,
-        help="name, or the robot's TOML; stored in meta.robot with its joint count; default: not said",
-    )
+    robot = "name, or the robot's TOML; stored in meta.robot with its joint count; default: not said"
+    add("--robot", type=console.text, help=robot)
     about = "name of the experiment, such as steps: of every trial, or of one; may be repeated; default: not said"
     add("--excitation", action="append", default=[], metavar="[TRIAL=]NAME", help=about)
     add("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
     add("--medium", choices=("water", "air"), help="default: not said")
     add("--origin", choices=("measured", "synthetic"), help="default: measured")
     add("--licence", help="of the data, such as CC-BY-4.0; default: not said")
-    add(
-        "--plausible",
-        type=_bounds,
-        metavar="NAME=NUMBER",
-        help="relax a bound on magnitude, such as reach=5000 (m); default: data/calib/plausible.toml",
-    )
+    plausible = "relax a bound on magnitude, such as reach=5000 (m); default: data/calib/plausible.toml"
+    add("--plausible", type=_bounds, metavar="NAME=NUMBER", help=plausible)
     rule = sub.add_mutually_exclusive_group()
     rule.add_argument("--one-trial", action="store_true", help="the files of one folder are one trial; default: by their columns")
     rule.add_argument("--trial-each", action="store_true", help="every file is a trial; default: by their columns")

@@ -56,8 +56,7 @@ def options() -> console.Parser:
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
     seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
-    together = "train all --seeds side by side in one program (fast on a GPU; not resumable)"
-    add("--together", action="store_true", help=together)
+    add("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
     add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: gust)")

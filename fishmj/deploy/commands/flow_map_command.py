@@ -27,20 +27,12 @@ def options() -> console.Parser:
     add = made.add_argument
     about = "a pump setting and a record of it: a table of velocities, or a folder of drifts; one setting may have several"
     add("records", nargs="+", type=console.text, metavar="SETTING=FILE", help=about)
-    add(
-        "--out",
-        type=console.out_file,
-        metavar="FILE",
-        help="TOML for deploy trials, deploy swim and evaluate (default: only shown)",
-    )
+    out = "TOML for deploy trials, deploy swim and evaluate (default: only shown)"
+    add("--out", type=console.out_file, metavar="FILE", help=out)
     add("--time", type=console.text, metavar="COLUMN", help="of the times, s (default: rows come evenly, at --rate)")
     add("--rate", type=console.number(0.1, 1e5), metavar="HZ", help="rows a second, of tables without times (default: --time)")
-    add(
-        "--velocity",
-        type=console.Listed(console.text),
-        metavar="COLUMN,..",
-        help="of tables: along x, and y, z (default: drifts alone)",
-    )
+    velocity = "of tables: along x, and y, z (default: drifts alone)"
+    add("--velocity", type=console.Listed(console.text), metavar="COLUMN,..", help=velocity)
     add("--unit", choices=tuple(UNITS), default="m/s", help="of the velocities")
     turn = "from the tank's x axis to the probe's, counter-clockwise, degrees"
     add("--axis", type=console.number(-360, 360), default=0.0, metavar="DEG", help=turn)

@@ -77,19 +77,10 @@ class Loopback:
 def link_options(parser: console.Parser) -> None:
     """Adds the options for the link to the robot."""
     add, ports = parser.add_argument, f"{PORTS[PROTOCOLS[0]]}; of mish {mish.ROBOT_PORT}"
-    add(
-        "--link",
-        type=link_text,
-        default="loopback",
-        metavar="LINK",
-        help=f"loopback, serial:DEVICE, or udp://HOST[:PORT] (default port {ports})",
-    )
-    add(
-        "--protocol",
-        choices=PROTOCOLS,
-        default=PROTOCOLS[0],
-        help="of the datagrams; servo-bus with loopback: to its servos, as serial: does",
-    )
+    link = f"loopback, serial:DEVICE, or udp://HOST[:PORT] (default port {ports})"
+    add("--link", type=link_text, default="loopback", metavar="LINK", help=link)
+    protocol = "of the datagrams; servo-bus with loopback: to its servos, as serial: does"
+    add("--protocol", choices=PROTOCOLS, default=PROTOCOLS[0], help=protocol)
     add("--host-port", type=console.whole(0, 65535), help="of this computer, which the robot sends to (default 6060 of mish)")
     rig = "; default as the description's [rig] has it"
     add("--servo-ids", type=whole_numbers, metavar="A,B,..", help=f"on the servo bus, from the head to the tail{rig}")
@@ -100,12 +91,8 @@ def link_options(parser: console.Parser) -> None:
 
 def camera_options(parser: console.Parser) -> None:
     """Adds the options for camera and tracker."""
-    parser.add_argument(
-        "--camera",
-        type=console.text,
-        metavar="CAMERA",
-        help="loopback, shm:NAME, a camera's number, or a video file (default: the loopback's)",
-    )
+    camera = "loopback, shm:NAME, a camera's number, or a video file (default: the loopback's)"
+    parser.add_argument("--camera", type=console.text, metavar="CAMERA", help=camera)
     tracker_options(parser)
 
 

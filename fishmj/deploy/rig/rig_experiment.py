@@ -42,20 +42,16 @@ def options() -> console.Parser:
     named = f"experiments of fishmj.log.excitation, or {', '.join(SESSIONS)}"
     add("names", nargs="+", type=console.text, metavar="NAME", help=named)
     add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
-    add(
-        "--out", type=console.out_folder, required=True, metavar="FOLDER", help="of the session; the same command goes on with it"
-    )
+    out = "of the session; the same command goes on with it"
+    add("--out", type=console.out_folder, required=True, metavar="FOLDER", help=out)
     add("--repeats", type=console.whole(1, 20), default=REPEATS, help=f"of every experiment (default {REPEATS})")
     add("--medium", choices=("water", "air"), default="water", help="air: the fish hangs, no camera is needed")
     about = "m; a run ends where |x| or |y| of the fish goes beyond it, before a wall (default: none)"
     add("--bound", type=console.number(0.1, 100), metavar="M", help=about)
     add("--wait", type=console.number(0.5, 3600), default=10.0, help="s to wait for robot and camera")
     add("--yes", action="store_true", help="ask nobody: only with --link loopback, whose fish is put in place")
-    add(
-        "--i-am-at-the-tank",
-        action="store_true",
-        help="arm a robot without a watchdog: a person stands there, a hand on its switch",
-    )
+    at_the_tank = "arm a robot without a watchdog: a person stands there, a hand on its switch"
+    add("--i-am-at-the-tank", action="store_true", help=at_the_tank)
     add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad (default: not known)")
     add("--notes", type=console.text, metavar="TEXT", help="a sentence for every meta.toml (default none)")
     wiring.link_options(made)

@@ -41,11 +41,8 @@ def options() -> console.Parser:
     add("--robot", type=console.text, default="fish", help="description: shipped name or TOML file")
     add("--out", type=console.out_folder, required=True, metavar="FOLDER", help=f"folder of {measurements.FILE}: a data set")
     add("--repeats", type=console.whole(1, 20), default=REPEATS, help=f"of every reading (default {REPEATS})")
-    add(
-        "--whole",
-        action="store_true",
-        help="the robot cannot be taken apart: weigh it as one (fishmj calibrate mass needs every link)",
-    )
+    as_one = "the robot cannot be taken apart: weigh it as one (fishmj calibrate mass needs every link)"
+    add("--whole", action="store_true", help=as_one)
     add("--again", action="store_true", help="measure anew what the page has already")
     return made
 

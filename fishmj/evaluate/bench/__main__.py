@@ -38,9 +38,8 @@ def options() -> console.Parser:
     """Parser of the verb `bench`."""
     summary = "Throughput of this machine, one JSON line a benchmark, each beside its baseline."
     parser = console.parser("bench", summary, examples=EXAMPLES)
-    parser.add_argument(
-        "names", type=console.text, nargs="*", action=console.Distinct, metavar="NAME", help="of --list; default: all"
-    )
+    named = "of --list; default: all"
+    parser.add_argument("names", type=console.text, nargs="*", action=console.Distinct, metavar="NAME", help=named)
     parser.add_argument("--list", action="store_true", help="name the benchmarks and stop")
     parser.add_argument("--water", type=console.text, help=f"of the engines and the environment. {choice.HELP}")
     parser.add_argument("--quick", action="store_true", help="small batches, three rounds: does it run at all")

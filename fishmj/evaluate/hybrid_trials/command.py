@@ -71,9 +71,8 @@ def options() -> console.Parser:
     noslip = "of --wrong tail: that of a hull along which no water slides; default the model's name and -noslip"
     add("--noslip", type=console.text, help=noslip)
     add("--policy", type=console.text, default="station", help="controller, shipped policy, policy file or module:Name")
-    add(
-        "--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help="what is wrong about MuJoCo's water, or about the tank"
-    )
+    wrong = "what is wrong about MuJoCo's water, or about the tank"
+    add("--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help=wrong)
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
     add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")

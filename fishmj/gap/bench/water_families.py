@@ -138,9 +138,8 @@ def main(argv: list[str]) -> int:
     parser = console.parser("calibrate families", "Calibrate the water of robots of every generator, whose water is known.")
     families = console.Listed(console.OneOf(FAMILIES), len(FAMILIES))
     parser.add_argument("--families", type=families, default=FAMILIES, metavar="A,..", help=f"default {','.join(FAMILIES)}")
-    parser.add_argument(
-        "--robots", type=console.whole(1, 1000), default=3, help="of each family; one takes 5 s of a core and more"
-    )
+    robots = "of each family; one takes 5 s of a core and more"
+    parser.add_argument("--robots", type=console.whole(1, 1000), default=3, help=robots)
     parser.add_argument("--seed", type=console.SEED, default=1, help="of the first robot")
     parser.add_argument("--model", type=console.text, default="fish", help="the description that swims and is calibrated")
     parser.add_argument("--jobs", type=console.whole(1, 64), default=1, help="robots side by side, a core each")

@@ -58,36 +58,22 @@ def options(verb: str) -> console.Parser:
     add("--data", type=console.path, default=shipped(), help="data set of trials; for mass, the folder of measurements.toml")
     add("--model", type=console.text, default="fish", help="the fish to start from: shipped name or TOML file")
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
-    add(
-        "--out",
-        type=_model_file,
-        help="fish file (.toml) to write, or to go on with when it is there; by default none is written",
-    )
-    add(
-        "--report",
-        type=console.out_folder,
-        default=str(default_report(verb)),
-        help="folder for report.html and pictures; those that are there are replaced",
-    )
+    out = "fish file (.toml) to write, or to go on with when it is there; by default none is written"
+    add("--out", type=_model_file, help=out)
+    report = "folder for report.html and pictures; those that are there are replaced"
+    add("--report", type=console.out_folder, default=str(default_report(verb)), help=report)
     if verb == "slip":
         from fishmj.lbm_oracle.run.solver_water import boundary_option
 
-        add(
-            "--grid",
-            type=console.text,
-            help="grid of the solver's table: paper, window, laptop; default: the trials', else window",
-        )
+        grid = "grid of the solver's table: paper, window, laptop; default: the trials', else window"
+        add("--grid", type=console.text, help=grid)
         boundary_option(add, default=None)
         near = "grid and boundary of the reference water, in place of --grid; by default not"
         add("--reference", action="store_true", help=near)
         add("--recompute", action="store_true", help="run the solver and print a new entry of the table; keeps finished swims")
         ratios = console.Listed(console.number(0, 1), 20)
-        add(
-            "--ratios",
-            type=ratios,
-            metavar="S,..",
-            help="with --recompute: slip ratios to run; default 0,0.9,0.95,0.98,0.99,0.998,1",
-        )
+        which = "with --recompute: slip ratios to run; default 0,0.9,0.95,0.98,0.99,0.998,1"
+        add("--ratios", type=ratios, metavar="S,..", help=which)
         place = "with --recompute: auto, cpu, cuda, cuda:N, cuda:all or a list of them; default cpu"
         add("--device", type=console.devices, default="cpu", help=place)
         tanks = "with --recompute: swims side by side on each device; default 1"

@@ -51,8 +51,7 @@ def main(argv: list[str]) -> int:
     add("report", nargs="?", type=console.path, help="folder or verdict.json of gap find --out")
     out = "the next version, a .toml that is not there yet; default <fish>.v<N>.toml beside the report"
     add("--out", type=console.out_file, help=out)
-    data = "the data set, when it is no longer where the search read it; default, there"
-    add("--data", type=console.path, help=data)
+    add("--data", type=console.path, help="the data set, when it is no longer where the search read it; default, there")
     add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
     counted = "also effects that were fitted beside the named ones and are too small a part of the gap to be named (default: no)"
     add("--counted-in", action="store_true", help=counted)

@@ -69,8 +69,7 @@ def main(argv: list[str]) -> int:
         add(f"--{sensor}-rate", type=console.number(1, 1000), metavar="HZ", help=rate)
     drop = "share of sensor rows that are lost, 0 to 0.9; not of lbm (default 0)"
     add("--drop", type=console.number(0, 0.9), default=0.0, metavar="SHARE", help=drop)
-    where = "what was hidden; default DATA.truth.json, beside the data set"
-    add("--truth", type=console.out_file, metavar="FILE", help=where)
+    add("--truth", type=console.out_file, metavar="FILE", help="what was hidden; default DATA.truth.json, beside the data set")
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
     gap_options.there(args.source)

@@ -36,8 +36,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap next", __doc__)
     add = parser.add_argument
     add("source", type=console.path, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
-    questioned = "the model that was questioned; default, the one that the report names, else fish"
-    add("--model", type=console.text, help=questioned)
+    add("--model", type=console.text, help="the model that was questioned; default, the one that the report names, else fish")
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
     which = "experiments: ids, all, or hinted, a quick look (default all)"
     add("--runs", type=console.text, default="all", metavar="ID,..", help=which)

@@ -183,9 +183,8 @@ def rows(outcome: CaseResult) -> list[dict]:
 def main(argv: list[str]) -> int:
     """The verb `cases`: the validation table; exit code 1 on a miss."""
     parser = console.parser("lbm_oracle cases", "Known answers, each beside its reference; exit 1 on a miss.")
-    parser.add_argument(
-        "names", type=console.text, nargs="*", metavar="NAME", help="a case, or module:name; default: the quick ones"
-    )
+    named = "a case, or module:name; default: the quick ones"
+    parser.add_argument("names", type=console.text, nargs="*", metavar="NAME", help=named)
     parser.add_argument("--all", action="store_true", help="every case; on the CPU without those marked gpu")
     parser.add_argument("--quick", action="store_true", help="those that fit three minutes on two cores (the default)")
     parser.add_argument("--list", action="store_true", help="name the cases and stop")

@@ -146,16 +146,13 @@ def _parser() -> console.Parser:
     add("--what", choices=("joint", "aoa", "both"), default="both", help="the map: joint angle, angle of attack")
     angles = "of the chosen map; the paper's range by default"
     add("--angles", type=console.number(-180, 180), nargs="+", action=console.Distinct, metavar="DEG", help=angles)
-    bent = "joint angle of the map over angles of attack"
-    add("--bent", type=console.number(-90, 90), default=BENT, metavar="DEG", help=bent)
+    add("--bent", type=console.number(-90, 90), default=BENT, metavar="DEG", help="joint angle of the map over angles of attack")
     speeds = console.Listed(console.number(0, 4, above=True))
     add("--speeds", type=speeds, default=",".join(map(str, SPEEDS)), metavar="U,U,...", help="of the current, m/s")
     seconds = "averaged over; by default 6 m of water flow past"
     add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
-    settle = "before; by default 5 body lengths of water flow past"
-    add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
-    box = "box of water; laptop is a preview, _refined is finer at the fish"
-    add("--domain", choices=EVERY, default="forcemap", help=box)
+    add("--settle", type=console.number(0, 10_000), metavar="S", help="before; by default 5 body lengths of water flow past")
+    add("--domain", choices=EVERY, default="forcemap", help="box of water; laptop is a preview, _refined is finer at the fish")
     cell = "another cell, same size, dt in proportion; by default the domain's"
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     console.add_settings(p, SwimSetup, "robot", "slip")

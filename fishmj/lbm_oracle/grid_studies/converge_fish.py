@@ -238,9 +238,8 @@ def _parser() -> console.Parser:
     add = p.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--what", **several, choices=WHAT, default=list(WHAT), help="quantities")
-    add(
-        "--grids", type=console.number(0.001, 0.2), **several, default=list(GRIDS), metavar="M", help="cells; the paper's is 0.02"
-    )
+    grids = "cells; the paper's is 0.02"
+    add("--grids", type=console.number(0.001, 0.2), **several, default=list(GRIDS), metavar="M", help=grids)
     parts = "time steps, as parts of the paper's Courant number"
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
@@ -255,6 +254,5 @@ def _parser() -> console.Parser:
     add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
     place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
     add("--device", type=console.devices, default="auto", help=place)
-    out = "CSV; continues what is there"
-    add("--out", type=console.out_folder, default="runs/converge", metavar="FOLDER", help=out)
+    add("--out", type=console.out_folder, default="runs/converge", metavar="FOLDER", help="CSV; continues what is there")
     return p

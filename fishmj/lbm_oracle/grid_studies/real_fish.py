@@ -272,8 +272,7 @@ def _parser() -> console.Parser:
     add("--swims", type=console.whole(1, 8), default=8, metavar="N", help="only the N fastest of them")
     place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
     add("--device", type=console.devices, default="auto", help=place)
-    tanks = "swims side by side on each device; 12 keep a GPU busy; default 1"
-    add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
+    add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side on each device; 12 keep a GPU busy; default 1")
     out = "real_fish.csv; continues what is there"
     add("--out", type=console.out_folder, default="runs/real_fish", metavar="FOLDER", help=out)
     return p

@@ -135,8 +135,7 @@ def _parser() -> console.Parser:
     add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
     add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
-    depth = "of the water; the domain's own by default"
-    add("--depths", type=console.number(0.05, 10), **several, metavar="M", help=depth)
+    add("--depths", type=console.number(0.05, 10), **several, metavar="M", help="of the water; the domain's own by default")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of each swim; the last two count")
     place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
     add("--device", type=console.devices, default="auto", help=place)

@@ -226,8 +226,7 @@ def _parser() -> console.Parser:
     add("--intensity", type=console.number(0, 0.99), default=0.05, help="of the turbulence: u_rms / max(speed, 0.1 m/s)")
     add("--seed", type=console.SEED, default=0, help="of the turbulence")
     place = console.number(-360, 360)
-    pose = "start of the fish: m, m, deg"
-    add("--pose", type=place, nargs=3, default=[0.0, 0.0, 0.0], metavar=("X", "Y", "DEG"), help=pose)
+    add("--pose", type=place, nargs=3, default=[0.0, 0.0, 0.0], metavar=("X", "Y", "DEG"), help="start of the fish: m, m, deg")
     add("--depth", type=console.number(0.05, 10), metavar="M", help="of the water; by default the domain's")
     add("--bottom", choices=("slip", "wall"), default="slip", help="of the water")
     cell = "another cell, same size, dt in proportion; by default the domain's"

@@ -29,8 +29,7 @@ def options() -> console.Parser:
     summary = "Write a replay of logs: one HTML file that needs no network. Files that are there are replaced."
     parser = console.parser("replay", summary, examples=EXAMPLES)
     add = parser.add_argument
-    logs = "trial folder or samples.csv; more than one are overlaid"
-    add("logs", type=console.path, nargs="+", metavar="LOG", help=logs)
+    add("logs", type=console.path, nargs="+", metavar="LOG", help="trial folder or samples.csv; more than one are overlaid")
     page = f"the page to write; default {PAGE}, and none where only --mp4 or --png is asked for"
     add("--out", type=console.out_file, metavar="FILE", help=page)
     fields = "of the first log: vorticity slices by `lbm_oracle swim --fields`; by default none are shown"

@@ -34,9 +34,8 @@ def options() -> console.Parser:
     parser.add_argument("data", type=console.path, help="trial folder, samples.csv, data set or bundle (.npz)")
     parser.add_argument("--to", choices=export.FORMS, required=True, help="needed; mcap and parquet need the extra `logs`")
     parser.add_argument("--out", type=_place, required=True, help="file (one trial to mcap) or folder; must not exist")
-    parser.add_argument(
-        "--robot", type=console.text, help="mcap: name or TOML of the fish to draw; default: the shipped one that a log names"
-    )
+    robot = "mcap: name or TOML of the fish to draw; default: the shipped one that a log names"
+    parser.add_argument("--robot", type=console.text, help=robot)
     parser.add_argument("--tables", metavar="A,B", help=f"only these (default: all): {', '.join(TABLES)}")
     parser.add_argument("--force", action="store_true", help="replace what an export wrote there before (default: refuse)")
     return parser

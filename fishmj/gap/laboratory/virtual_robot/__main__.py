@@ -30,11 +30,9 @@ def options() -> console.Parser:
     add("--seed", type=console.SEED, default=0, help="robot and noise")
     add("--noise", type=console.number(0, 100), default=1.0, help="factor on every sensor's noise")
     add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of unmeasured constants")
-    robot = "the robot: name or TOML file, a chain of 2 to 8 links (default fish)"
-    add("--model", type=console.text, default="fish", help=robot)
+    add("--model", type=console.text, default="fish", help="the robot: name or TOML file, a chain of 2 to 8 links (default fish)")
     add("--medium", default="water", choices=("water", "air"), help="air: hung on a thread, no camera")
-    flow = "ordered stream, m/s and rad"
-    add("--flow", type=stream, default="0,0", metavar="SPEED,DIRECTION", help=flow)
+    add("--flow", type=stream, default="0,0", metavar="SPEED,DIRECTION", help="ordered stream, m/s and rad")
     add("--weigh", action="store_true", help="with measurements.toml: scales, knife edge, pendulum")
     add("--out", type=console.out_folder, help="data set folder; refused when it is there; needed unless --list")
     add("--truth", type=console.out_file, help="file for what was planted, outside the data set; needed unless --list")

@@ -236,17 +236,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=console.SEED, default=0, help="of the draws")
     steers = "what steers on-policy episodes; may be repeated; by default the shipped policies that are made for the fish"
     add("--policy", type=console.text, action="append", default=[], metavar="NAME|FILE", help=steers)
-    add(
-        "--domain",
-        choices=EVERY,
-        help=f"box of water, _refined: finer round the fish; default: the data set's, else {BOX}, with --preview {PREVIEW_BOX}",
-    )
-    add(
-        "--dt",
-        type=console.number(1e-5, 0.02),
-        metavar="S",
-        help="another time step; by default the data set's, else the domain's",
-    )
+    domain = f"box of water, _refined: finer round the fish; default: the data set's, else {BOX}, with --preview {PREVIEW_BOX}"
+    add("--domain", choices=EVERY, help=domain)
+    dt = "another time step; by default the data set's, else the domain's"
+    add("--dt", type=console.number(1e-5, 0.02), metavar="S", help=dt)
     place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
     add("--device", type=console.devices, default="auto", help=place)
     tanks = f"segments side by side on each device; by default {ON_GPU} on a GPU, else 1"
