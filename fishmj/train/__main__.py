@@ -147,7 +147,8 @@ def settings_from(args, run=None):
     for option, name in own_code(run).items() if run else ():
         if getattr(args, option[2:]) is None:
             raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
-    given = lambda *names: {name: value for name in names if (value := getattr(args, name)) is not None}
+    kept = lambda values: {name: tuple(v) if isinstance(v, list) else v for name, v in values.items() if v is not None}
+    given = lambda *names: kept({name: getattr(args, name) for name in names})
     top = given("preset", "engine", "robot", "water", "seed", "command_path", "control_dt")
     algorithm, task, reward = given(*hyperparameters()), given("memory", "turbulence"), dict(args.reward)
     if args.algo and args.algo not in ALGORITHMS:
@@ -162,21 +163,12 @@ def settings_from(args, run=None):
         raise ConfigError("--reward: one weight stands there twice; name each once")
     if args.steps is not None:
         top |= {"steps": int(args.steps), "assess_every": min(preset(s.preset).assess_every, max(1, int(args.steps) // 4))}
-    if args.hidden:
-        algorithm["hidden"] = tuple(args.hidden)
-    if args.flow_speeds:
-        task["flow_speed"] = (args.flow_speeds[0], args.flow_speeds[-1])
-    if args.episode_seconds is not None:
-        task["seconds"] = args.episode_seconds
-    if args.intensity is not None:
-        task["intensity"] = (0.0, args.intensity)
     if args.task:
         named(args.task)  # loaded here, from the command line; below it is a name
-        task["course"] = args.task
-    if args.hide:
-        task["hide"] = tuple(args.hide)
-    if args.randomise_effects:
-        task["effects"] = tuple(args.randomise_effects)
+    speeds, intensity = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1]), args.intensity
+    task |= kept({"flow_speed": speeds, "seconds": args.episode_seconds})
+    task |= kept({"intensity": None if intensity is None else (0.0, intensity), "course": args.task})
+    task |= kept({"hide": args.hide, "effects": args.randomise_effects})
     if args.together and (s.algo not in ALGORITHMS or ALGORITHMS[s.algo].train):
         raise ConfigError(f"--together trains fishmj's own algorithms only, not {s.algo}; train the seeds one after another")
     made = change(s, algorithm=algorithm, task=task, reward=reward, **top)
