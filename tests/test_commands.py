@@ -9,7 +9,6 @@ import re
 import shlex
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ import pytest
 from fishmj import cli
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
-from fishmj.base.options import setting
 
 ROOT = Path(__file__).resolve().parent.parent
 GROUPS = {verb: main for verb in cli.present() if isinstance(main := cli.load(verb), console.CommandGroup)}
@@ -485,26 +483,3 @@ def test_a_default_of_zero_or_of_a_list_is_shown():
     parser.add_argument("--own", type=console.number(0, 9), help="default the robot's")
     text = " ".join(parser.format_help().split())
     assert "of 100 % of the draws (default: 0)" in text and "in m (default: 1.0 2.5)" in text and text.count("default") == 3
-
-
-def test_a_dataclass_makes_its_options_and_takes_them_back():
-    @dataclass(frozen=True)
-    class Water:
-        depth: float = setting(0.5, console.number(0, 10), "of the water, m", metavar="M")
-        kind: str = setting("still", ("still", "gust"), "of the current", "--turbulence")
-        walls: bool = setting(True, None, "no walls")
-        deep: bool = setting(False, None, "deep water")
-        label: str = ""
-
-    parser = console.parser("x", "x")
-    console.add_settings(parser, Water, "kind", "depth", "walls", "deep")
-    read = lambda *words: Water(**console.settings_of(parser.parse_args(words), Water))
-    assert read() == Water()
-    assert read("--turbulence", "gust", "--depth", "2", "--no-walls", "--deep") == Water(2.0, "gust", False, True)
-    assert [a.option_strings[-1] for a in parser._actions[2:]] == ["--turbulence", "--depth", "--no-walls", "--deep"]
-    for words, said in ((["--depth", "11"], "expected a number from 0 to 10"), (["--turbulence", "gus"], "Did you mean 'gust'")):
-        with pytest.raises(console.UsageError, match=said):
-            read(*words)
-    few = console.parser("x", "x")
-    console.add_settings(few, Water, "deep")
-    assert console.settings_of(few.parse_args([]), Water) == {"deep": False}

@@ -1,7 +1,8 @@
 """Types of command-line options (numbers of a range, lists, names, outputs checked before the work) and checks of call arguments.
 
 Each type is the `type=` of an argparse option. A refused value raises an `ArgumentTypeError` that says what was expected. A
-command takes them from `fishmj.base.console`, which offers them all. `checked` and its relatives check arguments of Python calls.
+command takes them from `fishmj.base.console`, which offers them all. A dataclass declares options by `setting`. `checked` and
+its relatives check arguments of Python calls.
 """
 
 import argparse

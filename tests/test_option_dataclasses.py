@@ -1,0 +1,31 @@
+"""A dataclass declares options of a command: its parser and its values agree."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from fishmj.base import console
+from fishmj.base.options import setting
+
+
+def test_a_dataclass_makes_its_options_and_takes_them_back():
+    @dataclass(frozen=True)
+    class Water:
+        depth: float = setting(0.5, console.number(0, 10), "of the water, m", metavar="M")
+        kind: str = setting("still", ("still", "gust"), "of the current", "--turbulence")
+        walls: bool = setting(True, None, "no walls")
+        deep: bool = setting(False, None, "deep water")
+        label: str = ""
+
+    parser = console.parser("x", "x")
+    console.add_settings(parser, Water, "kind", "depth", "walls", "deep")
+    read = lambda *words: Water(**console.settings_of(parser.parse_args(words), Water))
+    assert read() == Water()
+    assert read("--turbulence", "gust", "--depth", "2", "--no-walls", "--deep") == Water(2.0, "gust", False, True)
+    assert [a.option_strings[-1] for a in parser._actions[2:]] == ["--turbulence", "--depth", "--no-walls", "--deep"]
+    for words, said in ((["--depth", "11"], "expected a number from 0 to 10"), (["--turbulence", "gus"], "Did you mean 'gust'")):
+        with pytest.raises(console.UsageError, match=said):
+            read(*words)
+    few = console.parser("x", "x")
+    console.add_settings(few, Water, "deep")
+    assert console.settings_of(few.parse_args([]), Water) == {"deep": False}
