@@ -21,8 +21,9 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.calib import read_toml, resolve
 from fishmj.base.errors import ConfigError, OracleUnstable, SimDiverged
+from fishmj.base.figures import canvas, save, style
 from fishmj.base.store import write_text
-from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
+from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
@@ -203,10 +204,10 @@ def judged(rows: list[dict]) -> list[dict]:
     return out
 
 
+@style(STYLE)
 def drawn(rows: list[dict], path: Path) -> Path:
     """Draws speeds in the solver over those in the strips at the lowest slip ratio, one colour a gait; the band is `WITHIN`."""
-    plt = pyplot()
-    figure, axis = plt.subplots(figsize=(5.5, 4.5), layout="constrained")
+    figure, ((axis,),) = canvas(1, 1, (5.5, 4.5))
     least = min(row["slip"] for row in rows if row["ratio"])
     here = [row for row in rows if row["slip"] == least and row["ratio"]]
     groups = {name: [row for row in here if row["gait"] == name] for name in GAITS}

@@ -2,7 +2,6 @@
 
 import shlex
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 from fishmj import control, engines
@@ -121,8 +120,6 @@ def main(argv: list[str]) -> int:
     joined = own_effects.join(args.effects)
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
-    if args.plots and find_spec("matplotlib") is None:
-        raise MissingExtra("matplotlib", "all", "evaluate --plots")
     water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM, choice.HYBRID), "evaluate")
     robot = water.robot
     for effect in joined:

@@ -1,41 +1,40 @@
-"""Pictures of judged trials, like the paper's: distance curves, radar over directions, headings, tracks. Agg, no display.
+"""Pictures of judged trials, like the paper's: distance curves, radar over directions, headings, tracks.
 
-Axes are the stream's: upstream is up, LOS is counted counter-clockwise from upstream. Colours are those of Okabe and Ito
-(2008), told apart by all common kinds of colour vision; lines also differ in dash and carry their name.
+Axes are the stream's: upstream is up, LOS is counted counter-clockwise from upstream. Lines differ in colour and in dash, and
+carry their name.
 """
 
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fishmj.base.calib import constant
-from fishmj.base.errors import MissingExtra
+from fishmj.base.figures import BLUE, GREEN, GREY, OPEN, ORANGE, PURPLE, SKY, VERMILION, canvas, save, style
 from fishmj.base.pages import drawn
 from fishmj.base.units import wrap
 from fishmj.evaluate.metrics import Result, beat_mean, figures
 
 PICTURES = ("distance.png", "radar.png", "heading.png", "tracks.png")  # files of `pictures`
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B", "#8C564B")
+COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY, "#8C564B")
 DASHES = ("-", "--", "-.", (0, (1, 1.2)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 2)), (0, (2, 3)))
 INK, FAINT = "#222222", "#C9CED6"
 RADAR = (("approach_time", "approach time [s]"), ("rmse_after_arrival", "RMSE after arrival [m], log"), ("power", "power [W]"))
 LOGARITHMIC = {"rmse_after_arrival": 0.02}  # key -> radius at the centre
-STYLE: Any = {
+STYLE = OPEN | {
     "font.size": 10,
     "text.color": INK,
     "axes.labelcolor": INK,
     "axes.edgecolor": "#777777",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
     "axes.titlesize": 11,
     "axes.titleweight": "bold",
     "xtick.color": "#444444",
     "ytick.color": "#444444",
 }
+AROUND = {"bbox_inches": "tight", "pad_inches": 0.15}  # of a saved picture
 
 
+@style(STYLE)
 def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
     """Draws all pictures into `folder`: (file, caption)."""
     panels = (
@@ -44,30 +43,7 @@ def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
         (headings, "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
         (tracks, "Tracks seen from the target (cross, with the 0.1 m circle); the water flows down the page."),
     )
-    try:
-        import matplotlib
-    except ModuleNotFoundError as error:
-        raise MissingExtra("matplotlib", "dev", "evaluate --plots") from error
-    matplotlib.use("Agg")
-    with matplotlib.rc_context(STYLE):
-        return [(draw(results, folder / name), caption) for name, (draw, caption) in zip(PICTURES, panels, strict=True)]
-
-
-def canvas(rows: int, columns: int, size: tuple[float, float], **options):
-    """A figure and its axes (rows, columns)."""
-    from matplotlib import pyplot
-
-    return pyplot.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained", **options)
-
-
-def save(figure, path: Path) -> Path:
-    """Writes a PNG and closes the figure."""
-    from matplotlib import pyplot
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130, bbox_inches="tight", pad_inches=0.15)
-    pyplot.close(figure)
-    return path
+    return [(draw(results, folder / name), caption) for name, (draw, caption) in zip(PICTURES, panels, strict=True)]
 
 
 def looks(results: list[Result]):
@@ -107,7 +83,7 @@ def distance(results: list[Result], path: Path) -> Path:
     axes[0, -1].text(results[0].t[-1], radius, f" {radius:g} m", va="center", color="#666666", fontsize=9)
     axes[0, 0].set_ylabel("distance to target [m]")
     legend(figure, results)
-    return save(figure, path)
+    return save(figure, path, **AROUND)
 
 
 def radar(results: list[Result], path: Path) -> Path:
@@ -133,7 +109,7 @@ def radar(results: list[Result], path: Path) -> Path:
             axis.set_rlim(LOGARITHMIC.get(key, 0.0), _ceiling(found, key, results))
             axis.set_title(f"{title}\nflow {speed:g} m/s", pad=14)
     legend(figure, results, fontsize=11)
-    return save(figure, path)
+    return save(figure, path, **AROUND)
 
 
 def _means(values, r: Result, speed: float) -> np.ndarray:
@@ -186,7 +162,7 @@ def headings(results: list[Result], path: Path) -> Path:
             axis.set_ylim(0, 1)
             spread = np.degrees(np.sqrt(max(-2 * np.log(max(abs(np.mean(np.exp(1j * values))), 1e-9)), 0)))
             axis.set_title(f"{drawn(r.controller)}, {title}\nspread {spread:.0f}°", pad=14)
-    return save(figure, path)
+    return save(figure, path, **AROUND)
 
 
 def tracks(results: list[Result], path: Path) -> Path:
@@ -209,10 +185,10 @@ def tracks(results: list[Result], path: Path) -> Path:
                 axis.plot(-left[i, 0], up[i, 0], "o", color=hue, markersize=4)
             axis.add_patch(Circle((0, 0), constant("protocol", "arrival_radius"), fill=False, color=INK, linewidth=1, zorder=4))
             axis.plot(0, 0, "+", color=INK, markersize=9, zorder=4)
-            axis.annotate("", (1.75, 1.2), (1.75, 1.8), arrowprops={"arrowstyle": "->", "color": "#0072B2", "linewidth": 1.6})
-            axis.text(1.66, 1.5, "flow", ha="right", va="center", color="#0072B2", fontsize=9)
+            axis.annotate("", (1.75, 1.2), (1.75, 1.8), arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 1.6})
+            axis.text(1.66, 1.5, "flow", ha="right", va="center", color=BLUE, fontsize=9)
             axis.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", title=f"{drawn(r.controller)}, {speed:g} m/s")
         axes[row, 0].set_ylabel("upstream of the target [m]")
     for axis in axes[-1]:
         axis.set_xlabel("to the right, facing upstream [m]")
-    return save(figure, path)
+    return save(figure, path, **AROUND)

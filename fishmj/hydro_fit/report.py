@@ -4,7 +4,6 @@ Besides the judgement of `free_swims`: accuracy of the model's wrenches relative
 the acceleration's share.
 """
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.base import pages
+from fishmj.base.figures import canvas, png
 from fishmj.base.store import write_json, write_text
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.gauss_newton import tow_drag
@@ -34,6 +34,7 @@ PREVIEW_TOLERANCES = (
     " what it misses is told and fails nothing, what it meets holds in that box"
 )
 RUNS = 6  # paths in the figure of free runs
+WIDE, DPI = 12.0, 110  # inches and dots an inch of the figures
 REST, HIGH, MOVING = 2.0, np.radians(60), 0.05  # s, rad, m/s
 
 
@@ -58,7 +59,7 @@ def write(
     tables = [("Check", check_rows(found)), ("Forces without the acceleration's part", forces), ("Free runs", runs)]
     tables += [("Swimming straight", grid), ("Turning", turns), ("Coefficients", coefficients(model))]
     sections = [pages.Section(title, "", [pages.table(rows)]) for title, rows in tables]
-    sections += [pages.Section(title, "", [pages.figure(png, title, below=False)]) for title, png in pictures]
+    sections += [pages.Section(title, "", [pages.figure(picture, title, below=False)]) for title, picture in pictures]
     heading = f"Water {model.name}: against the flow solver"
     return write_text(folder / "report.html", pages.report(heading, heading, sections, notes=[about(model, records)]))
 
@@ -138,10 +139,10 @@ def coefficients(model: HydroModel) -> list[dict]:
 
 def means_figure(swum: free_swims.FreeSwims, band: dict[str, list[float]]) -> bytes:
     """Plot of the means of every free swim, model over record, with the 90 % band."""
-    figure, axes = _panels(1, len(CHANNELS), 3.8)
+    figure, axes = canvas(1, len(CHANNELS), (WIDE, 3.8))
     got, seen = means(swum.track, swum.fleet), means(recorded(swum.fleet), swum.fleet)
     gait = np.array([r.meta["block"] in free_swims.GAITS for r in swum.records])
-    for axis, channel in zip(axes, CHANNELS, strict=True):
+    for axis, channel in zip(axes[0], CHANNELS, strict=True):
         x, y = getattr(seen, channel), getattr(got, channel)
         half = half_width(channel, got, swum.members, band)
         for part, colour, name in ((gait, "#20639b", "gaits"), (~gait, "#c0502e", "other")):
@@ -151,54 +152,37 @@ def means_figure(swum: free_swims.FreeSwims, band: dict[str, list[float]]) -> by
         axis.plot(ends, ends, lw=0.8, color="#555")
         axis.set_xlabel("flow solver")
         axis.set_title(LABELS[channel], fontsize=10)
-    axes[0].set_ylabel("model")
-    axes[0].legend(fontsize=8)
-    return _png(figure)
+    axes[0, 0].set_ylabel("model")
+    axes[0, 0].legend(fontsize=8)
+    return png(figure, dpi=DPI)
 
 
 def runs_figure(swum: free_swims.FreeSwims) -> bytes:
     """Plot of the paths of some free runs beside the recorded ones."""
     which = np.linspace(0, len(swum.cruise.q) - 1, min(RUNS, len(swum.cruise.q))).astype(int)
-    figure, axes = _panels(2, (len(which) + 1) // 2, 5.5)
-    for axis, b in zip(axes, which, strict=False):
+    figure, axes = canvas(2, (len(which) + 1) // 2, (WIDE, 5.5))
+    for axis, b in zip(axes.flat, which, strict=False):
         stop = int(swum.cruise.mask[b].sum())
         axis.plot(*swum.cruise.q[b, : stop + 1, :2].T, color="#555", label="flow solver")
         axis.plot(*swum.cruise_track.q[b, :stop, :2].T, color="#20639b", lw=1.2, label="model")
         axis.set_aspect("equal", adjustable="datalim")
         axis.tick_params(labelsize=7)
-    axes[0].legend(fontsize=8)
+    axes[0, 0].legend(fontsize=8)
     figure.suptitle("free runs, m", fontsize=10)
-    return _png(figure)
+    return png(figure, dpi=DPI)
 
 
 def forces_figure(points: dict[str, np.ndarray]) -> bytes:
     """Plot of drag and lateral force of held, straight and bent fish over the angle of attack, solver and model."""
-    figure, axes = _panels(1, 3, 3.8)
+    figure, axes = canvas(1, 3, (WIDE, 3.8))
     titles = ("force along x, N", "force along y, N", "yaw moment, N m")
-    for axis, name, title in zip(axes, ("x", "y", "m"), titles, strict=True):
+    for axis, name, title in zip(axes[0], ("x", "y", "m"), titles, strict=True):
         axis.plot(np.degrees(points["attack"]), points[f"seen_{name}"], "o", ms=3, color="#555", label="flow solver")
         axis.plot(np.degrees(points["attack"]), points[f"got_{name}"], "x", ms=4, color="#20639b", label="model")
         axis.set_xlabel("angle of attack [deg]")
         axis.set_title(title, fontsize=10)
-    axes[0].legend(fontsize=8)
-    return _png(figure)
-
-
-def _panels(rows: int, columns: int, height: float) -> tuple[Any, np.ndarray]:
-    """A figure as wide as the page, `height` inches high, and its axes in one row."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(rows, columns, figsize=(12, height), layout="constrained", squeeze=False)
-    return figure, axes.ravel()
-
-
-def _png(figure) -> bytes:
-    import matplotlib.pyplot as plt
-
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=110)
-    plt.close(figure)
-    return data.getvalue()
+    axes[0, 0].legend(fontsize=8)
+    return png(figure, dpi=DPI)
 
 
 def regimes(records: Sequence[SegmentRecord], rows: RegressionRows) -> np.ndarray:

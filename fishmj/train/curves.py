@@ -10,9 +10,10 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
+from fishmj.base.figures import BLUE, GREEN, PURPLE, VERMILION, canvas, save, style
 from fishmj.base.pages import drawn
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe & Ito, colour-blind safe
+COLOURS = (BLUE, VERMILION, GREEN, PURPLE)
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
@@ -32,30 +33,22 @@ def smooth(y: np.ndarray, share: float = 0.02) -> np.ndarray:
     return np.convolve(padded, np.ones(n) / n, "valid")
 
 
+@style()
 def draw(groups: dict[str, list[dict]], out: Path) -> Path:
     """Draws one picture: reward, and distance in the second half of the episodes, against control steps."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    fig, axes = plt.subplots(1, 2, figsize=(10, 3.8), constrained_layout=True)
+    figure, ((reward, distance),) = canvas(1, 2, (10, 3.8))
     for (label, runs), colour in zip(groups.items(), COLOURS * 3, strict=False):
         grid = np.geomspace(max(r["step"][0] for r in runs), min(r["step"][-1] for r in runs), 300)
-        for ax, key in zip(axes, ("reward", "late_distance"), strict=True):
+        for ax, key in zip((reward, distance), ("reward", "late_distance"), strict=True):
             lines = np.array([np.interp(grid, r["step"], smooth(r[key])) for r in runs])
             ax.fill_between(grid, lines.min(0), lines.max(0), color=colour, alpha=0.25, lw=0)
             ax.plot(grid, lines.mean(0), color=colour, lw=1.8, label=f"{drawn(label)} (n = {len(runs)})")
-    for ax, title in zip(axes, ("reward per control step", "distance to the target after 15 s [m]"), strict=True):
+    for ax, title in zip((reward, distance), ("reward per control step", "distance to the target after 15 s [m]"), strict=True):
         ax.set(xscale="log", xlabel="control steps of 0.2 s", title=title)
         ax.grid(alpha=0.3)
-        ax.spines[["top", "right"]].set_visible(False)
-    axes[1].set_yscale("log")
-    axes[0].legend(frameon=False)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    fig.savefig(out, dpi=130)
-    plt.close(fig)
-    return out
+    distance.set_yscale("log")
+    reward.legend(frameon=False)
+    return save(figure, out)
 
 
 def main(argv: list[str]) -> int:

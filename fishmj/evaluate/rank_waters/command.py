@@ -18,7 +18,7 @@ import numpy as np
 
 from fishmj import control, engines
 from fishmj.base import console, interrupt
-from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.base.errors import ConfigError
 from fishmj.base.store import clear, write_json
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.rank_waters import compare_waters, rank
@@ -201,10 +201,7 @@ def shown(found: dict, args) -> int:
     console.say(*verdict_lines(judged))
     clear(args.out, "rank.png")
     console.say(f"wrote {write_json(args.out / 'rank.json', found)}")
-    try:
-        console.say(f"wrote {picture(judged, args.out / 'rank.png', head)}")
-    except MissingExtra as error:
-        console.warn(f"no picture: {error}")
+    console.say(f"wrote {picture(judged, args.out / 'rank.png', head)}")
     if args.json:
         console.emit_json(found)
     return {True: console.OK, False: console.FAILED_CHECK, None: console.CANNOT_TELL}[found["ok"]]

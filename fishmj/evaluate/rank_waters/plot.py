@@ -4,33 +4,26 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.base.errors import MissingExtra
+from fishmj.base.figures import canvas, save, style
 from fishmj.base.pages import drawn
-from fishmj.evaluate.plots import COLOURS, FAINT, INK, STYLE, canvas, save
+from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, STYLE
 from fishmj.evaluate.rank_waters.rank import GAP
 
 TICKS = [digit * 10.0**power for power in (-2, -1, 0, 1) for digit in (1, 2, 5)]  # m
 WORDS = {"rmse_after_arrival": "RMSE after arrival", "rmse_holding": "RMSE while holding"}
 
 
+@style(STYLE)
 def picture(found: dict, path: Path, title: str) -> Path:
     """Draws one figure's ranking.
 
     Args:
         found: of `rank.judged`. title: the condition, shown above.
-    Raises:
-        MissingExtra: no matplotlib.
     """
-    try:
-        import matplotlib
-    except ModuleNotFoundError as error:
-        raise MissingExtra("matplotlib", "dev", "hydro_fit rank") from error
-    matplotlib.use("Agg")
-    with matplotlib.rc_context(STYLE):
-        figure, axes = canvas(1, 1, (6.4, 6.0))
-        _draw(axes[0, 0], found)
-        axes[0, 0].set_title(drawn(title), fontsize=9, fontweight="normal", loc="left", color=INK)
-        return save(figure, path)
+    figure, axes = canvas(1, 1, (6.4, 6.0))
+    _draw(axes[0, 0], found)
+    axes[0, 0].set_title(drawn(title), fontsize=9, fontweight="normal", loc="left", color=INK)
+    return save(figure, path, **AROUND)
 
 
 def _draw(ax, found: dict) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base import pages
-from fishmj.base.errors import MissingExtra
+from fishmj.base.figures import BLUE, GREY, VERMILION, canvas, save, style
 from fishmj.base.store import write_text
 from fishmj.gap.calibrate.calibration_logs import MEDIA, SIGNALS, angles
 from fishmj.gap.calibrate.servo_fit import ServoFit
@@ -18,7 +18,7 @@ from fishmj.gap.calibrate.slip import COAST, RISE, WINDOW, Profile, profile
 from fishmj.gap.calibrate.water_fit import WaterFit
 from fishmj.gap.records.records import Record, Sensor
 
-DESIRED, SIMULATED, MEASURED = "#5B5B5B", "#D55E00", "#0072B2"  # Okabe and Ito 2008
+DESIRED, SIMULATED, MEASURED = GREY, VERMILION, BLUE
 SHOWN = {"sine": (3.6, 6.0), "square": (1.2, 3.2), "impulse": (1.4, 2.6)}  # s
 JOINT = 1  # the middle one
 FINE = 0.004  # s
@@ -38,33 +38,12 @@ SLIP_WORDS = (
 )
 
 
-def pyplot_of(what: str):
-    """matplotlib's pyplot without a display. Raises MissingExtra without matplotlib."""
-    try:
-        import matplotlib
-    except ModuleNotFoundError as error:
-        raise MissingExtra("matplotlib", "dev", what) from error
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot
-
-
-def _saved(figure, path: Path) -> Path:
-    from matplotlib import pyplot
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
-    return path
-
-
+@style()
 def draw(found: ServoFit, path: Path) -> Path:
-    """Draws a servo fit into a PNG. Raises MissingExtra without matplotlib."""
-    pyplot = pyplot_of("calibrate servo --report")
+    """Draw into a PNG."""
     media = [m for m in MEDIA if any(r.medium == m for r in found.records)]
     signals = [s for s in SIGNALS if any(r.excitation == s for r in found.records)]
-    figure, axes = pyplot.subplots(len(media), len(signals), figsize=(4.4 * len(signals), 2.7 * len(media)), squeeze=False)
+    figure, axes = canvas(len(media), len(signals), (4.4 * len(signals), 2.7 * len(media)), layout=None)
     for row, medium in zip(axes, media, strict=True):
         for axis, signal in zip(row, signals, strict=True):
             repeats = [r for r in found.records if r.medium == medium and r.excitation == signal]
@@ -72,14 +51,13 @@ def draw(found: ServoFit, path: Path) -> Path:
                 _panel(axis, found, repeats, SHOWN[signal])
                 axis.set_title(f"RMS {rms(found, repeats):.2f} deg", fontsize=8, loc="right")
             axis.set_title(f"{signal}, {medium}", fontsize=10, loc="left")
-            axis.spines[["top", "right"]].set_visible(False)
         row[0].set_ylabel(f"joint {JOINT + 1} [deg]")
     for axis in axes[-1]:
         axis.set_xlabel("t [s]")
     lines, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(lines, labels, frameon=False, fontsize=9, ncols=3, loc="upper center")
     figure.tight_layout(rect=(0, 0, 1, 0.95))
-    return _saved(figure, path)
+    return save(figure, path)
 
 
 def _panel(axis, found: ServoFit, repeats: list[Record], span: tuple[float, float]) -> None:
@@ -116,12 +94,12 @@ def report(
     return write_text(folder / "report.html", pages.report(title, title, sections, notes=notes))
 
 
+@style()
 def draw_water(found: WaterFit, path: Path) -> Path:
-    """Draws a water fit into a PNG. Raises MissingExtra without matplotlib."""
-    pyplot = pyplot_of("calibrate water --report")
-    figure, axes = pyplot.subplots(1, 2, figsize=(8.4, 3.9))
+    """Draw into a PNG."""
+    figure, axes = canvas(1, 2, (8.4, 3.9), layout=None)
     shown = (("as described", "#AAAAAA", found.before), ("calibrated, swim left out", SIMULATED, found.after))
-    for axis, quantity, unit in zip(axes, ("speed", "yaw_rate"), ("m/s", "rad/s"), strict=True):
+    for axis, quantity, unit in zip(axes[0], ("speed", "yaw_rate"), ("m/s", "rad/s"), strict=True):
         made = "simulated" if quantity == "speed" else f"simulated_{quantity}"
         for label, colour, swims in shown:
             x, y = ([getattr(swim, key) for swim in swims] for key in (quantity, made))
@@ -130,17 +108,16 @@ def draw_water(found: WaterFit, path: Path) -> Path:
         axis.plot(ends, ends, color=DESIRED, lw=0.8, ls="--")
         axis.set_xlabel(f"measured {quantity.replace('_', ' ')} [{unit}]")
         axis.set_ylabel(f"simulated [{unit}]")
-        axis.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(frameon=False, fontsize=8)
+    axes[0, 0].legend(frameon=False, fontsize=8)
     figure.tight_layout()
-    return _saved(figure, path)
+    return save(figure, path)
 
 
+@style()
 def draw_slip(found: Profile, path: Path) -> Path:
-    """Draws a slip profile into a PNG. Raises MissingExtra without matplotlib."""
-    pyplot = pyplot_of("calibrate slip --report")
+    """Draw into a PNG."""
     names = [name for name in WINDOW if name in found.predicted]
-    figure, axes = pyplot.subplots(1, len(names) + 1, figsize=(3.3 * (len(names) + 1), 2.9), squeeze=False)
+    figure, axes = canvas(1, len(names) + 1, (3.3 * (len(names) + 1), 2.9), layout=None)
     x = np.sqrt(1.0 - found.s)  # as wide near s = 1 as the speed changes there
     for axis, name in zip(axes[0], names, strict=False):
         axis.plot(x, found.predicted[name], color=SIMULATED, label="solver")
@@ -165,6 +142,5 @@ def draw_slip(found: Profile, path: Path) -> Path:
         axis.set_xticks(np.sqrt(ticks), [f"{1 - d:g}" for d in ticks], fontsize=7)
         axis.set_xlabel("slip ratio s")
         axis.set_xlim(-0.02 * x.max(), 1.02 * x.max())
-        axis.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
-    return _saved(figure, path)
+    return save(figure, path)

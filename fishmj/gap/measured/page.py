@@ -3,12 +3,13 @@
 import numpy as np
 
 from fishmj.base import pages
+from fishmj.base.figures import canvas, style, svg
 from fishmj.base.pages import Section, drawn, figure, part, table
 from fishmj.gap.measured.answer import TOO_FEW, left_out, unseen, where
 from fishmj.gap.measured.significance import LEAST_GROUPS, LEVEL, smallest_p
 from fishmj.gap.measured.study import Outcome, Round, Study
 from fishmj.gap.measured.study_schema import StudyInput
-from fishmj.gap.report.pictures import AFTER, BEFORE, QUIET, canvas, style, svg
+from fishmj.gap.report.pictures import AFTER, BEFORE, QUIET, STYLE
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import level, number, percent, quantity, sizes, title
 
@@ -25,7 +26,7 @@ SHOWN = 40  # groups in the picture
 
 def html(given: StudyInput, study: Study, found: Outcome, v: Verdict, figures: dict) -> str:
     """The page as one text without outside references."""
-    with style():
+    with style(STYLE):
         sections = [answer(study, v), groups(study, found), *(candidates(study, r) for r in found.rounds), sure(study, found)]
         sections += [others(figures), records(study)]
     heading = f"{study.name}: {', '.join(title(e.name) for e in v.effects) or 'nothing named'}"

@@ -11,11 +11,7 @@ __all__ = ["ReportData", "gathered", "page", "write"]
 
 
 def page(inquiry: Inquiry) -> str:
-    """The report as one HTML text without outside references.
-
-    Raises:
-        MissingExtra: matplotlib is not installed.
-    """
+    """The report as one HTML text without outside references."""
     return html(gathered(inquiry))
 
 

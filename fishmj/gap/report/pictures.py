@@ -1,20 +1,15 @@
 """Pictures: gap by part of the records, growth curves, heat map, localisation details, confusion map, most informative traces.
 
-SVG that carries its text as text, colours of Okabe and Ito (2008), and never colour alone.
+Lines and marks never differ by colour alone.
 """
 
-import io
 import math
-import re
-from contextlib import contextmanager
-from itertools import count
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from markupsafe import Markup
 
-from fishmj.base.errors import MissingExtra
-from fishmj.base.pages import drawn, escaped
+from fishmj.base.figures import BLUE, GREEN, OPEN, VERMILION, canvas, svg
+from fishmj.base.pages import drawn
 from fishmj.gap.localise import Comparison, Localisation
 from fishmj.gap.localise.error_growth import GrowthCurve
 from fishmj.gap.records.records import ChannelBlock
@@ -23,10 +18,8 @@ from fishmj.gap.wording import SCALES, level, number
 
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
 INK, QUIET, BAND = "#1F2933", "#5B6570", "#E6EAF0"
-MEASURED, BEFORE, AFTER, ACCENT = "#1F2933", "#D55E00", "#0072B2", "#009E73"
-STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "fishmj",
+MEASURED, BEFORE, AFTER, ACCENT = INK, VERMILION, BLUE, GREEN
+STYLE = OPEN | {
     "font.family": "sans-serif",
     # Measured with a wide typeface, shown with the reader's own.
     "font.sans-serif": ["DejaVu Sans", "Liberation Sans", "Arial", "Helvetica Neue"],
@@ -35,8 +28,6 @@ STYLE: Any = {
     "axes.labelcolor": QUIET,
     "axes.edgecolor": "#9AA5B1",
     "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
     "axes.titlesize": 10.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
@@ -53,48 +44,6 @@ STYLE: Any = {
     "figure.facecolor": "none",
     "axes.facecolor": "none",
 }
-_numbers = count()
-
-
-@contextmanager
-def style():
-    """Context in which figures have this style; restored afterwards."""
-    try:
-        import matplotlib
-    except ModuleNotFoundError as error:
-        raise MissingExtra("matplotlib", "dev", "the report of gap find") from error
-    matplotlib.use("Agg")
-    with matplotlib.rc_context(STYLE):
-        yield
-
-
-def canvas(rows: int, columns: int, size: tuple[float, float], **options):
-    """A figure and its axes (rows, columns)."""
-    from matplotlib import pyplot
-
-    return pyplot.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained", **options)
-
-
-def svg(figure, label: str) -> Markup:
-    """The figure as an SVG element that fills its column; `label` is read aloud. The figure is closed."""
-    from matplotlib import pyplot
-
-    out = io.StringIO()
-    figure.savefig(out, format="svg", bbox_inches="tight", pad_inches=0.04, metadata={"Date": None, "Creator": None})
-    pyplot.close(figure)
-    text = out.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    mark = f"f{next(_numbers)}_"
-    text = re.sub(r'\bid="', f'id="{mark}', text)
-    text = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{mark}", text)
-    width = re.search(r'width="([\d.]+)pt"', text)
-    wide = f"{float(width[1]) * 4 / 3:.0f}" if width else "1000"
-    text = re.sub(r'(<svg[^>]*?) width="[\d.]+pt"', r"\1", text, count=1)
-    text = re.sub(r'(<svg[^>]*?) height="[\d.]+pt"', r"\1", text, count=1)
-    text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
-    head = f'<svg role="img" aria-label="{escaped(label)}" style="--wide:{wide}px"'
-    return Markup(text.replace("<svg", head, 1).strip())
 
 
 def gaps(rows: dict[str, tuple[float, float]], changed: bool, allowed: float) -> str:
@@ -157,7 +106,7 @@ def heat(p: Localisation) -> str:
     share = 100 * p.share[:, seen]
     figure, axes = canvas(1, 1, (10.9, 0.44 * len(p.channels) + 1.25))
     axis = axes[0, 0]
-    colours = LinearSegmentedColormap.from_list("share", ["#F7F9FB", "#9CC9E3", "#0072B2", "#003B5C"])
+    colours = LinearSegmentedColormap.from_list("share", ["#F7F9FB", "#9CC9E3", BLUE, "#003B5C"])
     top = max(30.0, float(share.max()))
     axis.imshow(share, cmap=colours, vmin=0, vmax=top, aspect="auto")
     for i in range(len(p.channels)):
@@ -253,7 +202,7 @@ def confusion(r: Round) -> str:
     n = len(r.table)
     figure, axes = canvas(1, 1, (0.72 * n + 0.3, 0.46 * n + 0.3))
     axis = axes[0, 0]
-    colours = LinearSegmentedColormap.from_list("alike", ["#F7F9FB", "#F3C9A8", "#D55E00", "#7A3200"])
+    colours = LinearSegmentedColormap.from_list("alike", ["#F7F9FB", "#F3C9A8", VERMILION, "#7A3200"])
     size = np.abs(r.alike)
     axis.imshow(size, cmap=colours, vmin=0, vmax=1, aspect="auto")
     for i in range(n):

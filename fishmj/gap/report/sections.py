@@ -7,12 +7,13 @@ import numpy as np
 from markupsafe import Markup
 
 from fishmj.base import pages
+from fishmj.base.figures import style
 from fishmj.base.pages import Section, figure, part, table
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
 from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
-from fishmj.gap.report.pictures import LETTERS, style, traces
+from fishmj.gap.report.pictures import LETTERS, STYLE, traces
 from fishmj.gap.report.report_data import ReportData, Round, gap_of, parted
 from fishmj.gap.search.model_error import misformed
 from fishmj.gap.terms.stronger import outdone
@@ -26,7 +27,7 @@ NOTHING = Section("", "", ())
 def html(m: ReportData) -> str:
     """The whole page as one text."""
     v, e = m.inquiry.verdict, m.inquiry.evidence
-    with style():
+    with style(STYLE):
         sections = [gap(m), where(m), seen(m), growth(m), candidates(m), forces(m), checks(m), invisible(m), records(m)]
     head = {"synthetic": m.inquiry.synthetic, "value": value(m), "meaning": told(meaning(m)), "next_step": told(next_step(m))}
     made = f"gap find · {len(e.records)} records in the search, {e.runs} null runs of each"

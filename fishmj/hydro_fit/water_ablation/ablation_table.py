@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fishmj.base import console
+from fishmj.base.figures import canvas, png
 from fishmj.base.pages import drawn
 from fishmj.base.store import write_bytes, write_json, write_text
 from fishmj.hydro_fit.free_swims import STATED
@@ -82,16 +83,12 @@ def write(folder: Path, rows: Sequence[dict], about: dict) -> list[Path]:
 
 def picture(rows: Sequence[dict]) -> bytes:
     """PNG: one panel for each known figure, one line for each water, one dot for each seed; the required value as a line."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
     from matplotlib.ticker import LogLocator, NullFormatter
 
     waters = grouped(rows)
     known = [key for key in SHOWN if any(row["figures"][key] is not None for row in rows)]
     size = (3.5 + 1.9 * len(known), 0.9 + 0.28 * len(waters))
-    figure, axes = plt.subplots(1, len(known), figsize=size, layout="constrained", sharey=True, squeeze=False)
+    figure, axes = canvas(1, len(known), size, sharey=True)
     for axis, key in zip(axes[0], known, strict=True):
         heading, factor, text = SHOWN[key]
         shown = [STATED[key], *(row["figures"][key] for row in rows if row["figures"][key])]
@@ -109,7 +106,4 @@ def picture(rows: Sequence[dict]) -> bytes:
         axis.set_title(f"{heading} [{text.rpartition(' ')[2]}]", fontsize=9)
     axes[0, 0].set_yticks(range(len(waters)), [drawn(some[0]["title"]) for some in waters.values()], fontsize=8)
     axes[0, 0].set_ylim(len(waters) - 0.5, -0.5)
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=110)
-    plt.close(figure)
-    return data.getvalue()
+    return png(figure, dpi=110)

@@ -17,10 +17,11 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, OracleUnstable
+from fishmj.base.figures import canvas, save, style
 from fishmj.base.store import write_json, write_text
 from fishmj.lbm_oracle.drifters.tracers import Release, Sampler, carry, figures, trilinear
 from fishmj.lbm_oracle.fluid.fluid import Fluid, blend_at
-from fishmj.lbm_oracle.output.slice_plots import pyplot, save
+from fishmj.lbm_oracle.output.slice_plots import STYLE
 from fishmj.lbm_oracle.run import solver_cost, stability
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
 from fishmj.water.flow import LENGTH, PRESETS, Flow
@@ -170,12 +171,14 @@ def _parser() -> console.Parser:
     return p
 
 
+@style(STYLE)
 def draw_tracks(tracks: Sequence[np.ndarray], path: Path, title: str) -> Path:
     """Tracks (T, 4) of t s, x m, y m, heading rad: seen from above, and heading against time since release."""
-    plt = pyplot()
-    figure, (above, turn) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    from matplotlib import colormaps
+
+    figure, ((above, turn),) = canvas(1, 2, (11, 4.2))
     for i, track in enumerate(tracks):
-        colour = plt.get_cmap("viridis")(i / max(len(tracks) - 1, 1))
+        colour = colormaps["viridis"](i / max(len(tracks) - 1, 1))
         above.plot(track[:, 1], track[:, 2], color=colour, lw=1)
         turn.plot(track[:, 0] - track[0, 0], np.degrees(track[:, 3]), color=colour, lw=1)
     above.set(xlabel="x [m]", ylabel="y [m]", title=title)

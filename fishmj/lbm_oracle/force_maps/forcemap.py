@@ -23,11 +23,12 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
+from fishmj.base.figures import canvas, save, style
 from fishmj.base.units import WATER_DENSITY, WATER_VISCOSITY
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.force_maps.force_points import OK, Plan, Point, Table, measured, watched
 from fishmj.lbm_oracle.force_maps.point_fields import keep, panels, slice_path
-from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
+from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.output.slices import add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
@@ -171,14 +172,15 @@ def _parser() -> console.Parser:
 LABELS = (("drag", "drag [N]", "N"), ("lateral", "lateral force [N]", "N"), ("yaw", "yaw moment [N m]", "Nm"))
 
 
+@style(STYLE)
 def draw_forces(rows: Sequence[dict], folder: Path) -> list[Path]:
     """Draws drag, lateral force and yaw moment with standard errors against the angle: one picture a map, one line a speed."""
-    plt, drawn = pyplot(), []
+    drawn = []
     for what, key, label in (("joint", "joint_deg", "joint angle [deg]"), ("aoa", "aoa_deg", "angle of attack [deg]")):
         here = sorted((row for row in rows if row["what"] == what), key=lambda row: row[key])
         if not here:
             continue
-        figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
+        figure, (axes,) = canvas(1, 3, (12, 3.8))
         for i, speed in enumerate(sorted({row["speed"] for row in here})):
             line = [row for row in here if row["speed"] == speed]
             for axis, (name, title, unit) in zip(axes, LABELS, strict=True):

@@ -31,9 +31,7 @@ def keep(run: Run, out: Path, point: Point, *, z: float | None = None, whole: bo
     one, path = slice_of(run, z), slice_path(out, point)
     title = f"{point.title}, {point.speed:g} m/s, the water moves to the left{', stopped early' if run.stopped else ''}"
     slice_plots.panels([("", one)], path.with_suffix(".png"), title, TOP * point.speed)
-    picture = slice_plots.SlicePicture()
-    picture.write(path.with_name(f"{path.stem}_vorticity.png"), one, f"{title}, ")
-    picture.close()
+    slice_plots.SlicePicture().write(path.with_name(f"{path.stem}_vorticity.png"), one, f"{title}, ")
     if whole:
         write_volume(run, path)
     write_slice(path, one)

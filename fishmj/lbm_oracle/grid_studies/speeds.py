@@ -19,9 +19,10 @@ from typing import Any
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
+from fishmj.base.figures import canvas, save, style
 from fishmj.base.store import read_json, write_json
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.output.slice_plots import COLOURS, pyplot, save
+from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
@@ -144,13 +145,13 @@ def _parser() -> console.Parser:
     return p
 
 
+@style(STYLE)
 def draw_speeds(rows: Sequence[dict], path: Path, title: str) -> Path:
     """Draws speed of free swims against the slip ratio, a line for each frequency and depth.
 
     The slip axis is stretched towards 1.
     """
-    plt = pyplot()
-    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    figure, ((axis,),) = canvas(1, 1, (6, 4))
     lines = sorted({(row["frequency"], row["depth"]) for row in rows})
     slips = sorted({row["slip"] for row in rows})
     for i, line in enumerate(lines):

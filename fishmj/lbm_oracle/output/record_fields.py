@@ -159,4 +159,3 @@ class FieldRecorder:
 
     def close(self) -> None:
         """Closes the figure."""
-        self.picture.close()

@@ -1,39 +1,18 @@
 """Pictures of slices: vorticity with the fish in it, one PNG for each frame; velocity panels of a force map, one PNG a map."""
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fishmj.base.store import write_bytes
+from fishmj.base.figures import OPEN, canvas, save, style
 from fishmj.lbm_oracle.output.slices import STRONG, Slice
 from fishmj.mjcf.skin import posed, skin
 
 FISH, INK = "#2B3440", "#3A4350"
 COLOURS = ("#0B3C5D", "#328CC1", "#3A9D5D", "#D9902F", "#B3392F", "#7A4B94")  # of lines, in their order
-STYLE = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 11}
-
-
-def pyplot():
-    """Returns Matplotlib without a window, in the style of the solver's pictures."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    matplotlib.rcParams.update(STYLE)
-    from matplotlib import pyplot
-
-    return pyplot
-
-
-def save(figure, path: Path, *, dpi: int = 130, close: bool = True) -> Path:
-    """Writes a figure as PNG, atomically."""
-    buffer = BytesIO()
-    figure.savefig(buffer, dpi=dpi, format="png")
-    if close:
-        pyplot().close(figure)
-    return write_bytes(path, buffer.getvalue())
+STYLE = OPEN | {"font.size": 10, "axes.titlesize": 11}
 
 
 def outline(run) -> list[np.ndarray]:
@@ -53,6 +32,7 @@ class SlicePicture:
         self.strong = strong
         self.figure: Any = None
 
+    @style(STYLE)
     def write(self, path: Path, one: Slice, title: str = "") -> Path:
         """Draws the vorticity of a slice with the outline of the fish."""
         if self.figure is None:
@@ -65,17 +45,11 @@ class SlicePicture:
         for old in list(self.axis.patches):
             old.remove()
         draw_fish(self.axis, one)
-        return save(self.figure, path, dpi=110, close=False)
-
-    def close(self) -> None:
-        """Closes the figure."""
-        if self.figure is not None:
-            pyplot().close(self.figure)
+        return save(self.figure, path, dpi=110)
 
     def _make(self, one: Slice) -> None:
-        plt = pyplot()
         wide = len(one.y) / len(one.x)
-        self.figure, self.axis = plt.subplots(figsize=(8.6, 7.2 * wide + 0.9), layout="constrained")
+        self.figure, ((self.axis,),) = canvas(1, 1, (8.6, 7.2 * wide + 0.9))
         self.image = self.axis.imshow(
             one.omega_z.T, origin="lower", vmin=-self.strong, vmax=self.strong, cmap="RdBu_r", interpolation="bilinear"
         )
@@ -90,17 +64,15 @@ def draw_fish(axis, one: Slice) -> None:
         axis.fill(link[:, 0], link[:, 1], facecolor=FISH, edgecolor=FISH, lw=0.8, joinstyle="round")
 
 
+@style(STYLE)
 def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: float) -> Path:
     """Draws the horizontal speed of slices with their fish, one panel each, on one colour scale from 0 to `top` m/s."""
-    plt = pyplot()
     columns = min(4, len(slices))
     rows, wide = -(-len(slices) // columns), 3.4 if len(slices) > 1 else 8.0
     west, east, south, north = slices[0][1].extent
     high = wide * (north - south) / (east - west)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(wide * columns + 1.2, (0.92 * high + 0.3) * rows + 0.7), layout="constrained", squeeze=False,
-        sharex=True, sharey=True,
-    )  # fmt: skip
+    size = (wide * columns + 1.2, (0.92 * high + 0.3) * rows + 0.7)
+    figure, axes = canvas(rows, columns, size, sharex=True, sharey=True)
     for axis, (name, one) in zip(axes.flat, slices, strict=False):
         image = axis.imshow(
             one.speed.T,

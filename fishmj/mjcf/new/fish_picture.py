@@ -1,11 +1,10 @@
 """A picture of a description: side and top view with links, joints, centre of mass and of buoyancy, fins and a scale bar."""
 
-import io
 from typing import Any
 
 import numpy as np
 
-from fishmj.base.errors import MissingExtra
+from fishmj.base.figures import canvas, png
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.drawing import colour_of, drawn_sections
 from fishmj.mjcf.geometry import Geometry, geometry_of
@@ -16,21 +15,16 @@ EDGE = {"ec": "#333333", "lw": 0.8}
 
 
 def picture(robot: Robot) -> bytes:
-    """A PNG, 1000 pixels wide. Raises MissingExtra without matplotlib."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtra("matplotlib", "all", "the picture of a description") from error
+    """A PNG, 1000 pixels wide."""
     g, length = geometry_of(robot), robot.length
     tall = max(row[1] for link in robot.links for row in link.sections)
     wide = max(row[2] for link in robot.links for row in link.sections) * g.width_scale
     wide += 2 * max((fin.span for fin in robot.fins), default=0.0)
     above = -tall / 2 - wide / 2 - 0.17 * length  # height of the top view's axis on the page, m
     high, low = tall / 2 + 0.10 * length, above - wide / 2 - 0.06 * length
-    figure = Figure(figsize=(INCHES, INCHES * (high - low) / (1.06 * length)), dpi=100)
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(-0.03 * length, 1.03 * length), ylim=(low, high), aspect="equal")
+    size = (INCHES, INCHES * (high - low) / (1.06 * length))
+    figure, ((axes,),) = canvas(1, 1, size, layout=None, gridspec_kw={"left": 0, "right": 1, "bottom": 0, "top": 1})
+    axes.set(xlim=(-0.03 * length, 1.03 * length), ylim=(low, high), aspect="equal")
     axes.axis("off")
     fronts = np.cumsum([0.0, *(link.length for link in robot.links)])
     _fins(axes, robot, g, fronts, above)
@@ -55,9 +49,7 @@ def picture(robot: Robot) -> bytes:
     bar = max((b for b in BARS if b <= 0.25 * length), default=BARS[0])
     axes.plot([0.0, bar], [low + 0.025 * length] * 2, "k-", lw=3, solid_capstyle="butt")
     axes.text(bar + 0.01 * length, low + 0.02 * length, f"{1000 * bar:g} mm", fontsize=9)
-    data = io.BytesIO()
-    figure.savefig(data, format="png")
-    return data.getvalue()
+    return png(figure, dpi=100)
 
 
 def _link(axes: Any, robot: Robot, i: int, front: float, column: int, scale: float, level: float) -> None:
