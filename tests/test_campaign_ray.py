@@ -1,12 +1,12 @@
 """A campaign over Ray: two workers on this machine, made-up segments, a worker that is killed. Marked ray, but for the first."""
 
-import sys
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from absent import absent
 from ray_toys import toy
 
 from fishmj.base.errors import ConfigError, MissingExtra
@@ -66,7 +66,7 @@ def two(cluster):
 
 
 def test_without_ray_the_message_has_the_install_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
+    absent(monkeypatch, "ray")
     with pytest.raises(MissingExtra, match=r'pip install "fishmj\[ray\]"'):
         list(RayPool("local:2").run(deque(), SETUP, lambda water: True))
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from absent import absent
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, MissingExtra, StoreError
@@ -237,7 +238,7 @@ def test_a_rosbridge_that_is_not_there_is_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "roslibpy", FakeRos(reachable=False).module)
     with pytest.raises(ConfigError, match="no rosbridge answers"):
         RosPublisher(("localhost", 9090), SimpleNamespace(listeners=[])).__enter__()
-    monkeypatch.setitem(sys.modules, "roslibpy", None)
+    absent(monkeypatch, "roslibpy")
     with pytest.raises(MissingExtra, match=r"fishmj\[ros\]"):
         RosPublisher(("localhost", 9090), SimpleNamespace(listeners=[])).__enter__()
 

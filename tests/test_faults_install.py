@@ -109,11 +109,15 @@ def test_extras_of_packages_are_those_of_the_project():
     """`base.extras` names for each import name an extra that installs it."""
     import importlib.metadata as metadata
 
-    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    table = project["optional-dependencies"] | {"all": project["dependencies"]}
     distributions = metadata.packages_distributions() | {
         "mujoco.mjx": ["mujoco-mjx"],
         "roslibpy": ["roslibpy"],
         "tornado": ["meshcat"],
+        "zstandard": ["mcap"],
+        "ruamel": ["rosbags"],
+        **{name: [name] for name in ("pysindy", "ray", "torch", "stable_baselines3")},
     }
     distributions["dm_env"] = ["dm-control"]
     for name, extra in extras.EXTRA_OF.items():

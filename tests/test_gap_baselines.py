@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from absent import absent
 
 pytest.importorskip("numba")
 
@@ -57,7 +58,7 @@ def test_an_absent_library_is_said_so(plant, monkeypatch):
     monkeypatch.setattr(judged, "find_spec", lambda package: None)
     assert "pip install 'fishmj[bench]'" in baselines.reason_absent("e_sindy")
     assert baselines.reason_absent("delta_bic") == ""
-    monkeypatch.setitem(__import__("sys").modules, "pysindy", None)
+    absent(monkeypatch, "pysindy")
     with pytest.raises(MissingExtra, match="pysindy"):
         e_sindy.terms({"u": np.ones(3)}, np.ones(3))
 

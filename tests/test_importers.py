@@ -2,11 +2,11 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
 import recordings
+from absent import absent
 
 from fishmj import log
 from fishmj.base import console
@@ -165,8 +165,7 @@ def test_mcap_in_another_encoding_or_damaged_is_refused(tmp_path):
 
 def test_without_the_mcap_package_the_install_line_is_given(tmp_path, monkeypatch):
     path = recordings.recording(tmp_path)
-    for name in [name for name in sys.modules if name.split(".")[0] == "mcap"] + ["mcap"]:
-        monkeypatch.setitem(sys.modules, name, None)
+    absent(monkeypatch, "mcap")
     with pytest.raises(MissingExtra, match=r'pip install "fishmj\[logs\]"'):
         importers.read(path)
 

@@ -6,6 +6,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+from absent import absent
 from training import StopAt, figures_of
 
 from fishmj.base import console
@@ -27,7 +28,7 @@ def settings(**changes) -> Settings:
 
 
 def test_without_the_extra_the_message_has_the_install_line(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "torch", None)
+    absent(monkeypatch, "torch")
     monkeypatch.delitem(sys.modules, "fishmj.train.sb3", raising=False)
     assert console.run(main, ["--preset", "quick", "--algo", "sb3-sac"]) == console.BAD_INPUT
     error = capsys.readouterr().err

@@ -23,6 +23,16 @@ EXTRA_OF = {  # import name -> the extra that installs it
     "roslibpy": "ros",
     "meshcat": "view",
     "tornado": "view",
+    "mcap": "logs",
+    "zstandard": "logs",
+    "pyarrow": "logs",
+    "rosbags": "logs",
+    "ruamel": "logs",
+    "pysindy": "bench",
+    "ray": "ray",
+    "torch": "sb3",
+    "stable_baselines3": "sb3",
+    "matplotlib": "all",  # a package of every install, but not of the computer beside the tank
 }
 
 

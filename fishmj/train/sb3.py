@@ -11,9 +11,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecEnv
 
 from fishmj.base import console
-from fishmj.base.errors import MissingExtra
+from fishmj.tasks.gym.fish_env import FishVectorEnv, observation_space
 from fishmj.tasks.station_hold import visible
 from fishmj.train.build import config_of, environment, pick_engine, robot_for
 from fishmj.train.hyperparameters import SACConfig
@@ -21,18 +27,6 @@ from fishmj.train.learner import PolicyLayers, StepRecord, metrics_of
 from fishmj.train.networks import forward, input_scale, scale
 from fishmj.train.settings import Settings, change
 from fishmj.train.training_run import Assessment, TrainingRun
-
-try:
-    import torch
-    from gymnasium import spaces
-    from stable_baselines3 import SAC
-    from stable_baselines3.common.buffers import ReplayBuffer
-    from stable_baselines3.common.logger import Logger
-    from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise MissingExtra("stable-baselines3", "sb3", "--algo sb3-sac") from error
-
-from fishmj.tasks.gym.fish_env import FishVectorEnv, observation_space
 
 ENDS = {"return": "r", "length": "l"}  # of an episode, as SB3's Monitor calls them
 UPDATES = 256  # gradient steps between two reports, about

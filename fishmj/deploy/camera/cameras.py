@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError, MissingExtra, StoreError
+from fishmj.base.errors import ConfigError, StoreError
 from fishmj.deploy.loop.clock import Clock, MonotonicClock
 
 Frame = tuple[float, np.ndarray]  # s on the monotonic clock, (H, W, 3) uint8
@@ -42,10 +42,8 @@ class Camera(Protocol):
 
 def cv2() -> Any:
     """Imports and returns OpenCV. Raises MissingExtra if it is not installed."""
-    try:
-        import cv2 as opencv
-    except ImportError:
-        raise MissingExtra("opencv-python-headless", "tank", "a camera") from None
+    import cv2 as opencv
+
     opencv.utils.logging.setLogLevel(opencv.utils.logging.LOG_LEVEL_SILENT)  # what does not open is said in our words
     return opencv
 

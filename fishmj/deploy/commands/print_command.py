@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_bytes
 from fishmj.deploy.commands.camera_command import board_size
 from fishmj.deploy.loop.wiring import tag_options
@@ -72,13 +72,11 @@ def pdf(pages: list[Page]) -> bytes:
     Raises:
         MissingExtra: matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
-        from matplotlib.figure import Figure
-        from matplotlib.patches import PathPatch
-        from matplotlib.path import Path as Outline
-    except ImportError as error:
-        raise MissingExtra("matplotlib", "all", "print-marks") from error
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
     out = io.BytesIO()
     with PdfPages(out, metadata={"CreationDate": None, "Title": "fishmj marks"}) as file:
         for page in pages:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.base.errors import ConfigError
 from fishmj.deploy.loop.observer import Pose
 from fishmj.deploy.loop.supervisor import Event, named
 from fishmj.deploy.loop.trial_log import TrialLog
@@ -58,10 +58,8 @@ class RosPublisher:
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> "RosPublisher":
-        try:
-            import roslibpy
-        except ImportError:
-            raise MissingExtra("roslibpy", "ros", "publishing to ROS") from None
+        import roslibpy
+
         host, port = self.address
         self._client = roslibpy.Ros(host=host, port=port)
         try:

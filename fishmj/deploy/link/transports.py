@@ -5,7 +5,7 @@ import threading
 from collections import deque
 from typing import Any, Protocol
 
-from fishmj.base.errors import ConfigError, MissingExtra, StoreError
+from fishmj.base.errors import ConfigError, StoreError
 from fishmj.deploy.loop.clock import HEARING, Clock, first_in_line
 
 LONGEST = 2048  # bytes of a datagram that is looked at; no protocol here sends more than a few hundred
@@ -109,10 +109,8 @@ def open_serial(device: str, timeout: float, baud: int) -> Any:
     Raises:
         MissingExtra: pyserial is not installed. ConfigError: no such device, or no permission to open it.
     """
-    try:
-        import serial
-    except ImportError:
-        raise MissingExtra("pyserial", "tank", "a servo bus") from None
+    import serial
+
     try:
         return serial.Serial(device, baud, timeout=timeout, write_timeout=timeout, exclusive=True)
     except (serial.SerialException, ValueError) as error:
@@ -126,10 +124,8 @@ def serial_devices() -> list[str]:
     Raises:
         StoreError: the system cannot list them. MissingExtra: pyserial is not installed.
     """
-    try:
-        from serial.tools import list_ports
-    except ImportError:
-        raise MissingExtra("pyserial", "tank", "a servo bus") from None
+    from serial.tools import list_ports
+
     try:
         return [port.device for port in list_ports.comports()]
     except OSError as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.base.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError
 from fishmj.log.limits import DAMAGE, bare, quoted
 
 SEQUENCE = 4096  # longest array of a CDR message that is decoded; pictures and clouds are not
@@ -72,10 +72,8 @@ def read_json(where: str, data: bytes) -> dict:
 
 
 def _standard_types():
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtra("rosbags", "logs", "Reading CDR messages of ROS 2") from error
+    from rosbags.typesys import Stores, get_typestore
+
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.max_sequence_length = SEQUENCE
     return store

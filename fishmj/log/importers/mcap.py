@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-from fishmj.base.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError
 from fishmj.log.folder import META_FILE
 from fishmj.log.importers import messages
 from fishmj.log.importers.decoding import Found, TopicChannel
@@ -95,14 +95,12 @@ def channels(path: Path, needed: set[str] | None = None) -> Found:
 
 def _records(path: Path) -> Iterator[tuple[str, str, str, int, int, bytes]]:
     """(topic, encoding, type, log time, publish time, data) of every message; damage of any kind is one `LogError`."""
-    try:
-        import zstandard
-        from mcap.exceptions import McapError
-        from mcap.records import Channel as ChannelRecord
-        from mcap.records import Chunk, Message, Schema
-        from mcap.stream_reader import StreamReader, breakup_chunk
-    except ImportError as error:
-        raise MissingExtra("mcap", "logs", "Reading MCAP recordings") from error
+    import zstandard
+    from mcap.exceptions import McapError
+    from mcap.records import Channel as ChannelRecord
+    from mcap.records import Chunk, Message, Schema
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
     known: dict[int, tuple[str, str, str]] = {}
     kinds: dict[int, str] = {}
     unpacked = 0

@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
-from fishmj.base.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError
 from fishmj.log.importers import mcap, messages
 from fishmj.log.importers.decoding import Found, TopicChannel
 from fishmj.log.importers.topics import read_topics
@@ -109,11 +109,9 @@ def _metadata(path: Path) -> dict:
     file = path / METADATA
     if not file.is_file():
         return {}
-    try:
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
-    except ImportError as error:
-        raise MissingExtra("rosbags", "logs", "Reading rosbag2") from error
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
     regular(file)
     check_size(file, 1000 * file.stat().st_size)
     try:

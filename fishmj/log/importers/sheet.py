@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.base.errors import LogError, MissingExtra
+from fishmj.base.errors import LogError
 from fishmj.base.store import read_npz
 from fishmj.log.limits import COLUMNS, DAMAGE, bare, check_size, listed, quoted, regular
 from fishmj.log.trial import Table
@@ -84,11 +84,9 @@ def read_parquet(path: Path) -> list[Sheet]:
         LogError: damaged, no rows, too many columns, or larger unpacked than the limit. MissingExtra: pyarrow is absent.
     """
     regular(path)
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise MissingExtra("pyarrow", "logs", "Reading Parquet files") from error
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     columns, units, notes = {}, {}, []
     try:
         with pq.ParquetFile(path) as file:

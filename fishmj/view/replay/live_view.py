@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError, MissingExtra, StoreError
+from fishmj.base.errors import ConfigError, StoreError
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, hinge_frames, skin
 from fishmj.view.replay.scene import ARRIVAL
@@ -78,11 +78,9 @@ class LiveView:
     """
 
     def __init__(self, robot: Robot, host: str = LOCAL):
-        try:
-            import meshcat
-            import meshcat.geometry as shapes
-        except ImportError as error:
-            raise MissingExtra("meshcat", "view", "play") from error
+        import meshcat
+        import meshcat.geometry as shapes
+
         self._shapes = shapes
         self.server = Server(host)
         self.url = self.server.url

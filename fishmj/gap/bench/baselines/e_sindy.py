@@ -11,7 +11,6 @@ import warnings
 
 import numpy as np
 
-from fishmj.base.errors import MissingExtra
 from fishmj.gap.bench.baselines.answer import NOTHING, Answer, unsized
 from fishmj.gap.localise.error_growth import HORIZONS, errors, latencies, segments
 from fishmj.gap.records.records import Record
@@ -83,10 +82,8 @@ def equations(plant, parts, error: np.ndarray, start: np.ndarray):
 
 def terms(theta: dict[str, np.ndarray], target: np.ndarray) -> list[tuple[str, float]]:
     """(term, median |coefficient|) of the terms that most bootstrap samples include."""
-    try:
-        import pysindy
-    except ImportError as error:
-        raise MissingExtra("pysindy", "bench", "the baseline e_sindy of gap bench") from error
+    import pysindy
+
     columns = np.stack(list(theta.values()), 1)
     columns = columns / np.maximum(np.sqrt(np.mean(columns**2, 0)), 1e-12)
     with warnings.catch_warnings():

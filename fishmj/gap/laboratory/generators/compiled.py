@@ -4,12 +4,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from fishmj.base.errors import MissingExtra
-
-try:
-    from numba import njit
-except ImportError as error:
-    raise MissingExtra("numba", "fast", "generators with other forms of water") from error
+from numba import njit
 
 _MATH: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
 inlined = njit(**_MATH)

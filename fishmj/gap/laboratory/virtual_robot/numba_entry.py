@@ -9,12 +9,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from fishmj.base.errors import MissingExtra
-
-try:
-    from numba import njit
-except ImportError as error:
-    raise MissingExtra("numba", "fast", "the virtual robot") from error
+from numba import njit
 
 _MATH: dict[str, Any] = {"fastmath": {"contract", "nsz", "reassoc", "arcp"}, "error_model": "numpy", "_nrt": False}
 INLINED = ("chain", "loop", "numba_entry", "servo", "water")  # files with compiled functions

@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import Any
 
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, FishmjError, MissingExtra
+from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
 
@@ -119,11 +119,9 @@ class RayPool:
     def _connect(self) -> tuple[Any, bool]:
         """Returns Ray, connected, and True if this call started it."""
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        try:
-            import ray
-            import ray.exceptions
-        except ImportError as error:
-            raise MissingExtra("ray", "ray", "a campaign on several machines") from error
+        import ray
+        import ray.exceptions
+
         if ray.is_initialized():
             return ray, False
         kind, _, number = self.address.partition(":")
