@@ -21,7 +21,7 @@ from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
 from fishmj.deploy.loopback.settings import Settings, make_robot
 from fishmj.deploy.monitor import process
-from fishmj.deploy.monitor.live import Beside, LiveMonitor, Watched, watched_of
+from fishmj.deploy.monitor.live import LiveMonitor, MonitorProcess, Watched, watched_of
 from fishmj.deploy.monitor.monitor import Alarm
 from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.log import Trial, read_trial, write_trial
@@ -50,8 +50,12 @@ print(json.dumps({"end": {"watched_s": 2.0, "rows": rows, "model": wanted["model
 def beside(tmp_path, script, **options):
     """A swim of the fakes with this process in the place of the monitor's: (monitor, trial, lines that were said)."""
     bench, said, made = Bench(tmp_path / "swim", seconds=2.0), [], []
-    process = script if isinstance(script, Beside) else Beside((sys.executable, "-c", script.replace("ALARM", repr(ALARM))))
-    options["beside"] = process
+    process = (
+        script
+        if isinstance(script, MonitorProcess)
+        else MonitorProcess((sys.executable, "-c", script.replace("ALARM", repr(ALARM))))
+    )
+    options["process"] = process
     bench.at(0.0, lambda: made.append(LiveMonitor(Watched(model="fish"), bench.log, say=said.append, **options)))
     bench.at(0.0, lambda: made[0].__enter__())
     with TrialLog(bench.folder, {"origin": "synthetic", "robot": "fish"}, 3, every=1e6) as log:
@@ -95,7 +99,7 @@ for line in sys.stdin:
     if "over" in json.loads(line):
         print(json.dumps({"end": {"watched_s": 1.0, "process": os.getpid()}}), flush=True)
 """
-    with Beside((sys.executable, "-c", each)) as process:
+    with MonitorProcess((sys.executable, "-c", each)) as process:
         first, second = (beside(tmp_path / name, process)[1].meta["monitor"]["process"] for name in ("a", "b"))
         assert first == second
         process.close()

@@ -25,6 +25,7 @@ from typing import IO, Protocol
 import numpy as np
 
 from fishmj.base.errors import ConfigError
+from fishmj.base.processes import end_command, last_words, start_command
 from fishmj.deploy.camera.cameras import Camera
 from fishmj.deploy.tracker.fix import Fix, Tracker
 
@@ -135,9 +136,8 @@ class InProcess:
     def open(self) -> None:
         """Starts the process and waits until its camera is open. Raises ConfigError with the process's own message."""
         self._told = tempfile.TemporaryFile()  # noqa: SIM115  open as long as the process
-        self._process = subprocess.Popen(  # a session of its own: Ctrl-C is for the host, which brings the fish to rest first
-            self.words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._told, start_new_session=True
-        )
+        # Ctrl-C is for the host, which brings the fish to rest first
+        self._process = start_command(self.words, stdin=subprocess.DEVNULL, stderr=self._told)
         end = time.monotonic() + STARTS
         while b"\n" not in self._text and self.failed is None and time.monotonic() < end:
             select.select([self._pipe], [], [], 0.1)
@@ -167,14 +167,7 @@ class InProcess:
         """Ends the process."""
         process, self._process = self._process, None
         if process is not None:
-            process.terminate()
-            try:
-                process.wait(ENDS)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            if process.stdout is not None:
-                process.stdout.close()
+            end_command(process, ENDS)
         if self._told is not None:
             self._told.close()
             self._told = None
@@ -196,6 +189,5 @@ class InProcess:
         if self._told is None or self._process is None:
             return "closed"
         self._told.seek(0)
-        said = self._told.read(100_000).decode("utf-8", "replace").strip().splitlines()
-        code = self._process.wait()
-        return said[-1].removeprefix("fishmj: ")[:300] if said else f"its process ended with exit code {code}"
+        said, code = self._told.read(100_000).decode("utf-8", "replace"), self._process.wait()
+        return last_words(said)[:300] or f"its process ended with exit code {code}"

@@ -32,7 +32,7 @@ from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.swim import Outcome, Plan, Rig, Swim
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loop.way_out import way_out
-from fishmj.deploy.monitor.live import Beside, LiveMonitor, watched_of
+from fishmj.deploy.monitor.live import LiveMonitor, MonitorProcess, watched_of
 from fishmj.deploy.rig.rig_experiment import free_name
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.deploy.trials import trials_tables
@@ -124,7 +124,7 @@ class Walk:
     """Runs the remaining trials.
 
     Attributes:
-        stop: set by a signal while a robot swims. beside: the monitor's process, which learns from the healthy swims once.
+        stop: set by a signal while a robot swims. monitor: the monitor's process, which learns from the healthy swims once.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class Walk:
         self.wire: Wire = in_step if args.yes and in_step is not None else wiring.wire
         self.watched = watched_of(args, robot, (0.0, 0.0), args.duration or constant("protocol", "duration"))
         self.stop, self.at_the_tank = Event(), cache(console.confirmed)  # a person is asked once a session
-        self.beside = Beside()
+        self.monitor = MonitorProcess()
         self._speed: float | None = None
 
     def through(self) -> None:
@@ -144,7 +144,7 @@ class Walk:
         left = self.session.left(self.places)
         if len(left) < len(self.places):
             console.say(f"{len(self.places) - len(left)} of {len(self.places)} are there already: going on")
-        with self.beside, console.Progress(max(len(left), 1), "trials", "trials") as bar:
+        with self.monitor, console.Progress(max(len(left), 1), "trials", "trials") as bar:
             for number, place in enumerate(left):
                 if self.stop.is_set():
                     return
@@ -242,7 +242,7 @@ class Walk:
             log = stack.enter_context(TrialLog(folder, meta, self.robot.n_joints))
             status = StatusLine(seconds, quiet=args.yes)
             if watched is not None:
-                stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, beside=self.beside))
+                stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, process=self.monitor))
             plan = Plan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
             swim = Swim(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
             ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)

@@ -8,7 +8,6 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 import tempfile
 from argparse import ArgumentTypeError
@@ -24,6 +23,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
+from fishmj.base.processes import end_command, last_words, start_command
 from fishmj.base.store import temporary_beside
 from fishmj.deploy.camera.cameras import Camera, Device, SharedFrames, VideoFile
 from fishmj.deploy.camera.localiser import InProcess, Localiser
@@ -44,6 +44,7 @@ SERVO_BUS = "servo-bus"
 PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)
 PORTS = {"fishmj-1": 2334}  # of the robot where the link names none; mish has its own
 STARTS = 60.0  # s that the loopback robot may take: it compiles its water at its first start
+ENDS = 5.0  # s that it may take to end
 NEAR = 0.005  # m that a painted band may stand off the head link, by the ruler
 WIDER = 1.25  # times the head's width: a round hull, painted down its sides
 WAIT = 0.002  # s that a read of the servo bus waits
@@ -299,8 +300,8 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         raise ConfigError(f"--loopback {str(args.loopback)[:80]!r}: {error}") from error
     tell_start()
     told = stack.enter_context(open(errors, "w", encoding="utf-8"))
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=told, text=True, start_new_session=True)
-    stack.callback(_end, process)
+    process = start_command(words, stderr=told, text=True)
+    stack.callback(end_command, process, ENDS)
     line = process.stdout.readline() if process.stdout is not None else ""
     try:
         said = json.loads(line)
@@ -308,8 +309,7 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         return Loopback(*ports, said["frames"], calibration, said["device"] or "")
     except (ValueError, KeyError, TypeError):
         process.wait(STARTS)
-        said = errors.read_text(encoding="utf-8").strip().splitlines()
-        why = said[-1].removeprefix("fishmj: ") if said else "it ended without a word"
+        why = last_words(errors.read_text(encoding="utf-8")) or "it ended without a word"
         raise ConfigError(f"loopback robot: does not start: {why}") from None
 
 
@@ -317,17 +317,6 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
 def tell_start() -> None:
     """Warns once that the loopback robot starts, and how long that may take."""
     console.warn("starting the loopback robot; the first start on a machine compiles its water for up to a minute")
-
-
-def _end(process: "subprocess.Popen[str]") -> None:
-    process.terminate()
-    try:
-        process.wait(5.0)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
 
 
 def link_text(text: str) -> str:

@@ -1,8 +1,8 @@
 """The monitor of a swim: rows of the trial go to a separate process, alarms come back.
 
-    this process   collects rows from the log; a thread sends them, twice a second (`LiveMonitor`)
-    the other one  `monitor_process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, so it lags the loop by as
-        much; it may stay for several swims, one after the other (`Beside`), and then learns from healthy ones once
+    this process   collects rows as the log takes them in; a thread sends them, twice a second (`LiveMonitor`)
+    the other one  `monitor_process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, behind the loop by as much; it
+                   may stay for several swims, one after the other (`MonitorProcess`), and then learns from healthy ones once
 
 So no tick waits for the model. The swim continues after any alarm: protection is the supervisor's task.
 """
@@ -22,6 +22,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
+from fishmj.base.processes import end_command, start_command
 from fishmj.deploy.loop.observer import Pose
 from fishmj.deploy.loop.supervisor import Event, State
 from fishmj.deploy.loop.trial_log import TrialLog
@@ -92,8 +93,8 @@ def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, second
     return Watched(model=args.monitor, flow=flow, healthy=tuple(args.healthy), rate=args.alarm_rate)
 
 
-class Beside:
-    """The monitor's process: started by the first swim that needs it, ended by `close`; a context.
+class MonitorProcess:
+    """The monitor's process: started when a swim needs it, ended by `close`; a context.
 
     Args:
         words: its command line.
@@ -103,7 +104,7 @@ class Beside:
         self.words = list(words)
         self._process: subprocess.Popen[str] | None = None
 
-    def __enter__(self) -> "Beside":
+    def __enter__(self) -> "MonitorProcess":
         return self
 
     def __exit__(self, kind, error, trace) -> None:
@@ -114,14 +115,7 @@ class Beside:
         self._hear = hear
         if self._process is None or self._process.poll() is not None:
             self.close()
-            self._process = subprocess.Popen(  # a session of its own: Ctrl-C is for the host
-                self.words,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                start_new_session=True,
-            )
+            self._process = start_command(self.words, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
             threading.Thread(target=self._listen, args=(self._process,), name="monitor in", daemon=True).start()
         return cast(IO[str], self._process.stdin)
 
@@ -136,23 +130,17 @@ class Beside:
     def close(self) -> None:
         """Ends the process."""
         process, self._process = self._process, None
-        if process is None:
-            return
-        process.kill()
-        process.wait()
-        for pipe in (process.stdout, process.stdin):
-            with suppress(OSError, ValueError):
-                if pipe is not None:
-                    pipe.close()
+        if process is not None:
+            end_command(process)
 
 
 class LiveMonitor:
     """Context manager that watches the rows of a log.
 
     Args:
-        log: its rows are watched; alarms become events of it, and `monitor` in its meta data.
-        say: shows a line. stopped: returns True if the operator wants an end, so that nothing is awaited.
-        beside: the process; None: one of its own, which ends with this.
+        log: whose rows are watched; alarms become events of it, and `monitor` in its meta data.
+        say: shows a line. stopped: whether the operator wants an end, so that nothing is waited for.
+        process: the monitor's; None: one of its own, which ends with this.
 
     Attributes:
         alarms: so far. failed: reason for the end of the watch, "" while it runs.
@@ -160,10 +148,10 @@ class LiveMonitor:
 
     def __init__(
         self, watched: Watched, log: TrialLog, *, say: Callable[[str], object] = console.warn,
-        stopped: Callable[[], bool] = lambda: False, beside: Beside | None = None,
+        stopped: Callable[[], bool] = lambda: False, process: MonitorProcess | None = None,
     ):  # fmt: skip
         self.watched, self.log, self.say, self.stopped = watched, log, say, stopped
-        self.beside, self._stays = beside or Beside(), beside is not None
+        self.process, self._stays = process or MonitorProcess(), process is not None
         self.alarms: list[Alarm] = []
         self.failed = ""
         self._rows: Tables = {}
@@ -179,7 +167,7 @@ class LiveMonitor:
         w = self.watched
         wanted = {"model": w.model, "flow": list(w.flow or (0.0, 0.0)), "rate": w.rate, "settle": w.settle}
         wanted |= {"healthy": [str(path) for path in w.healthy]}
-        pipe = self.beside.watch(self._hear)
+        pipe = self.process.watch(self._hear)
         self._thread = threading.Thread(target=self._send, args=(pipe, wanted), name="monitor out", daemon=True)
         self._thread.start()
         self.log.listeners.append(self)
@@ -196,7 +184,7 @@ class LiveMonitor:
         if not self._end and not self.failed:
             self.failed = "it was behind at the end, and was not waited for"
         if self.failed or not self._stays:  # one that is behind would be so in the next swim, too
-            self.beside.close()
+            self.process.close()
         if self._thread is not None:
             self._thread.join(LEAVE)
         self._note()

@@ -1,4 +1,4 @@
-"""The process that `monitor_live.Beside` starts: `python -m fishmj.deploy.monitor.process`.
+"""The process that `live.MonitorProcess` starts: `python -m fishmj.deploy.monitor.process`.
 
 It reads lines of JSON, for each swim: the settings, then rows of the tables as they come, then {"over": true}. It writes lines
 of JSON: the watched channels, every alarm, and at the end of a swim the watched time. It keeps the reference from healthy swims

@@ -33,8 +33,8 @@ class _Side:
     """Processes, one for each device with its tanks, that wait for commands."""
 
     def __init__(self, devices: Sequence[str], quick: bool):
-        with processes.deaf():
-            side = [processes.beside(_tanks, device, (n, len(devices)), quick) for n, device in enumerate(devices)]
+        with processes.sigint_blocked():
+            side = [processes.spawn_worker(_tanks, device, (n, len(devices)), quick) for n, device in enumerate(devices)]
         self.pipes, begun = [pipe for pipe, _ in side], [process for _, process in side]
         weakref.finalize(self, _end, begun)
         self.amount = sum(self._heard())

@@ -12,7 +12,7 @@ from multiprocessing import active_children, get_context
 from typing import Any
 
 from fishmj.base.cores import usable_cores
-from fishmj.base.processes import bind, deaf, ends_with_its_parent
+from fishmj.base.processes import bind, ends_with_its_parent, sigint_blocked
 
 ALONE = {
     "OMP_NUM_THREADS": "1",
@@ -32,7 +32,7 @@ def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
         yield from map(ask, todo)
         return
     context, others = get_context("spawn"), active_children()
-    with alone(), deaf():
+    with alone(), sigint_blocked():
         pool = ProcessPoolExecutor(min(jobs, len(todo)), context, bound, (context.Value("i", 0),))
         waiting = [pool.submit(ask, one) for one in todo]
     try:

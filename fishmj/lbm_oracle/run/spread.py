@@ -64,7 +64,7 @@ def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn 
         return
     side: list[_Process] = []
     try:
-        with processes.deaf():
+        with processes.sigint_blocked():
             some = devices[: len(todo)]
             side += (_begun(device, (number, len(some))) for number, device in enumerate(some))
         for one in side:  # after all have begun: they import at the same time
@@ -115,7 +115,7 @@ class _Said(NamedTuple):
 
 def _begun(device: str, share: tuple[int, int]) -> _Process:
     own = {kind: list(plugins.loaded(kind)) for kind in plugins.KINDS}
-    return _Process(*processes.beside(_serve, device, share, own, name=device), device)
+    return _Process(*processes.spawn_worker(_serve, device, share, own, name=device), device)
 
 
 def _served(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:

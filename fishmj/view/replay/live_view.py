@@ -14,6 +14,7 @@ import sys
 import numpy as np
 
 from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.processes import end_command, start_command
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, hinge_frames, skin
 from fishmj.view.replay.scene import ARRIVAL
@@ -23,6 +24,7 @@ FLOOR = -0.4  # m
 TANK = 4.0  # m, side
 TRAIL = 400  # points kept
 LOCAL = "127.0.0.1"
+ENDS = 5.0  # s that the server may take to end
 
 
 class Server:
@@ -35,16 +37,8 @@ class Server:
     def __init__(self, host: str = LOCAL):
         check_host(host)
         command = [sys.executable, "-u", "-m", "fishmj.view.replay.server", host]
-        path = os.pathsep.join(filter(None, sys.path))
-        self.process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": path},
-            text=True,
-            start_new_session=True,  # Ctrl-C is for the swim
-        )
+        environ = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        self.process = start_command(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environ)
         said = [self.process.stdout.readline().strip() for _ in range(2)]  # type: ignore[union-attr]
         if not all(said):
             self.close()
@@ -53,11 +47,7 @@ class Server:
 
     def close(self) -> None:
         """Stops the server."""
-        if self.process.poll() is None:
-            self.process.terminate()
-            self.process.wait(5)
-        for stream in (self.process.stdin, self.process.stdout):
-            stream.close()  # type: ignore[union-attr]
+        end_command(self.process, ENDS)
 
 
 def check_host(host: str) -> None:
