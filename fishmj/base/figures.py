@@ -29,7 +29,7 @@ _numbers = count()
 
 
 @contextmanager
-def style(look: dict[str, Any] = OPEN) -> Iterator[None]:
+def style(look: Any = OPEN) -> Iterator[None]:
     """Inside, figures have these rc parameters; restored afterwards."""
     import matplotlib
 
@@ -37,7 +37,7 @@ def style(look: dict[str, Any] = OPEN) -> Iterator[None]:
         yield
 
 
-def canvas(rows: int, columns: int, size: tuple[float, float], *, layout: str | None = "constrained", **options):
+def canvas(rows: int, columns: int, size: tuple[float, float], *, layout: Any = "constrained", **options):
     """A figure of `size` (width, height) inches and its axes (rows, columns). options: of `Figure.subplots`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
