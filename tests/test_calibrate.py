@@ -27,8 +27,8 @@ from fishmj.gap.calibrate.least_squares import (
     fit,
     widened,
 )
+from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.hidden_lbm import calibration_trials, score
-from fishmj.gap.laboratory.virtual_robot import random_streams
 from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial

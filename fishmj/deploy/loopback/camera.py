@@ -14,7 +14,7 @@ import numpy as np
 
 from fishmj.deploy.loopback.body import MILLISECOND, Body
 from fishmj.deploy.loopback.faults import Fault, active
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
 
 KEPT = 64  # frames
 

@@ -19,7 +19,7 @@ from fishmj.deploy.loopback.body import MILLISECOND
 from fishmj.deploy.loopback.camera_frames import FrameArtist
 from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.tracker.fix import Fix
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
 
 
 class LockstepClock:

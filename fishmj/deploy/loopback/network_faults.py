@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from fishmj.deploy.loopback.body import MILLISECOND
 from fishmj.deploy.loopback.faults import FAULTS, RADIO, Fault
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
 
 DELAY = 0.005  # s, one way over a quiet wireless network: the middle of 2 to 10 ms
 SPREAD = 0.0015  # s

@@ -12,7 +12,8 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.loopback.body import MILLISECOND, Effects, Sensors, bus_delay, whole_milliseconds
-from fishmj.gap.laboratory.virtual_robot import network, random_streams
+from fishmj.gap.laboratory import random_streams
+from fishmj.gap.laboratory.virtual_robot import network
 from fishmj.gap.laboratory.virtual_robot import sensors as cameras
 from fishmj.gap.laboratory.virtual_robot.network import Radio
 from fishmj.gap.laboratory.virtual_robot.robot_constants import FIRMWARE_WAIT, RobotConstants

@@ -15,7 +15,7 @@ import numpy as np
 from fishmj import effects as catalogue
 from fishmj.gap.laboratory import generators
 from fishmj.gap.laboratory.generators.detectability import FIRST, HEALTHY, NOTHING, Seen, channels, mean_squares, spreads
-from fishmj.gap.laboratory.generators.family import Effects
+from fishmj.gap.laboratory.session import Effects
 from fishmj.gap.records.movement import pace
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation

@@ -24,10 +24,10 @@ from fishmj.effects.sites import Measured
 from fishmj.engines import own_effects
 from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options
-from fishmj.gap.laboratory import generators
-from fishmj.gap.laboratory.virtual_robot import hidden_dataset, random_streams
+from fishmj.gap.laboratory import generators, random_streams
+from fishmj.gap.laboratory.session import trial_name
+from fishmj.gap.laboratory.virtual_robot import hidden_dataset
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
-from fishmj.gap.laboratory.virtual_robot.trials import trial_name
 from fishmj.gap.laboratory.virtual_robot.weighing import page as weighings
 from fishmj.gap.null.null_runs import LOUDEST
 from fishmj.gap.records import datasets

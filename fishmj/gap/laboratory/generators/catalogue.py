@@ -6,24 +6,33 @@ own terms (cross-flow, tail, Munk moment, wake memory, walls), turbulence, gears
 """
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.gap.laboratory.generators import random_numbers
 from fishmj.gap.laboratory.generators.faults import FAULTS
 from fishmj.gap.laboratory.generators.fish import Fish
 from fishmj.gap.laboratory.generators.hidden_effect import Hidden
+from fishmj.gap.laboratory.random_streams import generators_stream
 
 LOTTERIES = ("random", "random_odd")
 
 
-# --------------------------------------------------------------------------------------- the catalogue, written independently
-def coulomb_friction(fish: Fish, torque):
-    """Adds dry friction to every joint, N m."""
-    fish.friction += torque
+# ----------------------------------------------------------------------------------------------- the catalogue, written once more
+def added_to(field: str, *entry: int) -> Callable:
+    """Act of an effect whose one parameter is added to a field of `Fish`, such as "camera.scale", or to one entry of it."""
+    *groups, key = field.split(".")
+
+    def act(fish: Fish, **values):
+        (value,), group = values.values(), reduce(getattr, groups, fish)
+        if entry:
+            getattr(group, key)[entry] += value
+        else:
+            setattr(group, key, getattr(group, key) + value)
+
+    return act
 
 
 def viscous_friction(fish: Fish, damping):
@@ -47,79 +56,14 @@ def torque_saturation(fish: Fish, limit):
     fish.torque = np.minimum(fish.torque, limit)
 
 
-def skin_stiffness(fish: Fish, stiffness):
-    """Adds a spring to every joint, N m/rad."""
-    fish.spring += stiffness
-
-
 def joint_zero_offset(fish: Fish, offset1, offset2, offset3):
     """Shifts the encoders' zeros, rad; joints beyond the third share its value."""
     fish.zero += np.array([(offset1, offset2, offset3)[min(j, 2)] for j in range(fish.joints)])
 
 
-def servo_deadband(fish: Fish, deadband):
-    """Sets the firmware's dead band, rad."""
-    fish.firmware.deadband = deadband
-
-
-def command_gain_error(fish: Fish, gain):
-    """Sets the firmware's relative error of commands."""
-    fish.firmware.gain = gain
-
-
-def command_quantisation(fish: Fish, step):
-    """Sets the firmware's command step, rad."""
-    fish.firmware.coarse = step
-
-
-def rate_limit(fish: Fish, slowness):
-    """Sets the firmware's least time per angle, s/rad."""
-    fish.firmware.slowness = slowness
-
-
-def move_time_ramp(fish: Fish, move_time):
-    """Sets the firmware's time of each move, s."""
-    fish.firmware.move_time = move_time
-
-
-def voltage_sag(fish: Fish, resistance):
-    """Sets the supply's internal resistance, ohm."""
-    fish.resistance = resistance
-
-
-def thermal_derating(fish: Fish, rate):
-    """Sets the servos' rate of weakening, 1/s."""
-    fish.derating = rate
-
-
-def command_latency(fish: Fish, delay):
-    """Delays the commands, s."""
-    fish.network.latency += delay
-
-
-def joint_sensor_delay(fish: Fish, delay):
-    """Sets the age of joint readings, s."""
-    fish.network.reading_delay = delay
-
-
-def camera_latency(fish: Fish, delay):
-    """Delays the poses, s."""
-    fish.camera.latency += delay
-
-
 def clock_offset(fish: Fish, offset, drift):
     """Sets offset [s] and drift of the camera's clock."""
     fish.camera.offset, fish.camera.drift = offset, drift
-
-
-def latency_jitter(fish: Fish, sigma):
-    """Sets the spread of late packets, s."""
-    fish.network.late = sigma
-
-
-def packet_loss(fish: Fish, probability):
-    """Sets the probability of a lost packet."""
-    fish.network.loss = probability
 
 
 def body_mass(fish: Fish, mass, spread):
@@ -140,59 +84,9 @@ def _payload(spec, fish, mass):
     body.inertia = np.asarray(body.inertia) + turn
 
 
-def com_offset(fish: Fish, x):
-    """Moves the head's centre of mass forward, m."""
-    fish.com += x
-
-
-def yaw_inertia(fish: Fish, inertia):
-    """Adds yaw inertia to the head, kg m2."""
-    fish.inertia += inertia
-
-
-def surge_added_mass(fish: Fish, mass):
-    """Adds added mass in surge, kg."""
-    fish.added[0, 0] += mass
-
-
-def sway_added_mass(fish: Fish, mass):
-    """Adds added mass in sway, kg."""
-    fish.added[1, 1] += mass
-
-
-def yaw_added_mass(fish: Fish, inertia):
-    """Adds added inertia in yaw, kg m2."""
-    fish.added[2, 2] += inertia
-
-
-def linear_surge_drag(fish: Fish, coefficient):
-    """Adds linear drag on the head, N s/m."""
-    fish.drag[0] += coefficient
-
-
-def quadratic_drag(fish: Fish, coefficient):
-    """Adds quadratic drag on the head, N s2/m2."""
-    fish.drag[1] += coefficient
-
-
-def yaw_drag(fish: Fish, coefficient):
-    """Adds quadratic drag against turning, N m s2/rad2."""
-    fish.drag[2] += coefficient
-
-
-def body_lift(fish: Fish, coefficient):
-    """Adds side force at a drift angle, N s2/m2."""
-    fish.drag[3] += coefficient
-
-
 def steady_current(fish: Fish, x, y):
     """Adds a steady current (x, y), m/s."""
     fish.flow[:2] += (x, y)
-
-
-def current_shear(fish: Fish, rate):
-    """Adds a gradient of the current across the tank, 1/s."""
-    fish.flow[3] += rate
 
 
 def swirl(fish: Fish, rate):
@@ -206,51 +100,54 @@ def tether(fish: Fish, stiffness, x, y):
     fish.tether[:] = stiffness, x, y
 
 
-def camera_scale(fish: Fish, scale):
-    """Sets the relative error of the camera's scale."""
-    fish.camera.scale = scale
-
-
-def camera_yaw(fish: Fish, angle):
-    """Turns the camera against the tank, rad."""
-    fish.camera.turned = angle
-
-
-def heading_marker_offset(fish: Fish, angle):
-    """Turns the heading marker, rad."""
-    fish.camera.heading = angle
-
-
-def marker_offset(fish: Fish, x):
-    """Moves the tracked marker forward, m."""
-    fish.camera.marker = x
-
-
-def lens_distortion(fish: Fish, k1):
-    """Sets the lens's radial distortion, 1/m2."""
-    fish.camera.lens = k1
-
-
-def power_offset(fish: Fish, power):
-    """Sets the power meter's offset, W."""
-    fish.meter.offset = power
-
-
-ACTS: tuple[Callable, ...] = (
-    *(coulomb_friction, viscous_friction, servo_gain, torque_saturation, skin_stiffness, joint_zero_offset, servo_deadband),
-    *(command_gain_error, command_quantisation, rate_limit, move_time_ramp, voltage_sag, thermal_derating),
-    *(command_latency, joint_sensor_delay, camera_latency, clock_offset, latency_jitter, packet_loss),
-    *(body_mass, com_offset, yaw_inertia, surge_added_mass, sway_added_mass, yaw_added_mass),
-    *(linear_surge_drag, quadratic_drag, yaw_drag, body_lift, steady_current, current_shear, swirl, tether),
-    *(camera_scale, camera_yaw, heading_marker_offset, marker_offset, lens_distortion, power_offset),
-)
+ACTS: dict[str, Callable] = {
+    "coulomb_friction": added_to("friction"),
+    "viscous_friction": viscous_friction,
+    "servo_gain": servo_gain,
+    "torque_saturation": torque_saturation,
+    "skin_stiffness": added_to("spring"),
+    "joint_zero_offset": joint_zero_offset,
+    "servo_deadband": added_to("firmware.deadband"),
+    "command_gain_error": added_to("firmware.gain"),
+    "command_quantisation": added_to("firmware.coarse"),
+    "rate_limit": added_to("firmware.slowness"),
+    "move_time_ramp": added_to("firmware.move_time"),
+    "voltage_sag": added_to("resistance"),
+    "thermal_derating": added_to("derating"),
+    "command_latency": added_to("network.latency"),
+    "joint_sensor_delay": added_to("network.reading_delay"),
+    "camera_latency": added_to("camera.latency"),
+    "clock_offset": clock_offset,
+    "latency_jitter": added_to("network.late"),
+    "packet_loss": added_to("network.loss"),
+    "body_mass": body_mass,
+    "com_offset": added_to("com"),
+    "yaw_inertia": added_to("inertia"),
+    "surge_added_mass": added_to("added", 0, 0),
+    "sway_added_mass": added_to("added", 1, 1),
+    "yaw_added_mass": added_to("added", 2, 2),
+    "linear_surge_drag": added_to("drag", 0),
+    "quadratic_drag": added_to("drag", 1),
+    "yaw_drag": added_to("drag", 2),
+    "body_lift": added_to("drag", 3),
+    "steady_current": steady_current,
+    "current_shear": added_to("flow", 3),
+    "swirl": swirl,
+    "tether": tether,
+    "camera_scale": added_to("camera.scale"),
+    "camera_yaw": added_to("camera.turned"),
+    "heading_marker_offset": added_to("camera.heading"),
+    "marker_offset": added_to("camera.marker"),
+    "lens_distortion": added_to("camera.lens"),
+    "power_offset": added_to("meter.offset"),
+}
 
 
 @cache
 def hidden() -> dict[str, Hidden]:
     """All effects and faults that can be hidden, effects of the catalogue first."""
     known = effects.catalogue()
-    own = {f.__name__: Hidden(f.__name__, known[f.__name__].parameters, f, True, known[f.__name__].about) for f in ACTS}
+    own = {name: Hidden(name, known[name].parameters, act, True, known[name].about) for name, act in ACTS.items()}
     return own | {f.name: f for f in FAULTS}
 
 
@@ -265,7 +162,7 @@ def parse(texts: list[str], seed: int, family: str) -> dict[str, dict[str, float
     known = hidden()
     out: dict[str, dict[str, float]] = {}
     for position, text in enumerate(texts):
-        rng = random_numbers.stream(seed, "lottery", position)
+        rng = generators_stream(seed, "lottery", position)
         name, colon, listed = text.partition(":")
         main = "" if colon else name.partition("=")[2]
         name = name.partition("=")[0]

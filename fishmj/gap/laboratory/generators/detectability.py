@@ -20,7 +20,7 @@ import numpy as np
 from fishmj.base.errors import StoreError
 from fishmj.base.machine_code import cache_folder
 from fishmj.base.store import read_npz, write_npz
-from fishmj.gap.laboratory.generators.family import Effects
+from fishmj.gap.laboratory.session import Effects
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
@@ -108,7 +108,8 @@ def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, heal
 def _sources() -> bytes:
     """Hash of the code behind a healthy robot's swim."""
     here = Path(__file__).resolve().parent
-    files = [*sorted(here.glob("*.py")), *sorted((here.parents[2] / "mjcf").glob("*.py"))]
+    folders = (here, here.parent, here.parents[2] / "mjcf")
+    files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
 
 

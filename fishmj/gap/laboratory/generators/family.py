@@ -7,8 +7,6 @@ import numpy as np
 
 from fishmj.mjcf.description import Robot
 
-Effects = Mapping[str, Mapping[str, float]]  # what is hidden: effect -> its parameters -> values
-
 
 class Coefficient(NamedTuple):
     """One number of a water. tolerance: relative half width within which healthy robots of the family differ."""

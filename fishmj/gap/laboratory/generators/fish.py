@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fishmj.gap.laboratory.generators import random_numbers
 from fishmj.gap.laboratory.generators.family import Family, Water, drawn
+from fishmj.gap.laboratory.random_streams import generators_stream
 from fishmj.mjcf.description import Robot
 
 TOLERANCE = {"kp": 0.02, "kb": 0.03, "armature": 0.1, "friction": 0.3}  # relative half widths at nuisance 0.1, of one type
@@ -122,7 +122,7 @@ class Fish:
 
 def healthy(robot: Robot, family: Family, seed: int, nuisance: float = 0.1, flow: tuple[float, float] = (0.0, 0.0)) -> Fish:
     """A robot with nothing hidden, its unmeasured constants drawn from the seed. flow: ordered stream, m/s, m/s."""
-    rng, servo, j = random_numbers.stream(seed, "constants"), robot.servo, robot.n_joints
+    rng, servo, j = generators_stream(seed, "constants"), robot.servo, robot.n_joints
     coefficients = drawn(family, nuisance, rng)
 
     def each(value: float, key: str) -> np.ndarray:

@@ -17,10 +17,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fishmj.gap.laboratory.generators.family import Effects
 from fishmj.gap.laboratory.generators.fish import Fish
 from fishmj.gap.laboratory.generators.swim import STEP, Run
 from fishmj.gap.laboratory.generators.trials import robot_of
+from fishmj.gap.laboratory.session import Effects
 from fishmj.mjcf.description import Robot
 
 SPEED, RATE = 0.2, 1.0  # m/s, rad/s

@@ -4,14 +4,14 @@ import numpy as np
 
 from fishmj.gap.laboratory.generators.fish import Camera, Fish, Meter, Network
 from fishmj.gap.laboratory.generators.swim import Recording
+from fishmj.gap.laboratory.instruments import noise_sigmas, order_of_arrival, read_encoders
 
 
 def arrivals(net: Network, sent: np.ndarray, rng: np.random.Generator, noise: float) -> tuple[np.ndarray, np.ndarray]:
     """(times (K,) s, rows (K,)) at which packets sent at `sent` reach the servos, in order of arrival; lost ones are left out."""
     usual, tail, lost = rng.standard_exponential(len(sent)), rng.standard_exponential(len(sent)), rng.random(len(sent))
     at = sent + net.latency + noise * net.jitter * (usual - 1.0) + net.late * tail
-    kept = np.flatnonzero(lost >= net.loss)
-    order = kept[np.argsort(at[kept], kind="stable")]
+    order = order_of_arrival(np.where(lost < net.loss, np.nan, at))
     return at[order], order
 
 
@@ -22,9 +22,7 @@ def joints(fish: Fish, record: Recording, rng: np.random.Generator, noise: float
     angles = np.stack([record.at(t - net.reading_delay, 3 + j) for j in range(fish.joints)], 1) - fish.zero
     for change in fish.read:
         angles = change(t, angles)
-    angles = angles + noise * net.angle_noise * rng.standard_normal(angles.shape)
-    angles = np.round(angles / net.angle_step) * net.angle_step
-    return {"t": t, **{f"j{j + 1}": angles[:, j] for j in range(fish.joints)}}
+    return {"t": t, **read_encoders(net, angles, rng, noise)}
 
 
 def poses(fish: Fish, record: Recording, rng: np.random.Generator, noise: float) -> dict:
@@ -59,13 +57,4 @@ def power(meter: Meter, record: Recording, rng: np.random.Generator, noise: floa
 
 def sigmas(fish: Fish, noise: float) -> dict[str, float]:
     """Standard deviation of each channel's noise, counts included, in its unit."""
-    net, cam, meter = fish.network, fish.camera, fish.meter
-    angle = float(np.hypot(noise * net.angle_noise, net.angle_step / np.sqrt(12)))
-    return {
-        "x": noise * cam.position_noise,
-        "y": noise * cam.position_noise,
-        "yaw": noise * cam.heading_noise,
-        **{f"j{j + 1}": angle for j in range(fish.joints)},
-        "V": noise * meter.voltage_noise,
-        "I": noise * meter.current_noise,
-    }
+    return noise_sigmas(fish.network, fish.camera, fish.meter, fish.joints, noise)

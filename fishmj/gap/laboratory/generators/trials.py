@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.base.source import made_by
-from fishmj.gap.laboratory.generators import catalogue, families, random_numbers, sensors
-from fishmj.gap.laboratory.generators.family import Effects
+from fishmj.gap.laboratory.generators import catalogue, families, sensors
 from fishmj.gap.laboratory.generators.fish import Fish, healthy
 from fishmj.gap.laboratory.generators.swim import STEP, Recording, swim
-from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.gap.laboratory.random_streams import generators_stream
+from fishmj.gap.laboratory.session import CLOCKS, Effects, place_by_hand, sent_commands, swim_session, trial_meta
+from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
@@ -67,15 +67,8 @@ def generate(
         as `robot_of`. SimDiverged: the robot left the finite numbers.
     """
     fish = robot_of(family, effects, seed, nuisance=nuisance, robot=robot, flow=flow)
-    trials: list[Trial] = []
-    first: dict[str, str] = {}
-    for index, item in enumerate(excitations):
-        what = excitation.get(item) if isinstance(item, str) else item
-        name = f"{index + 1:02d}_{what.id}"
-        trials.append(trial_of(fish, what, seed, index, noise, name, first.get(what.id, ""), flow))
-        first.setdefault(what.id, name)
-        tick(len(trials))
-    return trials
+    swum = lambda what, index, name, first: trial_of(fish, what, seed, index, noise, name, first, flow)
+    return swim_session(excitations, fish.joints, swum, tick)
 
 
 def laid_on(fish: Fish, what: Excitation) -> np.ndarray:
@@ -87,9 +80,8 @@ def laid_on(fish: Fish, what: Excitation) -> np.ndarray:
 def record(fish: Fish, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> Recording:
     """True motion in trial `index`."""
     commands = laid_on(fish, what)
-    hand = noise * random_numbers.stream(seed, "placing", index).standard_normal(3)
-    start = np.array(what.start) + hand * np.array([PLACED[0], PLACED[0], PLACED[1]])
-    radio = random_numbers.stream(seed, "radio", index)
+    start = place_by_hand(what, *PLACED, generators_stream(seed, "placing", index), noise)
+    radio = generators_stream(seed, "radio", index)
     times, rows = sensors.arrivals(fish.network, what.t, radio, noise)
     return swim(fish, times, commands[rows], what.seconds, start, what.push, commands[0], step=step)
 
@@ -99,31 +91,16 @@ def trial_of(
     flow: tuple[float, float] = (0.0, 0.0),
 ) -> Trial:  # fmt: skip
     """Swims and measures: one trial with the sensors' readings."""
-    motion, draw = record(fish, what, seed, index, noise), lambda purpose: random_numbers.stream(seed, purpose, index)
-    commands = laid_on(fish, what)
+    motion, draw = record(fish, what, seed, index, noise), lambda purpose: generators_stream(seed, purpose, index)
     tables = {
-        "cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", commands)},
+        "cmd": sent_commands(what.t, laid_on(fish, what)),
         "joint": sensors.joints(fish, motion, draw("joint"), noise),
         "power": sensors.power(fish.meter, motion, draw("power"), noise),
         "pose": sensors.poses(fish, motion, draw("camera"), noise),
     }
-    meta = {
-        "schema": SCHEMA,
-        "origin": "synthetic",
-        "robot": fish.robot.name,
-        "medium": "water",
-        "water": f"generator {fish.family.name}",
-        "flow": {"speed": float(flow[0]), "direction": float(flow[1]), "known": True},
-        "excitation": what.id,
-        "replicate_of": replicate_of,
-        "start": list(map(float, what.start)),
-        "push": list(map(float, what.push)),
-        "sigma": sensors.sigmas(fish, noise),
-        "clock": {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, received", "power": "host, reading"},
-        "controller": "open loop",
-        **made_by("mujoco"),
-        "source": f"fishmj.generators, {fish.family.name}",
-        "licence": "Apache-2.0",
-        "notes": "simulated by a generator with another form of water; what is hidden in it is kept elsewhere",
-    }
+    meta = trial_meta(
+        fish.robot.name, f"generator {fish.family.name}", what, replicate_of, flow, sigma=sensors.sigmas(fish, noise),
+        clock=CLOCKS | {"pose": "camera, received"}, engine="mujoco", source=f"fishmj.generators, {fish.family.name}",
+        notes=" by a generator with another form of water",
+    )  # fmt: skip
     return Trial(meta, tables, name=name)

@@ -19,7 +19,7 @@ from pathlib import Path
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import Manifest, sha256, write_json
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
 from fishmj.gap.laboratory.virtual_robot.trials import plant, trial_of
 from fishmj.gap.laboratory.virtual_robot.weighing import masses, weighings

@@ -10,18 +10,19 @@ is one robot (servo, radio, masses, slip) and one noise, whatever is planted. No
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
 
 from fishmj.base.errors import ConfigError, OracleUnstable, SimDiverged
-from fishmj.base.source import made_by
+from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.hidden_lbm.hidden_body import Electronics, HiddenBody, Queue
-from fishmj.gap.laboratory.virtual_robot import network, random_streams, sensors
+from fishmj.gap.laboratory.session import CLOCKS, Effects, experiments, sent_commands, trial_meta
+from fishmj.gap.laboratory.virtual_robot import network, sensors
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
-from fishmj.gap.laboratory.virtual_robot.simulate import Recording, at_rest
-from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, Effects, plant, sense, sigmas, weather
+from fishmj.gap.laboratory.virtual_robot.simulate import Recording
+from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, plant, sense, sigmas, start_state, weather
 from fishmj.hydro_fit.campaign.data.run_segments import DOUBT
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
@@ -30,7 +31,7 @@ from fishmj.lbm_oracle.run.refined_run import in_levels
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, JointDriver, LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.spread import Waiting
-from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.log import Trial
 from fishmj.log.excitation import PERIOD, Excitation
 from fishmj.mjcf.description import Robot
 from fishmj.water.flow import Flow
@@ -40,7 +41,6 @@ WIDTH, PASSES = 3, 2  # of the immersed boundary
 SLIPPERY = 0.02  # at nuisance 0.1 the slip ratio is 1 to 0.998 of what is asked for: 15 % of the speed at s = 1
 HEAVY = 0.2  # of the nuisance: nobody weighs a fish to a tenth
 SHORTEST = 1.0  # s; less of an experiment is no trial
-CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,11 +96,7 @@ class HiddenRun(Run):
 
     def __init__(self, job: Job, device: str):
         self.job, what, made = job, job.what, job.made
-        hand = random_streams.stream(job.placing, "placing", job.index).standard_normal(3) * job.noise
-        start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
-        state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
-        state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
-        state.ramp[:, :2] = what.commands[0][:, None]
+        start, state = start_state(made, what, job.placing, job.index, job.noise)
         packets = network.deliver(made.network, made.odd, what.t, what.commands, job.placing, job.index, job.noise)
         gust = weather(made, what.seconds, job.seed, job.index)
         self.electronics = Electronics(made, state, Queue(packets.times, packets.commands), gust)
@@ -263,15 +259,8 @@ def jobs(
     made = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
     rng = random_streams.stream(seed, "immersed")
     heavier, smooth = 1.0 + HEAVY * nuisance * rng.uniform(-1, 1), slip * (1.0 - SLIPPERY * nuisance * rng.uniform(0, 1))
-    out: list[Job] = []
-    first: dict[str, str] = {}
-    for index, item in enumerate(excitations):
-        what = excitation.get(item, made.robot.n_joints) if isinstance(item, str) else item
-        name = f"{index + 1:02d}_{what.id}"
-        job = Job(made=made, what=what, seed=seed, index=index, name=name, noise=noise, slip=smooth, domain=box)
-        out.append(replace(job, replicate_of=first.get(what.id, ""), heavier=heavier, flow=flow))
-        first.setdefault(what.id, name)
-    return out
+    same: dict[str, Any] = {"noise": noise, "slip": smooth, "heavier": heavier, "flow": flow, "domain": box}
+    return [Job(made=made, seed=seed, **e._asdict(), **same) for e in experiments(excitations, made.robot.n_joints)]
 
 
 def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
@@ -327,8 +316,7 @@ def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = N
         raise OracleUnstable(
             f"{job.name}: {ticks * PERIOD:.2f} s were sound; {run.stopped}. Another seed or a finer grid may hold"
         )
-    sent = what.t[:ticks]
-    tables = {"cmd": {"t": sent, "seq": np.arange(ticks), **numbered("c#", what.commands[:ticks])}}
+    tables = {"cmd": sent_commands(what.t[:ticks], what.commands[:ticks])}
     factor, number = job.noise if noise is None else noise, job.index if draw is None else draw
     streams = {name: random_streams.stream(job.seed, name, number) for name in SENSORS}
     tables |= sense(made, record, streams, (0.0, float(record.t[-1])), factor)
@@ -339,26 +327,13 @@ def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = N
 def _meta(run: HiddenRun, tables: dict, noise: float) -> dict:
     job, box, what = run.job, run.job.domain, run.job.what
     grid = {"domain": box.name, "dx": box.dx, "dt": box.dt, "shape": list(box.shape), "kernel": WIDTH, "passes": PASSES}
-    return {
-        "schema": SCHEMA,
-        "origin": "synthetic",
-        "robot": job.made.robot.name,
-        "medium": "water",
-        "water": "lbm",
-        "grid": grid | {"preview": box.name in PREVIEWS, "device": str(run.coupled.fluid.device)},
-        "flow": {"speed": float(job.flow[0]), "direction": float(job.flow[1]), "known": True},
-        "excitation": what.id,
-        "replicate_of": job.replicate_of,
-        "start": list(map(float, what.start)),
-        "push": list(map(float, what.push)),
-        "carried": CARRY if any(what.push) else 0.0,
-        "sigma": sigmas(job.made, noise),
-        "clock": {table: CLOCKS[table] for table in tables},
-        "controller": "open loop",
-        "refined_ticks": run.refined,
-        "stopped": " ".join(run.stopped.split()),
-        **made_by("numpy"),
-        "source": "fishmj.campaign.hidden_lbm.hidden",
-        "licence": "Apache-2.0",
-        "notes": "simulated: immersed fish, electronics of the second robot; what is hidden in it is kept elsewhere",
-    }
+    return trial_meta(
+        job.made.robot.name, "lbm", what, job.replicate_of, job.flow, sigma=sigmas(job.made, noise),
+        clock={table: CLOCKS[table] for table in tables}, engine="numpy", source="fishmj.campaign.hidden_lbm.hidden",
+        notes=": immersed fish, electronics of the second robot",
+        after={
+            "water": {"grid": grid | {"preview": box.name in PREVIEWS, "device": str(run.coupled.fluid.device)}},
+            "push": {"carried": CARRY if any(what.push) else 0.0},
+            "controller": {"refined_ticks": run.refined, "stopped": " ".join(run.stopped.split())},
+        },
+    )  # fmt: skip

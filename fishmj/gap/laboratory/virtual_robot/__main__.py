@@ -48,9 +48,10 @@ def main(argv: list[str]) -> int:
         return _list(args.json)
     if args.out is None or args.truth is None:
         raise ConfigError("virtual_robot: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
+    from fishmj.gap.laboratory.session import trial_name
     from fishmj.gap.laboratory.virtual_robot.hidden_dataset import parse, placed, write_hidden
     from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
-    from fishmj.gap.laboratory.virtual_robot.trials import generate, trial_name
+    from fishmj.gap.laboratory.virtual_robot.trials import generate
     from fishmj.gap.laboratory.virtual_robot.weighing import page
     from fishmj.mjcf.reading import load_robot
 

@@ -14,12 +14,13 @@ from itertools import count
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
+from fishmj.gap.laboratory.session import Effects
 from fishmj.gap.laboratory.virtual_robot.loop import H
 from fishmj.gap.laboratory.virtual_robot.network import Radio
 from fishmj.gap.laboratory.virtual_robot.sensors import on_its_clock
 from fishmj.gap.laboratory.virtual_robot.simulate import STILL, Recording, at_rest, run
-from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, Effects, plant, sense, weather
+from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, plant, sense, weather
 from fishmj.mjcf.description import Robot
 
 MEMORY = 1.0  # s of motion that late sensors may look back on

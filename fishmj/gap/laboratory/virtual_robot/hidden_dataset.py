@@ -13,7 +13,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.names import checked
 from fishmj.base.store import Manifest, sha256, write_json
 from fishmj.base.store.manifest import MANIFEST
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, EntryParameter
 from fishmj.gap.laboratory.virtual_robot.trials import EFFECTS
 from fishmj.log import Trial, measurements, write_dataset

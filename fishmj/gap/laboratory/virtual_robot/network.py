@@ -5,12 +5,12 @@ the older command comes last and stays until the next one. The small jitter of a
 includes it); the effect only delays. Stamps are the sender's.
 """
 
-import heapq
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
+from fishmj.gap.laboratory.instruments import order_of_arrival, read_encoders
 from fishmj.gap.laboratory.virtual_robot.constants import Network, Uncatalogued
 from fishmj.gap.laboratory.virtual_robot.simulate import Recording
 
@@ -48,12 +48,9 @@ def deliver(
 ) -> Delivery:
     """Sends commands (K, J) at `sent` (K,) and takes them out of the queue in order of arrival."""
     radio = Radio(network, odd, seed, trial, noise)
-    times = [radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)]
-    queue = [(t, k) for k, t in enumerate(times) if t is not None]
-    heapq.heapify(queue)
-    arrived = [heapq.heappop(queue) for _ in range(len(queue))]
-    order = [k for _, k in arrived]
-    return Delivery(np.array([t for t, _ in arrived]), commands[order].reshape(-1, commands.shape[1]))
+    times = np.array([radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)], float)
+    order = order_of_arrival(times)
+    return Delivery(times[order], commands[order])
 
 
 def telemetry(net: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
@@ -61,6 +58,4 @@ def telemetry(net: Network, zero: np.ndarray, record: Recording, t: np.ndarray, 
     stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
     names = [f"j{k + 1}" for k in range(len(zero))]
     angle = record.at(stamps - net.joint_delay, *names) - zero
-    angle = angle + noise * net.angle_noise * rng.standard_normal(angle.shape)
-    angle = np.round(angle / net.angle_step) * net.angle_step
-    return {"t": stamps, **dict(zip(names, angle.T, strict=True))}
+    return {"t": stamps, **read_encoders(net, angle, rng, noise)}

@@ -1,24 +1,14 @@
-"""Compilation of this room's loops: numba, vectorised sums, NaN stays NaN, the entry point cached on disk.
+"""Compiles the loops of this room: vectorised sums, NaN stays NaN.
 
-The loops allocate nothing, so reference counting is off (`_nrt`). With it, passing the groups of arrays from function to function
-costs five times the physics. Everything is inlined into the one cached entry point. numba would notice a change of that one file
-only, so the entry point's cache name holds a hash of all inlined code.
+The loops allocate nothing, so reference counting is off (`_nrt`): with it, handing the groups of arrays from function to function
+costs five times the physics.
 """
 
-import hashlib
 from pathlib import Path
-from typing import Any
 
-from numba import njit
+from fishmj.gap.laboratory.numba_entry import compilers
 
-_MATH: dict[str, Any] = {"fastmath": {"contract", "nsz", "reassoc", "arcp"}, "error_model": "numpy", "_nrt": False}
 INLINED = ("chain", "loop", "numba_entry", "servo", "water")  # files with compiled functions
-compiled = njit(forceinline=True, **_MATH)
-
-
-def entry(function):
-    """Compiles and caches the function that Python calls."""
-    here = Path(__file__).resolve().parent
-    digest = hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in INLINED)).hexdigest()[:16]
-    function.__qualname__ = f"{function.__qualname__}_{digest}"
-    return njit(cache=True, nogil=True, **_MATH)(function)
+FILES = [str(Path(__file__).with_name(f"{name}.py")) for name in INLINED]
+MATH = {"fastmath": {"contract", "nsz", "reassoc", "arcp"}, "_nrt": False}
+compiled, entry = compilers("the virtual robot", FILES, MATH, forceinline=True)

@@ -12,14 +12,16 @@ from types import MappingProxyType
 import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.base.source import made_by
-from fishmj.gap.laboratory.virtual_robot import network, random_streams
+from fishmj.gap.laboratory import random_streams
+from fishmj.gap.laboratory.instruments import noise_sigmas
+from fishmj.gap.laboratory.session import CLOCKS, Effects, place_by_hand, sent_commands, swim_session, trial_meta
+from fishmj.gap.laboratory.virtual_robot import network
 from fishmj.gap.laboratory.virtual_robot import sensors as cameras
 from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, CatalogueEntry
 from fishmj.gap.laboratory.virtual_robot.loop import GUST
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, RobotConstants, WaterScales, buildable, nominal
-from fishmj.gap.laboratory.virtual_robot.simulate import Recording, at_rest, run
-from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.gap.laboratory.virtual_robot.simulate import Recording, State, at_rest, run
+from fishmj.log import Trial
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
@@ -29,7 +31,6 @@ MEDIA = ("water", "air")
 SENSORS = ("joint", "power", "pose")
 USUAL: Mapping[str, float] = MappingProxyType({})  # sensors of the constants' page
 NOMINAL: Mapping[str, np.ndarray] = MappingProxyType({})  # every sensor at its own period
-Effects = Mapping[str, Mapping[str, float]]
 
 
 def plant(
@@ -75,20 +76,17 @@ def generate(
         tick: receives the number of finished trials.
     """
     made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow).with_fields(dict(sensors))
-    trials: list[Trial] = []
-    first: dict[str, str] = {}
-    for index, item in enumerate(excitations):
-        what = excitation.get(item, made.robot.n_joints) if isinstance(item, str) else item
-        name = trial_name(index, what.id)
-        trials.append(trial_of(made, what, seed, index, noise, name, first.get(what.id, ""), flow))
-        first.setdefault(what.id, name)
-        tick(len(trials))
-    return trials
+    swum = lambda what, index, name, first: trial_of(made, what, seed, index, noise, name, first, flow)
+    return swim_session(excitations, made.robot.n_joints, swum, tick)
 
 
-def trial_name(index: int, excitation_id: str) -> str:
-    """Name of the trial number `index` [from 0] of a session."""
-    return f"{index + 1:02d}_{excitation_id}"
+def start_state(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> tuple[np.ndarray, State]:
+    """Start (3,) of trial `index` as the hand hits it, and the fish there, told to hold the first command."""
+    start = place_by_hand(what, *made.placing, random_streams.stream(seed, "placing", index), noise)
+    state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
+    state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
+    state.ramp[:, :2] = what.commands[0][:, None]
+    return start, state
 
 
 def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
@@ -96,11 +94,7 @@ def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: f
     if what.commands.shape[1] != made.robot.n_joints:
         counts = f"{what.commands.shape[1]} joints, {made.robot.name} has {made.robot.n_joints}"
         raise ConfigError(f"virtual robot: experiment {what.id!r} commands {counts}; take excitation.get(name, joints)")
-    hand = random_streams.stream(seed, "placing", index).standard_normal(3) * noise
-    start = np.array(what.start) + hand * np.array([made.placing[0], made.placing[0], made.placing[1]])
-    state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
-    state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
-    state.ramp[:, :2] = what.commands[0][:, None]
+    _, state = start_state(made, what, seed, index, noise)
     queue = network.deliver(made.network, made.odd, what.t, what.commands, seed, index, noise)
     return run(made, state, queue.times, queue.commands, what.seconds, weather(made, what.seconds, seed, index))
 
@@ -124,31 +118,16 @@ def trial_of(
     """Swims and measures; the trial holds the files of a lab. stamps: as `sense`."""
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
-    tables = {"cmd": {"t": what.t, "seq": np.arange(len(what.t)), **numbered("c#", what.commands)}}
+    tables = {"cmd": sent_commands(what.t, what.commands)}
     streams = {name: random_streams.stream(seed, name, index) for name in SENSORS}
     tables |= sense(made, record, streams, (0.0, record.t[-1]), noise, stamps)
     if "pose" in tables:
         tables["pose"] = cameras.on_its_clock(made.camera, cameras.track(made.camera, tables["pose"]))
-    clocks = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
-    meta = {
-        "schema": SCHEMA,
-        "origin": "synthetic",
-        "robot": made.robot.name,
-        "medium": "water" if wet else "air",
-        "water": "virtual robot" if wet else "none",
-        "flow": {"speed": float(flow[0]), "direction": float(flow[1]), "known": True},
-        "excitation": what.id,
-        "replicate_of": replicate_of,
-        "start": list(map(float, what.start)),
-        "push": list(map(float, what.push)),
-        "sigma": sigmas(made, noise),
-        "clock": {table: clocks[table] for table in tables},
-        "controller": "open loop",
-        **made_by("numpy"),
-        "source": "fishmj.virtual_robot",
-        "licence": "Apache-2.0",
-        "notes": "simulated by the second robot; what is hidden in it is kept elsewhere",
-    }
+    meta = trial_meta(
+        made.robot.name, "virtual robot" if wet else "none", what, replicate_of, flow, medium="water" if wet else "air",
+        sigma=sigmas(made, noise), clock={table: CLOCKS[table] for table in tables}, engine="numpy",
+        source="fishmj.virtual_robot", notes=" by the second robot",
+    )  # fmt: skip
     return Trial(meta, tables, name=name)
 
 
@@ -178,15 +157,8 @@ def sense(
 
 def sigmas(made: RobotConstants, noise: float) -> dict[str, float]:
     """Standard deviation of each channel's noise, counts included, and of the hand that places the fish, in their units."""
-    c, n, m = made.camera, made.network, made.meter
-    joint = float(np.hypot(noise * n.angle_noise, n.angle_step / np.sqrt(12)))
     return {
-        "x": noise * c.position_noise,
-        "y": noise * c.position_noise,
-        "yaw": noise * c.heading_noise,
-        **{f"j{j + 1}": joint for j in range(made.robot.n_joints)},
-        "V": noise * m.voltage_noise,
-        "I": noise * m.current_noise,
+        **noise_sigmas(made.network, made.camera, made.meter, made.robot.n_joints, noise),
         "start": noise * made.placing.position,
         "start_yaw": noise * made.placing.heading,
     }

@@ -1,25 +1,16 @@
-"""Weighings of a virtual robot: readings of scales, a knife edge and a bifilar pendulum, with their errors.
+"""The weighing table of a virtual robot, and the masses that it is made of."""
 
-scales      every link alone, m (1 + e),                    e ~ 0.1 %, readable to 1 g
-knife edge  balance point of the straight fish, from the nose, +- 1 mm
-pendulum    two threads of length l, d apart, straight fish:   T = 2 pi / (d/2) sqrt(I l / (m g)),   timed over ten swings, 0.2 %
-"""
-
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from fishmj.base.units import G
-from fishmj.gap.laboratory.virtual_robot import random_streams
+from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
 from fishmj.gap.laboratory.virtual_robot.trials import plant
+from fishmj.gap.laboratory.weighing import weighing_page
 from fishmj.mjcf.description import Robot
 
-REPEATS = 3
-SCALE_STEP, SCALE_ERROR = 0.001, 0.001  # kg, relative
-EDGE_ERROR = 0.001  # m
-THREAD, APART, CLOCK_ERROR = 1.2, 0.30, 0.002  # m, m, relative
+THREAD, APART = 1.2, 0.30  # m
 
 
 def masses(made: RobotConstants) -> dict[str, float]:
@@ -39,26 +30,6 @@ def page(effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot
 
 def weighings(made: RobotConstants, rng: np.random.Generator) -> dict:
     """Tables of the measurements, three of each."""
-    truth = masses(made)
-
-    def read(value: float, error: float) -> list[float]:
-        return [round(float(value + error * e), 5) for e in rng.standard_normal(REPEATS)]
-
-    def scaled(mass: float) -> list[float]:
-        return [round(round(float(mass * (1 + SCALE_ERROR * e)) / SCALE_STEP) * SCALE_STEP, 4) for e in rng.standard_normal(3)]
-
-    period = 2 * math.pi / (APART / 2) * math.sqrt(truth["inertia"] * THREAD / (truth["mass"] * G))
-    links = [link.name for link in made.robot.links]
-    return {
-        "schema": "fishmj.measurements/1",
-        "origin": "synthetic",
-        "source": "fishmj.virtual_robot",
-        "scales": {"unit": "kg", **{name: scaled(m) for name, m in zip(links, made.body.mass, strict=True)}},
-        "balance": {"unit": "m from the nose, straight", "at": read(truth["com"], EDGE_ERROR), "error": EDGE_ERROR},
-        "pendulum": {
-            "unit": "s, turning about the vertical through the balance point, straight",
-            "thread": THREAD,
-            "apart": APART,
-            "period": read(period, CLOCK_ERROR * period),
-        },
-    }
+    truth, names = masses(made), [link.name for link in made.robot.links]
+    links = dict(zip(names, made.body.mass, strict=True))
+    return weighing_page("fishmj.virtual_robot", links, truth["com"], truth["inertia"], THREAD, APART, rng)

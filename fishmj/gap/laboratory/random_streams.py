@@ -1,13 +1,20 @@
 """A separate random stream for every purpose: planting one effect never changes the noise of another channel."""
 
+import hashlib
 import zlib
 
 import numpy as np
 
 
 def stream(seed: int, purpose: str, trial: int = 0) -> np.random.Generator:
-    """Random generator of one purpose ("camera", "loss", ..) in one trial of one robot."""
+    """Random numbers of one purpose ("camera", "loss", ..) in one trial of one virtual robot."""
     return np.random.default_rng([seed, trial, zlib.crc32(purpose.encode())])
+
+
+def generators_stream(seed: int, purpose: str, trial: int = 0) -> np.random.Generator:
+    """Random numbers of one purpose in one trial of one robot of `generators`; never those of the virtual robot's seed."""
+    key = int.from_bytes(hashlib.sha256(f"generators {purpose}".encode()).digest()[:8], "little")
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, trial, key])))
 
 
 def jitter(rng: np.random.Generator) -> float:

@@ -1,0 +1,87 @@
+"""A session in the laboratory: experiments one after another, each a trial whose meta data tell nothing of what is hidden."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base.source import made_by
+from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.log.excitation import Excitation
+
+Effects = Mapping[str, Mapping[str, float]]  # what is hidden: effect -> its parameters -> values
+CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
+NOTHING: Mapping[str, Mapping] = MappingProxyType({})
+
+
+class Experiment(NamedTuple):
+    """One experiment of a session. index: from 0; replicate_of: the trial that it repeats, or ""."""
+
+    what: Excitation
+    index: int
+    name: str
+    replicate_of: str
+
+
+def trial_name(index: int, excitation_id: str) -> str:
+    """Name of the trial number `index` [from 0] of a session."""
+    return f"{index + 1:02d}_{excitation_id}"
+
+
+def experiments(asked: Iterable[str | Excitation], joints: int) -> Iterator[Experiment]:
+    """Experiments in order, those of the library laid on `joints` joints; a repeated one is a replicate."""
+    first: dict[str, str] = {}
+    for index, item in enumerate(asked):
+        what = excitation.get(item, joints) if isinstance(item, str) else item
+        name = trial_name(index, what.id)
+        yield Experiment(what, index, name, first.get(what.id, ""))
+        first.setdefault(what.id, name)
+
+
+def swim_session(
+    asked: Iterable[str | Excitation], joints: int, trial_of: Callable[..., Trial], tick: Callable[[int], None]
+) -> list[Trial]:
+    """One trial an experiment, in order. trial_of: takes the fields of `Experiment`; tick: is told the number of trials done."""
+    trials: list[Trial] = []
+    for experiment in experiments(asked, joints):
+        trials.append(trial_of(*experiment))
+        tick(len(trials))
+    return trials
+
+
+def place_by_hand(what: Excitation, position: float, heading: float, rng: np.random.Generator, noise: float) -> np.ndarray:
+    """(3,) start of a fish that is put there within `position` [m] and `heading` [rad]: x, y, yaw."""
+    return np.array(what.start) + noise * rng.standard_normal(3) * np.array([position, position, heading])
+
+
+def sent_commands(t: np.ndarray, commands: np.ndarray) -> dict:
+    """Table `cmd`: commands (T, J) [rad] sent at t (T,) s."""
+    return {"t": t, "seq": np.arange(len(t)), **numbered("c#", commands)}
+
+
+def trial_meta(
+    robot: str, water: str, what: Excitation, replicate_of: str, flow: tuple[float, float], *, sigma: Mapping[str, float],
+    clock: Mapping[str, str], engine: str, source: str, notes: str, medium: str = "water", after: Mapping[str, Mapping] = NOTHING,
+) -> dict[str, Any]:  # fmt: skip
+    """Meta data of a synthetic trial. flow: speed [m/s] and direction [rad]; after: further entries by the key they follow."""
+    usual = {
+        "schema": SCHEMA,
+        "origin": "synthetic",
+        "robot": robot,
+        "medium": medium,
+        "water": water,
+        "flow": {"speed": float(flow[0]), "direction": float(flow[1]), "known": True},
+        "excitation": what.id,
+        "replicate_of": replicate_of,
+        "start": list(map(float, what.start)),
+        "push": list(map(float, what.push)),
+        "sigma": sigma,
+        "clock": clock,
+        "controller": "open loop",
+        **made_by(engine),
+        "source": source,
+        "licence": "Apache-2.0",
+        "notes": f"simulated{notes}; what is hidden in it is kept elsewhere",
+    }
+    return {name: entry for key, value in usual.items() for name, entry in {key: value, **after.get(key, {})}.items()}
