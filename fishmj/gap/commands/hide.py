@@ -25,6 +25,7 @@ from fishmj.engines import own_effects
 from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.laboratory import generators, random_streams
+from fishmj.gap.laboratory.effect_text import split_text
 from fishmj.gap.laboratory.session import trial_name
 from fishmj.gap.laboratory.virtual_robot import hidden_dataset
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
@@ -200,9 +201,7 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
     out: dict[str, dict[str, float]] = {}
     for position, text in enumerate(texts):
         rng = random_streams.stream(seed, "log", position)
-        name, colon, listed = text.partition(":")
-        main = "" if colon else name.partition("=")[2]
-        name = name.partition("=")[0]
+        name, main, listed = split_text(text)
         left = sorted(set(able) - set(out))
         if name == "random" and not left or name in out:
             raise ConfigError(f"gap plant {text[:60]}: every effect once; left are {', '.join(left) or 'none'}")
@@ -213,10 +212,8 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
             )
         effect = able[name]
         active = EffectStack([effect], 1)
-        row = draw(active, 1, rng)[0] if not (colon or main) else np.array(active.null)
-        split = [pair.partition("=") for pair in listed.split(",") if colon]
-        pairs = [(effect.parameters[0].name, main)] if main else [(key.strip(), value) for key, _, value in split]
-        for key, value in pairs:
+        row = np.array(active.null) if main or listed is not None else draw(active, 1, rng)[0]
+        for key, value in [(effect.parameters[0].name, main)] if main else listed or ():
             row[active.index(name, effect.parameter(key).name)] = _number(text, value, effect.parameter(key))
         out[name] = {p.name: float(v) for p, v in zip(effect.parameters, row, strict=True)}
     return out

@@ -5,13 +5,14 @@ written here, mostly in MuJoCo's own fields. Effects that no generator can hide 
 own terms (cross-flow, tail, Munk moment, wake memory, walls), turbulence, gears with play, .. Faults are in `faults.py`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache, reduce
 
 import numpy as np
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.gap.laboratory.effect_text import check_range, finite_number, split_text
 from fishmj.gap.laboratory.generators.faults import FAULTS
 from fishmj.gap.laboratory.generators.fish import Fish
 from fishmj.gap.laboratory.generators.hidden_effect import Hidden
@@ -163,44 +164,26 @@ def parse(texts: list[str], seed: int, family: str) -> dict[str, dict[str, float
     out: dict[str, dict[str, float]] = {}
     for position, text in enumerate(texts):
         rng = generators_stream(seed, "lottery", position)
-        name, colon, listed = text.partition(":")
-        main = "" if colon else name.partition("=")[2]
-        name = name.partition("=")[0]
+        asked, (name, main, listed) = f"gap plant {text[:60]}", split_text(text)
         if name in LOTTERIES:
             left = [n for n, h in known.items() if h.catalogued == (name == "random") and n not in out]
-            if colon or main or not left:
-                raise ConfigError(f"gap plant {text[:60]}: {name} draws one of the {len(left)} that are left, and its size")
+            if main or listed is not None or not left:
+                raise ConfigError(f"{asked}: {name} draws one of the {len(left)} that are left, and its size")
             name = str(rng.choice(left))
         if name not in known:
             if name in effects.catalogue():
-                raise ConfigError(f"gap plant {text[:60]}: generator {family} cannot hide {name}; it hides {', '.join(known)}")
+                raise ConfigError(f"{asked}: generator {family} cannot hide {name}; it hides {', '.join(known)}")
             raise UnknownName("effect", name[:60], [*known, *LOTTERIES])
         if name in out:
-            raise ConfigError(f"gap plant {text[:60]}: {name} is there already; say all of it in one NAME:p=1,q=2")
-        values = known[name].draw(rng) if not colon else dict(known[name].nulls)
-        pairs = [(known[name].parameters[0].name, main)] if main else [p.partition("=")[::2] for p in listed.split(",") if colon]
-        for key, value in pairs:
-            values[key.strip()] = _number(text, value)
-        _within(text, known[name], values)
+            raise ConfigError(f"{asked}: {name} is there already; say all of it in one NAME:p=1,q=2")
+        values = known[name].draw(rng) if listed is None else dict(known[name].nulls)
+        parameters = {p.name: p for p in known[name].parameters}
+        for key, value in [(next(iter(parameters)), main)] if main else listed or ():
+            values[key] = finite_number(asked, value, "NAME=0.03 or NAME:p=0.03,q=1")
+        for key, number in values.items():
+            if key not in parameters:
+                raise UnknownName(f"parameter of {name}", key[:60], parameters)
+            p = parameters[key]
+            check_range(asked, key, number, p.low, p.high, p.unit)
         out[name] = values
     return out
-
-
-def _number(text: str, value: str) -> float:
-    try:
-        number = float(value)
-    except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        raise ConfigError(f"gap plant {text[:60]}: {value[:40]!r} is no finite number; write NAME=0.03 or NAME:p=0.03,q=1 (SI)")
-    return number
-
-
-def _within(text: str, what: Hidden, values: Mapping[str, float]) -> None:
-    known = {p.name: p for p in what.parameters}
-    for name, value in values.items():
-        if name not in known:
-            raise UnknownName(f"parameter of {what.name}", name[:60], known)
-        p = known[name]
-        if not p.low <= value <= p.high:
-            raise ConfigError(f"gap plant {text[:60]}: {name} = {value:g}; expected {p.low:g} to {p.high:g} {p.unit}")

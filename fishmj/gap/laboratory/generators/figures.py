@@ -8,34 +8,29 @@ import time
 import numpy as np
 
 from fishmj.base import console
+from fishmj.gap.laboratory.figures import SETTLE, gait_figures, gait_row, time_to_slow
 from fishmj.gap.laboratory.generators import NAMES
 from fishmj.gap.laboratory.generators.fish import Fish
 from fishmj.gap.laboratory.generators.trials import record, robot_of
 from fishmj.log import excitation
 from fishmj.log.excitation import Excitation
 
-SETTLE, WATCH = 8.0, 4.0  # s
+WATCH = 4.0  # s
 GAITS = ((0.5, 60.0, 0.0), (1.0, 60.0, 0.0), (1.5, 60.0, 0.0), (1.0, 0.0, 0.0), (1.0, 60.0, 20.0))  # Hz, lag and bias in deg
 
 
-def steady(fish: Fish, frequency: float, lag: float, bias: float) -> tuple[float, float, float]:
-    """(speed from beat to beat m/s, turning deg/s, servo power W) of 30 deg on all joints in still water; Hz, deg, deg."""
+def steady(fish: Fish, frequency: float, lag: float, bias: float) -> dict[str, float]:
+    """Speed m/s, turning rad/s and servo power W of 30 deg on all joints in still water; Hz, deg, deg."""
     commands = excitation.gait(frequency, np.radians(30.0), np.radians(lag), np.radians(bias), SETTLE + WATCH)
     motion = record(fish, Excitation(id="steady", commands=commands, about="a steady gait"), 0, 0, 0.0)
-    begin = excitation.LEAD + SETTLE
-    beats = begin + np.arange(int((motion.t[-1] - begin) * frequency) + 1) / frequency
-    x, y, yaw = (motion.at(beats, k) for k in range(3))
-    span, whole = beats[-1] - beats[0], motion.t >= beats[0]
-    watts = float(np.mean((motion.volts * motion.amps)[whole & (motion.t < beats[-1])])) - fish.robot.servo.idle_power
-    return float(np.hypot(np.diff(x), np.diff(y)).sum()) / span, float(np.degrees(yaw[-1] - yaw[0])) / span, watts
+    return gait_figures(motion.t, motion.q[:, :3], motion.volts * motion.amps - fish.robot.servo.idle_power, frequency)
 
 
 def coast(fish: Fish, speed: float = 0.3) -> float:
     """Time until a straight fish that was let go at `speed` [m/s] is half as fast, s."""
     still = np.zeros((1500, fish.joints))
     motion = record(fish, Excitation(id="coast", commands=still, about="let go", push=(speed, 0.0, 0.0)), 0, 0, 0.0)
-    slow = np.flatnonzero(motion.rate[:, 0] < speed / 2)
-    return float(motion.t[slow[0]]) if len(slow) else float("nan")
+    return time_to_slow(motion.t, motion.rate[:, 0], speed / 2)
 
 
 def main(argv: list[str]) -> int:
@@ -47,10 +42,7 @@ def main(argv: list[str]) -> int:
     for name in NAMES:
         fish = robot_of(name, {}, 0, nuisance=0.0, robot=args.model)
         fish.network.latency = 0.0  # what was sent is there at the next tick
-        for frequency, lag, bias in GAITS:
-            speed, turn, watts = steady(fish, frequency, lag, bias)
-            row: dict = {"generator": name, "Hz": frequency, "lag deg": lag, "bias deg": bias, "speed m/s": round(speed, 3)}
-            rows.append(row | {"turn deg/s": round(turn, 1) + 0.0, "servo power W": round(watts, 2)})
+        rows += [{"generator": name, **gait_row(*gait, steady(fish, *gait))} for gait in GAITS]
     console.say(console.table(rows))
     for name in NAMES:
         fish = robot_of(name, {}, 0, nuisance=0.0, robot=args.model)

@@ -8,12 +8,12 @@ import time
 import numpy as np
 
 from fishmj.base import console
+from fishmj.gap.laboratory.figures import SETTLE, gait_figures, gait_row, time_to_slow
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
-from fishmj.gap.laboratory.virtual_robot.simulate import Recording, at_rest, run
+from fishmj.gap.laboratory.virtual_robot.simulate import at_rest, run
 from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.log import excitation
 
-SETTLE = 8.0  # s
 STRAIGHT = ((0.5, 60.0), (1.0, 60.0), (1.5, 60.0), (2.0, 60.0), (0.5, 0.0), (1.0, 0.0), (1.5, 0.0))  # Hz, lag in deg
 GAITS = (*((f, lag, 0.0) for f, lag in STRAIGHT), *((1.0, 60.0, bias) for bias in (10.0, 20.0, 30.0)))  # and bias in deg
 
@@ -25,18 +25,8 @@ def steady(
     commands = excitation.gait(frequency, amplitude, lag, bias, SETTLE + watch)
     times = np.arange(len(commands)) * excitation.PERIOD
     record = run(made, at_rest((0.0, 0.0, 0.0), 0.0 * made.zero, made.motor.voltage), times, commands, times[-1])
-    begin = excitation.LEAD + SETTLE
-    beats = begin + np.arange(int((record.t[-1] - begin) * frequency) + 1) / frequency
-    pose = record.at(beats, "x", "y", "yaw")
-    path = np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1).sum()
-    span = beats[-1] - beats[0]
-    return {"speed": path / span, "turn": (pose[-1, 2] - pose[0, 2]) / span, "power": _power(made, record, beats)}
-
-
-def _power(made: RobotConstants, record: Recording, beats: np.ndarray) -> float:
-    """Mean electrical power over whole beats without the idle part, W."""
-    volts, amps = record.at(np.arange(beats[0], beats[-1], 1e-3), "V", "I").T
-    return float((volts * amps).mean()) - made.motor.idle
+    volts, amps = record.at(record.t, "V", "I").T
+    return gait_figures(record.t, record.at(record.t, "x", "y", "yaw"), volts * amps - made.motor.idle, frequency)
 
 
 def tow(made: RobotConstants, speed: float = 0.3) -> float:
@@ -48,19 +38,17 @@ def tow(made: RobotConstants, speed: float = 0.3) -> float:
 def coast(made: RobotConstants, speed: float = 0.3) -> float:
     """Time until a straight fish that was let go at `speed` [m/s] is half as fast, s."""
     record = run(made, at_rest((0.0, 0.0, 0.0), 0.0 * made.zero, made.motor.voltage, (speed, 0.0, 0.0)), [], [], 15.0)
-    slow = np.flatnonzero(record.at(record.t, "vx")[:, 0] < speed / 2)
-    return float(record.t[slow[0]]) if len(slow) else float("nan")
+    return time_to_slow(record.t, record.at(record.t, "vx")[:, 0], speed / 2)
 
 
 def main(argv: list[str]) -> int:
     """Prints the figures. Returns the exit code."""
     console.parser("virtual_robot.figures", "Steady gaits of the second robot.", json=False).parse_args(argv)
     made, degree = plant({}, nuisance=0.0), np.pi / 180
-    rows = []
-    for frequency, lag, bias in GAITS:
-        figures = steady(made, frequency, 30 * degree, lag * degree, bias * degree)
-        row = {"Hz": frequency, "lag deg": lag, "bias deg": bias, "speed m/s": round(figures["speed"], 3)}
-        rows.append(row | {"turn deg/s": round(figures["turn"] / degree, 1), "servo power W": round(figures["power"], 2)})
+    rows = [
+        gait_row(frequency, lag, bias, steady(made, frequency, 30 * degree, lag * degree, bias * degree))
+        for frequency, lag, bias in GAITS
+    ]
     console.say(console.table(rows))
     body = made.body
     sway = ", ".join(f"{m:.2f}" for m in body.sway[:, 0])

@@ -7,13 +7,12 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.names import checked
 from fishmj.base.store import Manifest, sha256, write_json
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.gap.laboratory import random_streams
+from fishmj.gap.laboratory.effect_text import check_range, finite_number, split_text
 from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, EntryParameter
 from fishmj.gap.laboratory.virtual_robot.trials import EFFECTS
 from fishmj.log import Trial, measurements, write_dataset
@@ -27,6 +26,7 @@ INSTEAD = (
     "list it in a fish (docs/simulate/your_own_code.md) and make logs of that with fishmj evaluate --robot FISH.toml --effects,"
     " or, if it acts on what sensors report alone, put it on logs that are there: fishmj gap plant --generator log --from DATA"
 )
+EXAMPLE = "NAME, NAME=0.03 or NAME:parameter=0.03,other=1"
 LOTTERIES = {"random": CATALOGUE, "random_odd": ODDITIES}
 
 
@@ -45,33 +45,28 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
         if own := own_reference(text):
             raise ConfigError(f"effect {own[:60]}: the second robot cannot hide it, having equations of its own; {INSTEAD}")
         rng = random_streams.stream(seed, "lottery", position)
-        name, colon, list_ = text.partition(":")
-        main = None
-        if not colon:
-            name, equals, value = text.partition("=")
-            main = _number(text, value) if equals else None
+        asked, (name, main, listed) = f"--plant {text[:60]}", split_text(text)
+        first = None if main is None else finite_number(asked, main, EXAMPLE)
         if name in LOTTERIES:
             left = sorted(set(LOTTERIES[name]) - set(effects))
-            if not left or main is not None or colon:
-                raise ConfigError(
-                    f"--plant {text[:60]}: {name} draws one of the effects that are left ({len(left)}) and its size"
-                )
+            if not left or main is not None or listed is not None:
+                raise ConfigError(f"{asked}: {name} draws one of the effects that are left ({len(left)}) and its size")
             name = str(rng.choice(left))
         if name not in EFFECTS:
             raise UnknownName("effect", name[:60], [*EFFECTS, *LOTTERIES])
         if name in effects:
-            raise ConfigError(f"--plant {text[:60]}: {name} is there already; say all of it in one NAME:p=1,q=2")
+            raise ConfigError(f"{asked}: {name} is there already; say all of it in one NAME:p=1,q=2")
         effect = EFFECTS[name]
-        if main is not None:
-            effects[name] = {effect.parameters[0].name: main}
-        elif colon:
-            pairs = [pair.partition("=") for pair in list_.split(",")]
-            effects[name] = {key.strip(): _number(text, value) for key, _, value in pairs}
+        if first is not None:
+            effects[name] = {effect.parameters[0].name: first}
+        elif listed is not None:
+            effects[name] = {key: finite_number(asked, value, EXAMPLE) for key, value in listed}
         else:
             effects[name] = effect.draw(rng)
         effect.fields(effects[name])
         for parameter in effect.parameters:
-            _ranged(text, parameter, effects[name].get(parameter.name, parameter.null), (limits or bounds)(name, parameter))
+            value, (low, high) = effects[name].get(parameter.name, parameter.null), (limits or bounds)(name, parameter)
+            check_range(asked, parameter.name, value, low, high, parameter.unit)
     return effects
 
 
@@ -87,13 +82,6 @@ def bounds(name: str, parameter: EntryParameter) -> tuple[float, float]:
     below = WIDEST if parameter.signed or parameter.null else BELOW
     low, high = max(parameter.least, parameter.null - below * size), min(parameter.most, parameter.null + WIDEST * size)
     return low, high
-
-
-def _ranged(text: str, parameter: EntryParameter, value: float, limits: tuple[float, float]) -> None:
-    low, high = limits
-    if not low <= value <= high:
-        expected = f"expected {low:g} to {high:g} {parameter.unit}"
-        raise ConfigError(f"--plant {text[:60]}: {parameter.name} = {value:g}; {expected}")
 
 
 def placed(folder: Path, truth: Path, names: Iterable[str], overwrite: bool) -> tuple[Path, Path]:
@@ -151,15 +139,3 @@ def write_hidden(
     write_dataset(folder, named, meta={"origin": "synthetic"}, overwrite=overwrite, page=page)
     sealed = {"schema": SCHEMA, "origin": "synthetic", "effects": effects, **facts}
     write_json(truth, sealed | {"manifest_sha256": sha256(folder / MANIFEST)})
-
-
-def _number(text: str, value: str) -> float:
-    try:
-        number = float(value)
-    except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        raise ConfigError(
-            f"--plant {text[:60]}: {value[:40]!r} is no finite number; write NAME, NAME=0.03 or NAME:parameter=0.03,other=1 (SI)"
-        )
-    return number
