@@ -18,7 +18,9 @@ FORBIDDEN = {"utils", "util", "common", "core", "manager", "managers", "helpers"
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
 FILES = {"sim": "engines", "policy": "control", "flow": "water"}  # file beside the rooms -> the room above which it stands
 TOP = {"__init__", "__main__", "cli"}  # may import anything
-INDEPENDENT = {  # folder -> what it must not import although it is lower
+LABORATORY = PACKAGE / "gap" / "laboratory"
+ROBOTS = tuple(f"gap.laboratory.{path.parent.name}" for path in sorted(LABORATORY.glob("*/__init__.py")))
+INDEPENDENT = {  # folder or file -> what it must not import although it is lower
     "lbm_oracle": ("water", "but:water.flow"),
     "gap/laboratory/generators": ("water", "lbm_oracle", "engines", "sim", "hydro_fit", "gap.laboratory.virtual_robot"),
     "gap/laboratory/virtual_robot": (
@@ -29,6 +31,10 @@ INDEPENDENT = {  # folder -> what it must not import although it is lower
         "sim",
         "hydro_fit",
         "gap.laboratory.generators",
+    ),
+    **dict.fromkeys(  # what all blind robots share knows none of them
+        (f"gap/laboratory/{path.name}" for path in LABORATORY.glob("*.py")),
+        ("effects", "water", "lbm_oracle", "engines", "sim", "hydro_fit", *ROBOTS),
     ),
     **dict.fromkeys((f"deploy/{part}" for part in ("loop", "link", "camera", "monitor", "commands")), ("deploy.loopback",)),
 }
@@ -95,7 +101,7 @@ def wrong_way(path: Path, text: str | None = None) -> list[str]:
             continue
         up = name.split(".")[0] == "studies" or floor(name) > floor(here)
         for folder, parts in INDEPENDENT.items():
-            if inside.startswith(f"{folder}/"):
+            if f"{inside}/".startswith(f"{folder}/"):
                 but = [f"fishmj.{part[4:]}" for part in parts if part.startswith("but:")]
                 wanted = any(name.startswith(f"fishmj.{part}") for part in parts)
                 up |= wanted and not any(name.startswith(part) for part in but)
@@ -150,6 +156,8 @@ def test_an_upward_import_is_found():
     solver, blind = PACKAGE / "lbm_oracle" / "x.py", PACKAGE / "gap" / "laboratory" / "generators" / "x.py"
     assert wrong_way(solver, "from fishmj.water import prior") and not wrong_way(solver, "from fishmj.water.flow import Flow")
     assert wrong_way(blind, "from fishmj.engines import make") and not wrong_way(blind, "from fishmj.mjcf import load_robot")
+    assert wrong_way(LABORATORY / "session.py", "from fishmj.gap.laboratory.generators import swim")
+    assert wrong_way(LABORATORY / "weighing.py", "from fishmj.gap.laboratory import virtual_robot")
     assert wrong_way(PACKAGE / "deploy" / "loop" / "x.py", "from fishmj.deploy.loopback import server")
 
 

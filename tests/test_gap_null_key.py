@@ -19,6 +19,7 @@ MODEL = {
 }
 SIMULATOR = {
     *(f"gap.laboratory.virtual_robot.{name}" for name in ("water", "servo", "numba_entry")),
+    *(f"gap.laboratory.{name}" for name in ("session", "instruments", "random_streams", "numba_entry")),
     *("log.excitation", "mjcf.description"),
 }
 NEITHER = {"lbm_oracle.run.domain", "tasks.episode", "gap.decide.decide", "gap.report.sections", "train.networks"}
@@ -43,6 +44,7 @@ def record():
 CHANGES = [
     ("water/dynamics/planar_chain.py", True, True),
     ("gap/laboratory/virtual_robot/water.py", True, False),
+    ("gap/laboratory/instruments.py", True, False),
     ("gap/decide/decide.py", False, False),
 ]
 

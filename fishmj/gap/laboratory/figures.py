@@ -8,7 +8,7 @@ SETTLE = 8.0  # s, of a gait until it is steady
 
 
 def gait_figures(t: np.ndarray, pose: np.ndarray, watts: np.ndarray, frequency: float) -> dict[str, float]:
-    """Speed from beat to beat m/s, turning rate rad/s, mean power W of a gait, Hz. t (T,) s; pose (T, 3) m, m, rad; watts (T,)."""
+    """Speed from beat to beat m/s, turning rate rad/s, mean power W of a gait, Hz. t (T,); pose (T, 3) m, m, rad; watts (T,)."""
     begin = LEAD + SETTLE
     beats = begin + np.arange(int((t[-1] - begin) * frequency) + 1) / frequency
     x, y, yaw = (np.interp(beats, t, column) for column in pose.T)

@@ -1,18 +1,16 @@
 """A session in the laboratory: experiments one after another, each a trial whose meta data tell nothing of what is hidden."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj.base.source import made_by
-from fishmj.log import SCHEMA, Trial, excitation, numbered
+from fishmj.log import SCHEMA, excitation, numbered
 from fishmj.log.excitation import Excitation
 
 Effects = Mapping[str, Mapping[str, float]]  # what is hidden: effect -> its parameters -> values
 CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
-NOTHING: Mapping[str, Mapping] = MappingProxyType({})
 
 
 class Experiment(NamedTuple):
@@ -39,17 +37,6 @@ def experiments(asked: Iterable[str | Excitation], joints: int) -> Iterator[Expe
         first.setdefault(what.id, name)
 
 
-def swim_session(
-    asked: Iterable[str | Excitation], joints: int, trial_of: Callable[..., Trial], tick: Callable[[int], None]
-) -> list[Trial]:
-    """One trial an experiment, in order. trial_of: takes the fields of `Experiment`; tick: is told the number of trials done."""
-    trials: list[Trial] = []
-    for experiment in experiments(asked, joints):
-        trials.append(trial_of(*experiment))
-        tick(len(trials))
-    return trials
-
-
 def place_by_hand(what: Excitation, position: float, heading: float, rng: np.random.Generator, noise: float) -> np.ndarray:
     """(3,) start of a fish that is put there within `position` [m] and `heading` [rad]: x, y, yaw."""
     return np.array(what.start) + noise * rng.standard_normal(3) * np.array([position, position, heading])
@@ -62,7 +49,7 @@ def sent_commands(t: np.ndarray, commands: np.ndarray) -> dict:
 
 def trial_meta(
     robot: str, water: str, what: Excitation, replicate_of: str, flow: tuple[float, float], *, sigma: Mapping[str, float],
-    clock: Mapping[str, str], engine: str, source: str, notes: str, medium: str = "water", after: Mapping[str, Mapping] = NOTHING,
+    clock: Mapping[str, str], engine: str, source: str, notes: str, medium: str = "water", after: dict[str, dict] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Meta data of a synthetic trial. flow: speed [m/s] and direction [rad]; after: further entries by the key they follow."""
     usual = {
@@ -84,4 +71,4 @@ def trial_meta(
         "licence": "Apache-2.0",
         "notes": f"simulated{notes}; what is hidden in it is kept elsewhere",
     }
-    return {name: entry for key, value in usual.items() for name, entry in {key: value, **after.get(key, {})}.items()}
+    return {name: entry for key, value in usual.items() for name, entry in {key: value, **(after or {}).get(key, {})}.items()}

@@ -15,7 +15,7 @@ from fishmj.gap.laboratory.generators import catalogue, families, sensors
 from fishmj.gap.laboratory.generators.fish import Fish, healthy
 from fishmj.gap.laboratory.generators.swim import STEP, Recording, swim
 from fishmj.gap.laboratory.random_streams import generators_stream
-from fishmj.gap.laboratory.session import CLOCKS, Effects, place_by_hand, sent_commands, swim_session, trial_meta
+from fishmj.gap.laboratory.session import CLOCKS, Effects, experiments, place_by_hand, sent_commands, trial_meta
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
@@ -67,8 +67,11 @@ def generate(
         as `robot_of`. SimDiverged: the robot left the finite numbers.
     """
     fish = robot_of(family, effects, seed, nuisance=nuisance, robot=robot, flow=flow)
-    swum = lambda what, index, name, first: trial_of(fish, what, seed, index, noise, name, first, flow)
-    return swim_session(excitations, fish.joints, swum, tick)
+    trials: list[Trial] = []
+    for what, index, name, first in experiments(excitations, fish.joints):
+        trials.append(trial_of(fish, what, seed, index, noise, name, first, flow))
+        tick(len(trials))
+    return trials
 
 
 def laid_on(fish: Fish, what: Excitation) -> np.ndarray:

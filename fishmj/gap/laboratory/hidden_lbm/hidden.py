@@ -254,9 +254,7 @@ def jobs(
     box = preset(domain) if isinstance(domain, str) else domain
     if not 0.0 <= slip <= 1.0:
         raise ConfigError(f"slip = {slip}; a ratio from 0, water that sticks to the hull, to 1, water that slides along it")
-    made = plant(effects, seed, nuisance=nuisance, robot=robot)
-    speed, direction = flow
-    made = made.with_fields({"tank.flow_x": speed * np.cos(direction), "tank.flow_y": speed * np.sin(direction)})
+    made = plant(effects, seed, nuisance=nuisance, robot=robot, flow=flow)
     rng = random_streams.stream(seed, "immersed")
     heavier, smooth = 1.0 + HEAVY * nuisance * rng.uniform(-1, 1), slip * (1.0 - SLIPPERY * nuisance * rng.uniform(0, 1))
     same: dict[str, Any] = {"noise": noise, "slip": smooth, "heavier": heavier, "flow": flow, "domain": box}

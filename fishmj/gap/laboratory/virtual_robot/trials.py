@@ -14,7 +14,7 @@ import numpy as np
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.instruments import noise_sigmas
-from fishmj.gap.laboratory.session import CLOCKS, Effects, place_by_hand, sent_commands, swim_session, trial_meta
+from fishmj.gap.laboratory.session import CLOCKS, Effects, experiments, place_by_hand, sent_commands, trial_meta
 from fishmj.gap.laboratory.virtual_robot import network
 from fishmj.gap.laboratory.virtual_robot import sensors as cameras
 from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, CatalogueEntry
@@ -76,8 +76,11 @@ def generate(
         tick: receives the number of finished trials.
     """
     made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow).with_fields(dict(sensors))
-    swum = lambda what, index, name, first: trial_of(made, what, seed, index, noise, name, first, flow)
-    return swim_session(excitations, made.robot.n_joints, swum, tick)
+    trials: list[Trial] = []
+    for what, index, name, first in experiments(excitations, made.robot.n_joints):
+        trials.append(trial_of(made, what, seed, index, noise, name, first, flow))
+        tick(len(trials))
+    return trials
 
 
 def start_state(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> tuple[np.ndarray, State]:
