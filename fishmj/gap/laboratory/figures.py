@@ -19,9 +19,9 @@ def gait_figures(t: np.ndarray, pose: np.ndarray, watts: np.ndarray, frequency: 
 
 def gait_row(frequency: float, lag: float, bias: float, found: dict[str, float]) -> dict[str, float]:
     """Row of a table: a gait (Hz, deg, deg) and its figures."""
-    turn = round(float(np.degrees(found["turn"])), 1) + 0.0
-    row = {"Hz": frequency, "lag deg": lag, "bias deg": bias, "speed m/s": round(found["speed"], 3)}
-    return row | {"turn deg/s": turn, "servo power W": round(found["power"], 2)}
+    speed, turn, power = round(found["speed"], 3), round(float(np.degrees(found["turn"])), 1), round(found["power"], 2)
+    gait = {"Hz": frequency, "lag deg": lag, "bias deg": bias}
+    return gait | {"speed m/s": speed, "turn deg/s": turn, "servo power W": power}
 
 
 def time_to_slow(t: np.ndarray, along: np.ndarray, speed: float) -> float:

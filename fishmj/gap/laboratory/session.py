@@ -1,7 +1,7 @@
 """A session in the laboratory: experiments one after another, each a trial whose meta data tell nothing of what is hidden."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,27 +13,18 @@ Effects = Mapping[str, Mapping[str, float]]  # what is hidden: effect -> its par
 CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
 
 
-class Experiment(NamedTuple):
-    """One experiment of a session. index: from 0; replicate_of: the trial that it repeats, or ""."""
-
-    what: Excitation
-    index: int
-    name: str
-    replicate_of: str
-
-
 def trial_name(index: int, excitation_id: str) -> str:
     """Name of the trial number `index` [from 0] of a session."""
     return f"{index + 1:02d}_{excitation_id}"
 
 
-def experiments(asked: Iterable[str | Excitation], joints: int) -> Iterator[Experiment]:
-    """Experiments in order, those of the library laid on `joints` joints; a repeated one is a replicate."""
+def experiments(asked: Iterable[str | Excitation], joints: int) -> Iterator[tuple[Excitation, int, str, str]]:
+    """(experiment, index, name of its trial, trial that it repeats or "") in order; those of the library for `joints` joints."""
     first: dict[str, str] = {}
     for index, item in enumerate(asked):
         what = excitation.get(item, joints) if isinstance(item, str) else item
         name = trial_name(index, what.id)
-        yield Experiment(what, index, name, first.get(what.id, ""))
+        yield what, index, name, first.get(what.id, "")
         first.setdefault(what.id, name)
 
 

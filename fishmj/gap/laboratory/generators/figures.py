@@ -38,12 +38,12 @@ def main(argv: list[str]) -> int:
     parser = console.parser("generators.figures", "Steady gaits of the robots of every generator.", json=False)
     parser.add_argument("--model", type=console.text, default="fish", help="the robot: name or TOML file (default fish)")
     args = parser.parse_args(argv)
-    rows = []
+    rows: list[dict] = []
     for name in NAMES:
         fish = robot_of(name, {}, 0, nuisance=0.0, robot=args.model)
         fish.network.latency = 0.0  # what was sent is there at the next tick
         rows += [{"generator": name, **gait_row(*gait, steady(fish, *gait))} for gait in GAITS]
-    console.say(console.table(rows))
+    console.say(console.table([row | {"turn deg/s": row["turn deg/s"] + 0.0} for row in rows]))  # 0, not -0
     for name in NAMES:
         fish = robot_of(name, {}, 0, nuisance=0.0, robot=args.model)
         added = fish.water().added

@@ -258,7 +258,11 @@ def jobs(
     rng = random_streams.stream(seed, "immersed")
     heavier, smooth = 1.0 + HEAVY * nuisance * rng.uniform(-1, 1), slip * (1.0 - SLIPPERY * nuisance * rng.uniform(0, 1))
     same: dict[str, Any] = {"noise": noise, "slip": smooth, "heavier": heavier, "flow": flow, "domain": box}
-    return [Job(made=made, seed=seed, **e._asdict(), **same) for e in experiments(excitations, made.robot.n_joints)]
+    session = experiments(excitations, made.robot.n_joints)
+    return [
+        Job(made=made, what=what, seed=seed, index=index, name=name, replicate_of=first, **same)
+        for what, index, name, first in session
+    ]
 
 
 def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
