@@ -5,7 +5,7 @@ read -> null runs -> forward selection -> gates -> free forces -> repeatable? ->
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,23 +27,36 @@ from fishmj.log.replicates import RATIO, groups
 
 @dataclass(frozen=True)
 class Inquiry:
-    """All results of one search, for the report.
+    """One search: what the vetoes ask, and what is left for the report.
 
-    unseen: (L,) bool over `records`, those outside every decision; `apart` is their likelihood. held: bool over the
-    others, which are those of `evidence`: the first fold, for the report's pictures. synthetic: True if a trial states that it
-    was simulated.
+    verdict: of the gates while the vetoes are asked, then the last one. unseen: (L,) bool over `records`, those that took no part
+    in any decision; the others are those of `evidence`. further, seed, say, bars, notes: as of `investigate`.
     """
 
     verdict: Verdict
     evidence: Likelihood
     found: Selection
+    gates: Gates
+    trials: list[Trial]
     records: list[Record]
-    held: np.ndarray
     unseen: np.ndarray
-    apart: Likelihood | None = None
-    synthetic: bool = False
-    notes: tuple[str, ...] = ()  # on the logs: what was left out, whose they are
-    gates: Gates = field(default_factory=frozen)  # by which it was decided
+    null: SimulatedNull
+    swims: Likelihood | None
+    further: bool
+    seed: int
+    say: Callable[[str], None]
+    bars: Bars
+    notes: tuple[str, ...]
+
+    @property
+    def held(self) -> np.ndarray:
+        """(L,) bool over the records of `evidence`: the first fold, for the report's pictures."""
+        return self.found.folds[0]
+
+    @property
+    def synthetic(self) -> bool:
+        """True where a trial says that it was simulated."""
+        return any(t.value("origin") == "synthetic" for t in self.trials)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
@@ -99,37 +112,10 @@ def investigate(
     with bars(gates.max_effects + 1, "search", "rounds", at_most=True) as bar:
         found = forward_select(e, gates, split(seen, seed), say, bar)
     verdict = decide(e, found, gates)
-    if verdict.answer in ("NAMED", "CLASS"):
-        from fishmj.gap.terms.stronger import challenge
-
-        verdict = challenge(e, found, verdict)
-    shakes = unrepeatable(trials, e) if verdict.answer != "AGREES" else ""
-    if shakes:
-        verdict = replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=())
-    if further and verdict.answer == "CLASS":
-        from fishmj.gap.experiment import advised
-
-        say("which experiment would decide?")
-        verdict = advised(e, found, verdict, null, bars)
-    if further and verdict.answer == "UNEXPLAINED":
-        from fishmj.gap.terms.select import describe
-
-        say("which force would it be?")
-        verdict = replace(verdict, terms=describe(e, null, seed))
-    apart = None
-    if unseen.any():
-        apart = likelihood_of(model, [r for r, u in zip(records, unseen, strict=True) if u], null, bars, swims)
-        near = apart.linearised_at(found.best.row, found.near.form) if found.best.names else apart
-        gaps = apart.gap(model.null)[0], near.gap(found.best.row)[0]
-        before, after = apart.over_floor(model.null)[0], apart.over_floor(found.best.row)[0]
-        floors = verdict.over_floor | {"unseen": (before, after)}
-        verdict = replace(verdict, gap_unseen_before=gaps[0], gap_after_unseen=gaps[1], over_floor=floors)
-        grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(model.null)
-        if grown and verdict.answer in ("NAMED", "CLASS"):
-            why = f"the residual grows from {level(before)} to {level(after)} floors on records that no decision saw"
-            verdict = replace(verdict, answer="UNEXPLAINED", reason=f"{why}; the best is tentative")
-    synthetic = any(t.value("origin") == "synthetic" for t in trials)
-    return Inquiry(verdict, e, found, records, found.folds[0], unseen, apart, synthetic, notes, gates)
+    inquiry = Inquiry(verdict, e, found, gates, trials, records, unseen, null, swims, further, seed, say, bars, notes)
+    for veto in VETOES:
+        verdict = veto(verdict, inquiry)
+    return replace(inquiry, verdict=verdict)
 
 
 def compiled(model, say: Callable[[str], None]) -> None:
@@ -147,6 +133,65 @@ def set_aside(records: list[Record], seed: int) -> np.ndarray:
     if len(records) >= thresholds().workflow.set_aside_from:
         aside[np.random.default_rng(seed + 1).permutation(len(records))[: len(records) // 4]] = True
     return aside
+
+
+# ------------------------------------------------------------------------------------------------------------------------- vetoes
+def challenge_by_free_forces(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Veto G10: no free force explains more, else UNEXPLAINED; CLASS beside a sensor's own error."""
+    if verdict.answer not in ("NAMED", "CLASS"):
+        return verdict
+    from fishmj.gap.terms.stronger import challenge
+
+    return challenge(inquiry.evidence, inquiry.found, verdict)
+
+
+def require_repeatability(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Veto: replicates agree, else NOT_REPEATABLE. It replaces any answer but AGREES."""
+    shakes = unrepeatable(inquiry.trials, inquiry.evidence) if verdict.answer != "AGREES" else ""
+    return replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=()) if shakes else verdict
+
+
+def propose_experiment(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Adds to CLASS the experiment that separates the effects that these records cannot."""
+    if not inquiry.further or verdict.answer != "CLASS":
+        return verdict
+    from fishmj.gap.experiment import advised
+
+    inquiry.say("which experiment would decide?")
+    return advised(inquiry.evidence, inquiry.found, verdict, inquiry.null, inquiry.bars)
+
+
+def describe_by_terms(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Adds to UNEXPLAINED the terms that describe what is left."""
+    if not inquiry.further or verdict.answer != "UNEXPLAINED":
+        return verdict
+    from fishmj.gap.terms.select import describe
+
+    inquiry.say("which force would it be?")
+    return replace(verdict, terms=describe(inquiry.evidence, inquiry.null, inquiry.seed))
+
+
+def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Veto: the residual shrinks on records set aside, else UNEXPLAINED instead of NAMED or CLASS. Adds the gap on them."""
+    if not inquiry.unseen.any():
+        return verdict
+    model, found = inquiry.evidence.model, inquiry.found
+    aside = [r for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
+    apart = likelihood_of(model, aside, inquiry.null, inquiry.bars, inquiry.swims)
+    near = apart.linearised_at(found.best.row, found.near.form) if found.best.names else apart
+    gaps = apart.gap(model.null)[0], near.gap(found.best.row)[0]
+    before, after = apart.over_floor(model.null)[0], apart.over_floor(found.best.row)[0]
+    floors = verdict.over_floor | {"unseen": (before, after)}
+    verdict = replace(verdict, gap_unseen_before=gaps[0], gap_after_unseen=gaps[1], over_floor=floors)
+    grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(model.null)
+    if not grown or verdict.answer not in ("NAMED", "CLASS"):
+        return verdict
+    why = f"the residual grows from {level(before)} to {level(after)} floors on records that no decision saw"
+    return replace(verdict, answer="UNEXPLAINED", reason=f"{why}; the best is tentative")
+
+
+# Row 20 to 22 of the gates on docs/search/gap.md, in its order; what only adds to the verdict stands where it is needed.
+VETOES = (challenge_by_free_forces, require_repeatability, propose_experiment, describe_by_terms, ask_unseen_records)
 
 
 def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
