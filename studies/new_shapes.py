@@ -119,7 +119,7 @@ def in_strips(robot: Robot, gait: Gait) -> float:
     return float(np.hypot(x[-1] - x[0], y[-1] - y[0]) / (t[-1] - t[0]))
 
 
-def swum(swim: Swim, slip: float, domain: Domain, device: str) -> dict:
+def swim_row(swim: Swim, slip: float, domain: Domain, device: str) -> dict:
     """Row of one swim in the table. A solver that does not finish leaves no ratio; `status` has the reason."""
     robot, gait = robot_named(swim.fish), swim.gait
     strips = in_strips(robot, gait)
@@ -174,7 +174,7 @@ def main(argv: list[str]) -> int:
         console.say(f"{args.preset} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     with console.Progress(len(left), "new_shapes", every=1e9 if args.json else None) as bar:
         for number, (swim, slip) in enumerate(left, 1):
-            row = swum(swim, slip, domain, args.device)
+            row = swim_row(swim, slip, domain, args.device)
             if row["status"] == INTERRUPTED:
                 return console.INTERRUPTED
             rows[key(row)] = row

@@ -198,7 +198,7 @@ def test_a_fit_that_must_not_be_used_is_refused_with_its_report(robot, fitted, t
         raise servo_fit.BadFit("data: 3 trials do not tell kp", fitted)
 
     monkeypatch.setattr(servo_fit, "calibrate", bad)
-    monkeypatch.setattr(commands, "compiled", lambda *_: None)
+    monkeypatch.setattr(commands, "compile_kernel", lambda *_: None)
     data = some_trials(tmp_path / "data", "air_sine_1 air_square_1")
     out, page = tmp_path / "new.toml", tmp_path / "report" / "report.html"
     assert console.run(command.main, ["servo", *map(str, ["--data", data, "--out", out, "--report", page.parent])]) == 2

@@ -73,7 +73,7 @@ def test_swims_that_were_finished_are_not_run_again(tmp_path, monkeypatch):
         tables = {"pose": {"t": t, "x": made.job.slip * t, "y": 0 * t, "yaw": 0 * t}}
         return SimpleNamespace(table=tables.get)
 
-    monkeypatch.setattr(hidden, "swum", swum)
+    monkeypatch.setattr(hidden, "run_jobs", swum)
     monkeypatch.setattr(hidden, "trial_of", trial_of)
     with pytest.raises(KeyboardInterrupt):
         slip.recompute("laptop", [0.5, 1.0], "cpu", 1, tmp_path)

@@ -15,7 +15,7 @@ from test_descriptions import whole
 from fishmj import mjcf
 from fishmj.base.errors import ConfigError, DescriptionError
 from fishmj.log.toml import dumps
-from fishmj.mjcf import Fin, Link, Robot, Servo, Timing, description, load_robot
+from fishmj.mjcf import Fin, Link, Robot, Servo, Timing, load_robot, reading
 from fishmj.mjcf.reading import robot_from_dict
 from fishmj.sim import Sim
 
@@ -62,7 +62,7 @@ def test_a_good_robot_built_by_hand_is_checked_once_and_comes_back_itself(monkey
         water={key: value for key, value in BASE.water.items() if key not in ("k", "cn")} | {"k": [0.9, 0.8], "cn": (1.2, 2.0)},
     )
     assert load_robot(robot) is robot
-    monkeypatch.setattr(description, "_examined", None)  # a second check would fail
+    monkeypatch.setattr(reading, "_examined", None)  # a second check would fail
     assert load_robot(robot) is robot and load_robot(BASE) is BASE
     with pytest.raises(TypeError):
         load_robot(replace(robot, name="other"))

@@ -15,7 +15,7 @@ from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import leftover, unexplained, whitening
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.stepwise import CrossValidated, converge, informative_records, prune, split
+from fishmj.gap.search.stepwise import CrossValidatedFit, converge, informative_records, prune, split
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate, unrepeatable
 from fishmj.sim import Sim
@@ -224,7 +224,7 @@ def test_a_limit_that_only_one_record_reaches_is_left_open_by_the_others(plant):
     search = e.subset()
     places = (plant.index("speed_limit", "slowness"),)
     best, unlearnt = (search.at(r, ("speed_limit",), places) for r in (row, plant.null))
-    found = CrossValidated(e.with_estimated_model_error(row), best, (unlearnt, best))
+    found = CrossValidatedFit(e.with_estimated_model_error(row), best, (unlearnt, best))
     beat = np.array([False, True])
     (searched, predicted), _ = found.held_out(np.stack([beat, ~beat]))
     assert found.near.subset(beat).at(plant.null).cost > 2.0 * searched.layout.size

@@ -22,7 +22,7 @@ from fishmj.gap.commands.mjcf_patch import difference, hooked, mjcf
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import named, trials_in
-from fishmj.gap.verdict import Named, Value, Verdict
+from fishmj.gap.verdict import NamedEffect, Value, Verdict
 from fishmj.log.dataset import read_dataset, write_bundle
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
@@ -51,7 +51,7 @@ def report(folder, data, name="coulomb_friction", answer="NAMED", **values):
     units = {p.name: p.unit for p in effects.get(name).parameters}
     given = {key: Value(v, units[key], v - 0.01, v + 0.01) for key, v in values.items()}
     verdict = Verdict(
-        answer, (Named(name, given, 0.98, 0.9),), ({"name": "load_friction", "p_best": 0.02},), gates={"closure": 0.9}
+        answer, (NamedEffect(name, given, 0.98, 0.9),), ({"name": "load_friction", "p_best": 0.02},), gates={"closure": 0.9}
     )
     verdict = replace(verdict, gap_before=3.0, gap_after=1.2)
     context = {

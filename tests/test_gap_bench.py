@@ -10,7 +10,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, UsageError
 from fishmj.gap.bench import cases, command, rows, solver
 from fishmj.gap.bench.score import score
-from fishmj.gap.bench.workers import answered
+from fishmj.gap.bench.workers import ask_all
 
 ROW = {"id": "a", "kind": "single", "answer": "NAMED", "truth": {"command_latency": {"delay": 0.05}}, "rivals": []}
 ROW |= {"true_gap": 9.0, "beyond_gap": 9.0, "gap_unseen": None, "gap_before": 2.0, "seconds": 1.0}
@@ -35,24 +35,24 @@ def test_an_error_and_an_interval():
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_case_is_answered_once(jobs):
     before = dict(os.environ)
-    assert sorted(answered([1.0, 4.0, 9.0], math.sqrt, jobs)) == [1.0, 2.0, 3.0]
+    assert sorted(ask_all([1.0, 4.0, 9.0], math.sqrt, jobs)) == [1.0, 2.0, 3.0]
     assert dict(os.environ) == before
 
 
 def test_a_case_that_fails_is_heard_of():
     with pytest.raises(ValueError, match="math domain error|nonnegative"):
-        list(answered([-1.0, 4.0], math.sqrt, 2))
+        list(ask_all([-1.0, 4.0], math.sqrt, 2))
 
 
 def test_a_process_has_a_core_and_a_thread_of_its_own():
     if not hasattr(os, "sched_getaffinity"):
         pytest.skip("this system binds no process to a core")
-    assert all(len(cores) == 1 for cores in answered([0, 0, 0], os.sched_getaffinity, 2))
-    assert list(answered(["OMP_NUM_THREADS"] * 2, os.getenv, 2)) == [os.environ.get("OMP_NUM_THREADS", "1")] * 2
+    assert all(len(cores) == 1 for cores in ask_all([0, 0, 0], os.sched_getaffinity, 2))
+    assert list(ask_all(["OMP_NUM_THREADS"] * 2, os.getenv, 2)) == [os.environ.get("OMP_NUM_THREADS", "1")] * 2
 
 
 def test_cases_that_hide_some_effects_are_those_that_were_dealt():
-    dealt = [solver.Given(case, None, None) for case in cases.draw(60, 3, small=True)]
+    dealt = [solver.SolverCase(case, None, None) for case in cases.draw(60, 3, small=True)]
     asked = ("tether", "command_latency")
     some = command.hiding_any(dealt, asked)
     assert some and some == [one for one in dealt if set(asked) & set(one.case.effects)] and len(some) < len(dealt)
@@ -80,6 +80,6 @@ def test_rows_are_kept_and_not_made_again(tmp_path):
 
     todo = [Asked("a"), Asked("b"), Asked("c")]
     (tmp_path / "rows.jsonl").write_text(json.dumps({"id": "b", "kept": True}) + "\n" + '{"id": "c", "ke')
-    assert command.judged(todo, tmp_path, ask) == [{"id": "a"}, {"id": "b", "kept": True}, {"id": "c"}]
+    assert command.judge_cases(todo, tmp_path, ask) == [{"id": "a"}, {"id": "b", "kept": True}, {"id": "c"}]
     assert made == ["a", "c"]
-    assert [row["id"] for row in rows.kept(tmp_path / "rows.jsonl")] == ["b", "a", "c"]  # the cut line took none along
+    assert [row["id"] for row in rows.read_rows(tmp_path / "rows.jsonl")] == ["b", "a", "c"]  # the cut line took none along

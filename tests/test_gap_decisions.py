@@ -12,12 +12,12 @@ from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F40
 
 from fishmj import effects
 from fishmj.gap.decide.decide import confused, decide, masked_by, sanity
-from fishmj.gap.progress import Quiet, silent
+from fishmj.gap.progress import QuietBar, silent_bar
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import model_error
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of, relinearise
 from fishmj.gap.search.stepwise import (
-    CrossValidated,
+    CrossValidatedFit,
     Selection,
     SelectionStep,
     forward_select,
@@ -27,7 +27,7 @@ from fishmj.gap.search.stepwise import (
     split,
 )
 from fishmj.gap.thresholds import frozen
-from fishmj.gap.verdict import Named, Value
+from fishmj.gap.verdict import NamedEffect, Value
 
 SIX = ("gait_fast", "drift_north", "turn_left", "tow_oblique", "gait", "burst_and_coast")
 
@@ -103,7 +103,7 @@ def test_given_the_others_is_all_records_less_the_others(plant):  # noqa: F811
     e = evidence_on(plant, {}, 72)
     folds = split(e.records)
     base = e.subset().base()
-    known = CrossValidated(e, base, (base,) * len(folds))
+    known = CrossValidatedFit(e, base, (base,) * len(folds))
     others = sum(e.subset(~fold).loss(plant.null) for fold in folds)
     assert known.conditional_loss(folds) == pytest.approx(len(folds) * e.subset().loss(plant.null) - others)
 
@@ -113,7 +113,7 @@ def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_o
     e = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73)
     folds, gates = split(e.records), frozen()
     base = e.subset().base()
-    known = CrossValidated(e, base, (base,) * len(folds))
+    known = CrossValidatedFit(e, base, (base,) * len(folds))
     usual = propose(known, folds, plant.active.effects, gates, 0.0)
     deaf = replace(gates, gain=1.1 * usual.gain)
     step = propose(known, folds, plant.active.effects, deaf, 0.0)
@@ -150,7 +150,7 @@ def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # 
     row = row_of(plant, "steady_current", x=0.03, y=0.0)
     places = tuple(plant.index("steady_current", p) for p in ("x", "y"))
     c = relinearise(e, e.subset().at(row, ("steady_current",), places))[1]
-    said = lambda x, half: Named(
+    said = lambda x, half: NamedEffect(
         "steady_current", {"x": Value(x, "m/s", x - half, x + half), "y": Value(0.001, "m/s", -0.01, 0.012)}, 1.0, 1.0
     )
     assert sanity(e, c, said(0.03, 0.005), little=True) == ()
@@ -161,7 +161,7 @@ def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # 
 @pytest.mark.slow
 def test_a_gap_that_healthy_robots_of_another_water_leave_is_agreement_unless_most_of_it_is_closed(plant, monkeypatch):  # noqa: F811
     e, gates = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73), frozen()
-    with silent(gates.max_effects, "search", "rounds") as bar:
+    with silent_bar(gates.max_effects, "search", "rounds") as bar:
         found = forward_select(e, gates, split(e.records), lambda text: None, bar)
     wide = replace(gates, adequacy=1e9)
     assert decide(e, found, wide).answer == "NAMED"  # of a water of literature values an accepted effect goes on
@@ -191,6 +191,6 @@ def test_a_search_without_joint_logs_asks_nothing_of_a_joint_sensor(plant):  # n
     swum = hidden({}, 81, ("gait_fast", "turn_left"))
     trials = [replace(t, tables={name: t.tables[name] for name in ("cmd", "pose")}) for t in swum]
     e = likelihood_of(plant, [record_of(t, plant.dt) for t in trials], NULL)
-    found = forward_select(e, frozen(), split(e.records), lambda text: None, Quiet())
+    found = forward_select(e, frozen(), split(e.records), lambda text: None, QuietBar())
     tried = {name for step in found.steps for c in step.ranked for name in c.names}
     assert tried and all(set(effects.get(name).shows) & {"position", "heading"} for name in tried)

@@ -484,7 +484,7 @@ def test_null_runs_are_counted_one_by_one_and_kept_ones_not_at_all(tmp_path, mon
     monkeypatch.setattr("fishmj.gap.null.null_runs.cache_folder", lambda: tmp_path)
     told = []
 
-    class Bar(progress.Quiet):
+    class Bar(progress.QuietBar):
         def update(self, done, **_):
             told.append(done)
 

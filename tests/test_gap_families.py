@@ -63,12 +63,12 @@ def test_every_effect_comes_up_before_one_comes_up_twice():
 
 def test_what_cannot_be_seen_is_searched_in_one_of_three():
     dealt = [case for robot in robots(600, 5, ALL, KINDS) for case in robot.cases]
-    weak = [drawn_robots.searched(case, dict.fromkeys(case.effects, 4.9)) for case in dealt if case.kind in ("single", "pair")]
+    weak = [drawn_robots.is_searched(case, dict.fromkeys(case.effects, 4.9)) for case in dealt if case.kind in ("single", "pair")]
     assert 0.26 < np.mean(weak) < 0.41
-    assert all(drawn_robots.searched(case, dict.fromkeys(case.effects, 5.1)) for case in dealt)
-    assert all(drawn_robots.searched(case, dict.fromkeys(case.effects, 0.0)) for case in dealt if case.kind in ("none", "off"))
-    pair = next(case for case in dealt if case.kind == "pair" and not drawn_robots.searched(case, {"a": 0.0, "b": 0.0}))
-    assert not drawn_robots.searched(pair, {"a": 50.0, "b": 1.0})
+    assert all(drawn_robots.is_searched(case, dict.fromkeys(case.effects, 5.1)) for case in dealt)
+    assert all(drawn_robots.is_searched(case, dict.fromkeys(case.effects, 0.0)) for case in dealt if case.kind in ("none", "off"))
+    pair = next(case for case in dealt if case.kind == "pair" and not drawn_robots.is_searched(case, {"a": 0.0, "b": 0.0}))
+    assert not drawn_robots.is_searched(pair, {"a": 50.0, "b": 1.0})
 
 
 def test_only_effects_that_change_the_mean_are_named_for():
@@ -79,8 +79,8 @@ def test_only_effects_that_change_the_mean_are_named_for():
 
 def test_shards_are_disjoint_and_complete_and_keep_a_robot_together():
     asked = {"cases": 240, "seed": 2, "kinds": KINDS, "logs": None, "small": False, "effects": None, "power": False}
-    parts = [family_command.dealt(SimpleNamespace(**asked, shard=(i, 4)), ALL) for i in range(4)]
-    whole = family_command.dealt(SimpleNamespace(**asked, shard=(0, 1)), ALL)
+    parts = [family_command.draw_cases(SimpleNamespace(**asked, shard=(i, 4)), ALL) for i in range(4)]
+    whole = family_command.draw_cases(SimpleNamespace(**asked, shard=(0, 1)), ALL)
     ids = [case.id for part in parts for robot in part for case in robot.cases]
     assert len(set(ids)) == len(ids) == 240 and set(ids) == {case.id for robot in whole for case in robot.cases}
     assert sum(map(len, parts)) == len(whole) and all(robot in whole for part in parts for robot in part)  # none is cut in two
@@ -107,14 +107,14 @@ def test_a_chain_that_hardly_swims_is_drawn_again_and_counted(monkeypatch):
 
     monkeypatch.setattr(families, "lengths_a_second", swum)
     one = BenchRobot("foil-0-0001", "foil", True, 5, ())
-    found = drawn_robots.described(one)
+    found = drawn_robots.describe_robot(one)
     assert (found.redraws, found.speed) == (3, 0.3)
     rng = np.random.default_rng([5, 15])
     assert [drawn_robots.chain(rng, one.id) for _ in range(4)][-1] == found.robot
     monkeypatch.setattr(families, "lengths_a_second", lambda *given: 0.0)
-    assert drawn_robots.described(one._replace(drawn=False)).redraws == 0  # the shipped fish is what it is
+    assert drawn_robots.describe_robot(one._replace(drawn=False)).redraws == 0  # the shipped fish is what it is
     with pytest.raises(ConfigError, match="foil-0-0001.*swims 0.05"):
-        drawn_robots.described(one)
+        drawn_robots.describe_robot(one)
 
 
 def test_calibration_swims_none_of_the_experiments_that_are_searched():
@@ -254,7 +254,7 @@ def test_families_are_told_apart_and_small_numbers_are_said():
     result = family_score.score(many())
     assert set(result["families"]) == {"foil", "morison"} and result["models"] == {"fish": result["pooled"]}
     assert sum(f["agrees"]["n"] for f in result["families"].values()) == result["pooled"]["agrees"]["n"] == 100
-    text = "\n".join(family_score.told(result))
+    text = "\n".join(family_score.report_lines(result))
     assert "100 of 200 none" in text and "aim >= 80%: met" in text and "foil 15 pairs" in text
 
 
@@ -314,8 +314,11 @@ def test_a_family_that_there_is_none_of_is_refused():
 
 
 def test_families_stand_for_all_of_them():
-    assert family_command.named(["families"]) == ALL and family_command.named(["foil", "morison"]) == ("morison", "foil")
-    assert family_command.named(["second"]) == ()
+    assert family_command.selected_families(["families"]) == ALL and family_command.selected_families(["foil", "morison"]) == (
+        "morison",
+        "foil",
+    )
+    assert family_command.selected_families(["second"]) == ()
 
 
 def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
@@ -327,14 +330,16 @@ def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
         return [{"id": case.id} for case in asked.robot.cases]
 
     monkeypatch.setattr(family_rows, "rows", answer)
-    monkeypatch.setattr(family_command, "warmed", lambda names: None)
+    monkeypatch.setattr(family_command, "precompile", lambda names: None)
     ids = [case.id for robot in todo for case in robot.cases]
-    kept = console.plain(family_rows.begun(todo[0].cases[2], family_rows.Asked(todo[0], calibrate=False))) | {"kept": True}
-    rows = family_command.judged(todo, SimpleNamespace(**args), {ids[2]: kept}, 1)
+    kept = console.plain(family_rows.case_facts(todo[0].cases[2], family_rows.RobotQuery(todo[0], calibrate=False))) | {
+        "kept": True
+    }
+    rows = family_command.judge_robots(todo, SimpleNamespace(**args), {ids[2]: kept}, 1)
     assert [one["id"] for one in rows] == ids and rows[2]["kept"] and seen == [*ids[:2], *ids[3:]]
     for key, value in (("as_described", False), ("experiments", ["gait"]), ("weighed", True)):
         with pytest.raises(ConfigError, match=f"another benchmark: row {ids[2]} differs in {key}"):
-            family_command.judged(todo, SimpleNamespace(**args), {ids[2]: kept | {key: value}}, 1)
+            family_command.judge_robots(todo, SimpleNamespace(**args), {ids[2]: kept | {key: value}}, 1)
 
 
 def test_processes_that_write_at_once_lose_no_row(tmp_path):
@@ -346,14 +351,14 @@ def test_processes_that_write_at_once_lose_no_row(tmp_path):
 
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(write, range(6)))
-    rows = family_command.done(tmp_path)
+    rows = family_command.finished_rows(tmp_path)
     assert set(rows) == {f"{writer}-{k}" for writer in range(6) for k in range(40)}
     assert all(row["long"] == long for row in rows.values())
 
 
 def test_the_bar_follows_what_others_write():
     looks = []
-    with family_command.following(lambda: looks.append(1), every=0.01):
+    with family_command.call_repeatedly(lambda: looks.append(1), every=0.01):
         time.sleep(0.2)
     seen = len(looks)
     time.sleep(0.05)
@@ -364,7 +369,7 @@ def test_a_robot_that_cannot_be_calibrated_says_so_in_every_row(tmp_path, monkey
     one = robots(4, 3, ("foil",), KINDS)[0]
     monkeypatch.setattr(drawn_robots, "DRAWS", 1)
     monkeypatch.setattr(drawn_robots, "SLOWEST", 1e9)
-    rows = family_rows.rows(family_rows.Asked(one._replace(drawn=True), out=tmp_path))
+    rows = family_rows.rows(family_rows.RobotQuery(one._replace(drawn=True), out=tmp_path))
     assert [r["answer"] for r in rows] == ["REFUSED"] * len(one.cases) and "swims" in rows[0]["reason"]
     assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == len(rows)
     assert family_score.figures(rows)["refused"] == len(rows)
@@ -375,13 +380,13 @@ def test_a_case_is_the_same_twice_and_its_calibration_is_kept(tmp_path, monkeypa
     monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
     monkeypatch.setattr(calibrated, "SWIMS", ("gait_small", "turn_right", "tow_ahead", "tow_sideways"))
     late = Case("morison-0-0000-0", "single", {"command_latency": {"delay": 0.06}}, 1.0, ("gait_fast", "tow_oblique"), 8)
-    one = family_rows.Asked(BenchRobot("morison-0-0000", "morison", False, 8, (late,)))
+    one = family_rows.RobotQuery(BenchRobot("morison-0-0000", "morison", False, 8, (late,)))
     (first,), (second,) = family_rows.rows(one), family_rows.rows(one)
     still = lambda row: {key: value for key, value in row.items() if "seconds" not in key}
     assert still(first) == still(second)
     assert len(list((tmp_path / "bench").glob("*.json"))) == 1 and second["robot_cpu_seconds"] < first["robot_cpu_seconds"]
     assert first["detectable"] > family_score.BOUND and first["answer"] in ANSWERS
-    known, model, own, facts = family_rows.questioned(one._replace(calibrate=False))
+    known, model, own, facts = family_rows.questioned_model(one._replace(calibrate=False))
     assert own is None and facts["calibrated"] is None and model.robot == known == load_robot("fish")
     assert 0.0 < first["calibrated"]["value"] < 0.5 and family_score.score([first])["pooled"]["coverage"]["n"] == 1
 

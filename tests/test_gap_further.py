@@ -15,7 +15,7 @@ from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.fit import drop_effect
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import ModelResponse
-from fishmj.gap.search.stepwise import Beyond, CrossValidated, Selection, required_gain, split
+from fishmj.gap.search.stepwise import CrossValidatedFit, GainOverModelError, Selection, required_gain, split
 from fishmj.gap.thresholds import frozen, thresholds
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
@@ -50,7 +50,7 @@ def known_and_more(e):
         c = candidate(e, **given)
         near = e.with_estimated_model_error(c.row)
         c = near.subset().at(c.row, c.names, c.places)
-        sets.append(CrossValidated(near, c, (c,) * len(folds)))
+        sets.append(CrossValidatedFit(near, c, (c,) * len(folds)))
     return *sets, folds
 
 
@@ -73,7 +73,7 @@ def test_the_error_of_a_known_formula_is_worth_what_is_asked_on_top(told):
 def test_friction_in_the_joints_is_accepted_beside_a_current_that_explains_a_thousand_times_as_much(told):
     e, gates = told[0], frozen()
     known, more, folds = known_and_more(e)
-    beyond = Beyond(known, gates)
+    beyond = GainOverModelError(known, gates)
     assert beyond.likely([more.best]) and beyond.gain(more, folds) > beyond.required
     assert not beyond.likely([known.best]) and abs(beyond.gain(known, folds)) < beyond.required
     assert required_gain(gates, known, 1e9, True) > 1000 * beyond.required  # what a share of the gain so far may ask

@@ -24,7 +24,7 @@ def calibrated(**water):
 
 def speeds(model, scales) -> tuple[np.ndarray, np.ndarray]:
     """Of the second robot and of the model, m/s."""
-    records = matched_water.swum(model.robot, scales, model.dt)
+    records = matched_water.swim_second_robot(model.robot, scales, model.dt)
     shown = model.predict(records, model.nothing)
     paces = [(pace(r.pose.t, r.pose.values)[0], pace(r.pose.t, p["pose"][0])[0]) for r, p in zip(records, shown, strict=True)]
     return np.array(paces).T

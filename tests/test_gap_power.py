@@ -59,16 +59,16 @@ def strengths(monkeypatch, law):
 @pytest.mark.parametrize("law", [lambda c: 4.0 * c**2, lambda c: 12.0 * c**1.2, lambda c: 60.0 * c**2 / (1.0 + c)])
 def test_an_effect_is_scaled_until_its_strength_is_there(monkeypatch, law):
     asked = strengths(monkeypatch, law)
-    values, there = power.scaled("foil", DRAG, load_robot("fish"))
-    assert there == pytest.approx(20.0, rel=power.NEAR - 1.0) and power.reached(there, 20.0)
+    values, there = power.effect_at_strength("foil", DRAG, load_robot("fish"))
+    assert there == pytest.approx(20.0, rel=power.NEAR - 1.0) and power.reaches(there, 20.0)
     assert law(values["quadratic_drag"]["coefficient"]) == there and len(asked) <= power.TRIES
 
 
 def test_a_strength_beyond_the_bounds_of_an_effect_is_not_reached(monkeypatch):
     asked = strengths(monkeypatch, lambda c: 0.02 * c**2)
-    values, there = power.scaled("foil", DRAG, load_robot("fish"))
+    values, there = power.effect_at_strength("foil", DRAG, load_robot("fish"))
     assert values == {"quadratic_drag": {"coefficient": 10.0}} and there == pytest.approx(2.0)  # its upper bound
-    assert not power.reached(there, 20.0) and len(asked) < power.TRIES
+    assert not power.reaches(there, 20.0) and len(asked) < power.TRIES
 
 
 def test_a_size_at_which_the_robot_does_not_swim_is_too_large(monkeypatch):
@@ -78,10 +78,10 @@ def test_a_size_at_which_the_robot_does_not_swim_is_too_large(monkeypatch):
         return 4.0 * c**2
 
     strengths(monkeypatch, law)
-    assert power.scaled("foil", DRAG, load_robot("fish"))[1] == pytest.approx(20.0, rel=power.NEAR - 1.0)
+    assert power.effect_at_strength("foil", DRAG, load_robot("fish"))[1] == pytest.approx(20.0, rel=power.NEAR - 1.0)
     strengths(monkeypatch, lambda c: law(9.0))
     with pytest.raises(SimDiverged):
-        power.scaled("foil", DRAG, load_robot("fish"))
+        power.effect_at_strength("foil", DRAG, load_robot("fish"))
 
 
 # ------------------------------------------------------------ the score
@@ -114,7 +114,7 @@ def test_the_table_has_counts_for_each_effect_generator_and_strength():
     assert cells == {("foil", 20.0): (1, 0, 1, 2), ("foil", 40.0): (0, 1, 0, 1), ("morison", 5.0): (1, 0, 0, 1)}
     assert (result["missed"]["hits"], result["missed"]["n"]) == (1, 3) and result["met"] == {"missed": False, "healthy": True}
     assert result["healthy"]["value"] == 0.9 and (result["not_reached"], result["diverged"]) == (1, 1)
-    text = "\n".join(power.told(result))
+    text = "\n".join(power.report_lines(result))
     assert "1 + 0 + 1 of 2" in text and "20 times or more, AGREES: 33% (1 of 3; 95 %: 1% to 91%); aim <= 5%: MISSED" in text
 
 
@@ -123,12 +123,12 @@ def test_rows_of_power_are_kept_resumed_and_scored(tmp_path, monkeypatch, capsys
 
     def rows(one):
         made.extend(case.id for case in one.robot.cases)
-        mine = [family_rows.begun(case, one) | row("NAMED", case.times, said=tuple(case.effects)) | {"id": case.id}
+        mine = [family_rows.case_facts(case, one) | row("NAMED", case.times, said=tuple(case.effects)) | {"id": case.id}
                 for case in one.robot.cases]  # fmt: skip
-        return family_rows.written(one, [r | {"truth": r.get("drawn", {})} for r in mine])
+        return family_rows.write_rows(one, [r | {"truth": r.get("drawn", {})} for r in mine])
 
     monkeypatch.setattr(family_command.family_rows, "rows", rows)
-    monkeypatch.setattr(family_command, "warmed", lambda names: None)
+    monkeypatch.setattr(family_command, "precompile", lambda names: None)
     argv = ["--generator", "foil", "--power", "--effects", "quadratic_drag", "--cases", "10", "--strict", "--json"]
     argv += ["--out", str(tmp_path)]
     assert command.main(argv) == console.FAILED_CHECK  # a robot with nothing hidden is named here
@@ -143,7 +143,7 @@ def test_rows_of_power_are_kept_resumed_and_scored(tmp_path, monkeypatch, capsys
 @pytest.mark.slow
 def test_added_drag_is_named_where_healthy_swims_are_given():
     robot = next(islice(every(77, ("morison",), 6), 1, None))
-    known, model, healthy, _ = family_rows.questioned(family_rows.Asked(robot))
+    known, model, healthy, _ = family_rows.questioned_model(family_rows.RobotQuery(robot))
     drag = {"quadratic_drag": {"coefficient": 8.0}}  # N s2/m2, 44 times what noise and healthy robots differ by
     case = robot.cases[0]._replace(effects=drag)
     trials = families.trials(robot.family, drag, case.logs, robot.seed, known, first=family_rows.APART, noise=case.noise)

@@ -17,8 +17,8 @@ from fishmj.gap.localise.residual_patterns import compatible, significant
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import record_of
-from fishmj.gap.report import gathered, write
-from fishmj.gap.report.report_data import channels, gap_of, parted
+from fishmj.gap.report import gather, write
+from fishmj.gap.report.report_data import channels, gap_of, record_parts
 from fishmj.gap.report.sections import CONTRACT, gates, headline, html
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
@@ -47,7 +47,7 @@ def inquiry(plant):
 
 @pytest.fixture(scope="module")
 def material(inquiry):
-    return gathered(inquiry)
+    return gather(inquiry)
 
 
 def planted(plant, hidden: dict, runs=RUNS):
@@ -144,14 +144,14 @@ def test_a_delay_is_there_at_once_and_a_current_grows(plant, material):
 
 # ---------------------------------------------------------------------------------------------------------------- material
 def test_the_gap_by_channel_is_that_of_the_pair_that_the_verdict_says(inquiry, material):
-    assert parted(inquiry).count("held out") == 1 and parted(inquiry).count("fitted") == 3
+    assert record_parts(inquiry).count("held out") == 1 and record_parts(inquiry).count("fitted") == 3
     before, after = gap_of(material)
     assert (before, after) == (inquiry.verdict.gap_before, inquiry.verdict.gap_after) and after < 2 < before
     told = channels(inquiry)
     assert min(one for one, _ in told.values()) < before < max(one for one, _ in told.values())
     assert max(two for _, two in told.values()) < 3
     more = dataclasses.replace(inquiry, records=[*inquiry.records, inquiry.records[0]], unseen=np.array([False] * 4 + [True]))
-    assert parted(more)[-1] == "never used"
+    assert record_parts(more)[-1] == "never used"
 
 
 def test_finalists_are_ranked_and_their_likeness_is_a_cosine(material):
@@ -168,7 +168,7 @@ def test_finalists_are_ranked_and_their_likeness_is_a_cosine(material):
 
 def test_what_the_records_cannot_show_is_said(plant):
     still = generate({}, ("drift_north", "drift_west"), SEED)
-    missed = {b.name for b in gathered(investigate(plant, still, null=NULL)).blind}
+    missed = {b.name for b in gather(investigate(plant, still, null=NULL)).blind}
     assert {"command_latency", "joint_sensor_delay", "servo_gain"} <= missed and "steady_current" not in missed
 
 

@@ -15,7 +15,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.gap import __main__ as gap
 from fishmj.gap.bench import robots
 from fishmj.gap.bench.run import sizes, true_gap
-from fishmj.gap.commands.hide import with_lost_rows
+from fishmj.gap.commands.plant import with_lost_rows
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.gap.laboratory.virtual_robot.simulate import columns
@@ -197,7 +197,7 @@ def test_the_benchmark_sizes_effects_on_the_robot_of_the_model(fish_of):
 
 
 def test_the_study_hides_and_restates_what_its_table_says():
-    (trial, *_) = robots.trials_of(robots.Trying("fish", "twice the noise", 3))
+    (trial, *_) = robots.trials_of(robots.TrialSettings("fish", "twice the noise", 3))
     assert trial.value("sigma.x") == pytest.approx(0.004) and trial.value("sigma.start") == pytest.approx(0.002)
     rows = [
         {"model": "fish", "condition": "50 ms of latency", "answer": "NAMED", "gap_before": 9.0,

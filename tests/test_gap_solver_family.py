@@ -14,12 +14,12 @@ from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.gap.bench import calibrated, command, families, family_command, family_score, solver_sets
 from fishmj.gap.bench.cases import KINDS
-from fishmj.gap.bench.rows import kept
+from fishmj.gap.bench.rows import read_rows
 from fishmj.gap.bench.solver_family import __main__ as verb
 from fishmj.gap.bench.solver_family import detectability, launches, plan, swims
-from fishmj.gap.bench.solver_family.plan import Asked
+from fishmj.gap.bench.solver_family.plan import PlanSettings
 from fishmj.gap.records.records import record_of
-from fishmj.gap.search.healthy_swims import Healthy
+from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.hydro_fit.record import KICK
 from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_bundle
@@ -35,7 +35,7 @@ def seen_by_all(monkeypatch):
 
 # ------------------------------------------------------------ what is planned
 def test_a_plan_is_its_seed_and_its_folder(tmp_path, seen_by_all):
-    asked = Asked({"fish": "fish", "tendon_fish": "tendon_fish"}, robots=3, seed=4)
+    asked = PlanSettings({"fish": "fish", "tendon_fish": "tendon_fish"}, robots=3, seed=4)
     made = plan.planned(asked)
     assert plan.planned(asked).robots == made.robots
     assert plan.planned(replace(asked, seed=5)).robots[0].cases[1].effects != made.robots[0].cases[1].effects
@@ -47,7 +47,7 @@ def test_a_plan_is_its_seed_and_its_folder(tmp_path, seen_by_all):
 
 
 def test_half_of_the_healthy_robots_swim_each_experiment(seen_by_all):
-    made = plan.planned(Asked({"fish": "fish"}, robots=8)).robots
+    made = plan.planned(PlanSettings({"fish": "fish"}, robots=8)).robots
     swum = [name for one in made for name in one.experiments]
     assert {swum.count(name) for name in excitation.DESIGNED} == {4} and all(len(one.experiments) == 6 for one in made)
     assert made[0].experiments == made[2].experiments and not set(made[0].experiments) & set(made[1].experiments)
@@ -56,7 +56,7 @@ def test_half_of_the_healthy_robots_swim_each_experiment(seen_by_all):
 def test_what_nobody_could_see_is_drawn_again(monkeypatch):
     told = iter([0.1, plan.LIKELY - 0.1, 7.0, 0.2] + [0.3] * 20)
     monkeypatch.setattr(families, "detectable", lambda *given: {"all": next(told)})
-    one = plan.planned(Asked({"fish": "fish"}, robots=1)).robots[0]
+    one = plan.planned(PlanSettings({"fish": "fish"}, robots=1)).robots[0]
     assert one.forecasts[:2] == (None, 7.0) and one.forecasts[2] < plan.LIKELY  # after `DRAWS` of them it stays as it is
     assert len(list(told)) == 24 - 3 - plan.DRAWS
 
@@ -64,7 +64,7 @@ def test_what_nobody_could_see_is_drawn_again(monkeypatch):
 def test_a_description_that_is_a_file_goes_with_the_plan(tmp_path, seen_by_all):
     own = tmp_path / "mine.toml"
     own.write_text((calib_folder() / "tendon_fish.toml").read_text())
-    plan.write(plan.planned(Asked({"mine": str(own)}, robots=1)), tmp_path / "out")
+    plan.write(plan.planned(PlanSettings({"mine": str(own)}, robots=1)), tmp_path / "out")
     own.unlink()
     assert plan.read(tmp_path / "out").descriptions["mine"].n_joints == load_robot("tendon_fish").n_joints
     (tmp_path / "none").mkdir()
@@ -79,7 +79,9 @@ def small():
     """Two robots of one model, a single each, and a fault outside the catalogue in the second."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(families, "detectable", lambda *given: {"all": 9.0})
-        return plan.planned(Asked({"fish": "fish"}, robots=5, singles=1, seed=2, seconds=1.5, calibration=3.0, domain="laptop"))
+        return plan.planned(
+            PlanSettings({"fish": "fish"}, robots=5, singles=1, seed=2, seconds=1.5, calibration=3.0, domain="laptop")
+        )
 
 
 def test_processes_share_all_swims_and_finish_the_same_robots_first(small):
@@ -128,7 +130,7 @@ def sets(small, tmp_path_factory):
     folder = tmp_path_factory.mktemp("solver")
     plan.write(small, folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(swims, "swum", lambda waiting, device, tanks: map(Done, emptied(waiting)))
+        patch.setattr(swims, "run_jobs", lambda waiting, device, tanks: map(Done, emptied(waiting)))
         seen = lambda run, noise=1.0, draw=0: run.trial(noise, draw)
         patch.setattr(swims, "trial_of", seen)
         assert swims.swum_all(small, folder, "cpu") == sum(one.job.steps for one in swims.all_swims(small))
@@ -139,7 +141,7 @@ def sets(small, tmp_path_factory):
 
 def test_what_was_swum_is_not_swum_again(small, sets, monkeypatch):
     asked = []
-    monkeypatch.setattr(swims, "swum", lambda waiting, device, tanks: asked.extend(emptied(waiting)) or ())
+    monkeypatch.setattr(swims, "run_jobs", lambda waiting, device, tanks: asked.extend(emptied(waiting)) or ())
     swims.swum_all(small, sets, "cpu")
     assert len(asked) == 1
 
@@ -255,7 +257,7 @@ def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_see
 
     def found(path, family, robot, trials):
         fitted.append((path, family, [str(trial.value("excitation")) for trial in trials()]))
-        return calibrated.Calibrated(robot, {"value": 0.02, "low": 0.0, "high": 0.1})
+        return calibrated.CalibratedRobot(robot, {"value": 0.02, "low": 0.0, "high": 0.1})
 
     def search(model, trials, *, null, seed, healthy, **given):
         asked.append((null.without, len(trials), seed, healthy.swims))
@@ -263,13 +265,15 @@ def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_see
 
     from fishmj.gap.bench import family_rows
 
-    monkeypatch.setattr(solver_sets.calibrated, "kept", found)
-    monkeypatch.setattr(solver_sets.healthy_swims, "known", lambda model, swims, null: Healthy(1.2, (len(swims), null.without)))
+    monkeypatch.setattr(solver_sets.calibrated, "read_or_calibrate", found)
+    monkeypatch.setattr(
+        solver_sets.healthy_swims, "read_healthy_swims", lambda model, swims, null: HealthySwims(1.2, (len(swims), null.without))
+    )
     monkeypatch.setattr(family_rows, "investigate", search)
-    monkeypatch.setattr(family_command, "warmed", lambda names: None)
+    monkeypatch.setattr(family_command, "precompile", lambda names: None)
     argv = ["--generator", "solver", "--sets", str(sets), "--kinds", "none,off", "--out", str(tmp_path / "rows")]
     command.main(argv)
-    rows = kept(tmp_path / "rows" / "rows.jsonl")
+    rows = read_rows(tmp_path / "rows" / "rows.jsonl")
     assert [row["kind"] for row in rows] == ["none", "none", "off", "none", "none", "off"]
     assert {row["answer"] for row in rows} == {"REFUSED"} and {row["family"] for row in rows} == {"solver"}
     assert {one[0] for one in asked} == {"solver"} and {one[1] for one in asked} == {6}
@@ -321,7 +325,7 @@ def test_a_cut_experiment_keeps_its_beginning():
 
 def test_the_page_says_what_the_shipped_rows_say():
     folder = Path(__file__).resolve().parent.parent / "docs"
-    rows = kept(folder / "figures" / "gap" / "solver_21.jsonl")
+    rows = read_rows(folder / "figures" / "gap" / "solver_21.jsonl")
     found = {name: family_score.figures([row for row in rows if row["described"] == name]) for name in ("fish", "five_link")}
     page = (folder / "search" / "results.md").read_text(encoding="utf-8")
     of = lambda name, key: f"{found[name][key]['hits']} of {found[name][key]['n']}"

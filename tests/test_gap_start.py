@@ -12,7 +12,7 @@ from fishmj.gap.decide.decide import within_null_scatter
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.whitening import changes_sensing
 from fishmj.gap.records.records import ResidualLayout, record_of
-from fishmj.gap.verdict import Named, Value
+from fishmj.gap.verdict import NamedEffect, Value
 from fishmj.gap.workflow import investigate
 
 RUNS = ("gait", "drift_north", "turn_left", "gait_fast")
@@ -65,11 +65,11 @@ def test_null_runs_are_turned_with_the_camera(turning):
 
 def test_what_null_runs_scatter_as_far_is_chance(turning):
     e = evidence_on(turning, {}, 14, RUNS[:2])
-    said = lambda half: Named("yaw_drag", {"coefficient": Value(0.01, "N m s2", 0.01 - half, 0.01 + half)}, 1.0, 1.0)
+    said = lambda half: NamedEffect("yaw_drag", {"coefficient": Value(0.01, "N m s2", 0.01 - half, 0.01 + half)}, 1.0, 1.0)
     assert within_null_scatter(e, (said(0.006),)) and not within_null_scatter(e, (said(0.003),))
     assert not within_null_scatter(e, (said(0.006), said(0.006))) and not within_null_scatter(e, ())
     offsets = lambda least: {f"offset{i}": Value(0.02, "rad", low, 0.05) for i, low in enumerate((-0.01, -0.01, least), 1)}
-    bent = lambda least: (Named("joint_zero_offset", offsets(least), 1.0, 1.0),)
+    bent = lambda least: (NamedEffect("joint_zero_offset", offsets(least), 1.0, 1.0),)
     assert within_null_scatter(e, bent(-0.01)) and not within_null_scatter(e, bent(0.01))  # one of three is told from none
 
 

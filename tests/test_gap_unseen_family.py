@@ -8,7 +8,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap.bench import gates_again
-from fishmj.gap.bench.rows import kept
+from fishmj.gap.bench.rows import read_rows
 from fishmj.gap.commands import find
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.models.swimming_fish import SwimmingFish
@@ -68,7 +68,7 @@ def test_every_family_left_out_has_a_ratio():
 
 def test_healthy_swims_say_nothing_of_a_water_of_literature_values():
     model = SwimmingFish(load_robot("fish"))
-    assert healthy_swims.known(model, generate({}, ["gait"], seed=3), SimulatedNull(runs=12)) is None
+    assert healthy_swims.read_healthy_swims(model, generate({}, ["gait"], seed=3), SimulatedNull(runs=12)) is None
 
 
 def test_swims_of_a_water_that_was_not_calibrated_are_refused(tmp_path):
@@ -80,7 +80,7 @@ def test_swims_of_a_water_that_was_not_calibrated_are_refused(tmp_path):
 def test_no_swim_is_no_evidence(monkeypatch):
     monkeypatch.setattr(healthy_swims, "applies", lambda model: True)
     with pytest.raises(LogError, match="got no healthy swim"):
-        healthy_swims.known(None, [], SimulatedNull())
+        healthy_swims.read_healthy_swims(None, [], SimulatedNull())
 
 
 def test_a_launch_that_is_known_to_two_centimetres_a_second_may_be_off_by_as_much():
@@ -101,12 +101,12 @@ def test_a_launch_that_is_known_to_two_centimetres_a_second_may_be_off_by_as_muc
 
 
 def test_rows_that_are_decided_again_with_the_gates_of_their_robot_say_what_the_search_said():
-    rows = kept(Path(__file__).resolve().parent.parent / "docs" / "figures" / "gap" / "solver_21.jsonl")
+    rows = read_rows(Path(__file__).resolve().parent.parent / "docs" / "figures" / "gap" / "solver_21.jsonl")
     decided = [row for row in rows if "gates" in row]
-    before = [gates_again.again(row, gates_again.gates_of(row, {})) for row in decided]
+    before = [gates_again.redecide(row, gates_again.gates_of(row, {})) for row in decided]
     changed = [(row["answer"], now) for row, now in zip(decided, before, strict=True) if row["answer"] != now]
     assert len(decided) == 81 and changed == [("UNEXPLAINED", gates_again.SEARCH)]  # one that a veto held
-    wide = [gates_again.again(row, replace(frozen(), adequacy=9.0)) for row in decided if row["kind"] == "none"]
+    wide = [gates_again.redecide(row, replace(frozen(), adequacy=9.0)) for row in decided if row["kind"] == "none"]
     assert wide.count("AGREES") == 26 and wide.count("CLASS") == 2
 
 

@@ -122,10 +122,10 @@ def test_the_report_places_the_gap_of_the_logs_and_tells_the_weighing_beside_it(
     from html import unescape
 
     from fishmj.gap.report import page as html
-    from fishmj.gap.report.report_data import gathered, plain
+    from fishmj.gap.report.report_data import gather, plain
 
     inquiry = investigate(plant, hidden(TURNS, 12, RUNS[:2]), null=NULL, page=page(TURNS, 12))
-    material = gathered(inquiry)
+    material = gather(inquiry)
     assert mass_properties.CHANNEL not in material.place.channels
     assert any(mass_properties.CHANNEL in part.by_channel for part in material.parts)
     assert plain(material)["weighed"] in unescape(html(inquiry)) and "yaw inertia is 0.019" in material.weighed

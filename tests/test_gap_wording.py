@@ -13,15 +13,15 @@ from fishmj.gap.decide.decide import _answer, step_table
 from fishmj.gap.report import sections
 from fishmj.gap.report.report_data import ReportRow, after, gap_of, listed
 from fishmj.gap.search.fit import Candidate
-from fishmj.gap.search.stepwise import CrossValidated, SelectionStep
+from fishmj.gap.search.stepwise import CrossValidatedFit, SelectionStep
 from fishmj.gap.thresholds import frozen
-from fishmj.gap.verdict import Named, Value, Verdict, said
+from fishmj.gap.verdict import NamedEffect, Value, Verdict, round_text
 from fishmj.gap.wording import level, number, percent, quantity, title
 
-CURRENT = Named(
+CURRENT = NamedEffect(
     "steady_current", {"x": Value(0.1415, "m/s", 0.09918, 0.18391), "y": Value(-0.0159, "m/s", -0.028, -0.0036)}, 0.04, 0.99
 )
-SKIN = Named("skin_stiffness", {"stiffness": Value(0.91934, "N m/rad", 0.52911, 1.30956)}, 0.0, 0.99)
+SKIN = NamedEffect("skin_stiffness", {"stiffness": Value(0.91934, "N m/rad", 0.52911, 1.30956)}, 0.0, 0.99)
 RIVALS = (
     {"name": "current_shear", "p_best": 0.45, "behind": 0.0, "instead_of": "steady_current"},
     {"name": "swirl", "p_best": 0.48, "behind": 0.0, "instead_of": "steady_current"},
@@ -64,11 +64,11 @@ def material(v, *, changed=None, steps=None):
 
 # ------------------------------------------------------------------------------------------------------------------- rounds
 def test_a_round_is_called_accepted_only_where_it_lowers_the_gap_of_records_that_it_did_not_see():
-    assert said(True, 300.0, (5.0, 1.0)).endswith("accepted") and said(True, 300.0, None).endswith("accepted")
-    grown = said(True, 34561418.0, (7273.97, 42555.6))
+    assert round_text(True, 300.0, (5.0, 1.0)).endswith("accepted") and round_text(True, 300.0, None).endswith("accepted")
+    grown = round_text(True, 34561418.0, (7273.97, 42555.6))
     assert "accepted" not in grown and grown.endswith("taken though their residual does not shrink")
-    assert "accepted" not in said(True, 300.0, (5.0, 5.0))
-    assert said(False, 12.0, None).endswith("not enough")
+    assert "accepted" not in round_text(True, 300.0, (5.0, 5.0))
+    assert round_text(False, 12.0, None).endswith("not enough")
 
 
 @pytest.mark.parametrize(("gap", "accepted"), [((7.0, 1.0), True), ((7.0, 9.0), False), ((7.0, np.nan), False)])
@@ -88,7 +88,7 @@ def test_the_residual_of_unseen_records_is_that_of_the_fits_which_did_not_see_th
     near = SimpleNamespace(layout=layout, model=plant, records=[0, 1], scale=np.ones(4))
     fits = tuple(replace(candidate(), row=np.array([value])) for value in (2.0, 3.0))
     folds = np.array([[True, False], [False, True]])
-    assert CrossValidated(near, candidate(), fits).over_floor(folds) == pytest.approx((4.0 + 9.0) / 2)
+    assert CrossValidatedFit(near, candidate(), fits).over_floor(folds) == pytest.approx((4.0 + 9.0) / 2)
 
 
 # --------------------------------------------------------------------------------------------------------------- percentages

@@ -11,7 +11,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.cli import main
 from fishmj.gap.laboratory import generators
 from fishmj.gap.laboratory.generators import catalogue
-from fishmj.gap.laboratory.generators.detectability import Seen, at, channels, shares, spreads, tolerance
+from fishmj.gap.laboratory.generators.detectability import SensedChannels, at, channels, shares, spreads, tolerance
 from fishmj.gap.laboratory.generators.sensors import sigmas
 from fishmj.gap.laboratory.generators.swim import Run
 from fishmj.gap.laboratory.generators.trials import robot_of
@@ -48,14 +48,14 @@ def values_of(name: str) -> dict[str, float]:
     return SET.get(name) or {p.name: p.null if p.shape else far(p) for p in hidden.parameters}
 
 
-def seen(family: str, hidden: dict, runs=(BEAT,), **given) -> list[Seen]:
+def seen(family: str, hidden: dict, runs=(BEAT,), **given) -> list[SensedChannels]:
     """Channels without noise."""
     sigma = sigmas(robot_of(family, {}, 3), 1.0)
     return [s for t in generators.generate(family, hidden, runs, 3, 0.0, 0.0, **given) for s in channels(t, sigma)]
 
 
 @pytest.fixture(scope="module")
-def plain() -> list[Seen]:
+def plain() -> list[SensedChannels]:
     return seen("morison", {})
 
 
@@ -150,8 +150,8 @@ def test_drawn_sizes_are_typical_and_of_either_sign():
 
 def test_what_shows_is_weighed_against_noise_and_against_healthy_robots():
     t = np.arange(4.0)
-    plain, hidden = Seen(t, np.zeros((4, 1)), np.array([0.5])), Seen(t, np.full((4, 1), 2.0), np.array([0.5]))
-    others = [Seen(t, np.full((4, 1), v), np.array([0.5])) for v in (1.0, -1.0)]
+    plain, hidden = SensedChannels(t, np.zeros((4, 1)), np.array([0.5])), SensedChannels(t, np.full((4, 1), 2.0), np.array([0.5]))
+    others = [SensedChannels(t, np.full((4, 1), v), np.array([0.5])) for v in (1.0, -1.0)]
     spread = spreads(others, plain)
     assert spread == pytest.approx(2.0)  # variance of 1 and -1 about their mean
     both, noise = shares([hidden], [plain], [spread])

@@ -187,7 +187,7 @@ def test_a_collection_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch, 
             asked[-1].append((job := waiting.popleft()).name)
             yield Done(job)
 
-    monkeypatch.setattr(hidden_command, "swum", pretend)
+    monkeypatch.setattr(hidden_command, "run_jobs", pretend)
     monkeypatch.setattr(hidden_command, "trial_of", lambda run: swum[0])
     (tmp_path / "set_000").mkdir()
     hidden_command.write_trial(tmp_path / "set_000" / "01_flick", swum[0])

@@ -26,7 +26,7 @@ def test_only_what_is_missing_is_swum_and_a_ratio_beyond_the_band_fails(tmp_path
         row = {"fish": one.fish, "gait": one.name, "slip": slip, "measured_m_s": one.measured, "strips_m_s": 0.2}
         return row | {"solver_m_s": solver, "ratio": solver / 0.2, "status": "ok"}
 
-    monkeypatch.setattr(new_shapes, "swum", swim)
+    monkeypatch.setattr(new_shapes, "swim_row", swim)
     call = lambda *fish: console.run(new_shapes.main, ["--fish", *fish, "--device", "cpu", "--out", str(tmp_path), "--json"])
     assert call("perch") == console.OK and swum == ["perch"] * 3
     assert call("perch", "tuna", REAL) == console.FAILED_CHECK and swum[3:] == ["tuna"] * 3 + [REAL] * 4

@@ -150,7 +150,7 @@ def test_the_slip_table_can_be_made_on_any_box(monkeypatch, tmp_path):
     from fishmj.gap.laboratory.hidden_lbm import hidden
 
     names = []
-    monkeypatch.setattr(hidden, "swum", lambda jobs, device, tanks: names.extend(job.domain.name for job in jobs) or iter(()))
+    monkeypatch.setattr(hidden, "run_jobs", lambda jobs, device, tanks: names.extend(job.domain.name for job in jobs) or iter(()))
     monkeypatch.setattr(slip.PartialResults, "find", lambda self, name: [1.0] if names else None)
     entry = slip.recompute("window_coarse_refined", [0.98], "cpu", 1, tmp_path)
     assert set(names) == {"window_coarse_refined"} and entry["grid"] == "window_coarse_refined"

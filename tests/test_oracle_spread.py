@@ -315,7 +315,7 @@ def test_hidden_sets_and_robots_of_a_plan_are_spread_too(tmp_path, monkeypatch):
         with pytest.raises(Begun) as begun:
             call()
         assert begun.value.args[2] == TWO and b"on_device" in begun.value.args[0] and b"gait" in begun.value.args[1]
-    jobs = hidden.Owned(deque([("mine", job)]))
+    jobs = hidden.OwnedJobs(deque([("mine", job)]))
     assert jobs and jobs.popleft() is job and not jobs and jobs.owner(SimpleNamespace(job=job)) == "mine"
 
 

@@ -19,7 +19,7 @@ from fishmj.effects import Effect, Parameter
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import own_effects, with_effects
 from fishmj.evaluate.__main__ import main as evaluate
-from fishmj.gap.commands.hide import main as plant
+from fishmj.gap.commands.plant import main as plant
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.laboratory.virtual_robot.__main__ import main as hide
 from fishmj.log import read_trial, write_dataset

@@ -18,7 +18,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.structural_error import strong, widths
-from fishmj.gap.null.variances import Sample, asked, most_likely
+from fishmj.gap.null.variances import Sample, most_likely, score_variances
 from fishmj.gap.null.whitening import leftover
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import likelihood
@@ -61,7 +61,7 @@ def whole_of(s: Sample, u, p) -> np.ndarray:
 def test_the_sums_are_those_of_the_whole_covariance():
     s, u, p = a_sample(np.random.default_rng(0)), np.array([0.4, 1.5, 0.1, 0.7]), np.array([0.2, 0.05])
     whole = whole_of(s, u, p)
-    inverse, told = np.linalg.inv(whole), asked(s, u, p)
+    inverse, told = np.linalg.inv(whole), score_variances(s, u, p)
     solved = inverse @ s.residual
     assert told.loss == pytest.approx(s.residual @ solved + np.linalg.slogdet(whole)[1])
     assert told.adequacy == pytest.approx(s.residual @ solved / len(solved))
@@ -81,7 +81,7 @@ def test_each_round_makes_the_robots_likelier_and_widths_come_back():
     samples, losses = [a_sample(rng) for _ in range(40)], []
 
     def ask(u, p):
-        told = [asked(s, u, p) for s in samples]
+        told = [score_variances(s, u, p) for s in samples]
         losses.append(sum(one.loss for one in told))
         return told
 
@@ -106,7 +106,7 @@ def test_a_family_left_out_has_widths_of_its_own():
     everything = widths()
     assert widths("second_robot")._replace(formula=everything.formula) == everything
     for name in generators.NAMES:
-        assert widths(name) != everything and set(widths(name).numbers) == set(everything.numbers)
+        assert widths(name) != everything and set(widths(name).per_record) == set(everything.per_record)
         assert set(widths(name).gains) == set(STAGES) and min(widths(name).gains.values()) >= 0.0
     with pytest.raises(UnknownName, match="morison"):
         widths("trout")
@@ -193,12 +193,15 @@ def test_a_robot_that_hardly_varies_gets_narrower_widths():
     for part in parts:
         part[2::3] = 0.0  # nothing shows ke
     moved = structural_error.Tangents(parts, names, np.zeros((0, 600)))
-    given = structural_error.Widths(dict.fromkeys(names, 1.0), dict.fromkeys(names, 0.5), {}, {"joint": 0.05})
+    given = structural_error.StructuralErrorScales(dict.fromkeys(names, 1.0), dict.fromkeys(names, 0.5), {}, {"joint": 0.05})
     asked_for = np.array([0.1, 1.0, 0.0, *[0.0, 0.5, 0.0] * 2])
     residual = np.concatenate([(asked_for * rng.normal(size=9)) @ part for part in parts]) + 0.1 * rng.normal(size=600)
     own = structural_error.own_widths(given, layout, rng.normal(size=(8, 600)) * 1e-3, np.full(600, 0.1), moved, residual)
-    assert own.numbers["k_head"] < 0.7 < own.numbers["cf"] < 1.5 and own.swings["k_head"] < 0.35 < own.swings["cf"] < 0.8
-    assert own.numbers["ke"] == pytest.approx(1.0, rel=1e-6) and own.swings["ke"] == pytest.approx(0.5, rel=1e-6)
-    none = structural_error.own_widths(given._replace(numbers=dict.fromkeys(names, 0.0)), layout, np.zeros((8, 600)),
+    assert (
+        own.per_record["k_head"] < 0.7 < own.per_record["cf"] < 1.5
+        and own.within_record["k_head"] < 0.35 < own.within_record["cf"] < 0.8
+    )
+    assert own.per_record["ke"] == pytest.approx(1.0, rel=1e-6) and own.within_record["ke"] == pytest.approx(0.5, rel=1e-6)
+    none = structural_error.own_widths(given._replace(per_record=dict.fromkeys(names, 0.0)), layout, np.zeros((8, 600)),
         np.full(600, 0.1), moved, residual)  # fmt: skip
-    assert set(none.numbers.values()) == {0.0}  # what no other water has is none here
+    assert set(none.per_record.values()) == {0.0}  # what no other water has is none here

@@ -82,7 +82,7 @@ def test_an_alarm_of_a_healthy_swim_is_told_and_one_before_an_effect_is_none_of_
     assert row["before"] == 1 and row["median_s"] == 39.0 and row["found"] == "1/1" and row["first in"] == "power load"
     assert study.highest_rate(0, 10.0) == pytest.approx(0.29957, abs=1e-5)  # -ln 0.05 / 10 h
     assert told["rate_below_95"] == pytest.approx(4.7439 / 2.0, abs=1e-4)  # of one event: tables of the Poisson distribution
-    assert "1 alarms in 2.00 h" in study.said(told)[0] and "1.07 of its limit" in study.said(told)[-1]
+    assert "1 alarms in 2.00 h" in study.summary_lines(told)[0] and "1.07 of its limit" in study.summary_lines(told)[-1]
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ main = console.CommandGroup(
             "fishmj gap find logs --out report",
         ),
         "plant": Command(
-            "fishmj.gap.commands.hide", "data in which an effect is hidden", "fishmj gap plant coulomb_friction=0.1 --out logs"
+            "fishmj.gap.commands.plant", "data in which an effect is hidden", "fishmj gap plant coulomb_friction=0.1 --out logs"
         ),
         "next": Command("fishmj.gap.commands.next_experiment", "the next most informative experiment", "fishmj gap next report"),
         "apply": Command("fishmj.gap.commands.apply", "the next version of the model, reversible", "fishmj gap apply report"),

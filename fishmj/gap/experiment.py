@@ -23,7 +23,7 @@ from fishmj.gap.decide.decide import swap_effect
 from fishmj.gap.decide.intervals import estimate
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import smooth, whitening
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout, Sensor
 from fishmj.gap.search.fit import Candidate
@@ -74,7 +74,7 @@ class ExperimentScore(NamedTuple):
 
 
 def experiment_scores(
-    model, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, bars: Bars = silent
+    model, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, bars: Bars = silent_bar
 ) -> list[ExperimentScore]:
     """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
     plans = [planned_record(excitation.get(name, like.commands.shape[1]), like) for name in filter(null.holds, runs)]
@@ -155,7 +155,7 @@ def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
     return [s._replace(weight=float(w)) for s, w in zip(sides, weights / weights.sum(), strict=True)]
 
 
-def advised(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent) -> Verdict:
+def advise(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent_bar) -> Verdict:
     """A CLASS verdict with the next experiment from a quick calculation, and its rivals' values for a longer one without data."""
     sides = [] if verdict.next_experiment else normalise_weights(hypotheses_of(e, found, verdict))
     if len(sides) < 2:

@@ -23,19 +23,19 @@ class Bar(Protocol):
 Bars = Callable[..., AbstractContextManager[Bar]]  # (total, what is done, its unit, at_most: whether it may end before)
 
 
-class Quiet:
+class QuietBar:
     """An invisible bar."""
 
     def update(self, done: float, **fields: Any) -> None:
         """Does nothing."""
 
 
-def silent(total: float, label: str, unit: str = "", at_most: bool = False) -> AbstractContextManager[Bar]:
+def silent_bar(total: float, label: str, unit: str = "", at_most: bool = False) -> AbstractContextManager[Bar]:
     """Invisible bar, for callers from Python."""
-    return nullcontext(Quiet())
+    return nullcontext(QuietBar())
 
 
-def shown(total: float, label: str, unit: str = "", at_most: bool = False) -> console.Progress:
+def terminal_bar(total: float, label: str, unit: str = "", at_most: bool = False) -> console.Progress:
     """Progress bar for a command line, shown from the start at zero."""
     bar = console.Progress(total, label, unit, at_most=at_most)
     bar.update(0)

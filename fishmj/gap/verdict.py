@@ -19,7 +19,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedEffect:
     """One effect of the catalogue with its parameters."""
 
     name: str
@@ -42,9 +42,9 @@ class Verdict:
     """
 
     answer: str
-    effects: tuple[Named, ...] = ()
+    effects: tuple[NamedEffect, ...] = ()
     rivals: tuple[dict, ...] = ()
-    tentative: tuple[Named, ...] = ()
+    tentative: tuple[NamedEffect, ...] = ()
     terms: tuple[dict, ...] = ()
     gap_before: float = 1.0
     gap_after: float = 1.0
@@ -145,7 +145,7 @@ class Verdict:
             lines.append(f"  next: {self.next_experiment}")
         return "\n".join(lines)
 
-    def standing(self, e: Named) -> list[tuple[str, float]]:
+    def standing(self, e: NamedEffect) -> list[tuple[str, float]]:
         """(name, P(best)) of an effect and of its alternatives, largest first."""
         mine = [r for r in self.rivals if r.get("instead_of", self.effects[-1].name) == e.name]
         rivals = [(str(r["name"]), float(r["p_best"])) for r in mine]
@@ -172,7 +172,7 @@ def moved(before: float, after: float | None, where: str, unit: str, shrinks: bo
     return f"{pair(before, after)} {where} ({unit}){said}"
 
 
-def said(taken: bool, gain: float, over_floor: "tuple[float, float] | None") -> str:
+def round_text(taken: bool, gain: float, over_floor: "tuple[float, float] | None") -> str:
     """One round in words.
 
     taken: True if the effect went into the model, for its gain. over_floor: before and after, of records predicted without their

@@ -12,10 +12,10 @@ import numpy as np
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.null_runs import SimulatedNull
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, record_of
-from fishmj.gap.search.healthy_swims import Healthy
+from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
 from fishmj.gap.thresholds import Gates, frozen, thresholds
@@ -68,11 +68,11 @@ def investigate(
     null: SimulatedNull | None = None,
     page: dict | None = None,
     mass_known: bool = True,
-    healthy: Healthy | None = None,
+    healthy: HealthySwims | None = None,
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
-    bars: Bars = silent,
+    bars: Bars = silent_bar,
     admit: Callable[[Likelihood], None] = lambda e: None,
     notes: tuple[str, ...] = (),
 ) -> Inquiry:
@@ -95,7 +95,7 @@ def investigate(
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
     say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(model.active.effects)} effects in question")
-    compiled(model, say)
+    compile_kernel(model, say)
     say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
@@ -105,9 +105,9 @@ def investigate(
     swims = healthy.swims if healthy else None
     e = likelihood_of(model, mass_properties.with_page(seen, weighed), null, bars, swims)
     admit(e)
-    gates = e.allowed(gates, healthy.left if healthy else 0.0)
+    gates = e.allowed(gates, healthy.calibration_residual if healthy else 0.0)
     if healthy:
-        left, usual = level(healthy.left), level(gates.adequacy)
+        left, usual = level(healthy.calibration_residual), level(gates.adequacy)
         say(f"the swims that the water was calibrated to leave {left}: a gap up to {usual} is usual here")
     with bars(gates.max_effects + 1, "search", "rounds", at_most=True) as bar:
         found = forward_select(e, gates, split(seen, seed), say, bar)
@@ -118,7 +118,7 @@ def investigate(
     return replace(inquiry, verdict=verdict)
 
 
-def compiled(model, say: Callable[[str], None]) -> None:
+def compile_kernel(model, say: Callable[[str], None]) -> None:
     """Compiles the model's step to machine code, and reports the duration, which no bar's time left includes."""
     if "kernel" not in vars(model):
         say("compiling the model's kernel: some 12 s on one core the first time, then cached")
@@ -155,10 +155,10 @@ def propose_experiment(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     """Adds to CLASS the experiment that separates the effects that these records cannot."""
     if not inquiry.further or verdict.answer != "CLASS":
         return verdict
-    from fishmj.gap.experiment import advised
+    from fishmj.gap.experiment import advise
 
     inquiry.say("which experiment would decide?")
-    return advised(inquiry.evidence, inquiry.found, verdict, inquiry.null, inquiry.bars)
+    return advise(inquiry.evidence, inquiry.found, verdict, inquiry.null, inquiry.bars)
 
 
 def describe_by_terms(verdict: Verdict, inquiry: Inquiry) -> Verdict:

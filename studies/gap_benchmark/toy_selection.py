@@ -17,7 +17,7 @@ from fishmj.effects import Parameter
 from fishmj.gap.null.whitening import whitening
 from fishmj.gap.search.fit import Candidate, EffectFitter
 from fishmj.gap.search.likelihood import over_floor
-from fishmj.gap.search.stepwise import CrossValidated, SelectionStep, propose, required_gain
+from fishmj.gap.search.stepwise import CrossValidatedFit, SelectionStep, propose, required_gain
 from fishmj.gap.thresholds import frozen, thresholds
 
 RESIDUAL = np.array([11.0, 19.0, 20.0])  # of the model as it is, one sample a record, in floors
@@ -99,19 +99,19 @@ class UnitLikelihood:
 FOLDS = np.eye(3, dtype=bool)  # one record in each
 
 
-def model_as_it_is() -> CrossValidated:
+def model_as_it_is() -> CrossValidatedFit:
     """Start of the selection: no effect."""
     near: Any = UnitLikelihood()
     base = near.subset().base()
-    return CrossValidated(near, base, (base,) * len(FOLDS))
+    return CrossValidatedFit(near, base, (base,) * len(FOLDS))
 
 
-def cross_validated(name: str) -> CrossValidated:
+def cross_validated(name: str) -> CrossValidatedFit:
     """One effect, fitted to all records and without each fold."""
     near: Any = UnitLikelihood()
     row = np.eye(len(EFFECTS))[list(SIGNATURES).index(name)]
     fitted = lambda keep: near.subset(keep).refine([near.subset(keep).at(row, (name,), (list(SIGNATURES).index(name),))])[0]
-    return CrossValidated(near, fitted(None), tuple(fitted(~fold) for fold in FOLDS))
+    return CrossValidatedFit(near, fitted(None), tuple(fitted(~fold) for fold in FOLDS))
 
 
 def first_round() -> SelectionStep:

@@ -105,7 +105,7 @@ def watched_in(folder: Path, rate: float, jobs: list[Job]) -> None:
         write_json(folder / result_of(job), results.watched(references[job[0]], blocks, rate)._asdict())
 
 
-def kept(folder: Path, job: Job, rate: float) -> Watched | None:
+def read_watched(folder: Path, job: Job, rate: float) -> Watched | None:
     """Kept result of the monitor for a swim; None if it was not watched, or at another rate."""
     file = folder / result_of(job)
     found = Watched(**read_json(file)) if file.is_file() else None
@@ -114,7 +114,7 @@ def kept(folder: Path, job: Job, rate: float) -> Watched | None:
 
 def walked(folder: Path, robots: list[int], swims: int, rate: float, jobs_at_once: int, swim_more: bool) -> None:
     """Swims the missing jobs, learns every robot, watches its swims; finished parts are kept."""
-    todo = [job for job in watched_jobs(robots, swims) if kept(folder, job, rate) is None]
+    todo = [job for job in watched_jobs(robots, swims) if read_watched(folder, job, rate) is None]
     unknown = [(r, 0, "") for r in robots if not (folder / results.reference_name(r)).is_file() and any(j[0] == r for j in todo)]
     with ProcessPoolExecutor(jobs_at_once) as pool:
         if swim_more:
@@ -162,12 +162,12 @@ def main(argv: list[str]) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     with interrupt.keeping(lambda: f"finished swims are in {args.out}; {interrupt.again()}"):
         walked(args.out, robots, args.swims, args.rate, args.jobs or cores.usable_cores(), not args.score)
-    found = {job: kept(args.out, job, args.rate) for job in watched_jobs(robots, args.swims)}
+    found = {job: read_watched(args.out, job, args.rate) for job in watched_jobs(robots, args.swims)}
     seen = {job: result for job, result in found.items() if result is not None}
     if not any(not job[2] for job in seen):
         raise ConfigError(f"{args.out}: no healthy swim of a robot that was learnt is there; leave --score out")
     told = summary(seen, args.rate)
-    for line in said(told):
+    for line in summary_lines(told):
         console.say(line)
     console.say(console.table(told["effects"]))
     write_json(args.out / "result.json", told)
@@ -214,7 +214,7 @@ def row_of(effect: str, swims: list[Watched]) -> dict:
     }
 
 
-def said(told: dict) -> list[str]:
+def summary_lines(told: dict) -> list[str]:
     """Lines of a summary for people."""
     expected, alarms = told["rate"] * told["hours"], f"{told['alarms']} alarms in {told['hours']:.2f} h"
     return [

@@ -49,7 +49,7 @@ class ChangingClock(LockstepClock):
         body.change(plant(effects, self.robot_seed, nuisance=NUISANCE, robot=body.robot, flow=self.stream))
 
 
-class Tour(Swim):
+class Circuit(Swim):
     """Swim from target to target, each held for a minute; effects set in at `at` s."""
 
     targets: np.ndarray  # (K, 2) m
@@ -94,7 +94,7 @@ def swim(
     with TemporaryDirectory() as folder:
         trial = Path(folder) / "swim"
         with TrialLog(trial, {"origin": "synthetic", "robot": described.name}, described.n_joints, every=1e6) as log:
-            tour = Tour(rig, PolicyPilot(controller), Plan(seconds=seconds), log)
+            tour = Circuit(rig, PolicyPilot(controller), Plan(seconds=seconds), log)
             tour.targets = draw.uniform(-ARENA, ARENA, (int(seconds / HOLD) + 2, 2))
             tour.effects, tour.at = effects, at
             outcome = tour.run()

@@ -24,12 +24,12 @@ from fishmj.base.cores import usable_cores
 from fishmj.base.store import read_json, write_json, write_text
 from fishmj.gap import progress
 from fishmj.gap.bench.drawn_robots import BenchRobot, every
-from fishmj.gap.bench.family_command import warmed
-from fishmj.gap.bench.workers import answered
+from fishmj.gap.bench.family_command import precompile
+from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.laboratory import generators
 from fishmj.gap.null import structural_error
-from fishmj.gap.null.structural_error import Widths
-from fishmj.gap.null.variances import Asked, Found, Sample, asked, most_likely
+from fishmj.gap.null.structural_error import StructuralErrorScales
+from fishmj.gap.null.variances import Sample, VarianceFit, VarianceScore, most_likely, score_variances
 from studies.structural_error.sample import (
     BEGIN,
     CHANNELS,
@@ -68,23 +68,23 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     jobs, todo = args.jobs or usable_cores(), chosen(args.seed, args.robots)
     args.out.mkdir(parents=True, exist_ok=True)
-    warmed(set(generators.NAMES))
+    precompile(set(generators.NAMES))
     rows = []
-    with progress.shown(len(todo), "robots", "robots") as bar:
-        for row in answered(todo, partial(measured, folder=args.out), jobs):
+    with progress.terminal_bar(len(todo), "robots", "robots") as bar:
+        for row in ask_all(todo, partial(measured, folder=args.out), jobs):
             rows.append(row)
             bar.update(len(rows))
     refused = [f"{row['robot']}: {row['reason']}" for row in rows if "reason" in row]
     robots = {row["robot"]: row["family"] for row in sorted(rows, key=lambda row: row["robot"]) if "reason" not in row}
     console.say(f"{len(robots)} robots in {args.out}", *refused)
     samples = {name: sample(args.out / f"{name}.npz") for name in robots}
-    found: dict[Left, Found] = {}
-    with ThreadPoolExecutor(jobs) as pool, progress.shown(args.rounds * len(LEFT_OUT), "widths", "rounds") as bar:
+    found: dict[Left, VarianceFit] = {}
+    with ThreadPoolExecutor(jobs) as pool, progress.terminal_bar(args.rounds * len(LEFT_OUT), "widths", "rounds") as bar:
         for turn, out in enumerate(LEFT_OUT):
             seen = {name: samples[name] for name, family in robots.items() if family not in out}
             done = lambda rounds, before=turn * args.rounds: bar.update(before + rounds)
             search = partial(most_likely, asker(list(seen.values()), pool), *begin(found.get(())), args.rounds, done)
-            found[out] = kept(args.out, [*seen, str(args.rounds), *NUMBERS, *EFFECTS], search)
+            found[out] = read_or_fit(args.out, [*seen, str(args.rounds), *NUMBERS, *EFFECTS], search)
     left_over = [one for one in todo if one.id in robots]
     gains = by_widths(left_over, found, args.out, jobs, "gains", stage_gains)
     free = [one for one in left_over if one.family != SOLVER]
@@ -93,7 +93,7 @@ def main(argv: list[str]) -> int:
     for out in LEFT_OUT[: 1 + len(NAMES)]:
         # by fits that used neither their family nor the one left out
         unseen = [(name, both(out, family)) for name, family in robots.items() if family not in out]
-        left = [asked(samples[name], found[told].u, found[told].p).adequacy for name, told in unseen]
+        left = [score_variances(samples[name], found[told].u, found[told].p).adequacy for name, told in unseen]
         own = [owns[name][key(told)] if name in owns else np.nan for name, told in unseen]
         healthy[out] = Healthy([robots[name] for name, _ in unseen], left, own, [gains[name][key(told)] for name, told in unseen])
     write_text(args.out / structural_error.FILE, toml({out: found[out] for out in healthy}, healthy))
@@ -104,14 +104,14 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
-def kept(folder: Path, of: list[str], search: Callable[[], Found]) -> Found:
+def read_or_fit(folder: Path, of: list[str], search: Callable[[], VarianceFit]) -> VarianceFit:
     """Fit that is kept in the folder, or is made and kept there. of: all its inputs."""
     path = folder / f"fit-{hashlib.sha256(' '.join(of).encode()).hexdigest()[:12]}.json"
     if not path.is_file():
         made = search()
         write_json(path, made._asdict() | {"u": made.u.tolist(), "p": made.p.tolist()})
     told = read_json(path)
-    return Found(**told | {"u": np.array(told["u"]), "p": np.array(told["p"])})
+    return VarianceFit(**told | {"u": np.array(told["u"]), "p": np.array(told["p"])})
 
 
 class Healthy(NamedTuple):
@@ -123,14 +123,14 @@ class Healthy(NamedTuple):
 
     families: list[str]
     adequacy: list[float]
-    own: list[float]
+    calibration_residual: list[float]
     gains: list[dict[str, float]]
 
     @property
     def beyond_own(self) -> float:
         """Ratio of |z|^2 / m of new experiments over own free swims that `HEALTHY` of an unseen family's robots stay below."""
         ratios: dict[str, list[float]] = {name: [] for name in self.families if name != SOLVER}  # it has no free swims
-        for name, new, own in zip(self.families, self.adequacy, self.own, strict=True):
+        for name, new, own in zip(self.families, self.adequacy, self.calibration_residual, strict=True):
             if name != SOLVER:
                 ratios[name].append(new / own)
         return level(list(ratios.values()), HEALTHY)
@@ -152,19 +152,21 @@ def key(out: Left) -> str:
 
 
 def by_widths(
-    todo: list, found: dict[Left, Found], folder: Path, jobs: int, what: str, of: Callable[..., dict]
+    todo: list, found: dict[Left, VarianceFit], folder: Path, jobs: int, what: str, of: Callable[..., dict]
 ) -> dict[str, dict[str, Any]]:
     """Results of `of` for each healthy robot, by all scales fitted without its family: robot -> name of scales -> result.
 
     Kept in `folder` under the scales' hash. what: `gains` or `own`, the key of the result.
     """
     text = toml(found, {})
-    tables = {name: Widths(**table) for name, table in tomllib.loads(text).items() if isinstance(table, dict)}
+    tables = {
+        name: StructuralErrorScales.from_table(**table) for name, table in tomllib.loads(text).items() if isinstance(table, dict)
+    }
     ask = partial(of, folder=folder, mark=hashlib.sha256(text.encode()).hexdigest()[:12])
     unseen = {name: {key(out): tables[key(out)] for out in LEFT_OUT if name in out} for name in NAMES}
     told: dict[str, dict[str, Any]] = {}
-    with progress.shown(len(todo), what, "robots") as bar:
-        for row in answered([(one, unseen[one.family]) for one in todo], ask, jobs):
+    with progress.terminal_bar(len(todo), what, "robots") as bar:
+        for row in ask_all([(one, unseen[one.family]) for one in todo], ask, jobs):
             told[row["robot"]] = row[what]
             bar.update(len(told))
     return told
@@ -175,7 +177,7 @@ def chosen(seed: int, many: int) -> list[BenchRobot | SolverFish]:
     return [*islice(every(seed, generators.NAMES, 1), many * len(generators.NAMES)), *solver_fish(many)]
 
 
-def begin(of_all: Found | None) -> tuple[np.ndarray, np.ndarray]:
+def begin(of_all: VarianceFit | None) -> tuple[np.ndarray, np.ndarray]:
     """Initial variances: of the numbers, in units of their prior's, and of the effects, of `EFFECTS`; and of the channels.
 
     of_all: those of all families, if known, which are closer. None is zero, because a variance of zero would stay zero.
@@ -185,12 +187,12 @@ def begin(of_all: Found | None) -> tuple[np.ndarray, np.ndarray]:
     return (u, white) if of_all is None else (np.maximum(of_all.u, FLOOR * u), np.maximum(of_all.p, FLOOR * white))
 
 
-def asker(samples: list[Sample], pool: ThreadPoolExecutor) -> Callable[[np.ndarray, np.ndarray], list[Asked]]:
+def asker(samples: list[Sample], pool: ThreadPoolExecutor) -> Callable[[np.ndarray, np.ndarray], list[VarianceScore]]:
     """Function that evaluates every robot, side by side: nearly all of it is linear algebra, which releases Python's lock."""
-    return lambda u, p: list(pool.map(lambda s: asked(s, u, p), samples))
+    return lambda u, p: list(pool.map(lambda s: score_variances(s, u, p), samples))
 
 
-def line(out: Left, found: Found, healthy: Healthy) -> dict:
+def line(out: Left, found: VarianceFit, healthy: Healthy) -> dict:
     """Row of a table: misfit and gains of robots in the fit, and of robots of families outside it."""
     shown = lambda values: f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
     return {
@@ -198,14 +200,14 @@ def line(out: Left, found: Found, healthy: Healthy) -> dict:
         "robots": len(found.adequacy),
         "|z|^2 / m": shown(found.adequacy),
         "of a family left out": shown(healthy.adequacy),
-        "of their own swims": shown([own for own in healthy.own if np.isfinite(own)]),
+        "of their own swims": shown([own for own in healthy.calibration_residual if np.isfinite(own)]),
         "new over own, of an unseen family": f"{healthy.beyond_own:.2f}",
         **{f"gain, {stage}": round(most) for stage, most in healthy.most.items()},
         "-2 log L a robot": round(found.loss / len(found.adequacy)),
     }
 
 
-def toml(tables: dict[Left, Found], healthy: dict[Left, Healthy]) -> str:
+def toml(tables: dict[Left, VarianceFit], healthy: dict[Left, Healthy]) -> str:
     """Text of the search's file."""
     out = ["# Structural error of the search (fishmj/gap/null/structural_error.py): [all], and [FAMILY] without its robots."]
     out += ["# Measured on healthy robots of fishmj/gap/laboratory/generators and of the flow solver, *synthetic*:"]

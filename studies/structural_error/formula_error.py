@@ -25,8 +25,8 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.effects import STAGES
-from fishmj.gap.bench.rows import kept
-from fishmj.gap.bench.score import names, share, valued
+from fishmj.gap.bench.rows import read_rows
+from fishmj.gap.bench.score import has_values, names, share
 from fishmj.gap.decide.decide import size_parameters
 from fishmj.gap.laboratory.generators.detectability import BOUND
 from fishmj.gap.null.structural_error import ALL
@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--out", type=console.out_file, help="TOML file to write (default none)")
     args = parser.parse_args(argv)
-    rows = {row["id"]: row for path in args.rows for row in kept(path)}
+    rows = {row["id"]: row for path in args.rows for row in read_rows(path)}
     found = errors_of(list(rows.values()))
     if not found:
         raise ConfigError(f"formula_error: {args.rows[0]}: no right name in it; expected rows.jsonl of gap bench --generator")
@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
 def named_right(row: dict) -> bool:
     """Returns True for a detectable single effect that was named right and alone."""
     right = row["answer"] == "NAMED" and row["kind"] == "single" and names(row) == set(row["truth"])
-    return right and row.get("detectable", 0.0) > BOUND and valued(row["said"][0])
+    return right and row.get("detectable", 0.0) > BOUND and has_values(row["said"][0])
 
 
 def errors_of(rows: Sequence[dict]) -> dict[str, dict[str, list[float]]]:

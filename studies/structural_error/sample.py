@@ -11,13 +11,13 @@ from fishmj.base.store import read_json, read_npz, write_json, write_npz
 from fishmj.base.store.manifest import SOURCES
 from fishmj.effects import STAGES
 from fishmj.gap.bench import calibrated, families, solver
-from fishmj.gap.bench.drawn_robots import BenchRobot, described
+from fishmj.gap.bench.drawn_robots import BenchRobot, describe_robot
 from fishmj.gap.calibrate.water_fit import calibrate_trials
 from fishmj.gap.models.strip_water import strips_of
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull, trials_of
-from fishmj.gap.null.structural_error import Widths
+from fishmj.gap.null.structural_error import StructuralErrorScales
 from fishmj.gap.null.variances import Sample
 from fishmj.gap.null.whitening import leftover, smooth
 from fishmj.gap.records import mass_properties
@@ -104,19 +104,19 @@ def questioned(one: "BenchRobot | SolverFish") -> tuple[Robot, list[Trial]]:
         trials = list(trials_of(one.path))
         believed, _ = calibrate_trials(trials[1 - one.half :: 2], "fish")
         return believed, trials[one.half :: 2]
-    known, _, _ = described(one)
-    believed, _ = calibrated.calibrated(one.family, one.seed, known)
+    known, _, _ = describe_robot(one)
+    believed, _ = calibrated.calibrate_robot(one.family, one.seed, known)
     return believed, families.trials(one.family, {}, excitation.DESIGNED, one.seed, known)
 
 
 def calibrated_to(one: BenchRobot) -> tuple[Robot, list[Trial]]:
     """Calibrated description, and the free swims of its calibration."""
-    known, _, _ = described(one)
-    believed, _ = calibrated.calibrated(one.family, one.seed, known)
+    known, _, _ = describe_robot(one)
+    believed, _ = calibrated.calibrate_robot(one.family, one.seed, known)
     return believed, calibrated.swims(one.family, one.seed, known)
 
 
-def own_left(asked: tuple[BenchRobot, dict[str, Widths]], folder: Path, mark: str) -> dict:
+def own_left(asked: tuple[BenchRobot, dict[str, StructuralErrorScales]], folder: Path, mark: str) -> dict:
     """|z|^2 / m of a healthy robot's model on the swims of its calibration, with each of these scales.
 
     Kept in `folder` under `mark`.
@@ -131,7 +131,7 @@ def own_left(asked: tuple[BenchRobot, dict[str, Widths]], folder: Path, mark: st
     return row
 
 
-def stage_gains(asked: "tuple[BenchRobot | SolverFish, dict[str, Widths]]", folder: Path, mark: str) -> dict:
+def stage_gains(asked: "tuple[BenchRobot | SolverFish, dict[str, StructuralErrorScales]]", folder: Path, mark: str) -> dict:
     """Gains per record of the best effect of each stage on a healthy robot, with each of these scales.
 
     Kept in `folder` under `mark`.

@@ -33,7 +33,7 @@ from fishmj.evaluate import metrics, protocol, run_trials
 from fishmj.evaluate.protocol import Trials
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
-from studies.whole_chain.chain import MARKS, SECONDS, swum
+from studies.whole_chain.chain import MARKS, SECONDS, run_trial
 from studies.whole_chain.direct import AsSensed, in_second_robot, observation_noise
 from studies.whole_chain.trained import trained
 from studies.whole_loop.steps import Loop
@@ -48,7 +48,7 @@ def one(out: Path, trials: Trials, policy: str, marks: str, loss: float, body: s
     name = str(Path(policy).relative_to(out) if out in Path(policy).parents else policy)
     file = out / f"{name.replace('/', '_')}_{body}_{marks}_{loss:g}_{trials.items[item].seed[0]}_{item:02d}.json"
     if not file.is_file():
-        write_json(file, swum(item, trials, policy, marks, loss, body))
+        write_json(file, run_trial(item, trials, policy, marks, loss, body))
     return read_json(file)
 
 

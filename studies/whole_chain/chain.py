@@ -83,7 +83,7 @@ class Compared:
         return fix
 
 
-def swum(item: int, trials: Trials, policy: str, marks: str, loss: float, body: str) -> dict:
+def run_trial(item: int, trials: Trials, policy: str, marks: str, loss: float, body: str) -> dict:
     """One trial through the chain.
 
     Args:

@@ -60,7 +60,7 @@ def searched(loop: Loop, seed: int) -> dict[str, dict]:
     steps.played(loop, seed, loop.experiments, folder / "faulty", Fault.of(seed).options())
     model = SwimmingFish(load_robot(folder / "fish.toml"))
     trials = list(take(folder / "faulty/trials").trials.values())
-    inquiry = investigate(model, trials, null=SimulatedNull(runs=loop.null_runs), bars=progress.shown)
+    inquiry = investigate(model, trials, null=SimulatedNull(runs=loop.null_runs), bars=progress.terminal_bar)
     told = gains(inquiry.found, inquiry.gates)
     parts = shares(told, {effect.name: effect.shows for effect in model.active.effects})
     return {name: row | {"of_all": parts[name][0], "there": parts[name][1]} for name, row in told.items()}

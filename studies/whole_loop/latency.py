@@ -26,7 +26,7 @@ HIDDEN = (0.0, 30.0, 50.0, 150.0)  # ms
 ROUND = np.linspace(-0.004, 0.008, 7)  # s, that are tried about the hidden one
 
 
-def swum(out: Path, seed: int, hidden: float, dt: float) -> Record:
+def swim_once(out: Path, seed: int, hidden: float, dt: float) -> Record:
     """A `gait` of the robot of this seed with `hidden` s more command latency; an existing record is not swum again."""
     folder = out / f"hidden_{1e3 * hidden:g}ms"
     loop = Loop(out=folder, healthy=("gait",))
@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
         for seed in range(args.seeds):
             found = {}
             for hidden in args.hidden:
-                found[f"{hidden:g}"] = 1e3 * fitted(model, swum(args.out, seed, hidden / 1e3, model.dt), hidden / 1e3)
+                found[f"{hidden:g}"] = 1e3 * fitted(model, swim_once(args.out, seed, hidden / 1e3, model.dt), hidden / 1e3)
                 bar.update(len(rows) * len(args.hidden) + len(found), robot=seed)
             rows.append(found)
     told = {"fitted_ms": rows}

@@ -90,7 +90,7 @@ def played(loop: Loop, seed: int, names: Sequence[str], out: Path, hidden: str) 
         FishmjError: the command failed.
     """
     words = [*names, "--repeats", "1", "--yes", "--link", "loopback", "--flow", "0,0", "--out", str(out)]
-    with told(loop, seed, ["deploy", "experiment", *words, "--loopback", f"--seed {seed} {hidden}"]) as argv:
+    with record_output(loop, seed, ["deploy", "experiment", *words, "--loopback", f"--seed {seed} {hidden}"]) as argv:
         code = rig_experiment.main(argv[2:], wire=Tank().wire)
     if code not in (console.OK, console.FAILED_CHECK):  # one that the supervisor ended is left out, as a user would leave it
         raise FishmjError(f"seed {seed}: deploy experiment ended with {code}; see {loop.folder(seed) / 'log.txt'}")
@@ -176,7 +176,7 @@ def log_of(loop: Loop, seed: int, argv: list[str]) -> Iterator[IO[str]]:
 
 
 @contextmanager
-def told(loop: Loop, seed: int, argv: list[str]) -> Iterator[list[str]]:
+def record_output(loop: Loop, seed: int, argv: list[str]) -> Iterator[list[str]]:
     """Yields `argv`, and sends the output inside to `log.txt`: for commands that run in this process."""
     with log_of(loop, seed, argv) as log, redirect_stdout(log), redirect_stderr(log):
         yield argv

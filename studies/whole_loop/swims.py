@@ -16,7 +16,7 @@ from fishmj.deploy.commands import swim_command
 from fishmj.deploy.loop.supervisor import State
 from fishmj.evaluate import protocol
 from fishmj.log import read_trial
-from studies.whole_loop.steps import AFTER, HEALTHY, UNPATCHED, Fault, Loop, model_of, patched, told
+from studies.whole_loop.steps import AFTER, HEALTHY, UNPATCHED, Fault, Loop, model_of, patched, record_output
 from studies.whole_loop.tank import Tank
 
 SPEED = 0.2  # of the stream, m/s, with gusts of 5 %
@@ -48,7 +48,7 @@ def one_swim(loop: Loop, seed: int, arm: str, item: int) -> dict:
     words += ["--flow", flow, "--seconds", f"{loop.seconds:g}", "--out", str(free(out))]
     robot = f"--seed {seed} --flow {flow} --turbulence gust --start={start} {hidden}"
     tank = Tank()
-    with told(loop, seed, ["deploy", "swim", *words, "--loopback", robot]) as argv:
+    with record_output(loop, seed, ["deploy", "swim", *words, "--loopback", robot]) as argv:
         swim_command.main(argv[2:], wire=tank.wire)
     log = read_trial(Path(argv[argv.index("--out") + 1]))
     cmd, event = log.tables["cmd"], [line for line in log.meta["host"]["events"] if "-> NEUTRAL" in line]

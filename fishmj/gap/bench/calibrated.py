@@ -51,20 +51,20 @@ CODE = (
 )
 
 
-class Calibrated(NamedTuple):
+class CalibratedRobot(NamedTuple):
     """robot: the description with its water; speed_error: {"value", "low", "high"} of swims left out, relative."""
 
     robot: Robot
     speed_error: dict[str, float]
 
 
-def calibrated(family: str, seed: int, robot: Robot) -> Calibrated:
+def calibrate_robot(family: str, seed: int, robot: Robot) -> CalibratedRobot:
     """Calibrated model of the healthy robot of a seed, from disk or made now.
 
     Raises:
         LogError: the swims contain no information. SimDiverged: the robot left the finite numbers.
     """
-    return kept(kept_at(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
+    return read_or_calibrate(kept_at(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
 
 
 def swims(family: str, seed: int, robot: Robot) -> list[Trial]:
@@ -72,8 +72,8 @@ def swims(family: str, seed: int, robot: Robot) -> list[Trial]:
     return families.trials(family, {}, SWIMS, seed, robot, first=FIRST)
 
 
-def kept(path: Path, family: str, robot: Robot, swims: Callable[[], list[Trial]]) -> Calibrated:
-    """Reads the calibration at `path`, or fits it to the swims and writes it there. Raises as `calibrated`."""
+def read_or_calibrate(path: Path, family: str, robot: Robot, swims: Callable[[], list[Trial]]) -> CalibratedRobot:
+    """Reads the calibration at `path`, or fits it to the swims and writes it there. Raises as `calibrate_robot`."""
     try:
         found = read_json(path)
     except StoreError:
@@ -81,7 +81,7 @@ def kept(path: Path, family: str, robot: Robot, swims: Callable[[], list[Trial]]
         error = {key: getattr(fit.speed_error, key) for key in ("value", "low", "high")}
         found = console.plain({"water": fit.water, "speed_error": error})
         write_json(path, found)
-    return Calibrated(replace(robot, water=found["water"] | {"model": STRUCTURED}), found["speed_error"])
+    return CalibratedRobot(replace(robot, water=found["water"] | {"model": STRUCTURED}), found["speed_error"])
 
 
 def kept_at(family: str, seed: int, robot: Robot) -> Path:

@@ -45,7 +45,7 @@ def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small:
         chosen: list[str] = []
         if kind in decks:
             pool = named if kind == "single" else odd
-            chosen = [dealt(decks[kind], pool, rng)]
+            chosen = [draw_card(decks[kind], pool, rng)]
         elif kind == "pair":
             chosen = [str(n) for n in rng.choice(named, 2, replace=False)]
         effects = {n: EFFECTS[n].draw(rng, float(np.exp(rng.uniform(*np.log(STRENGTH))))) for n in chosen}
@@ -61,7 +61,7 @@ def spread(count: int, shares: dict[str, float], rng) -> list[str]:
     return [kinds[i] for i in rng.permutation(count)]
 
 
-def dealt(deck: list[str], pool: list[str], rng) -> str:
+def draw_card(deck: list[str], pool: list[str], rng) -> str:
     """Next card of a shuffled deck: every effect comes up before one comes up twice."""
     if not deck:
         deck.extend(str(n) for n in rng.permutation(pool))

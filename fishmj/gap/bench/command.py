@@ -23,14 +23,14 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.gap import progress
 from fishmj.gap.bench import cases, families, family_command, logs, power, solver
-from fishmj.gap.bench.rows import keep, kept
+from fishmj.gap.bench.rows import keep, read_rows
 from fishmj.gap.bench.run import fish, run
 from fishmj.gap.bench.score import score
-from fishmj.gap.bench.workers import answered
+from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
-from fishmj.gap.workflow import compiled
+from fishmj.gap.workflow import compile_kernel
 from fishmj.mjcf.reading import load_robot
 
 ALONE = ("second", "lbm", "log")  # benchmarks of their own
@@ -89,7 +89,7 @@ def main(argv: list[str]) -> int:
     if SOLVER in args.generator or args.sets:
         refuse_solver(args)
         return family_command.solver(args)
-    if names := family_command.named(args.generator):
+    if names := family_command.selected_families(args.generator):
         refuse(args, names)
         return family_command.bench(args, names)
     if len(args.generator) > 1:
@@ -110,19 +110,19 @@ def main(argv: list[str]) -> int:
     index, shards = args.shard
     jobs = args.jobs or usable_cores()
     agree(args, len(range(index, args.cases, shards)), jobs)
-    todo, ask = asked(args)
+    todo, ask = cases_and_query(args)
     todo = hiding_any(todo[: args.cases], args.effects)[index::shards]
     if not todo:
         dealt = f"{args.cases} cases of these kinds{' and effects' if args.effects else ''}"
         raise ConfigError(f"gap bench: no case is left: {dealt}, every {shards}th from {index}; take more --cases")
     if args.generator != "log":
         # once, before the processes start
-        compiled(fish(args.model) if args.generator == "second" else solver.plant(), console.say)
-    rows = judged(todo, args.out, ask, jobs)
+        compile_kernel(fish(args.model) if args.generator == "second" else solver.plant(), console.say)
+    rows = judge_cases(todo, args.out, ask, jobs)
     result = score(list(rows))
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
-    console.say(*told(result))
+    console.say(*report_lines(result))
     if args.baselines:
         from fishmj.gap.bench.baselines import beside, compared
 
@@ -164,7 +164,7 @@ def agree(args, many: int, jobs: int) -> None:
     """
     if args.generator == "lbm":
         return
-    left = many - len(kept(args.out / "rows.jsonl") if args.out else ())
+    left = many - len(read_rows(args.out / "rows.jsonl") if args.out else ())
     logs = cases.SMALL if args.small else sum(a * b for a, b in zip(cases.BUDGETS, cases.SHARES, strict=True))
     seconds = left * logs * A_LOG / min(jobs, usable_cores())
     less = "take fewer --cases, --small, more --jobs, or --shard I/N for several machines"
@@ -200,34 +200,34 @@ def shard_of(text: str) -> tuple[int, int]:
     return int(index), int(count)
 
 
-def asked(args) -> tuple[list, Callable]:
+def cases_and_query(args) -> tuple[list, Callable]:
     """(cases of the generator, function that makes the row of one)."""
     kinds = args.kinds
     if args.generator == "log":
         return [one for one in logs.draw(args.cases, args.seed) if one.kind in kinds], logs.run
     if args.generator == "lbm":
-        return [one for one in solver.draw() if one.case.kind in kinds], partial(seen, solver.plant, args.weighed)
+        return [one for one in solver.draw() if one.case.kind in kinds], partial(case_row, solver.plant, args.weighed)
     drawn = cases.draw(args.cases, args.seed, kinds, small=args.small)
     if args.model != "fish":  # rows of several models may lie in one folder
         drawn = [case._replace(id=f"{Path(args.model).stem}-{case.id}") for case in drawn]
-    given = [solver.Given(case, None, SimulatedNull(noise=case.noise)) for case in drawn]
-    return given, partial(seen, partial(fish, args.model), args.weighed)
+    given = [solver.SolverCase(case, None, SimulatedNull(noise=case.noise)) for case in drawn]
+    return given, partial(case_row, partial(fish, args.model), args.weighed)
 
 
-def seen(plant: Callable, weighed: bool, one: solver.Given) -> dict:
+def case_row(plant: Callable, weighed: bool, one: solver.SolverCase) -> dict:
     """Row of a case. plant: gives the questioned model, when it is needed."""
     return run(plant(), one.case, frozen(), one.null, one.trials, weighed)
 
 
-def judged(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
+def judge_cases(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
     """Rows of all cases; those in `out` are read from there. what: name of the work, for the bar."""
     rows = {}
     if out:
         out.mkdir(parents=True, exist_ok=True)
-        rows = {r["id"]: r for r in kept(out / "rows.jsonl")}
-    with interrupt.keeping(lambda: words(out, len(rows), len(todo))), progress.shown(len(todo), what, "cases") as bar:
+        rows = {r["id"]: r for r in read_rows(out / "rows.jsonl")}
+    with interrupt.keeping(lambda: words(out, len(rows), len(todo))), progress.terminal_bar(len(todo), what, "cases") as bar:
         waiting = [one for one in todo if one.id not in rows]
-        for i, row in enumerate(map(console.plain, answered(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
+        for i, row in enumerate(map(console.plain, ask_all(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
             rows[row["id"]] = row
             if out:
                 keep(out / "rows.jsonl", row)
@@ -242,7 +242,7 @@ def words(out: Path | None, done: int, of: int) -> str:
     return f"{out} holds {done} of {of} cases; {interrupt.again()}"
 
 
-def told(result: dict) -> list[str]:
+def report_lines(result: dict) -> list[str]:
     """Score as lines of text."""
     lines = []
     for key, value in result.items():

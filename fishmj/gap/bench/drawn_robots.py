@@ -4,7 +4,7 @@
 
 Calibration and null runs belong to a robot, so a robot carries about six cases: one with nothing hidden, three singles, a
 pair, in seven of ten a fault outside the catalogue. Many singles are too small to be seen among healthy robots. Of those, and of
-pairs with such an effect, one in `SPARSE` is searched (`searched`), drawn before the search. Of two robots of a family one is
+pairs with such an effect, one in `SPARSE` is searched (`is_searched`), drawn before the search. Of two robots of a family one is
 the shipped fish, the other a drawn chain: 2 to 6 links, lengths, masses and servos within `RANGES`.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.gap.bench import families
-from fishmj.gap.bench.cases import STRENGTH, Case, dealt
+from fishmj.gap.bench.cases import STRENGTH, Case, draw_card
 from fishmj.gap.laboratory.generators.detectability import BOUND
 from fishmj.log import excitation
 from fishmj.mjcf.description import Robot
@@ -99,7 +99,7 @@ def number_of(case: Case) -> int:
     return int(case.id.rpartition("-")[2])
 
 
-def searched(case: Case, each: dict[str, float]) -> bool:
+def is_searched(case: Case, each: dict[str, float]) -> bool:
     """Returns True if a case is searched. each: mean square of each hidden effect, by the generator."""
     if case.kind not in ("single", "pair") or min(each.values()) > BOUND:
         return True
@@ -114,13 +114,13 @@ def _hidden(family: str, kinds: list[str], decks: dict, rng) -> Iterator[tuple[s
         if kind == "pair":
             chosen = [str(n) for n in rng.choice(list(source), 2, replace=False)]
         else:
-            chosen = [] if kind == "none" else [dealt(decks[family, kind], list(source), rng)]
+            chosen = [] if kind == "none" else [draw_card(decks[family, kind], list(source), rng)]
         low, high = np.log(PAIRED if kind == "pair" else STRENGTH)
         yield kind, {name: source[name].draw(rng, float(np.exp(rng.uniform(low, high)))) for name in chosen}
 
 
 # ------------------------------------------------------------------------------------------------------------------- descriptions
-class Described(NamedTuple):
+class DescribedRobot(NamedTuple):
     """A robot's true description. redraws: number of rejected chains before it; speed: body lengths a second in its own water."""
 
     robot: Robot
@@ -128,7 +128,7 @@ class Described(NamedTuple):
     speed: float
 
 
-def described(one: BenchRobot) -> Described:
+def describe_robot(one: BenchRobot) -> DescribedRobot:
     """The shipped fish, or the first drawn chain that swims in its family's own water.
 
     Raises:
@@ -142,7 +142,7 @@ def described(one: BenchRobot) -> Described:
         except SimDiverged:
             speed = 0.0
         if speed >= SLOWEST or not one.drawn:
-            return Described(robot, redraws, speed)
+            return DescribedRobot(robot, redraws, speed)
     raise ConfigError(f"gap bench: robot {one.id}: none of {DRAWS} drawn chains swims {SLOWEST:g} body lengths a second")
 
 

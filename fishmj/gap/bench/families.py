@@ -14,7 +14,15 @@ import numpy as np
 
 from fishmj import effects as catalogue
 from fishmj.gap.laboratory import generators
-from fishmj.gap.laboratory.generators.detectability import FIRST, HEALTHY, NOTHING, Seen, channels, mean_squares, spreads
+from fishmj.gap.laboratory.generators.detectability import (
+    FIRST,
+    HEALTHY,
+    NOTHING,
+    SensedChannels,
+    channels,
+    mean_squares,
+    spreads,
+)
 from fishmj.gap.laboratory.session import Effects
 from fishmj.gap.records.movement import pace
 from fishmj.log import Trial, excitation
@@ -100,7 +108,7 @@ def detectable(family: str, effects: Effects, experiments, seed: int, robot: Rob
         return dict(NOTHING)
     sigma = trials(SECOND, {}, experiments[:1], seed, robot)[0].meta["sigma"]
 
-    def seen(hidden: Effects) -> list[Seen]:
+    def seen(hidden: Effects) -> list[SensedChannels]:
         return [s for t in trials(SECOND, hidden, experiments, seed, robot, noise=0.0) for s in channels(t, sigma)]
 
     return mean_squares(seen, _second_spread(experiments, robot), effects, HEALTHY)

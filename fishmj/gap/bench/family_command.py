@@ -15,9 +15,9 @@ from fishmj.gap import progress
 from fishmj.gap.bench import families, family_rows, family_score, power, solver_sets
 from fishmj.gap.bench.cases import Case
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
-from fishmj.gap.bench.rows import kept
-from fishmj.gap.bench.workers import answered
-from fishmj.gap.workflow import compiled
+from fishmj.gap.bench.rows import read_rows
+from fishmj.gap.bench.workers import ask_all
+from fishmj.gap.workflow import compile_kernel
 
 ALL = "families"
 CASES, FEW = 1140, 84  # by default; a small benchmark's: of some 60 there is a search
@@ -26,7 +26,7 @@ DECIDED = ("truth", "seed", "experiments", "weighed", "as_described")  # of a ro
 A_CASE = 80.0  # s of a core, those included that are not searched
 
 
-def named(generators: list[str]) -> tuple[str, ...]:
+def selected_families(generators: list[str]) -> tuple[str, ...]:
     """The requested families; none for the generators with a benchmark of their own."""
     wanted = [name for one in generators for name in (families.NAMES if one == ALL else (one,))]
     return tuple(name for name in families.NAMES if name in wanted)
@@ -34,7 +34,7 @@ def named(generators: list[str]) -> tuple[str, ...]:
 
 def bench(args, names: tuple[str, ...]) -> int:
     """Runs the requested benchmark and scores it. Returns the exit code."""
-    return asked(dealt(args, names), args)
+    return rows_and_score(draw_cases(args, names), args)
 
 
 def solver(args) -> int:
@@ -44,24 +44,24 @@ def solver(args) -> int:
         todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
     if not todo:
         raise ConfigError(f"gap bench: --sets {args.sets}: no case is left; take other --kinds, --effects or --shard")
-    return asked(todo, args, partial(solver_sets.rows, folder=args.sets))
+    return rows_and_score(todo, args, partial(solver_sets.rows, folder=args.sets))
 
 
-def asked(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] | None = None) -> int:
-    """Makes the rows of robots and scores them. ask: as in `judged`. Returns the exit code."""
+def rows_and_score(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] | None = None) -> int:
+    """Makes the rows of robots and scores them. ask: as in `judge_robots`. Returns the exit code."""
     jobs = args.jobs or usable_cores()
-    found = done(args.out)
+    found = finished_rows(args.out)
     left = sum(case.id not in found for robot in todo for case in robot.cases)
     less = "take fewer --cases, --small, more --jobs, or --shard I/N for several machines"
     cost.time(
         "gap bench", left * A_CASE / min(jobs, usable_cores()), f"{left} cases", instead=less, flag="--yes", agreed=args.yes
     )
-    rows = judged(todo, args, found, jobs, ask)
+    rows = judge_robots(todo, args, found, jobs, ask)
     strict = args.strict or not (args.small or args.effects or args.shard[1] > 1)
-    return scored(rows, args, strict)
+    return print_score(rows, args, strict)
 
 
-def dealt(args, names: tuple[str, ...]) -> list[BenchRobot]:
+def draw_cases(args, names: tuple[str, ...]) -> list[BenchRobot]:
     """Robots of this machine's share, each with all of its requested cases.
 
     Raises:
@@ -80,26 +80,26 @@ def dealt(args, names: tuple[str, ...]) -> list[BenchRobot]:
     return todo
 
 
-def scored(rows: list[dict], args, strict: bool) -> int:
+def print_score(rows: list[dict], args, strict: bool) -> int:
     """Prints a score. Returns the exit code: 1 if `strict` and an aim is missed."""
     if any(row.get("times") for row in rows):
-        return rated(rows, args, strict)
+        return print_power(rows, args, strict)
     result = family_score.score(rows)
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
-    console.say(*family_score.told(result))
+    console.say(*family_score.report_lines(result))
     if args.json:
         console.emit_json(result)
     missed = [aim["aim"] for aim in result["aims"] if aim["met"] is False]
     return console.FAILED_CHECK if strict and missed else console.OK
 
 
-def rated(rows: list[dict], args, strict: bool) -> int:
+def print_power(rows: list[dict], args, strict: bool) -> int:
     """Prints the table of power. Returns the exit code: 1 if `strict` and an aim is missed."""
     result = power.score(rows)
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
-    console.say(*power.told(result))
+    console.say(*power.report_lines(result))
     if args.json:
         console.emit_json(result)
     return console.FAILED_CHECK if strict and False in result["met"].values() else console.OK
@@ -113,7 +113,7 @@ def together(folders: list[Path], args) -> int:
     """
     rows: dict[str, dict] = {}
     for folder in folders:
-        mine = kept(folder / "rows.jsonl")
+        mine = read_rows(folder / "rows.jsonl")
         if not mine:
             raise ConfigError(f"gap bench: --score {folder}: no rows.jsonl with rows in it; name folders of --out")
         for row in mine:
@@ -126,7 +126,7 @@ def together(folders: list[Path], args) -> int:
                 raise ConfigError(
                     f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark at a time"
                 )
-    return scored(list(rows.values()), args, not args.small or args.strict)
+    return print_score(list(rows.values()), args, not args.small or args.strict)
 
 
 def hiding_any(one: BenchRobot, effects: tuple[str, ...]) -> BenchRobot:
@@ -134,16 +134,16 @@ def hiding_any(one: BenchRobot, effects: tuple[str, ...]) -> BenchRobot:
     return one._replace(cases=tuple(case for case in one.cases if set(effects) & set(case.effects)))
 
 
-def done(out: Path | None) -> dict[str, dict]:
+def finished_rows(out: Path | None) -> dict[str, dict]:
     """Existing rows by id."""
-    return {row["id"]: row for row in kept(out / "rows.jsonl")} if out else {}
+    return {row["id"]: row for row in read_rows(out / "rows.jsonl")} if out else {}
 
 
-def there(row: dict | None, case: Case, one: family_rows.Asked) -> bool:
+def is_finished(row: dict | None, case: Case, one: family_rows.RobotQuery) -> bool:
     """Returns True if a case is done. Raises ConfigError if its row is of another benchmark."""
     if row is None:
         return False
-    begun = console.plain(family_rows.begun(case, one))
+    begun = console.plain(family_rows.case_facts(case, one))
     keys = DECIDED if not case.times else (*DECIDED[1:], "times", "drawn")  # its size was scaled since
     if differs := [key for key in keys if row.get(key) != begun[key]]:
         what = f"row {case.id} differs in {', '.join(differs)}"
@@ -151,7 +151,7 @@ def there(row: dict | None, case: Case, one: family_rows.Asked) -> bool:
     return True
 
 
-def judged(
+def judge_robots(
     todo: list[BenchRobot], args, found: dict[str, dict], jobs: int, ask: Callable[..., list[dict]] | None = None
 ) -> list[dict]:
     """Rows of all cases, from disk or made now.
@@ -161,30 +161,30 @@ def judged(
     """
     waiting = []
     for robot in todo:
-        one = family_rows.Asked(robot, not args.uncalibrated, args.weighed, args.out)
-        left = tuple(case for case in robot.cases if not there(found.get(case.id), case, one))
+        one = family_rows.RobotQuery(robot, not args.uncalibrated, args.weighed, args.out)
+        left = tuple(case for case in robot.cases if not is_finished(found.get(case.id), case, one))
         waiting += [one._replace(robot=robot._replace(cases=left))] if left else []
     ids = [case.id for robot in todo for case in robot.cases]
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
     if waiting:
-        warmed({one.robot.family for one in waiting})
+        precompile({one.robot.family for one in waiting})
 
     def words() -> str:
         if args.out is None:
             return "nothing was kept: with --out DIR every finished case is"
-        return f"{args.out} holds {len(set(ids) & set(done(args.out)))} of {len(ids)} cases; {interrupt.again()}"
+        return f"{args.out} holds {len(set(ids) & set(finished_rows(args.out)))} of {len(ids)} cases; {interrupt.again()}"
 
-    with interrupt.keeping(words), progress.shown(len(ids), "bench", "cases") as bar:
-        with following(lambda: bar.update(len(set(ids) & set(done(args.out) or found)))):
-            for made in answered(waiting, ask or family_rows.rows, jobs):
+    with interrupt.keeping(words), progress.terminal_bar(len(ids), "bench", "cases") as bar:
+        with call_repeatedly(lambda: bar.update(len(set(ids) & set(finished_rows(args.out) or found)))):
+            for made in ask_all(waiting, ask or family_rows.rows, jobs):
                 found |= {row["id"]: row for row in made}
         bar.update(len(ids))
     return [found[i] for i in ids]
 
 
 @contextmanager
-def following(look: Callable[[], None], every: float = 10.0) -> Iterator[None]:
+def call_repeatedly(look: Callable[[], None], every: float = 10.0) -> Iterator[None]:
     """Context that calls `look` every `every` s, since other processes write rows one after another."""
     stop = threading.Event()
 
@@ -201,7 +201,7 @@ def following(look: Callable[[], None], every: float = 10.0) -> Iterator[None]:
         thread.join()
 
 
-def warmed(names: set[str]) -> None:
+def precompile(names: set[str]) -> None:
     """Compiles the shared code once before the processes start, so that they read it from disk."""
     from fishmj.gap.calibrate.water_plant import WaterPlant
     from fishmj.gap.models.swimming_fish import SwimmingFish
@@ -210,7 +210,7 @@ def warmed(names: set[str]) -> None:
 
     robot = load_robot("fish")
     for plant in (SwimmingFish(robot), WaterPlant(robot)):
-        compiled(plant, console.say)
+        compile_kernel(plant, console.say)
     for name in sorted({*names, families.SECOND} & set(families.NAMES)):
         swum = families.trials(name, {}, ["idle"], 0, robot)
     plant.predict([record_of(trial, plant.dt) for trial in swum], plant.null)

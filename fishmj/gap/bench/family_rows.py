@@ -1,6 +1,6 @@
 """The cases of one robot, one after another: describe it, calibrate it, hide, search, write.
 
-    rows(Asked(robot)) -> [row]         one row a case, all in the process that calibrated the robot; kept as each is done
+    rows(RobotQuery(robot)) -> [row]    one row a case, all in the process that calibrated the robot; kept as each is done
 
 The null runs of a robot are made for its first case and read from disk for the others. They leave out fish of the
 robot's own family (`SimulatedNull.without`).
@@ -17,13 +17,13 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError, SimDiverged
 from fishmj.gap.bench import calibrated, families, power
 from fishmj.gap.bench.cases import Case
-from fishmj.gap.bench.drawn_robots import BenchRobot, described, number_of, searched
+from fishmj.gap.bench.drawn_robots import BenchRobot, describe_robot, is_searched, number_of
 from fishmj.gap.bench.rows import keep
 from fishmj.gap.bench.run import answered_by
 from fishmj.gap.null.null_runs import SimulatedNull
-from fishmj.gap.progress import Quiet
+from fishmj.gap.progress import QuietBar
 from fishmj.gap.search import healthy_swims
-from fishmj.gap.search.healthy_swims import Healthy
+from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial
@@ -33,7 +33,7 @@ UNABLE = (ConfigError, LogError, SimDiverged)  # of one robot or its logs; anyth
 APART = 1000  # trials from one case of a robot to the next, so that each has noise of its own
 
 
-class Asked(NamedTuple):
+class RobotQuery(NamedTuple):
     """Work of one process: a robot with its pending cases.
 
     calibrate: calibrate its water first. weighed: with a page of weighings. out: folder of rows.jsonl.
@@ -45,25 +45,25 @@ class Asked(NamedTuple):
     out: Path | None = None
 
 
-class Laps:
+class Stopwatch:
     """Invisible progress bars that add up the process's time by stage."""
 
     def __init__(self):
         self.seconds: dict[str, float] = {}
 
     @contextmanager
-    def __call__(self, total: float, label: str, unit: str = "", at_most: bool = False) -> Iterator[Quiet]:
+    def __call__(self, total: float, label: str, unit: str = "", at_most: bool = False) -> Iterator[QuietBar]:
         begin = time.process_time()
-        yield Quiet()
+        yield QuietBar()
         self.seconds[label] = self.seconds.get(label, 0.0) + time.process_time() - begin
 
 
-def rows(one: Asked) -> list[dict]:
+def rows(one: RobotQuery) -> list[dict]:
     """A row of every case. A case that cannot be searched, or cannot swim, gives the reason in its row."""
-    return written(one, _rows(one))
+    return write_rows(one, _rows(one))
 
 
-def written(one: Asked, found: Iterable[dict]) -> list[dict]:
+def write_rows(one: RobotQuery, found: Iterable[dict]) -> list[dict]:
     """Passes rows on as they are found, each written into the folder of `one` at once."""
     made = []
     for row in found:
@@ -73,46 +73,46 @@ def written(one: Asked, found: Iterable[dict]) -> list[dict]:
     return made
 
 
-def _rows(one: Asked) -> Iterator[dict]:
+def _rows(one: RobotQuery) -> Iterator[dict]:
     robot = one.robot
     about = {"model": "drawn" if robot.drawn else "fish"}
     try:
-        known, model, own, more = questioned(one)
+        known, model, own, more = questioned_model(one)
     except UNABLE as error:
-        yield from (begun(case, one) | about | refused(error) for case in robot.cases)
+        yield from (case_facts(case, one) | about | refusal_row(error) for case in robot.cases)
         return
     for case in robot.cases:
-        yield begun(case, one) | about | more | row(one, case, known, model, own)
+        yield case_facts(case, one) | about | more | row(one, case, known, model, own)
 
 
-def questioned(one: Asked) -> tuple[Robot, object, Healthy | None, dict]:
+def questioned_model(one: RobotQuery) -> tuple[Robot, object, HealthySwims | None, dict]:
     """(true description, questioned model, result of its own healthy swims, the row's entries on all three)."""
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     begin = time.process_time()
-    known, redraws, speed = described(one.robot)
+    known, redraws, speed = describe_robot(one.robot)
     facts = of_body(known) | {"redraws": redraws, "lengths_a_second": speed, "calibrated": None}
     believed = known
     if one.calibrate:
-        believed, facts["calibrated"] = calibrated.calibrated(one.robot.family, one.robot.seed, known)
+        believed, facts["calibrated"] = calibrated.calibrate_robot(one.robot.family, one.robot.seed, known)
     model = SwimmingFish(believed)
     _ = model.kernel
     own = None
     if one.calibrate:
         swims = calibrated.swims(one.robot.family, one.robot.seed, known)
-        own = healthy_swims.known(model, swims, SimulatedNull(without=one.robot.family))
-    facts["own"] = own.left if own else 0.0
+        own = healthy_swims.read_healthy_swims(model, swims, SimulatedNull(without=one.robot.family))
+    facts["own"] = own.calibration_residual if own else 0.0
     return known, model, own, facts | {"robot_cpu_seconds": time.process_time() - begin}
 
 
-def row(one: Asked, case: Case, known: Robot, model, own: Healthy | None = None) -> dict:
+def row(one: RobotQuery, case: Case, known: Robot, model, own: HealthySwims | None = None) -> dict:
     """Entries of a row on one case of a robot."""
     robot, begin, about = one.robot, time.process_time(), {}
     try:
         if case.times:
-            hidden, strength = power.scaled(robot.family, case, known)
+            hidden, strength = power.effect_at_strength(robot.family, case, known)
             case, about = case._replace(effects=hidden), {"truth": hidden}
-            if not power.reached(strength, case.times):
+            if not power.reaches(strength, case.times):
                 return about | {"answer": power.NOT_REACHED, "detectable": strength}
         number = APART * (1 + number_of(case))
         trials = families.trials(robot.family, case.effects, case.logs, robot.seed, known, first=number, noise=case.noise)
@@ -120,12 +120,12 @@ def row(one: Asked, case: Case, known: Robot, model, own: Healthy | None = None)
     except (ConfigError, SimDiverged) as error:  # what is hidden leaves no robot, or one that does not swim
         return {"answer": "DIVERGED", "reason": str(error)}
     page = families.page(robot.family, case.effects, robot.seed, known) if one.weighed else None
-    return about | answered(case, robot, model, trials, seen, page, time.process_time() - begin, own)
+    return about | search_row(case, robot, model, trials, seen, page, time.process_time() - begin, own)
 
 
-def answered(
+def search_row(
     case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float,
-    own: Healthy | None = None,
+    own: HealthySwims | None = None,
 ) -> dict:  # fmt: skip
     """Entries of a row on a search, or on its omission.
 
@@ -134,15 +134,15 @@ def answered(
     """
     about = {"detectable": seen["all"], "each_detectable": seen["each"]}
     about |= {"noise_only": seen["noise_only"], "each_noise_only": seen["each_noise_only"]}
-    if not case.times and not searched(case, seen["each"]):
+    if not case.times and not is_searched(case, seen["each"]):
         return about | {"answer": "NOT_SEARCHED"}
-    made, start, laps = time.process_time(), time.monotonic(), Laps()
+    made, start, laps = time.process_time(), time.monotonic(), Stopwatch()
     null = SimulatedNull(noise=case.noise, without=robot.family)
     try:
         asked = partial(investigate, model, trials, gates=frozen(), null=null, seed=robot.seed, bars=laps)
         verdict = asked(page=page, mass_known=False, healthy=own).verdict
     except UNABLE as error:
-        return about | refused(error)
+        return about | refusal_row(error)
     cpu = {"data": data, **laps.seconds, "whole search": time.process_time() - made}
     return about | answered_by(verdict) | {"cpu_seconds": cpu, "seconds": data + time.monotonic() - start}
 
@@ -152,7 +152,7 @@ def of_body(robot: Robot) -> dict:
     return {"links": len(robot.links), "length": robot.length, "mass": robot.mass}
 
 
-def begun(case: Case, one: Asked) -> dict:
+def case_facts(case: Case, one: RobotQuery) -> dict:
     """Entries of a row on a case before its search. Two rows of one id that differ in them are of two benchmarks."""
     out = {"id": case.id, "kind": case.kind, "truth": case.effects, "noise": case.noise, "logs": len(case.logs)}
     out |= {"times": case.times, "drawn": case.effects} if case.times else {}
@@ -160,6 +160,6 @@ def begun(case: Case, one: Asked) -> dict:
     return out | {"family": one.robot.family, "robot": one.robot.id, "seed": one.robot.seed}
 
 
-def refused(error: Exception) -> dict:
+def refusal_row(error: Exception) -> dict:
     """Entries of a row on a refused search: it named nothing, and agreed with nothing."""
     return {"answer": "REFUSED", "reason": str(error), "said": [], "rivals": []}

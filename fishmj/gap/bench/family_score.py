@@ -115,7 +115,7 @@ def _mean(values: list[float]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def told(result: dict) -> list[str]:
+def report_lines(result: dict) -> list[str]:
     """Score as lines of text: the pooled figures with their aims, then a table of the families and of the two kinds of model."""
     aims = {aim["aim"]: aim for aim in result["aims"]}
     lines = ["all families", *(_line(key, value, aims.get(key)) for key, value in result["pooled"].items())]

@@ -52,14 +52,14 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     drawn = cases.draw(args.cases, args.seed, {"off": 1.0})
     todo = [c for c in drawn if next(iter(c.effects)) in RIGHT]
-    result = summary(command.judged(todo, args.out, judged, what="fallback"))
+    result = summary(command.judge_cases(todo, args.out, judge_case, what="fallback"))
     console.say(console.table(result["families"]), f"right term in the first two: {result['right']}")
     if args.json:
         console.emit_json(result)
     return console.OK
 
 
-def judged(case: cases.Case) -> dict:
+def judge_case(case: cases.Case) -> dict:
     """One case: its terms, and the rank of the first right one (0 = absent)."""
     from fishmj.gap.laboratory.virtual_robot import generate
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json
-from fishmj.gap.bench.rows import kept
+from fishmj.gap.bench.rows import read_rows
 from fishmj.gap.bench.score import share
 from fishmj.gap.null import structural_error
 from fishmj.gap.search.model_error import misformed
@@ -28,13 +28,13 @@ def main(argv: list[str]) -> int:
     parser.add_argument("rows", type=console.path, help="rows.jsonl of gap bench --generator")
     parser.add_argument("own", type=console.path, help="JSON: robot -> |z|^2 / m that its model leaves of its own free swims")
     args = parser.parse_args(argv)
-    rows, own = kept(args.rows), read_json(args.own)
+    rows, residuals = read_rows(args.rows), read_json(args.own)
     if not rows:
         raise ConfigError(f"gates_again: {args.rows}: no rows in it; expected rows.jsonl of gap bench")
     found = [
-        {"id": row["id"], "kind": row["kind"], "before": row["answer"], "now": again(row, gates_of(row, own))}
+        {"id": row["id"], "kind": row["kind"], "before": row["answer"], "now": redecide(row, gates_of(row, residuals))}
         for row in rows
-        if row["robot"] in own and "gates" in row
+        if row["robot"] in residuals and "gates" in row
     ]
     console.say(console.table([row for row in found if row["before"] != row["now"]]) or "no answer changes")
     none = [row for row in found if row["kind"] == "none"]
@@ -46,12 +46,13 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
-def gates_of(row: Mapping, own: Mapping[str, float]) -> Gates:
+def gates_of(row: Mapping, calibration_residuals: Mapping[str, float]) -> Gates:
     """Gates of a row's robot, from structural error scales without its family."""
-    return structural_error.allowed(frozen(), structural_error.widths(row["family"]), own.get(row["robot"], 0.0))
+    residual = calibration_residuals.get(row["robot"], 0.0)
+    return structural_error.allowed(frozen(), structural_error.widths(row["family"]), residual)
 
 
-def again(row: Mapping, gates: Gates) -> str:
+def redecide(row: Mapping, gates: Gates) -> str:
     """Answer with these gates, in the order of `decide.decide`; SEARCH if only a search can tell."""
     if row["answer"] != SAID:
         return row["answer"]

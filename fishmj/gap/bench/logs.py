@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.bench.run import said
+from fishmj.gap.bench.run import effect_row
 from fishmj.gap.measured.answer import answer
 from fishmj.gap.measured.study import Study, extended, investigate
 from fishmj.gap.measured.study_build import built, deleted, shipped
@@ -47,7 +47,7 @@ def draw(count: int, seed: int) -> list[Deletion]:
 TRAJECTORIES = ("lift_and_drop", "sin_sin", "sin_time_square", "up_and_down")  # of the servo's set, in alphabetical order
 
 
-def studied(case: Deletion, without: str = "") -> Study:
+def split_study(case: Deletion, without: str = "") -> Study:
     """The set split by the case's seed, with a constant deleted from its baseline."""
     changes = deleted(case.set, without) if without else {}
     if case.set == "tail_fish":
@@ -61,9 +61,9 @@ def run(case: Deletion) -> dict:
     start = time.monotonic()
     beyond, terms = TERMS[case.set]
     constant, parameter = terms[case.term]
-    whole = studied(case)
+    whole = split_study(case)
     full = extended(whole, beyond)
-    study, has = studied(case, constant), tuple(name for name in beyond if name != case.term)
+    study, has = split_study(case, constant), tuple(name for name in beyond if name != case.term)
     found = investigate(study, most=2, has=has)
     verdict = answer(study, found)
     truth = {case.term: {parameter: value(whole, full.row, case.term, constant, parameter)}} if case.term else {}
@@ -71,12 +71,12 @@ def run(case: Deletion) -> dict:
     gap = 1.0 + max(apart, 0.0) / study.floor if case.term else 1.0
     row: dict = {"id": case.id, "kind": case.kind, "set": case.set, "truth": truth, "seed": case.seed, "noise": 1.0}
     row |= {"logs": len(study.learn), "true_gap": gap, "beyond_gap": gap, "each_gap": dict.fromkeys(truth, gap)}
-    return row | described(verdict) | {"seconds": time.monotonic() - start}
+    return row | verdict_row(verdict) | {"seconds": time.monotonic() - start}
 
 
-def described(verdict: Verdict) -> dict:
+def verdict_row(verdict: Verdict) -> dict:
     """Entries of a row on the verdict, in the form of the other generators."""
-    told = [said(effect) for effect in verdict.effects]
+    told = [effect_row(effect) for effect in verdict.effects]
     out: dict = {"answer": verdict.answer, "said": told, "rivals": [r["name"] for r in verdict.rivals]}
     out |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
     out |= {"gap_unseen_before": verdict.gap_before, "explained": verdict.explained, "gates": verdict.gates}

@@ -14,7 +14,7 @@ from fishmj import effects as catalogue
 from fishmj.base import console
 from fishmj.base.errors import SimDiverged
 from fishmj.gap.bench import families
-from fishmj.gap.bench.cases import Case, dealt
+from fishmj.gap.bench.cases import Case, draw_card
 from fishmj.gap.bench.drawn_robots import BenchRobot, every
 from fishmj.gap.bench.score import names, share
 from fishmj.mjcf.description import Robot
@@ -37,7 +37,7 @@ def robots(many: int, seed: int, able: tuple[str, ...], effects: tuple[str, ...]
         source = families.pool(robot.family).catalogued
         pool = [name for name in source if effects is None or name in effects]
         rng = np.random.default_rng([robot.seed, 17])
-        chosen = list(dict.fromkeys(dealt(decks[robot.family], pool, rng) for _ in range(min(EFFECTS, len(pool)))))
+        chosen = list(dict.fromkeys(draw_card(decks[robot.family], pool, rng) for _ in range(min(EFFECTS, len(pool)))))
         healthy = robot.cases[0]._replace(kind="none", effects={})
         cases = [healthy]
         for name in chosen:
@@ -51,7 +51,7 @@ def robots(many: int, seed: int, able: tuple[str, ...], effects: tuple[str, ...]
     return out
 
 
-def scaled(family: str, case: Case, robot: Robot) -> tuple[dict, float]:
+def effect_at_strength(family: str, case: Case, robot: Robot) -> tuple[dict, float]:
     """The effect of a case at its strength: (values, reached strength). The nearest if none reaches it.
 
     Raises:
@@ -90,7 +90,7 @@ def scaled(family: str, case: Case, robot: Robot) -> tuple[dict, float]:
     return {name: grown(best)}, known[best]
 
 
-def reached(strength: float, times: float) -> bool:
+def reaches(strength: float, times: float) -> bool:
     """Returns True if a strength counts as `times`."""
     return times / NEAR**2 < strength < times * NEAR**2
 
@@ -141,7 +141,7 @@ def score(rows: list[dict]) -> dict:
     return {"table": table, "times": by_times, "missed": missed, "healthy": healthy, "false_alarms": false, "met": met} | lost
 
 
-def told(result: dict) -> list[str]:
+def report_lines(result: dict) -> list[str]:
     """Score as lines of text: a row for each effect and generator, named + class + agrees of n at each strength; the shares."""
     cells: dict[tuple, dict] = {}
     for one in result["table"]:
@@ -151,16 +151,16 @@ def told(result: dict) -> list[str]:
     lines = ["named + in its class + agrees, of n, by strength"]
     lines += [console.table([{**{k: line[k] for k in ("effect", "generator")}, **columns, **line} for line in cells.values()])]
     for times, one in result["times"].items():
-        lines.append(f"{times:>3s} times: " + "; ".join(f"{what.replace('_', ' ')} {_said(s)}" for what, s in one.items()))
+        lines.append(f"{times:>3s} times: " + "; ".join(f"{what.replace('_', ' ')} {share_text(s)}" for what, s in one.items()))
     aim = {True: "met", False: "MISSED", None: "not asked"}
     met = {key: aim[value] for key, value in result["met"].items()}
-    lines.append(f"{LARGE:g} times or more, AGREES: {_said(result['missed'])}; aim <= {MISSED:.0%}: {met['missed']}")
-    lines.append(f"nothing hidden, AGREES: {_said(result['healthy'])}; aim >= {HEALTHY:.0%}: {met['healthy']}")
-    lines.append(f"nothing hidden, NAMED or CLASS: {_said(result['false_alarms'])}")
+    lines.append(f"{LARGE:g} times or more, AGREES: {share_text(result['missed'])}; aim <= {MISSED:.0%}: {met['missed']}")
+    lines.append(f"nothing hidden, AGREES: {share_text(result['healthy'])}; aim >= {HEALTHY:.0%}: {met['healthy']}")
+    lines.append(f"nothing hidden, NAMED or CLASS: {share_text(result['false_alarms'])}")
     return [*lines, f"strength out of reach: {result['not_reached']}; did not swim: {result['diverged']}"]
 
 
-def _said(s: dict) -> str:
+def share_text(s: dict) -> str:
     if not s["n"]:
         return "- (none)"
     return f"{s['value']:.0%} ({s['hits']} of {s['n']}; 95 %: {s['low']:.0%} to {s['high']:.0%})"

@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
-from fishmj.gap.bench.command import judged
-from fishmj.gap.bench.run import fish, said
+from fishmj.gap.bench.command import judge_cases
+from fishmj.gap.bench.run import effect_row, fish
 from fishmj.gap.bench.score import share
 from fishmj.gap.commands import admission, gap_options
-from fishmj.gap.commands.hide import with_lost_rows
+from fishmj.gap.commands.plant import with_lost_rows
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
-from fishmj.gap.workflow import compiled, investigate
+from fishmj.gap.workflow import compile_kernel, investigate
 from fishmj.mjcf.reading import load_robot
 
 SESSION = ("gait_fast", "chirp", "steps", "turn_left")
@@ -47,7 +47,7 @@ SENSORS = {
 }
 
 
-class Trying(NamedTuple):
+class TrialSettings(NamedTuple):
     """Settings of one search. model: name or TOML file."""
 
     model: str
@@ -74,11 +74,11 @@ def main(argv: list[str]) -> int:
     for model in args.models:
         admission.searchable(load_robot(model), model)
     for model in args.models:  # once each, before processes begin
-        compiled(fish(model), console.say)
+        compile_kernel(fish(model), console.say)
     asked = SENSORS if args.sensors else ROBOTS
     seeds = range(args.seed, args.seed + args.seeds)
-    todo = [Trying(model, name, seed) for model in args.models for name in asked for seed in seeds]
-    rows = judged(todo, args.out, row_of, args.jobs, "searches")
+    todo = [TrialSettings(model, name, seed) for model in args.models for name in asked for seed in seeds]
+    rows = judge_cases(todo, args.out, row_of, args.jobs, "searches")
     table = [summary(model, name, rows) for model in args.models for name in asked]
     console.say(console.table(table))
     if args.json:
@@ -86,7 +86,7 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
-def trials_of(one: Trying) -> list:
+def trials_of(one: TrialSettings) -> list:
     """The data set of a search."""
     from fishmj.gap.laboratory.virtual_robot import generate, plant
 
@@ -104,11 +104,11 @@ def value_of(made, field: str) -> float:
     return float(getattr(getattr(made, group), key))
 
 
-def row_of(one: Trying) -> dict:
+def row_of(one: TrialSettings) -> dict:
     """Row of a search."""
     verdict = investigate(fish(one.model), trials_of(one), gates=frozen(), null=SimulatedNull(), seed=one.seed).verdict
     row = {"id": one.id, "model": Path(one.model).stem, "condition": one.condition, "seed": one.seed}
-    row |= {"answer": verdict.answer, "said": [said(effect) for effect in verdict.effects]}
+    row |= {"answer": verdict.answer, "said": [effect_row(effect) for effect in verdict.effects]}
     return row | {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after}
 
 

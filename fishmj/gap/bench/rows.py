@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 
-def kept(path: Path) -> list[dict]:
+def read_rows(path: Path) -> list[dict]:
     """Complete rows of a file; a truncated line is dropped, so that its case is repeated."""
     if not path.is_file():
         return []

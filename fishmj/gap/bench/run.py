@@ -12,7 +12,7 @@ from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.whitening import residual_and_tangents
 from fishmj.gap.records.records import Record, ResidualLayout, record_of
 from fishmj.gap.thresholds import Gates
-from fishmj.gap.verdict import Named, Verdict
+from fishmj.gap.verdict import NamedEffect, Verdict
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial
 
@@ -52,7 +52,7 @@ def answered_by(verdict: Verdict) -> dict:
     """Entries of a row on a search's answer."""
     out: dict = {
         "answer": verdict.answer,
-        "said": [said(e) for e in verdict.effects],
+        "said": [effect_row(e) for e in verdict.effects],
         "rivals": [r["name"] for r in verdict.rivals],
     }
     out |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
@@ -66,7 +66,7 @@ def sizes(gap: Callable, plant, case: Case) -> tuple[float, dict]:
     return whole, {n: gap(plant, case, {n: v}) if len(case.effects) > 1 else whole for n, v in case.effects.items()}
 
 
-def said(effect: Named) -> dict:
+def effect_row(effect: NamedEffect) -> dict:
     """A named effect in short: values as [value, low, high]."""
     values = {k: [v.value, v.low, v.high] for k, v in effect.parameters.items()}
     return {"name": effect.name, "p_best": effect.p_best, "values": values}

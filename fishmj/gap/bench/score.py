@@ -90,7 +90,7 @@ def score(rows: list[dict]) -> dict:
     }
 
 
-def valued(effect: dict) -> bool:
+def has_values(effect: dict) -> bool:
     """Returns True if a name has values; a correlation has none."""
     return all(v is not None for values in effect["values"].values() for v in values)
 
@@ -100,7 +100,7 @@ def relative_errors(row: dict) -> list[float]:
     from fishmj import effects
 
     out = []
-    for e in filter(valued, row["said"]):
+    for e in filter(has_values, row["said"]):
         truth = row["truth"][e["name"]]
         spec = {p.name: p for p in effects.get(e["name"]).parameters}
         shared = [k for k in truth if k in e["values"] and spec[k].unit == effects.get(e["name"]).parameters[0].unit]
@@ -115,7 +115,7 @@ def inside(row: dict) -> list[bool]:
     from fishmj import effects
 
     out = []
-    for e in filter(valued, row["said"]):
+    for e in filter(has_values, row["said"]):
         first = effects.get(e["name"]).parameters[0].name
         if first in row["truth"][e["name"]]:
             _, low, high = e["values"][first]

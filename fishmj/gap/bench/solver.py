@@ -25,7 +25,7 @@ from fishmj.mjcf.reading import load_robot
 WATER = "swift-base"
 
 
-class Given(NamedTuple):
+class SolverCase(NamedTuple):
     """A case with its data, and a null without them."""
 
     case: Case
@@ -51,7 +51,7 @@ def plant():
     return SwimmingFish(in_water(load_robot("fish"), WATER))
 
 
-def draw(where: Path | None = None) -> list[Given]:
+def draw(where: Path | None = None) -> list[SolverCase]:
     """Every data set as a case, with all of its experiments.
 
     Raises:
@@ -71,5 +71,5 @@ def draw(where: Path | None = None) -> list[Given]:
         logs = tuple(str(trial.value("excitation")) for trial in trials)
         kind = {0: "none", 1: "single"}.get(len(told["effects"]), "pair")
         case = Case(name, kind, told["effects"], 1.0, logs, int(told["seed"]))
-        out.append(Given(case, trials, RecordedNull(folder=where / "nulls", without=(name,))))
+        out.append(SolverCase(case, trials, RecordedNull(folder=where / "nulls", without=(name,))))
     return out

@@ -4,7 +4,7 @@ Each robot's model is calibrated to its own free swims in the solver. The search
 second robot's and the structural error comes from other waters.
 
     robots(folder, kinds) -> [BenchRobot]        those whose data sets are complete
-    rows(Asked(robot), folder) -> [row]          as `family_rows.rows`
+    rows(RobotQuery(robot), folder) -> [row]     as `family_rows.rows`
 """
 
 import hashlib
@@ -21,12 +21,12 @@ from fishmj.base.machine_code import cache_folder
 from fishmj.base.store import read_json
 from fishmj.gap.bench import calibrated
 from fishmj.gap.bench.drawn_robots import BenchRobot
-from fishmj.gap.bench.family_rows import UNABLE, Asked, answered, begun, of_body, refused, written
+from fishmj.gap.bench.family_rows import UNABLE, RobotQuery, case_facts, of_body, refusal_row, search_row, write_rows
 from fishmj.gap.bench.solver_family import plan as plans
 from fishmj.gap.bench.solver_family.layout import FREE, SETS, TRUTH
 from fishmj.gap.null.null_runs import SimulatedNull, digest
 from fishmj.gap.search import healthy_swims
-from fishmj.gap.search.healthy_swims import Healthy
+from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
 from fishmj.mjcf.description import Robot
@@ -56,32 +56,32 @@ def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
     return out
 
 
-def rows(one: Asked, folder: Path) -> list[dict]:
+def rows(one: RobotQuery, folder: Path) -> list[dict]:
     """A row of every case, each written as it is done."""
-    return written(one, _rows(one, folder))
+    return write_rows(one, _rows(one, folder))
 
 
-def _rows(one: Asked, folder: Path) -> Iterator[dict]:
+def _rows(one: RobotQuery, folder: Path) -> Iterator[dict]:
     plan, truth = plans.read(folder), read_json(folder / TRUTH)["cases"]
     told = next(robot for robot in plan.robots if robot.id == one.robot.id)
     known = plan.descriptions[told.model]
     about: dict = {"model": "drawn" if one.robot.drawn else SHIPPED, "described": told.model, "domain": plan.asked.domain}
     about |= of_body(known) | {"redraws": 0, "calibrated": None}
     try:
-        model, error, own = questioned(one, known, read_bundle(folder / SETS / f"{one.robot.id}-{FREE}.npz"))
+        model, error, own = questioned_model(one, known, read_bundle(folder / SETS / f"{one.robot.id}-{FREE}.npz"))
     except UNABLE as refusal:
-        yield from (begun(case, one) | about | refused(refusal) for case in one.robot.cases)
+        yield from (case_facts(case, one) | about | refusal_row(refusal) for case in one.robot.cases)
         return
-    about |= {"calibrated": error, "own": own.left if own else 0.0}
+    about |= {"calibrated": error, "own": own.calibration_residual if own else 0.0}
     for case in one.robot.cases:
         begin = time.process_time()
         trials = read_bundle(folder / SETS / f"{case.id}.npz")
         seen, data = truth[case.id]["detectable"], time.process_time() - begin
         more = {"swum": len(trials), "healthy": seen["healthy"]}
-        yield begun(case, one) | about | more | answered(case, one.robot, model, trials, seen, None, data, own)
+        yield case_facts(case, one) | about | more | search_row(case, one.robot, model, trials, seen, None, data, own)
 
 
-def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dict | None, Healthy | None]:
+def questioned_model(one: RobotQuery, known: Robot, free: list[Trial]) -> tuple[object, dict | None, HealthySwims | None]:
     """(questioned model, its speed error on swims left out of its calibration, result of these swims).
 
     Raises:
@@ -93,11 +93,11 @@ def questioned(one: Asked, known: Robot, free: list[Trial]) -> tuple[object, dic
     if one.calibrate:
         told = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
         path = cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
-        believed, error = calibrated.kept(path, plans.SOLVER, known, lambda: free)
+        believed, error = calibrated.read_or_calibrate(path, plans.SOLVER, known, lambda: free)
     model = SwimmingFish(believed)
     _ = model.kernel
     if one.calibrate:
-        own = healthy_swims.known(model, free, SimulatedNull(without=plans.SOLVER))
+        own = healthy_swims.read_healthy_swims(model, free, SimulatedNull(without=plans.SOLVER))
     return model, error, own
 
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base import console, interrupt
-from fishmj.gap.bench.workers import answered
+from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.calibrate.calibration_logs import Logs
-from fishmj.gap.calibrate.water_fit import HeldOut, WaterFit, calibrate_trials, predicted
+from fishmj.gap.calibrate.water_fit import HeldOutSwim, WaterFit, calibrate_trials, predicted
 from fishmj.gap.laboratory import generators
 from fishmj.gap.laboratory.generators.prescribed import prescribed
-from fishmj.gap.progress import shown
+from fishmj.gap.progress import terminal_bar
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 
@@ -46,19 +46,19 @@ def study(case: tuple[str, int], model: str = "fish") -> dict:
     `swims` are those left out of a fit, `fitted` the same swims in the fit to all, `unseen` others, predicted by the fit to all.
     """
     family, seed = case
-    trials = swum(family, SWIMS, seed, model)
+    trials = swim_robot(family, SWIMS, seed, model)
     begin = time.process_time()
     _, found = calibrate_trials(trials, model)
     spent = time.process_time() - begin
     truth = {} if family == SECOND else prescribed(family, seed, robot=model)
     row = {"family": family, "seed": seed, "cpu_s": spent, "swims": {swim.kind: errors(swim) for swim in found.after}}
     row["fitted"] = {swim.kind: errors(swim) for swim in predicted(found.plant, found.records, found.theta)}
-    row |= {"unseen": {swim.kind: errors(swim) for swim in unseen(found, family, seed, model)}}
+    row |= {"unseen": {swim.kind: errors(swim) for swim in predict_unseen(found, family, seed, model)}}
     row["described"] = float(np.nanmean([swim.speed_error for swim in found.before]))
-    return row | {"physical": felt(found, truth)}
+    return row | {"physical": physical_rows(found, truth)}
 
 
-def swum(family: str, swims: Iterable["str | Excitation"], seed: int, model: str) -> list[Trial]:
+def swim_robot(family: str, swims: Iterable["str | Excitation"], seed: int, model: str) -> list[Trial]:
     """Trials of one robot of a family."""
     if family != SECOND:
         return generators.generate(family, {}, swims, seed, robot=model)
@@ -67,24 +67,24 @@ def swum(family: str, swims: Iterable["str | Excitation"], seed: int, model: str
     return virtual_robot.generate({}, list(swims), seed, robot=model)
 
 
-def unseen(found: WaterFit, family: str, seed: int, model: str) -> list[HeldOut]:
+def predict_unseen(found: WaterFit, family: str, seed: int, model: str) -> list[HeldOutSwim]:
     """The same robot's swims of `UNSEEN`, predicted by the fit to all of its swims."""
     made = [
         Excitation(id=name, commands=excitation.gait(*beat), about="between the swims that are fitted to", start=START)
         for name, beat in UNSEEN.items()
     ]
-    trials = {trial.name: trial for trial in swum(family, made, seed, model)}
+    trials = {trial.name: trial for trial in swim_robot(family, made, seed, model)}
     return predicted(found.plant, Logs(Path("unseen"), trials).records(found.plant.dt), found.theta)
 
 
-def errors(swim: HeldOut) -> dict[str, float | None]:
+def errors(swim: HeldOutSwim) -> dict[str, float | None]:
     """Signed relative errors of one swim left out; None if the fish hardly swims, or hardly turns."""
     speed = swim.simulated / swim.speed - 1.0 if np.isfinite(swim.speed_error) else None
     turn = swim.simulated_yaw_rate / swim.yaw_rate - 1.0 if abs(swim.yaw_rate) > TURNING else None
     return {"speed": speed, "yaw_rate": turn}
 
 
-def felt(found: WaterFit, truth: dict[str, float]) -> dict[str, list]:
+def physical_rows(found: WaterFit, truth: dict[str, float]) -> dict[str, list]:
     """Body-level estimates: value, low, high, truth (None without one)."""
     return {name: [e.value, e.low, e.high, truth.get(name)] for name, e in found.physical.items()}
 
@@ -148,8 +148,8 @@ def main(argv: list[str]) -> int:
     rows: list[dict] = []
     again = interrupt.again("start again")
     with interrupt.keeping(lambda: f"{len(rows)} of {len(todo)} robots were done; none is kept; {again}"):
-        with shown(len(todo), "robots", "robots") as bar:
-            for row in answered(todo, partial(study, model=args.model), args.jobs):
+        with terminal_bar(len(todo), "robots", "robots") as bar:
+            for row in ask_all(todo, partial(study, model=args.model), args.jobs):
                 rows.append(row)
                 bar.update(len(rows))
     rows.sort(key=lambda row: todo.index((row["family"], row["seed"])))

@@ -22,7 +22,7 @@ ALONE = {
 }
 
 
-def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
+def ask_all(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
     """Results of `ask` for each of `todo`, as they are done; both must be picklable. With one job it runs here, in order.
 
     Raises:
@@ -32,7 +32,7 @@ def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
         yield from map(ask, todo)
         return
     context, others = get_context("spawn"), active_children()
-    with alone(), sigint_blocked():
+    with one_thread(), sigint_blocked():
         pool = ProcessPoolExecutor(min(jobs, len(todo)), context, bound, (context.Value("i", 0),))
         waiting = [pool.submit(ask, one) for one in todo]
     try:
@@ -48,7 +48,7 @@ def answered(todo: list, ask: Callable[..., Any], jobs: int) -> Iterator[Any]:
 
 
 @contextmanager
-def alone() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Context in which started processes find libraries set to one thread; existing settings stay."""
     before = dict(os.environ)
     os.environ.update({key: value for key, value in ALONE.items() if key not in before})

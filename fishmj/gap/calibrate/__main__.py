@@ -87,7 +87,7 @@ def drawn(argv: list[str]) -> int:
     from fishmj.gap.calibrate.commands import check_one, check_rows
     from fishmj.gap.laboratory.hidden_lbm.calibration_trials import hidden, trials, truth
     from fishmj.gap.models.swimming_fish import ServoStand
-    from fishmj.gap.progress import shown
+    from fishmj.gap.progress import terminal_bar
 
     about = (
         f"Calibrate robots drawn anew, whose numbers are known: errors and coverage. Those that are done are kept in {CHECKED}"
@@ -98,7 +98,7 @@ def drawn(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     names = {f"robot-{seed}": seed for seed in range(args.seed, args.seed + args.robots)}
     kept, plant, robots = PartialResults(CHECKED, {}), ServoStand(), []
-    with interrupt.keeping(lambda: kept.words(list(names), "robots")), shown(args.robots, "robots", "robots") as bar:
+    with interrupt.keeping(lambda: kept.words(list(names), "robots")), terminal_bar(args.robots, "robots", "robots") as bar:
         for done, (name, seed) in enumerate(names.items(), 1):
             off = kept.find(name)
             if off is None:

@@ -84,7 +84,7 @@ def put(text: str, table: str, values: dict, name: str = "", *, source: str = ""
         last = i if inside and head else last
         match = re.match(r"(\w+)\s*=\s*(\[[^]]*\]|[^#\s]+)(.*)", line)
         if inside and block != i and match and match[1] in left:
-            lines[i] = f"{match[1]} = {_number(match[2], left.pop(match[1]))}{_told(match[3], source)}"
+            lines[i] = f"{match[1]} = {_number(match[2], left.pop(match[1]))}{_comment(match[3], source)}"
             heads.append(block)
     if source and heads:
         _relabel(lines, heads[0], list(values), source, whole=new)
@@ -100,7 +100,7 @@ def put(text: str, table: str, values: dict, name: str = "", *, source: str = ""
 GUESSED = re.compile(r"guess|prior|literature|not fitted|fitted to no", re.IGNORECASE)  # said of numbers that nobody measured
 
 
-def _told(comment: str, source: str) -> str:
+def _comment(comment: str, source: str) -> str:
     """The comment of a replaced number: its unit or meaning stays, its origin is the calibration."""
     if not source:
         return comment

@@ -17,9 +17,9 @@ from fishmj.gap.calibrate.least_squares import ParameterEstimate, widened
 from fishmj.gap.calibrate.water_plant import WaterPlant
 from fishmj.gap.commands.admission import of_this_robot, unphysical
 from fishmj.gap.models.swimming_fish import ServoStand
-from fishmj.gap.progress import shown
+from fishmj.gap.progress import terminal_bar
 from fishmj.gap.records.records import record_of
-from fishmj.gap.workflow import compiled
+from fishmj.gap.workflow import compile_kernel
 from fishmj.log import physical_checks
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
@@ -40,7 +40,7 @@ def rows(estimates: dict[str, ParameterEstimate]) -> list[dict]:
     ]
 
 
-def said(logs: Logs, more: str = "") -> list[str]:
+def source_lines(logs: Logs, more: str = "") -> list[str]:
     """Origin of the trials as lines of text."""
     origins = sorted({f"{t.value('origin', '?')} ({t.value('source', '?')})" for t in logs.trials.values()})
     return [f"{len(logs.trials)} trials in {logs.folder}, origin {', '.join(origins)}", *([more] if more else [])]
@@ -51,7 +51,7 @@ def source(args) -> str:
     return Path(args.data).as_posix()
 
 
-def opened(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
+def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     """The requested trials of this robot; problems of some of them are printed.
 
     Args:
@@ -79,18 +79,18 @@ def opened(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     return Logs(logs.folder, trials, broken, (*logs.notes, *whose))
 
 
-def benched(args, robot: Robot) -> tuple[Logs, ServoStand]:
+def open_bench_logs(args, robot: Robot) -> tuple[Logs, ServoStand]:
     """The trials and the plant for comparison; missing data are reported before anything is compiled."""
-    logs, plant = opened(args, robot, physical_checks.JOINTS), ServoStand(robot)
+    logs, plant = open_logs(args, robot, physical_checks.JOINTS), ServoStand(robot)
     logs.bench()
-    compiled(plant, console.say)
+    compile_kernel(plant, console.say)
     return logs, plant
 
 
 def run_servo(args) -> Answer:
     """Servo gain, damping, friction and command latency from sine, square and impulse."""
     robot = load_robot(args.model)
-    logs, plant = benched(args, robot)
+    logs, plant = open_bench_logs(args, robot)
     found = servo_of(args, logs, plant)
     page, picture, answer = servo_report(args, logs, found)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
@@ -109,7 +109,7 @@ def run_servo(args) -> Answer:
 def servo_of(args, logs: Logs, plant: ServoStand, *, alone: bool = True) -> servo_fit.ServoFit:
     """The servo's fit. Raises LogError if it must not be used, with the report that shows the reason."""
     try:
-        return servo_fit.calibrate(logs, plant, alone=alone, bars=shown)
+        return servo_fit.calibrate(logs, plant, alone=alone, bars=terminal_bar)
     except servo_fit.BadFit as bad:
         page, _, _ = servo_report(args, logs, bad.found, str(bad))
         raise LogError(f"{bad}. Nothing is written; the evidence is in {page}") from bad
@@ -132,27 +132,29 @@ def servo_report(args, logs: Logs, found: servo_fit.ServoFit, refusal: str = "")
     ]
     once = f"all in {found.records[0].medium}: record the same in the other medium, and what the hull adds shows"
     both = console.table(apart) if apart else once
-    console.say(*said(logs), console.table(rows(estimates)), "", both, "", console.table(left))
+    console.say(*source_lines(logs), console.table(rows(estimates)), "", both, "", console.table(left))
     console.say("", console.table(found.hull), *([found.words] if found.words else []))
     tables = {"Servo": rows(estimates), "Each medium alone": apart, "What is left": left, "Hull and water": found.hull}
     picture = fit_plots.draw(found, args.report / "overlay.png")
-    page = fit_plots.report(args.report, "Servo calibration", tables, picture, said(logs, f"{refusal} {found.words}".strip()))
+    page = fit_plots.report(
+        args.report, "Servo calibration", tables, picture, source_lines(logs, f"{refusal} {found.words}".strip())
+    )
     return page, picture, {"alone": apart, "left": left, "hull": found.hull}
 
 
 def run_latency(args) -> Answer:
     """Command and camera latency, from the clocks and against the fitted servo."""
     robot = load_robot(args.model)
-    logs, plant = benched(args, robot)
+    logs, plant = open_bench_logs(args, robot)
     fitted = servo_of(args, logs, plant, alone=False)
     found = servo_fit.calibrate_latency(logs, fitted)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     lags = [{"trial": r.trial, "path": r.path, "measured [s]": r.measured, "model [s]": r.model} for r in found.rows]
     every = {finding for audit in found.audits.values() for finding in audit.findings}
     findings = sorted(f for f in every if not f.startswith("pose drifts"))  # a fish that speeds up recoils later and later
-    console.say(*said(logs), console.table(lags), "", *findings, console.table(rows(estimates)))
+    console.say(*source_lines(logs), console.table(lags), "", *findings, console.table(rows(estimates)))
     tables = {"Latency": rows(estimates), "Lags": lags, "Clocks": [{"finding": finding} for finding in findings]}
-    page = fit_plots.report(args.report, "Latency calibration", tables, None, said(logs))
+    page = fit_plots.report(args.report, "Latency calibration", tables, None, source_lines(logs))
     if "camera_latency" not in estimates:
         needs = " and ".join(servo_fit.ABRUPT)
         console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
@@ -166,8 +168,8 @@ def run_latency(args) -> Answer:
 def run_slip(args) -> Answer:
     """Slip ratio of the hull from swims and a coast-down."""
     if args.recompute:
-        return recomputed(args)
-    logs = opened(args, load_robot(args.model))
+        return recompute_slip(args)
+    logs = open_logs(args, load_robot(args.model))
     grid = slip.table_name({"grid": args.grid or slip.grid_of(logs.trials.values()), "boundary": args.boundary})
     swum = slip.measured(logs.trials.values())
     found = slip.profile(swum, grid)
@@ -178,7 +180,7 @@ def run_slip(args) -> Answer:
     }
     facts = [{"metric": k, "measured": v, "trials": n} for k, (v, n) in swum.items()]
     words = f"table of grid {grid}; J rises by {slip.RISE} at the ends of the interval"
-    console.say(*said(logs, words), console.table(facts), "", console.table(found.rows()), "", console.table(rows(alone)))
+    console.say(*source_lines(logs, words), console.table(facts), "", console.table(found.rows()), "", console.table(rows(alone)))
     console.say("", console.table(rows({"slip": found.estimate})), found.words)
     if found.doubt:
         needs = ", ".join(name for name in (*slip.SWIMS, slip.COAST) if name not in swum) or "other swims of this robot"
@@ -188,7 +190,7 @@ def run_slip(args) -> Answer:
     tables = {"Slip ratio": rows({"slip": found.estimate}), "Profile": found.rows(), "Each alone": rows(alone), "Measured": facts}
     picture = fit_plots.draw_slip(found, args.report / "slip.png")
     page = fit_plots.report(
-        args.report, "Slip calibration", tables, picture, said(logs, f"{words}. {found.words}"), fit_plots.SLIP_WORDS
+        args.report, "Slip calibration", tables, picture, source_lines(logs, f"{words}. {found.words}"), fit_plots.SLIP_WORDS
     )
     if args.out:
         text = calibrated_model.start(args.out, args.model)
@@ -204,7 +206,7 @@ def run_slip(args) -> Answer:
     }
 
 
-def recomputed(args) -> Answer:
+def recompute_slip(args) -> Answer:
     """Computes one more entry for the table of solver swims."""
     grid, ratios = args.grid or "window_coarse", args.ratios
     entry = slip.recompute(grid, ratios, args.device, args.tanks, args.report / "swims", args.boundary)
@@ -217,10 +219,10 @@ def recomputed(args) -> Answer:
 def run_water(args) -> Answer:
     """Thrust, drag and added mass from free swims."""
     robot = load_robot(args.model)
-    logs, plant = opened(args, robot), WaterPlant(robot)
+    logs, plant = open_logs(args, robot), WaterPlant(robot)
     names = water_fit.swims(logs)
-    compiled(plant, console.say)
-    found = water_fit.calibrate(logs, plant, bars=shown)
+    compile_kernel(plant, console.say)
+    found = water_fit.calibrate(logs, plant, bars=terminal_bar)
     left, begin = found.speed_error, [swim.speed_error for swim in found.before]
     words = (
         f"on swims that the fit has not seen the speed is wrong by {100 * left.value:.1f} % in the mean and"
@@ -243,12 +245,12 @@ def run_water(args) -> Answer:
         for swim in sorted(found.after)
     ]
     turned = rows(found.coefficients)
-    console.say(*said(logs, f"{len(names)} of them are free swims"), console.table(swims), "", console.table(turned))
+    console.say(*source_lines(logs, f"{len(names)} of them are free swims"), console.table(swims), "", console.table(turned))
     console.say("", console.table(rows(found.physical)), words, *([doubt] if doubt else []))
     tables = {"What the body feels": rows(found.physical), "Swims left out": swims, "Coefficients": turned}
     picture = fit_plots.draw_water(found, args.report / "water.png")
     page = fit_plots.report(
-        args.report, "Water calibration", tables, picture, said(logs, f"{words}. {doubt}"), fit_plots.WATER_WORDS
+        args.report, "Water calibration", tables, picture, source_lines(logs, f"{words}. {doubt}"), fit_plots.WATER_WORDS
     )
     if args.out:
         text = calibrated_model.start(args.out, args.model)

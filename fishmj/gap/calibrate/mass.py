@@ -26,14 +26,14 @@ from fishmj.mjcf.geometry import geometry_of
 HEAVY = 10.0  # times the described mass; more is another unit
 
 
-class Weighed(NamedTuple):
+class MassEstimates(NamedTuple):
     """Estimates: mass, com (from the nose), inertia, yaw_inertia; mass and com of every link, (m, back from its front)."""
 
     estimates: dict[str, ParameterEstimate]
     links: dict[str, tuple[float, float]]
 
 
-def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
+def calibrate(folder: "str | Path", robot: Robot) -> MassEstimates:
     """Reads the page and computes the masses.
 
     Raises:
@@ -65,7 +65,7 @@ def calibrate(folder: "str | Path", robot: Robot) -> Weighed:
         "inertia": _estimate("inertia", "kg m2", inertia, inertia_sd, repeats("pendulum", "period")),
         "yaw_inertia": _estimate("yaw_inertia", "kg m2", extra, inertia_sd, repeats("pendulum", "period")),
     }
-    return Weighed(found, {link.name: (link.mass, link.com[0]) for link in described.links if link.com})
+    return MassEstimates(found, {link.name: (link.mass, link.com[0]) for link in described.links if link.com})
 
 
 def described_as(robot: Robot, masses: np.ndarray, com: float) -> Robot:

@@ -22,7 +22,7 @@ from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.calibration_logs import MEDIA, SIGNALS, Logs, angles
 from fishmj.gap.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
 from fishmj.gap.models.swimming_fish import STAND_CONSTANTS, ServoStand
-from fishmj.gap.progress import Bar, Bars, silent
+from fishmj.gap.progress import Bar, Bars, silent_bar
 from fishmj.gap.records.records import Record
 from fishmj.log.timebase import Audit, audit, lag_between
 
@@ -75,7 +75,7 @@ class BadFit(LogError):
         self.found = found
 
 
-def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars = silent) -> ServoFit:
+def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars = silent_bar) -> ServoFit:
     """Fits kp, kd, friction and command latency to the bench trials of `logs`.
 
     Args:

@@ -231,9 +231,9 @@ def recompute(grid: str, ratios: Iterable[float], device: str, tanks: int, folde
 
 def _metrics(waiting, device: str, go_on, *, tanks: int):
     """Yields jobs and their metrics as they are finished, `tanks` side by side on one device (`spread`)."""
-    from fishmj.gap.laboratory.hidden_lbm.hidden import swum, trial_of
+    from fishmj.gap.laboratory.hidden_lbm.hidden import run_jobs, trial_of
 
-    for run in swum(waiting, device, tanks):
+    for run in run_jobs(waiting, device, tanks):
         yield run.job, metric(run.job.what.id, trial_of(run).table("pose"))
 
 

@@ -27,7 +27,7 @@ from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.calibration_logs import QUIET, Logs
 from fishmj.gap.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, bound_of, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, WaterPlant
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.movement import pace
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.log import Trial
@@ -48,7 +48,7 @@ FAR = 1e3  # tolerances of a fish that a coefficient too far has lost
 MOVED = 0.05  # m/s or rad/s of a push
 
 
-class HeldOut(NamedTuple):
+class HeldOutSwim(NamedTuple):
     """One swim, predicted by a fit to others. Speeds in m/s, yaw rates in rad/s; `place`: m between the paths at the end."""
 
     trial: str
@@ -73,8 +73,8 @@ class WaterFit(NamedTuple):
     theta: np.ndarray
     coefficients: dict[str, ParameterEstimate]
     physical: dict[str, ParameterEstimate]
-    before: list[HeldOut]
-    after: list[HeldOut]
+    before: list[HeldOutSwim]
+    after: list[HeldOutSwim]
 
     @property
     def water(self) -> dict:
@@ -113,7 +113,7 @@ def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> 
     return found.robot, found
 
 
-def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent) -> WaterFit:
+def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent_bar) -> WaterFit:
     """Fits the water to the free swims of `logs`.
 
     Raises:
@@ -127,7 +127,7 @@ def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent) -> WaterFit
             ends.append(fitted(plant, records, start, ROUNDS, ENOUGH))
             bar.update(done)
         whole = min(ends, key=lambda end: end.cost)
-        after: list[HeldOut] = []
+        after: list[HeldOutSwim] = []
         others = []
         for done, fold in enumerate(folds, len(starts) + 1):
             rest = [r for i, r in enumerate(records) if i not in fold]
@@ -261,14 +261,14 @@ def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[di
     return coefficients, {name: estimate(name, unit, felt[name], least(name)) for name, unit in PHYSICAL.items()}
 
 
-def predicted(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> list[HeldOut]:
+def predicted(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> list[HeldOutSwim]:
     """Speed, yaw rate and place of swims, measured and simulated."""
     out = []
     for record, prediction in zip(records, plant.predict(records, plant.rows(theta[None])), strict=True):
         (t, seen, _), made = pose_of(record), prediction["pose"][0]
         (speed, turn), (other, other_turn) = pace(t, seen), pace(t, made)
         place = float(np.hypot(*(made[-1] - seen[-1])[:2]))
-        out.append(HeldOut(record.name, kind_of(record), speed, other, turn, other_turn, place))
+        out.append(HeldOutSwim(record.name, kind_of(record), speed, other, turn, other_turn, place))
     return out
 
 

@@ -29,7 +29,7 @@ UNSEEN = "records that nothing was fitted to"
 HELD_OUT = "the held-out fold, which the last fit saw: there were too few records to set some aside"
 
 
-class Written(NamedTuple):
+class ApplyOutcome(NamedTuple):
     """Outcome of applying a verdict. path: the version, the rejected candidate, or None without a candidate.
 
     gap_before, gap_after: the pair of the verdict.
@@ -82,7 +82,7 @@ def main(argv: list[str]) -> int:
 
 def apply(
     report: Path, out: "Path | None" = None, data: "Path | None" = None, force: bool = False, counted_in: bool = False
-) -> Written:
+) -> ApplyOutcome:
     """Makes the next version from a report on disk; measures both gaps on the records that the report names.
 
     counted_in: also apply minor effects: fitted jointly, below the naming threshold.
@@ -117,14 +117,14 @@ def apply(
 
 def settle(
     verdict: dict, context: dict, measure, out: Path, folder: Path, force: bool = False, counted_in: bool = False
-) -> Written:
+) -> ApplyOutcome:
     """Writes the version to `out`, or the rejected candidate into `folder`.
 
     measure: [parent, candidate] -> result of `check.gaps` on the report's judging records. counted_in: as `apply`.
     """
     answer, parent = verdict["answer"], load_robot(context["model"])
     if not verdict["effects"]:
-        return Written(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
+        return ApplyOutcome(None, False, f"{answer}: no effect to add; {context['model']} stays as it is")
     which = UNSEEN if verdict.get("gap_after_unseen") is not None else HELD_OUT
     seen = f"{len(context['judged'])} {which} of {context['data']}"
     provenance = f"{answer}: {seen}"
@@ -150,12 +150,12 @@ def settle(
 
             if diff := difference(parent, candidate):
                 write_text(out.with_suffix(".diff"), diff)
-            return Written(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooked(candidate)))
+            return ApplyOutcome(out, True, reason if good else f"forced: {reason}", before, after, diff, tuple(hooked(candidate)))
         draft = model_version.write(context["model"], draft, effects, table | {"rejected": reason}, keep=False)
         text = draft.read_text(encoding="utf-8")
     kept = folder / f"model.rejected-{hashlib.sha256(text.encode()).hexdigest()[:12]}.toml"
     write_text(kept, text)
-    return Written(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
+    return ApplyOutcome(kept, False, f"{reason}; {context['model']} stays as it is", before, after)
 
 
 def verdict_on(answer: str, told: tuple, judged: tuple, over_floor: tuple, which: str = UNSEEN) -> tuple[bool, str]:

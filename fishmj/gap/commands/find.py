@@ -24,7 +24,7 @@ from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.wording import level
-from fishmj.gap.workflow import Inquiry, compiled, investigate
+from fishmj.gap.workflow import Inquiry, compile_kernel, investigate
 from fishmj.log import Trial
 from fishmj.log.dataset import Taken
 from fishmj.mjcf.description import Robot
@@ -114,10 +114,10 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), health
     model, null = SwimmingFish(robot), null_of(drawn_of(args))
     own = None
     if healthy:
-        compiled(model, console.say)
-        own = healthy_swims.known(model, healthy, null, progress.shown)
+        compile_kernel(model, console.say)
+        own = healthy_swims.read_healthy_swims(model, healthy, null, progress.terminal_bar)
     if own:
-        notes = (*notes, f"the model leaves {level(own.left)} of the healthy swims in {args.healthy}")
+        notes = (*notes, f"the model leaves {level(own.calibration_residual)} of the healthy swims in {args.healthy}")
     return investigate(
         model,
         list(given.trials.values()),
@@ -129,7 +129,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), health
         seed=args.seed,
         further=True,
         say=console.say,
-        bars=progress.shown,
+        bars=progress.terminal_bar,
         admit=lambda e: admission.admit(e, args.anyway),
         notes=notes,
     )

@@ -25,7 +25,7 @@ from fishmj.gap.experiment import (
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.datasets import BUNDLE, page_in
 from fishmj.gap.records.records import record_of
-from fishmj.gap.workflow import compiled, investigate
+from fishmj.gap.workflow import compile_kernel, investigate
 from fishmj.log import excitation
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED, as_described
@@ -59,8 +59,8 @@ def main(argv: list[str]) -> int:
             console.emit_json({"answer": answer, "experiments": []})
         return console.OK
     runs = _runs(args.runs, sides)
-    compiled(model, console.say)
-    found = experiment_scores(model, sides, like, runs, null, bars=progress.shown)
+    compile_kernel(model, console.say)
+    found = experiment_scores(model, sides, like, runs, null, bars=progress.terminal_bar)
     console.say(console.table([{"experiment": p.excitation, "s": p.seconds, "sigma": p.sigma} for p in found[: args.top]]))
     advised = advice(model, found, sides)
     console.say(advised)
@@ -92,7 +92,7 @@ def _opened(args, null: SimulatedNull):
         mass_known=not args.mass_unknown,
         seed=args.seed,
         say=console.say,
-        bars=progress.shown,
+        bars=progress.terminal_bar,
         admit=lambda e: admission.admit(e, args.anyway),
     )
     found = inquiry.verdict

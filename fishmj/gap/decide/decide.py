@@ -52,7 +52,7 @@ from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import error_without_outliers, misformed
 from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates, residual_allowed, thresholds
-from fishmj.gap.verdict import LIKELIHOOD, Named, Value, Verdict
+from fishmj.gap.verdict import LIKELIHOOD, NamedEffect, Value, Verdict
 from fishmj.gap.wording import number, percent, quantity, title
 
 
@@ -84,12 +84,12 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
         return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very fish scatters", **plain)
     if not first.accepted:
-        tentative = named(found, first.ranked[0], {}) if first.gain > 0 else ()
+        tentative = named_effects(found, first.ranked[0], {}) if first.gain > 0 else ()
         gains = f"the best candidate gains {number(first.gain)} in twice the log likelihood of records not seen"
         why = f"there is a gap, but {gains}, less than {number(gates.gain)}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = support_of_each(found, gates)
-    effects = named(found, found.best, stand)
+    effects = named_effects(found, found.best, stand)
     # Null runs draw their own value of an effect. A single effect of that size is no finding, unless its gain rules out chance.
     if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.certain_gain:
         why = f"{title(effects[0].name)} comes out as no more than chance may make of it"
@@ -113,7 +113,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     wrong, outliers = error_without_outliers(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
     # Doubts test how well the records agree about a size. The error of its formula in another water is common to all of them.
-    valued = named(found, found.best, stand, by_stage=True) if e.calibrated else effects
+    valued = named_effects(found, found.best, stand, by_stage=True) if e.calibrated else effects
     kept = tuple(n for n in valued if n.name not in dropped)
     checks["pinned"] = needs_exact_value(e, found.best.names)
     rivals = tuple(asdict(r) | {"instead_of": n.name} for n in kept for r in stand[n.name].rivals)
@@ -196,7 +196,7 @@ def transfer(e: Likelihood, found: Selection) -> float:
     return float(np.mean(rise < np.maximum(allowed, -limits.transfer_fraction * np.sum(rise))))
 
 
-def named(found: Selection, c: Candidate, stand: dict[str, Support], by_stage: bool = False) -> tuple[Named, ...]:
+def named_effects(found: Selection, c: Candidate, stand: dict[str, Support], by_stage: bool = False) -> tuple[NamedEffect, ...]:
     """The effects of a candidate with values, intervals and the closure of all of them together.
 
     by_stage: as `intervals.estimate`.
@@ -220,11 +220,11 @@ def named(found: Selection, c: Candidate, stand: dict[str, Support], by_stage: b
             edges = (float(np.clip(value[k] + side * half * spread[k], p.low, p.high)) for side in (-1, 1))
             values[p.name] = Value(float(value[k]), p.unit, *edges)
         share = stand[name].p_best if name in stand else 1.0
-        out.append(Named(name, values, share, closed))
+        out.append(NamedEffect(name, values, share, closed))
     return tuple(out)
 
 
-def sanity(e: Likelihood, c: Candidate, n: Named, little: bool = True) -> tuple[str, ...]:
+def sanity(e: Likelihood, c: Candidate, n: NamedEffect, little: bool = True) -> tuple[str, ...]:
     """Doubts about the values of one effect. little: its gain is so small that any effect could have it."""
     limits = thresholds()
     size = bounds(e.model)[2]
@@ -250,7 +250,7 @@ def sanity(e: Likelihood, c: Candidate, n: Named, little: bool = True) -> tuple[
 ADDED_MASS = {"surge_added_mass": 0, "sway_added_mass": 1, "yaw_added_mass": 2}
 
 
-def negative_mass(model, n: Named) -> float:
+def negative_mass(model, n: NamedEffect) -> float:
     """Negative added mass of the robot with the effect, at the better end of its interval; 0 if it is not negative."""
     if n.name not in ADDED_MASS or not hasattr(model, "added_mass"):
         return 0.0
@@ -330,7 +330,9 @@ def as_in_healthy_robots(e: Likelihood, stand: dict[str, Support]) -> set[str]:
 
 
 # -------------------------------------------------------------------------------------------------------------- secondary effects
-def negligible(found: Selection, effects: tuple[Named, ...], stand: dict[str, Support], doubts: dict, gates: Gates) -> set[str]:
+def negligible(
+    found: Selection, effects: tuple[NamedEffect, ...], stand: dict[str, Support], doubts: dict, gates: Gates
+) -> set[str]:
     """Names of the negligible effects. doubts: about the values of each."""
     limits = thresholds().secondary
     e = found.near.origin
@@ -389,7 +391,7 @@ def size_parameters(effect) -> list:
     return [p for p in effect.parameters if p.unit == effect.parameters[0].unit and not p.shape]
 
 
-def smaller_than(e: Likelihood, n: Named, share: float) -> bool:
+def smaller_than(e: Likelihood, n: NamedEffect, share: float) -> bool:
     """Returns True if every main value is less than `share` of the least typical one."""
     main = size_parameters(next(x for x in e.model.active.effects if x.name == n.name))
     return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)

@@ -21,9 +21,9 @@ from fishmj.gap.decide.decide import sanity
 from fishmj.gap.measured import significance
 from fishmj.gap.measured.significance import LEAST_GROUPS, jackknife, smallest_p
 from fishmj.gap.measured.study import Outcome, Round, Study, investigate
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.search import likelihood
-from fishmj.gap.verdict import Named, Value, Verdict
+from fishmj.gap.verdict import NamedEffect, Value, Verdict
 from fishmj.gap.wording import level, percent, sizes, title
 from fishmj.log.replicates import RATIO
 
@@ -37,11 +37,11 @@ def answer(study: Study, found: Outcome) -> Verdict:
     """The verdict. Gaps are errors in units of the floor, on records kept aside, or on groups left out if there are none."""
     before, after = ends(study, found)
     accepted = [r for r in found.rounds if r.accepted]
-    effects = tuple(named(study, r, share(found, i)) for i, r in enumerate(accepted or found.rounds[:1]))
+    effects = tuple(named_effect(study, r, share(found, i)) for i, r in enumerate(accepted or found.rounds[:1]))
     rivals = tuple({"name": n, "p_best": p, "instead_of": r.fitted.names[-1]} for r in accepted for n, p in rivals_of(r))
     closed = likelihood.closure(before, after, study.floor)
     warnings = [w for r in accepted for w in doubts(study, r, effects)]
-    said, reason = decided(study, found, rivals, warnings)
+    said, reason = answer_and_reason(study, found, rivals, warnings)
     tests = {"p_useful": [r.useful for r in found.rounds], "p_exact": [r.p_exact for r in found.rounds]}
     return Verdict(
         said,
@@ -70,7 +70,7 @@ def where(study: Study) -> str:
     return "on records kept aside" if study.aside else "on groups left out"
 
 
-def decided(study: Study, found: Outcome, rivals, warnings) -> tuple[str, str]:
+def answer_and_reason(study: Study, found: Outcome, rivals, warnings) -> tuple[str, str]:
     """The answer and its reason."""
     before, after = ends(study, found)
     closed, n = likelihood.closure(before, after, study.floor), len(study.groups)
@@ -101,7 +101,7 @@ def share(found: Outcome, i: int) -> float:
     return (found.learned[i] - found.learned[i + 1]) / found.learned[0]
 
 
-def named(study: Study, r: Round, closed: float) -> Named:
+def named_effect(study: Study, r: Round, closed: float) -> NamedEffect:
     """The effect of a round: value on all records, 90 % interval by the jackknife over the folds."""
     name = r.fitted.names[-1]
     effect = next(e for e in study.plant.active.effects if e.name == name)
@@ -111,7 +111,7 @@ def named(study: Study, r: Round, closed: float) -> Named:
         value = float(r.fitted.row[place])
         low, high = jackknife(np.array([float(v[name][place]) for v in r.values]), value)
         values[p.name] = Value(value, p.unit, max(low, p.low), min(high, p.high))
-    return Named(name, values, r.p_best[name], closed)
+    return NamedEffect(name, values, r.p_best[name], closed)
 
 
 def rivals_of(r: Round) -> list[tuple[str, float]]:
@@ -130,7 +130,7 @@ def own_cost(r: Round) -> float:
     return float(r.cost[r.names.index(r.fitted.names[-1])].sum() / r.before.sum())
 
 
-def doubts(study: Study, r: Round, effects: tuple[Named, ...]) -> list[str]:
+def doubts(study: Study, r: Round, effects: tuple[NamedEffect, ...]) -> list[str]:
     """Doubts that a reader should know before believing a round."""
     name = r.fitted.names[-1]
     asked: Any = SimpleNamespace(model=study.plant)
@@ -163,7 +163,7 @@ def report(study: Study, found: Outcome, verdict: Verdict) -> dict[str, Any]:
         "ratio": study.figure(after) / study.figure(before),
         "groups": list(study.groups),
         "left_out": left_out(study, found),
-        "rounds": [described(r) for r in found.rounds],
+        "rounds": [round_row(r) for r in found.rounds],
         "verdict": verdict.plain(),
     }
 
@@ -178,7 +178,7 @@ def left_out(study: Study, found: Outcome) -> dict[str, Any]:
     return out | {"smallest_p": smallest_p(len(before)), "folds": len(set(study.fold))}
 
 
-def described(r: Round) -> dict[str, Any]:
+def round_row(r: Round) -> dict[str, Any]:
     """One round: cost of every candidate on groups left out, relative to the model before it; p: that the best is better."""
     start = r.before.sum()
     order = np.argsort(r.cost.sum(1))
@@ -207,7 +207,7 @@ def text(study: Study, found: Outcome, verdict: Verdict) -> str:
             kept = f", {study.said(found.kept_aside[i])} kept aside ({ratio:.2f} of the baseline)"
         lines.append(f"  {what}: error {study.said(learned)} learned{kept}")
     lines.append(f"  floor: {study.said(study.floor)}, {study.floor_of}")
-    lines.append(f"  {unseen(study, found)}")
+    lines.append(f"  {unseen_text(study, found)}")
     for r in found.rounds:
         name = r.fitted.names[-1]
         state = "accepted" if r.accepted else "rejected"
@@ -215,7 +215,7 @@ def text(study: Study, found: Outcome, verdict: Verdict) -> str:
             f"  {name} {state}: best in {r.best.count(name)} of {len(r.best)} folds, P(useful) = {r.useful:.2f},"
             f" exact p = {r.p_exact:.2g} ({len(r.groups)} groups: {smallest_p(len(r.groups)):.2g} at least)"
         )
-        others = [c for c in described(r)["candidates"] if c["name"] != name][:5]
+        others = [c for c in round_row(r)["candidates"] if c["name"] != name][:5]
         behind = ", ".join(f"{c['name']} {c['cost']:.2f} (p {c['p']:.2g})" for c in others)
         lines.append(f"    cost on groups left out, of the model before: {own_cost(r):.2f}; others: {behind}")
         close = [c["name"] for c in others if c["cost"] - own_cost(r) < CLOSE * (1.0 - own_cost(r))]
@@ -224,10 +224,10 @@ def text(study: Study, found: Outcome, verdict: Verdict) -> str:
             if r.accepted and close
             else []
         )
-    return "\n".join([*lines, told(study, verdict)])
+    return "\n".join([*lines, verdict_text(study, verdict)])
 
 
-def unseen(study: Study, found: Outcome) -> str:
+def unseen_text(study: Study, found: Outcome) -> str:
     """Sentence on the groups left out: their error, and the limits of so few conditions."""
     u = left_out(study, found)
     if not any(r.accepted for r in found.rounds):
@@ -239,7 +239,7 @@ def unseen(study: Study, found: Outcome) -> str:
     )
 
 
-def told(study: Study, v: Verdict) -> str:
+def verdict_text(study: Study, v: Verdict) -> str:
     """The verdict in words."""
     lines = [f"{v.answer}: {v.reason}"]
     doubt = "tentative: " if v.answer in ("UNEXPLAINED", TOO_FEW) else ""
@@ -256,7 +256,7 @@ def told(study: Study, v: Verdict) -> str:
 
 
 def solved(
-    study: Study, say=lambda text: None, most: int | None = None, bars: Bars = silent
+    study: Study, say=lambda text: None, most: int | None = None, bars: Bars = silent_bar
 ) -> tuple[str, dict[str, Any], Study, Outcome, Verdict]:
     """Searches, decides and reports: the words, the figures, and their inputs."""
     found = investigate(study, most=most or study.rounds, say=say, bars=bars)

@@ -13,7 +13,7 @@ from fishmj.base.errors import ConfigError, UnknownName, UsageError
 from fishmj.base.store import write_json, write_text
 from fishmj.gap import progress
 from fishmj.gap.measured import page
-from fishmj.gap.measured.answer import TOO_FEW, described, solved
+from fishmj.gap.measured.answer import TOO_FEW, round_row, solved
 from fishmj.gap.measured.study import investigate
 from fishmj.gap.measured.study_build import SHIPPED, built, shipped
 from fishmj.gap.measured.study_schema import PLANTS, StudyInput, checked, merged, read_study, variants
@@ -93,7 +93,7 @@ def changed(study: StudyInput, args) -> StudyInput:
 
 def run(study: StudyInput, out: Path | None = None) -> tuple[str, dict, int]:
     """(words, figures, exit code) of a study and its variants; writes the report's files if `out` is given."""
-    words, figures, ready, found, verdict = solved(built(study), console.say, bars=progress.shown)
+    words, figures, ready, found, verdict = solved(built(study), console.say, bars=progress.terminal_bar)
     lines = [words]
     figures["study"] = study.where if study.folder != SHIPPED else study.given.name
     others = variants(study)
@@ -114,7 +114,7 @@ def run(study: StudyInput, out: Path | None = None) -> tuple[str, dict, int]:
 def variant(given: StudyInput) -> tuple[dict, str]:
     """(figures, a line) of one round of a variant."""
     other = built(given)
-    found = investigate(other, most=1, bars=progress.shown)
+    found = investigate(other, most=1, bars=progress.terminal_bar)
     other = other.settled(found.rows[-1])
     first = found.rounds[0]
     best = first.fitted.names[-1]
@@ -125,7 +125,7 @@ def variant(given: StudyInput) -> tuple[dict, str]:
         "ratio": ratio,
         "floor": other.figure(other.floor),
         "fitted": first.fitted.row[list(first.fitted.places[len(other.plant.constants) :])].tolist(),
-        **described(first),
+        **round_row(first),
     }
     return figures, (
         f"{best} {'accepted' if first.accepted else 'rejected'}, best in {first.best.count(best)} of {len(first.best)} folds,"

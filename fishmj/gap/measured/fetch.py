@@ -60,7 +60,7 @@ class PublicSet:
 
 
 @dataclass(frozen=True)
-class Fetched:
+class FetchResult:
     """Result of a fetch."""
 
     name: str
@@ -93,7 +93,7 @@ def public_set(name: str) -> PublicSet:
     )
 
 
-def fetch(name: str, out: str | Path, base_url: str | None = None, *, say: Say | None = None) -> Fetched:
+def fetch(name: str, out: str | Path, base_url: str | None = None, *, say: Say | None = None) -> FetchResult:
     """Downloads the set `name` into the folder `out`; a repeated call resumes.
 
     Args:
@@ -129,7 +129,7 @@ def fetch(name: str, out: str | Path, base_url: str | None = None, *, say: Say |
     meta = {"name": name, "source": f"github.com/{wanted.repository}", "commit": wanted.commit, "licence": wanted.licence}
     keep = {pin.path: pin.sha256 for pin in (*wanted.files, wanted.licence_file) if (out / pin.path).is_file()}
     Manifest(dict(sorted(keep.items())), meta).write(out)
-    return Fetched(name, out, len(wanted.files), received, len(wanted.files) - len(missing), tuple(notes))
+    return FetchResult(name, out, len(wanted.files), received, len(wanted.files) - len(missing), tuple(notes))
 
 
 def _right(path: Path, pin: Pin) -> bool:

@@ -5,7 +5,7 @@ import numpy as np
 from fishmj.base import pages
 from fishmj.base.figures import canvas, style, svg
 from fishmj.base.pages import Section, drawn, figure, part, table
-from fishmj.gap.measured.answer import TOO_FEW, left_out, unseen, where
+from fishmj.gap.measured.answer import TOO_FEW, left_out, unseen_text, where
 from fishmj.gap.measured.significance import LEAST_GROUPS, LEVEL, smallest_p
 from fishmj.gap.measured.study import Outcome, Round, Study
 from fishmj.gap.measured.study_schema import StudyInput
@@ -62,7 +62,7 @@ def groups(study: Study, found: Outcome) -> Section:
     for name, (before, after) in u["each"].items():
         row: dict = {"group": name, f"before [{unit}]": before}
         rows.append(row | ({f"after [{unit}]": after, "ratio": after / before if before else None} if taken else {}))
-    about = f"{unseen(study, found)[:1].upper()}{unseen(study, found)[1:]}. Each group counts once."
+    about = f"{unseen_text(study, found)[:1].upper()}{unseen_text(study, found)[1:]}. Each group counts once."
     shown = figure(_dots(u["each"], taken)) if len(u["each"]) <= SHOWN else ""
     return Section("Groups that were left out", about, [shown, table(rows)])
 

@@ -190,7 +190,7 @@ def investigate(
     sure: float = 0.95,
     has=(),
     say=lambda text: None,
-    bars: progress.Bars = progress.silent,
+    bars: progress.Bars = progress.silent_bar,
 ) -> Outcome:
     """Adds effects while groups outside the fit get better. has: names of effects that the model already holds."""
     steps = 2 + len(set(study.fold))  # of a round; the baseline counts as one

@@ -16,7 +16,7 @@ from fishmj.gap.measured import coast_down, study_body, study_servo, term_sizes
 from fishmj.gap.measured.planar_body import Hull, PlanarBody
 from fishmj.gap.measured.servo_model import OneServo, ServoMotor
 from fishmj.gap.measured.study import Study
-from fishmj.gap.measured.study_logs import Log, group_of, logs_of, said
+from fishmj.gap.measured.study_logs import Log, group_of, log_value, logs_of
 from fishmj.gap.measured.study_schema import FOLDS, StudyInput, offered, read_study
 from fishmj.gap.models.swimming_fish import Constant
 from fishmj.log.limits import bare, quoted
@@ -70,10 +70,10 @@ def split(study: StudyInput, logs: Sequence[Log], records: Sequence[Any]) -> tup
         raise LogError(f"{many} of {len(groups)} groups, and [held_out] aside = {held.aside} leaves fewer than two; lower it")
     apart, rest = set(order[: held.aside]), order[held.aside :]
     where = {key: float(v) if isinstance(v, int) else v for key, v in held.where.items()}
-    out = {log.name for log in logs if where and all(said(log, key) == value for key, value in where.items())}
+    out = {log.name for log in logs if where and all(log_value(log, key) == value for key, value in where.items())}
     for key, value in where.items():
         if not out:
-            seen = bare(", ".join(sorted({str(said(log, key)) for log in logs})), 120)
+            seen = bare(", ".join(sorted({str(log_value(log, key)) for log in logs})), 120)
             raise LogError(f"{study.where} [held_out] where: no record has {quoted(key)} = {quoted(value)}; they have {seen}")
     aside = [r for r in records if r.group in apart or _log_of(r.name, out)]
     taken = {id(r) for r in aside}
@@ -116,7 +116,7 @@ def _constants(study: StudyInput) -> tuple[Constant, ...]:
     return tuple(Constant(name, TURN) for name in study.given.baseline.fitted)
 
 
-def _told(study: StudyInput, records: Sequence[Any], what: str, error: str) -> tuple[str, ...]:
+def _protocol_text(study: StudyInput, records: Sequence[Any], what: str, error: str) -> tuple[str, ...]:
     """The protocol in words."""
     held, groups = study.given.held_out, {r.group for r in records}
     by = ", ".join(study.given.groups.by)
@@ -175,7 +175,7 @@ def _body(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stud
         return max(sensor, same), alike
 
     nominal, of = floor(plant.null)
-    told = _told(
+    told = _protocol_text(
         study,
         records,
         f"{len(records)} records, {sum(len(r.starts) for r in records)} runs of {p.horizon:g} s",
@@ -215,7 +215,7 @@ def _servo(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stu
         replicates=False,
         unit="mrad",
         factor=1e3,
-        protocol=_told(
+        protocol=_protocol_text(
             study,
             records,
             f"{len(logs)} logs, {len(records)} {whole}",
@@ -245,7 +245,7 @@ def _coast(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stu
         floor_of="the noise of the speed as stated",
         replicates=False,
         unit="m/s",
-        protocol=_told(
+        protocol=_protocol_text(
             study,
             records,
             f"{len(records)} coasts, {sum(len(r.pose.t) for r in records)} speeds",

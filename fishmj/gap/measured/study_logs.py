@@ -226,7 +226,7 @@ def _of_trial(study: StudyInput, name: str, trial: Trial) -> Log:
     return Log(name, f"trial {bare(name)}", series, {"file": name}, trial)
 
 
-def said(log: Log, key: str) -> str | float:
+def log_value(log: Log, key: str) -> str | float:
     """Value of a name in `by` or `where` for a log.
 
     Raises:
@@ -247,6 +247,6 @@ def group_of(log: Log, by: list[str]) -> str:
     """The group of a log, printable."""
     parts = []
     for key in by:
-        value = said(log, key)
+        value = log_value(log, key)
         parts.append(f"{key.rpartition('.')[2]}{value:g}" if isinstance(value, float) else value)
     return bare("_".join(parts), 300)

@@ -23,7 +23,7 @@ LIFT = 0.5  # that lift_a + lift_b are at least
 LEAST = 0.05  # of the highest value allowed: what a coefficient that is described as zero may still be, one standard deviation
 
 
-class Free(NamedTuple):
+class FreeNumber(NamedTuple):
     """An adjustable number of the water: its coefficient, and of a list the place (head, body, tail)."""
 
     name: str
@@ -49,10 +49,10 @@ def places(links: int) -> list[str]:
     return ["head", *["body"] * (links - 2), "tail"]
 
 
-def free_numbers(links: int) -> list[Free]:
+def free_numbers(links: int) -> list[FreeNumber]:
     """All adjustable numbers for a fish of so many links."""
-    lists = [Free(f"{c}_{w}", c, w) for c in ("k", "cn") for w in WHERE if w in places(links)]
-    return lists + [Free(c, c, "") for c in strip_forces.Coefficients._fields[2:] if c not in prior.FIXED]
+    lists = [FreeNumber(f"{c}_{w}", c, w) for c in ("k", "cn") for w in WHERE if w in places(links)]
+    return lists + [FreeNumber(c, c, "") for c in strip_forces.Coefficients._fields[2:] if c not in prior.FIXED]
 
 
 class StripWater(SwimmingFish):

@@ -247,7 +247,7 @@ STAND_CONSTANTS = (Constant("kp", np.inf), Constant("kd", np.inf), *(c for c in 
 WET = "wet"
 
 
-class Hung(Effects):
+class HangingInAir(Effects):
     """Effects of the fish, with the forces of the thread."""
 
     def body(self, ch, sw, q, k, rhs, m) -> None:
@@ -311,7 +311,7 @@ class ServoStand(SwimmingFish):
 
         nv, n = self.joints + 3, self.chain.n
         q, v, attached, energy = state[:nv], state[nv : 2 * nv], state[2 * nv], state[2 * nv + 1]
-        hooks = Hung(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :], row[self.place(WET)])
+        hooks = HangingInAir(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :], row[self.place(WET)])
         target = [command[j] for j in range(self.joints)]
         flow = [(row[-2], row[-1])] * n
         s = planar_chain.step(jnp, self._chain(row), self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.movement import pace
 from fishmj.gap.records.records import record_of
 from fishmj.log import excitation
@@ -28,7 +28,7 @@ WIDE = 0.7  # standard deviation of ln s before anything is seen (chosen: a fact
 STEP, ROUNDS = 0.05, 8  # of ln s, for slopes; at most
 
 
-def scales_for(model, bars: Bars = silent) -> WaterScales:
+def scales_for(model, bars: Bars = silent_bar) -> WaterScales:
     """Scales for a questioned model, found once a process; unit scales if its water was never calibrated."""
     key = repr(model.robot)
     if model.robot.water.get("model") != STRUCTURED:
@@ -44,13 +44,15 @@ _known: dict[str, WaterScales] = {}
 
 def matched(model, tick: Callable[[int], None] = lambda done: None) -> WaterScales:
     """Scales by which the second robot swims like the model without its listed effects. tick: number of finished sets."""
-    records, done = swum(model.robot, AS_IT_IS, model.dt), count(1)
+    records, done = swim_second_robot(model.robot, AS_IT_IS, model.dt), count(1)
     shown = model.predict(records, getattr(model, "nothing", model.null))
     wanted = [pace(r.pose.t, p["pose"][0]) for r, p in zip(records, shown, strict=True)]
 
     def off(logs: np.ndarray) -> np.ndarray:
         out = list(logs / WIDE)
-        for record, (speed, turn) in zip(swum(model.robot, WaterScales(*np.exp(logs)), model.dt), wanted, strict=True):
+        for record, (speed, turn) in zip(
+            swim_second_robot(model.robot, WaterScales(*np.exp(logs)), model.dt), wanted, strict=True
+        ):
             mine, tolerance = pace(record.pose.t, record.pose.values), of_movement(speed, 0.0, turn)
             out += [(mine[0] - speed) / tolerance[0], (mine[1] - turn) / tolerance[1]]
         tick(next(done))
@@ -60,7 +62,7 @@ def matched(model, tick: Callable[[int], None] = lambda done: None) -> WaterScal
     return WaterScales(*np.exp(found.x).tolist())
 
 
-def swum(robot: Robot, scales: WaterScales, dt: float) -> list:
+def swim_second_robot(robot: Robot, scales: WaterScales, dt: float) -> list:
     """Records of the second robot on `SWIMS`, without noise and with its nominal constants."""
     from fishmj.gap.laboratory.virtual_robot.robot_constants import nominal
     from fishmj.gap.laboratory.virtual_robot.trials import trial_of

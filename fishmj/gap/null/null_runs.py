@@ -31,7 +31,7 @@ from fishmj.base.store import read_npz, sha256, write_npz
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 from fishmj.gap.null.log_sensors import log_sensors
 from fishmj.gap.null.matched_water import scales_for
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
 from fishmj.log import Trial
@@ -65,7 +65,7 @@ class SimulatedNull:
     without: str | tuple[str, ...] = ""  # family whose fish take no part
     session: int = 0
 
-    def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent) -> np.ndarray:
+    def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:
         """(n, m) residuals of the present model on every null run, at the windows of `layout`. bars: of new runs."""
         self.prepare(model, records, bars)
         out = np.empty((self.runs, layout.size))
@@ -96,7 +96,7 @@ class SimulatedNull:
 
                 self.experiment(model, record, tick)
 
-    def scales_of_water(self, model, bars: Bars = silent) -> WaterScales:
+    def scales_of_water(self, model, bars: Bars = silent_bar) -> WaterScales:
         """Scales by which the simulator swims like the model."""
         return scales_for(model, bars)
 
@@ -211,7 +211,7 @@ class RecordedNull(SimulatedNull):
             raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
         return found
 
-    def scales_of_water(self, model, bars: Bars = silent) -> WaterScales:
+    def scales_of_water(self, model, bars: Bars = silent_bar) -> WaterScales:
         """Returns unit scales, since the runs exist already."""
         return AS_IT_IS  # the runs are there
 

@@ -28,7 +28,7 @@ from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import UnknownName
 from fishmj.gap.models.strip_water import strips_of
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.variances import Sample, asked
+from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.null.whitening import smooth
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.thresholds import Gates
@@ -47,8 +47,10 @@ TINY = 1e-12  # variance that stands for none
 STRONG = 1.0  # of D^1/2, singular value from which a direction of a record is a factor of its own
 
 
-class Widths(NamedTuple):
-    """numbers, swings: w and s by name of a number of the strips. effects: v, SI, by effect and parameter. channels: rho.
+class StructuralErrorScales(NamedTuple):
+    """per_record, within_record: w and s by name of a number of the strips. effects: v, SI, by effect and parameter.
+
+    channels: rho.
 
     adequacy: 95th percentile of |z|^2 / m over healthy robots of a held-out family. beyond_own: 95th percentile, over robots of a
     held-out family, of |z|^2 / m on new experiments relative to that on their calibration swims. gains: largest fall of |z|^2 per
@@ -56,14 +58,19 @@ class Widths(NamedTuple):
     in the water of a held-out family.
     """
 
-    numbers: dict[str, float]
-    swings: dict[str, float]
+    per_record: dict[str, float]
+    within_record: dict[str, float]
     effects: dict[str, dict[str, float]]
     channels: dict[str, float]
     adequacy: float = 0.0
     beyond_own: float = 0.0
     gains: dict[str, float] = {}  # noqa: RUF012 (of a tuple, never changed)
     formula: dict[str, float] = {}  # noqa: RUF012
+
+    @classmethod
+    def from_table(cls, numbers: dict, swings: dict, **others) -> "StructuralErrorScales":
+        """Scales of a table of structural_error.toml, where per_record is `numbers` and within_record `swings`."""
+        return cls(numbers, swings, **others)
 
 
 class StructuralError(NamedTuple):
@@ -82,13 +89,13 @@ class StructuralError(NamedTuple):
 
 
 @cache
-def widths(without: str = "") -> Widths:
+def widths(without: str = "") -> StructuralErrorScales:
     """Scales over all families, or as measured without one of them. Raises UnknownName."""
     table = read_toml(calib_folder() / FILE)
     if (key := ALL if without in NEVER else without) not in table:
         raise UnknownName("family of the structural error", without, sorted(set(table) - {ALL, "schema"}))
     formula = read_toml(calib_folder() / FORMULA)
-    return Widths(**table[key], formula=formula.get(without, formula[ALL]))
+    return StructuralErrorScales.from_table(**table[key], formula=formula.get(without, formula[ALL]))
 
 
 def applies(model) -> bool:
@@ -100,7 +107,7 @@ def applies(model) -> bool:
 
 
 def of(
-    model, records, layout, null: np.ndarray, leftover: np.ndarray, given: Widths, moved: "Tangents | None" = None
+    model, records, layout, null: np.ndarray, leftover: np.ndarray, given: StructuralErrorScales, moved: "Tangents | None" = None
 ) -> StructuralError:
     """The structural error of records; zero for a model to which it does not apply.
 
@@ -121,8 +128,10 @@ def of(
     return StructuralError(moved.shared, tuple(by_record), variance, moved)
 
 
-def own_widths(given: Widths, layout, null: np.ndarray, leftover: np.ndarray, moved: "Tangents", residual: np.ndarray) -> Widths:
-    """Scales of one robot from its own healthy swims: the most likely numbers, swings and channels.
+def own_widths(
+    given: StructuralErrorScales, layout, null: np.ndarray, leftover: np.ndarray, moved: "Tangents", residual: np.ndarray
+) -> StructuralErrorScales:
+    """Scales of one robot from its own healthy swims: the most likely per_record, within_record and channels.
 
         u <- u ((seen + nu u_0 / u^2) / (expected + nu / u))^1/2        variances u, those of other waters u_0 (variances.py)
 
@@ -132,8 +141,8 @@ def own_widths(given: Widths, layout, null: np.ndarray, leftover: np.ndarray, mo
         layout, null (n, m), leftover (m,), moved, residual (m,): of the swims.
     """
     names, channels = moved.names, list(given.channels)
-    numbers, swings = ([table.get(name, 0.0) for name in names] for table in (given.numbers, given.swings))
-    start = np.array([*numbers, *swings, *(given.channels[c] for c in channels), 0.0]) ** 2
+    scales = [table.get(name, 0.0) for table in (given.per_record, given.within_record) for name in names]
+    start = np.array([*scales, *(given.channels[c] for c in channels), 0.0]) ** 2
     count, known = 2 * len(names), np.maximum(start, TINY)
     order = np.arange(len(names))
     groups = [np.concatenate([order, np.tile(order, len(part) // len(names) - 1) + len(names)]) for part in moved.parts]
@@ -153,23 +162,23 @@ def own_widths(given: Widths, layout, null: np.ndarray, leftover: np.ndarray, mo
     )
     found = known
     for _ in range(OWN_ROUNDS):
-        told = asked(swum, found[:count], found[count:])
+        told = score_variances(swum, found[:count], found[count:])
         found = found * np.sqrt((told.seen + OWN_PRIOR * known / found**2) / (told.expected + OWN_PRIOR / found))
     width = np.where(start > 0.0, np.sqrt(found), 0.0).tolist()
     tables = (dict(zip(names, width[i : i + len(names)], strict=True)) for i in (0, len(names)))
     return given._replace(
-        numbers=given.numbers | next(tables),
-        swings=given.swings | next(tables),
+        per_record=given.per_record | next(tables),
+        within_record=given.within_record | next(tables),
         channels=dict(zip(channels, width[count:-1], strict=True)),
     )
 
 
-def allowed(gates: Gates, given: Widths, own: float = 0.0) -> Gates:
+def allowed(gates: Gates, given: StructuralErrorScales, calibration_residual: float = 0.0) -> Gates:
     """The gates, widened by the residuals of healthy robots of an unknown water, before and after a search, and by their gains.
 
     own: baseline misfit, |z|^2 / m on healthy swims of this robot (search/healthy_swims.py); 0 if not measured.
     """
-    usual = max(given.adequacy, given.beyond_own * own)
+    usual = max(given.adequacy, given.beyond_own * calibration_residual)
     adequacy, residual = (max(usual, gate) for gate in (gates.adequacy, gates.residual))
     return replace(gates, adequacy=adequacy, residual=residual, gain=gates.calibrated_gain)
 
@@ -185,11 +194,11 @@ class Tangents(NamedTuple):
     names: list[str]
     shared: np.ndarray
 
-    def widths(self, given: Widths, record: int) -> np.ndarray:
+    def widths(self, given: StructuralErrorScales, record: int) -> np.ndarray:
         """(K (1 + windows),) scales of the parts of a record."""
-        throughout, swings = ([table.get(name, 0.0) for name in self.names] for table in (given.numbers, given.swings))
+        throughout, within = ([table.get(n, 0.0) for n in self.names] for table in (given.per_record, given.within_record))
         windows = len(self.parts[record]) // len(self.names) - 1
-        return np.concatenate([throughout, np.tile(swings, windows)])
+        return np.concatenate([throughout, np.tile(within, windows)])
 
 
 def tangents(strips, records, layout, sizes: dict[str, dict[str, float]]) -> Tangents:

@@ -40,7 +40,7 @@ class Sample(NamedTuple):
     residual: np.ndarray
 
 
-class Asked(NamedTuple):
+class VarianceScore(NamedTuple):
     """Sums of one robot: -2 log L, |z|^2 / m, and the observed and expected sums of each variance, (G + C,) each."""
 
     loss: float
@@ -49,7 +49,7 @@ class Asked(NamedTuple):
     expected: np.ndarray
 
 
-def asked(sample: Sample, u: np.ndarray, p: np.ndarray) -> Asked:
+def score_variances(sample: Sample, u: np.ndarray, p: np.ndarray) -> VarianceScore:
     """The sums of the formula above at variances u (G,) of the parts and p (C,) of the channels."""
     d = sample.variance + p[sample.channel] * sample.spread
     factors = np.concatenate([sample.null, sample.shared * np.sqrt(u[sample.group])[:, None]])
@@ -84,10 +84,10 @@ def asked(sample: Sample, u: np.ndarray, p: np.ndarray) -> Asked:
     of_channel = lambda values: np.bincount(sample.channel, sample.spread * values, len(p))
     squared = float(sample.residual @ residual)
     both = np.append(seen, of_channel(residual**2)), np.append(expected, of_channel(white))
-    return Asked(squared + logdet, squared / len(d), *both)
+    return VarianceScore(squared + logdet, squared / len(d), *both)
 
 
-class Found(NamedTuple):
+class VarianceFit(NamedTuple):
     """Variances u (G,), p (C,); loss: -2 log L over all robots; adequacy: |z|^2 / m of each."""
 
     u: np.ndarray
@@ -96,7 +96,9 @@ class Found(NamedTuple):
     adequacy: list[float]
 
 
-def most_likely(ask: Callable[..., list[Asked]], u: np.ndarray, p: np.ndarray, rounds: int, tick=lambda done: None) -> Found:
+def most_likely(
+    ask: Callable[..., list[VarianceScore]], u: np.ndarray, p: np.ndarray, rounds: int, tick=lambda done: None
+) -> VarianceFit:
     """Most likely variances, from a start point. ask(u, p) -> [Asked] of every robot; rounds: of the algorithm."""
     for done in range(rounds):
         told = ask(u, p)
@@ -105,4 +107,4 @@ def most_likely(ask: Callable[..., list[Asked]], u: np.ndarray, p: np.ndarray, r
         u, p = u * factor[: len(u)], p * factor[len(u) :]
         tick(done + 1)
     told = ask(u, p)
-    return Found(u, p, sum(one.loss for one in told), [one.adequacy for one in told])
+    return VarianceFit(u, p, sum(one.loss for one in told), [one.adequacy for one in told])

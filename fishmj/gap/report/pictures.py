@@ -252,7 +252,7 @@ MOST = 3
 UNITS = {"joint": (math.degrees(1), "deg"), "heading": (math.degrees(1), "deg"), "position": (1e3, "mm"), "power": (1.0, "W")}
 
 
-class Chosen(NamedTuple):
+class TracePanel(NamedTuple):
     """One panel: a column of a record, and the stretch shown."""
 
     block: ChannelBlock
@@ -260,7 +260,7 @@ class Chosen(NamedTuple):
     stop: float
 
 
-def chosen(c: Comparison) -> list[Chosen]:
+def chosen(c: Comparison) -> list[TracePanel]:
     """The block of each channel with the largest share of the gap, biggest first; one record twice only if there is no other."""
     best: dict[str, tuple[float, ChannelBlock]] = {}
     for b in (b for b in c.layout.blocks if b.channel in UNITS):  # where the fish was put is no trace
@@ -268,7 +268,7 @@ def chosen(c: Comparison) -> list[Chosen]:
         if b.channel not in best or excess > best[b.channel][0]:
             best[b.channel] = (excess, b)
     order = sorted(best.values(), key=lambda found: -found[0])[:MOST]
-    return [Chosen(b, *stretch(c, b)) for _, b in order]
+    return [TracePanel(b, *stretch(c, b)) for _, b in order]
 
 
 def stretch(c: Comparison, b: ChannelBlock) -> tuple[float, float]:

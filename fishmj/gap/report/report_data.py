@@ -42,7 +42,7 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Undetectable:
+class UndetectableEffect:
     """An effect that these records could not show. ratio: |dz|^2 at its typical size over the threshold of a name."""
 
     name: str
@@ -61,11 +61,11 @@ class ReportData:
     growth: tuple[GrowthCurve, ...]
     channels: dict[str, tuple[float, float]]  # of the gap, before and after
     rounds: tuple[Round, ...]
-    blind: tuple[Undetectable, ...]
+    blind: tuple[UndetectableEffect, ...]
     weighed: str
 
 
-def gathered(inquiry: Inquiry) -> ReportData:
+def gather(inquiry: Inquiry) -> ReportData:
     """Computes all data of the report."""
     gates = inquiry.gates
     e, found = inquiry.evidence, inquiry.found
@@ -132,7 +132,7 @@ def values(model, c: Candidate, name: str) -> dict:
     return {key(e, p): (float(c.row[model.index(e.name, p.name)]), p.unit) for e, p in mine}
 
 
-def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
+def blind(inquiry: Inquiry, gates: Gates) -> tuple[UndetectableEffect, ...]:
     """Effects whose typical size changes these records less than a name needs; the nearest to detection first."""
     e = inquiry.evidence
     whole = e.subset()
@@ -155,7 +155,7 @@ def blind(inquiry: Inquiry, gates: Gates) -> tuple[Undetectable, ...]:
         ratio = max(float(x) for x, o in zip(change, owners, strict=True) if o.name == effect) / gates.gain
         if ratio < 1.0:
             p = next(o for o in owners if o.name == effect).parameters[0]
-            out.append(Undetectable(effect, f"{title(p.name)} {quantity(p.typical[1], p.unit)}", ratio))
+            out.append(UndetectableEffect(effect, f"{title(p.name)} {quantity(p.typical[1], p.unit)}", ratio))
     return tuple(sorted(out, key=lambda b: -b.ratio))
 
 
@@ -172,7 +172,7 @@ def plain(m: ReportData) -> dict:
     place["side"] = m.place.side and m.place.side._asdict()
     place["rates"] = m.place.rates and m.place.rates._asdict()
     place["locked"] = {k: v._asdict() for k, v in m.place.locked.items()}
-    used = zip(m.inquiry.records, parted(m.inquiry), strict=True)
+    used = zip(m.inquiry.records, record_parts(m.inquiry), strict=True)
     page = {
         "verdict": m.inquiry.verdict.plain(),
         "notes": list(m.inquiry.notes),
@@ -187,7 +187,7 @@ def plain(m: ReportData) -> dict:
     return console.plain(page)
 
 
-def parted(inquiry: Inquiry) -> list[str]:
+def record_parts(inquiry: Inquiry) -> list[str]:
     """Use of each record: fitted, held out or never used."""
     held = iter(inquiry.held)
     return ["never used" if unseen else "held out" if next(held) else "fitted" for unseen in inquiry.unseen]

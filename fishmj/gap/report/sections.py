@@ -14,9 +14,9 @@ from fishmj.effects.effect import Effect
 from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
 from fishmj.gap.report.pictures import LETTERS, STYLE, traces
-from fishmj.gap.report.report_data import ReportData, Round, gap_of, parted
+from fishmj.gap.report.report_data import ReportData, Round, gap_of, record_parts
 from fishmj.gap.search.model_error import misformed
-from fishmj.gap.terms.stronger import outdone
+from fishmj.gap.terms.stronger import is_outdone
 from fishmj.gap.thresholds import residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, Verdict
 from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes, title
@@ -28,8 +28,13 @@ def html(m: ReportData) -> str:
     """The whole page as one text."""
     v, e = m.inquiry.verdict, m.inquiry.evidence
     with style(STYLE):
-        sections = [gap(m), where(m), seen(m), growth(m), candidates(m), forces(m), checks(m), invisible(m), records(m)]
-    head = {"synthetic": m.inquiry.synthetic, "value": value(m), "meaning": told(meaning(m)), "next_step": told(next_step(m))}
+        sections = [gap(m), where(m), trace_section(m), growth(m), candidates(m), forces(m), checks(m), invisible(m), records(m)]
+    head = {
+        "synthetic": m.inquiry.synthetic,
+        "value": value(m),
+        "meaning": escape_text(meaning(m)),
+        "next_step": escape_text(next_step(m)),
+    }
     made = f"gap find · {len(e.records)} records in the search, {e.runs} null runs of each"
     head |= {"figures": figures(m), "contract": CONTRACT, "made": made}
     return pages.report(headline(v), headline(v), sections, "gap.html", mark=v.answer, **head)
@@ -89,7 +94,7 @@ def warnings(m: ReportData) -> list[str]:
         notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
     if m.comparison.changed and not m.inquiry.verdict.shrinks:
         notes.append(f"What was found {m.inquiry.verdict.told()}")
-    shown: list[str] = [part("told", told(n.rstrip(".") + "."), "warn") for n in notes]
+    shown: list[str] = [part("told", escape_text(n.rstrip(".") + "."), "warn") for n in notes]
     shown += m.inquiry.notes  # file names: nothing of them is marked up
     shown += [sentence(text) for text in m.inquiry.verdict.unseen()]
     if not m.inquiry.unseen.any():
@@ -100,7 +105,7 @@ def warnings(m: ReportData) -> list[str]:
 def where(m: ReportData) -> Section:
     """Section on the localisation."""
     p = m.place
-    text = part("told", told(" ".join(filter(None, (p.text, m.weighed)))), "place")
+    text = part("told", escape_text(" ".join(filter(None, (p.text, m.weighed)))), "place")
     if nothing(p):
         return Section("Where it is", "", [text])
     detail = pictures.details(p, m.comparison.changed)
@@ -112,9 +117,9 @@ def where(m: ReportData) -> Section:
     return Section("Where it is", about, [text, figure(pictures.heat(p)), figure(detail) if detail else "", keys])
 
 
-def seen(m: ReportData) -> Section:
+def trace_section(m: ReportData) -> Section:
     """Section with the traces."""
-    use = [used for used, unseen in zip(parted(m.inquiry), m.inquiry.unseen, strict=True) if not unseen]
+    use = [used for used, unseen in zip(record_parts(m.inquiry), m.inquiry.unseen, strict=True) if not unseen]
     about = "The records in which most of the gap lies, one for each channel. The model runs free from the measured start."
     return Section("The records that tell most", about, [figure(traces(m.comparison, use))])
 
@@ -202,7 +207,7 @@ def invisible(m: ReportData) -> Section:
 
 def records(m: ReportData) -> Section:
     """Section on the used records."""
-    use = dict(zip([r.name for r in m.inquiry.records], parted(m.inquiry), strict=True))
+    use = dict(zip([r.name for r in m.inquiry.records], record_parts(m.inquiry), strict=True))
     found = []
     for i, r in enumerate(m.comparison.records):
         some = m.comparison.layout.record == i
@@ -217,7 +222,7 @@ def records(m: ReportData) -> Section:
     return Section("The records", "", [table(rows, left=3)])
 
 
-def told(text: str) -> Markup:
+def escape_text(text: str) -> Markup:
     """Escapes a text, marks `code` as code, and keeps units off the start of a line."""
     text = re.sub(r"(\d)%", r"\1 %", text)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", pages.escaped(text))
@@ -338,7 +343,7 @@ def gates(m: ReportData) -> list[Gate]:
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),
         ("sanity", "Are the values believable?") + (f"{len(v.warnings)} warnings", "none", not v.warnings),
         ("force", "Does no free force that is right in its form explain more, unseen?")
-        + (number(had("lead")) if "lead" in checks else "-", f"≤ {number(thresholds().stronger.lead)}", not outdone(checks)),
+        + (number(had("lead")) if "lead" in checks else "-", f"≤ {number(thresholds().stronger.lead)}", not is_outdone(checks)),
     )
     out, asked = [], True
     if v.answer == "NOT_REPEATABLE":

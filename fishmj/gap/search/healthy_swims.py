@@ -1,6 +1,6 @@
 """The robot's own healthy swims: the usual size of a gap for it in its water, and the remaining uncertainty of its model.
 
-    level = ratio |z|^2 / m of the healthy swims        ratio: null/structural_error.py, `Widths.beyond_own`
+    level = ratio |z|^2 / m of the healthy swims        ratio: null/structural_error.py, `StructuralErrorScales.beyond_own`
 
 Robots of other waters give the usual error of a calibrated water, but a water unlike all of them may be further off. The
 calibration swims show its error: a model that leaves 1.5 on those, with nothing missing, leaves no less on new experiments. On
@@ -17,21 +17,21 @@ from typing import NamedTuple
 
 from fishmj.base.errors import LogError
 from fishmj.gap.null.null_runs import SimulatedNull
-from fishmj.gap.null.structural_error import Widths, applies
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.null.structural_error import StructuralErrorScales, applies
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.log import Trial
 
 
-class Healthy(NamedTuple):
+class HealthySwims(NamedTuple):
     """left: |z|^2 / m of the swims with the scales of other waters. swims: likelihood with the robot's own scales."""
 
-    left: float
+    calibration_residual: float
     swims: Likelihood
 
 
-def known(model, trials: Sequence[Trial], null: SimulatedNull, bars: Bars = silent) -> Healthy | None:
+def read_healthy_swims(model, trials: Sequence[Trial], null: SimulatedNull, bars: Bars = silent_bar) -> HealthySwims | None:
     """Result of healthy swims; None for a model without a structural error, which does not need it.
 
     Raises:
@@ -43,10 +43,10 @@ def known(model, trials: Sequence[Trial], null: SimulatedNull, bars: Bars = sile
         raise LogError("gap find: got no healthy swim; expected the logs that the water was calibrated to")
     # A repeated experiment has other noise: only the fish is common to both.
     e = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], replace(null, session=1), bars)
-    return Healthy(e.gap(model.null)[0], e.with_own_widths())
+    return HealthySwims(e.gap(model.null)[0], e.with_own_widths())
 
 
-def left_by(model, trials: Sequence[Trial], null: SimulatedNull, tables: dict[str, Widths]) -> dict[str, float]:
+def left_by(model, trials: Sequence[Trial], null: SimulatedNull, tables: dict[str, StructuralErrorScales]) -> dict[str, float]:
     """|z|^2 / m of the model on healthy swims with each of several sets of scales, by name."""
     records = [record_of(trial, model.dt) for trial in trials]
     runs = null.residuals(model, records, ResidualLayout(records))

@@ -24,9 +24,9 @@ from copy import copy
 import numpy as np
 
 from fishmj.gap.null import launch_error, structural_error
-from fishmj.gap.null.structural_error import Widths
+from fishmj.gap.null.structural_error import StructuralErrorScales
 from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, record_whitening, smooth, whitening
-from fishmj.gap.progress import Bars, silent
+from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, difference_rows, on_records, refine
@@ -53,7 +53,14 @@ class Likelihood:
     change. widths: of the structural error; by default as measured on all families. origin: the likelihood at the present model.
     """
 
-    def __init__(self, model, records: list[Record], null: np.ndarray, form: float | None = None, widths: Widths | None = None):
+    def __init__(
+        self,
+        model,
+        records: list[Record],
+        null: np.ndarray,
+        form: float | None = None,
+        widths: StructuralErrorScales | None = None,
+    ):
         limits = thresholds().likelihood
         self.model = model
         self.records = records
@@ -75,7 +82,7 @@ class Likelihood:
         self._launches = launch_error.factors(model, records, self.layout)
         self._cover(null, structural_error.widths() if widths is None else widths)
 
-    def _cover(self, null: np.ndarray, widths: Widths, moved: "structural_error.Tangents | None" = None) -> None:
+    def _cover(self, null: np.ndarray, widths: StructuralErrorScales, moved: "structural_error.Tangents | None" = None) -> None:
         """Sets everything that depends on the structural error.
 
         null: (n, m) residuals of null runs; moved: as in `structural_error.of`.
@@ -99,12 +106,13 @@ class Likelihood:
             there._cover(null, own, moved)
         return there
 
-    def allowed(self, gates: Gates, own: float = 0.0) -> Gates:
+    def allowed(self, gates: Gates, calibration_residual: float = 0.0) -> Gates:
         """The gates, widened by the structural error of healthy robots; unchanged for a model without one.
 
-        own: baseline misfit, |z|^2 / m on healthy swims of this robot (healthy_swims.py); 0 if not measured.
+        calibration_residual: baseline misfit, |z|^2 / m on healthy swims of this robot (healthy_swims.py); 0 if not measured.
         """
-        return structural_error.allowed(gates, self.widths, own) if structural_error.applies(self.model) else gates
+        applies = structural_error.applies(self.model)
+        return structural_error.allowed(gates, self.widths, calibration_residual) if applies else gates
 
     def healthy_gain(self, stage: str) -> float:
         """Largest reduction of |z|^2 by an effect of a stage on a healthy robot of another water; 0 if unknown."""
@@ -289,7 +297,7 @@ class Likelihood:
         return over_floor(self._residuals(row[None])[0], self.scale, self.layout)
 
 
-def likelihood_of(model, records: list[Record], null, bars: Bars = silent, swims: Likelihood | None = None) -> Likelihood:
+def likelihood_of(model, records: list[Record], null, bars: Bars = silent_bar, swims: Likelihood | None = None) -> Likelihood:
     """Likelihood of records with the null runs of `null` (a `SimulatedNull`).
 
     bars: of new runs. swims: healthy ones of this robot with its own scales, which shrink the structural error.

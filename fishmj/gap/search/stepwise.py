@@ -30,12 +30,12 @@ from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, over_floor, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
-from fishmj.gap.verdict import said
+from fishmj.gap.verdict import round_text
 from fishmj.gap.wording import title
 
 
 # --------------------------------------------------------------------------------------------------------------- cross-validation
-class CrossValidated(NamedTuple):
+class CrossValidatedFit(NamedTuple):
     """A set of effects. near: the likelihood linearised at it. best: on all records. fits: without each fold."""
 
     near: Likelihood
@@ -82,10 +82,10 @@ class CrossValidated(NamedTuple):
         return over_floor(mine, self.near.scale, layout)[0]
 
 
-def converge(e: Likelihood, folds: np.ndarray, best: Candidate, fits: tuple[Candidate, ...]) -> CrossValidated:
+def converge(e: Likelihood, folds: np.ndarray, best: Candidate, fits: tuple[Candidate, ...]) -> CrossValidatedFit:
     """A candidate and its fits without each fold, in the likelihood linearised at it."""
     near, best = relinearise(e, best)
-    return CrossValidated(near, best, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
+    return CrossValidatedFit(near, best, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
 
 
 def parameter_uncertainty_factors(
@@ -133,7 +133,7 @@ class SelectionStep:
     """
 
     ranked: tuple[Candidate, ...]
-    fitted: CrossValidated | None
+    fitted: CrossValidatedFit | None
     gain: float
     accepted: bool
     gap: tuple[float, float] | None = None
@@ -142,7 +142,7 @@ class SelectionStep:
 
     def text(self) -> str:
         """The round in words."""
-        return f"{title('+'.join(self.ranked[0].names))}: {said(self.accepted, self.gain, self.over_floor)}"
+        return f"{title('+'.join(self.ranked[0].names))}: {round_text(self.accepted, self.gain, self.over_floor)}"
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Selection:
     """Result of the rounds. base: the present model, on all records. fitted: the found effects. folds: (F, L) bool."""
 
     base: Candidate
-    fitted: CrossValidated
+    fitted: CrossValidatedFit
     folds: np.ndarray
     steps: tuple[SelectionStep, ...]
     start_logdet: float  # log det S of the model as it is, on all records
@@ -178,7 +178,7 @@ def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable
     pool = [x for x in e.model.active.effects if is_absent(e.model, x) and shows(x, logged)]
     whole = e.subset()
     base = whole.base()
-    selected = CrossValidated(e, base, (base,) * len(folds))
+    selected = CrossValidatedFit(e, base, (base,) * len(folds))
     steps: list[SelectionStep] = []
     visited: set[frozenset] = set()
     # A repeated set ends the search: swaps and pruning could otherwise cycle.
@@ -200,7 +200,7 @@ def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable
 
 
 def propose(
-    known: CrossValidated,
+    known: CrossValidatedFit,
     folds: np.ndarray,
     effects,
     gates: Gates,
@@ -220,7 +220,7 @@ def propose(
 
     # An effect without enough gain on the fitted records has even less on others: the costly part is skipped.
     best_in_sample = base.cost - short[0].cost
-    beyond = Beyond(known, gates) if known.near.calibrated and known.best.names else None
+    beyond = GainOverModelError(known, gates) if known.near.calibrated and known.best.names else None
     if best_in_sample < limits.screen_fraction * required and not (beyond and beyond.likely(short[: gates.finalists])):
         return SelectionStep(tuple(short[: gates.finalists]), None, 0.0, False)
 
@@ -235,10 +235,10 @@ def propose(
 
     # Further finalists are cross-validated, too: a mimic may be likelier on all records but fail on those held out.
     before, gap_before = known.loss_and_gap(folds)
-    tried: list[tuple[int, CrossValidated, float, float]] = []
+    tried: list[tuple[int, CrossValidatedFit, float, float]] = []
     for i in order[: limits.attempts]:
         near, best = finalists[i]
-        fitted = CrossValidated(near, best, tuple(refine(near.subset(~f), best) for f in folds))
+        fitted = CrossValidatedFit(near, best, tuple(refine(near.subset(~f), best) for f in folds))
         after, gap = fitted.loss_and_gap(folds)
         tried.append((i, fitted, before - after, gap))
         report(0.7 + 0.3 * len(tried) / limits.attempts)
@@ -267,7 +267,7 @@ def propose(
     return SelectionStep(tuple(ranked), fitted, gain, True, (gap_before, gap), (as_it_is, moved), asked)
 
 
-def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncontested: bool) -> float:
+def required_gain(gates: Gates, known: CrossValidatedFit, gain_so_far: float, uncontested: bool) -> float:
     """Required gain of a round. uncontested: no other candidate comes near its best."""
     if not known.best.names:
         return gates.gain
@@ -278,7 +278,7 @@ def required_gain(gates: Gates, known: CrossValidated, gain_so_far: float, uncon
     return max(by_samples, gates.min_gain_fraction * gain_so_far)
 
 
-class Beyond:
+class GainOverModelError:
     """Gain of a further effect beyond the possible gain of all errors in the known formulas.
 
     A wrong formula leaves a residual in proportion to its gain, hence the share of the gain so far in `required_gain`.
@@ -286,10 +286,10 @@ class Beyond:
     knows the place of each formula's action, and is used instead.
     """
 
-    def __init__(self, known: CrossValidated, gates: Gates):
+    def __init__(self, known: CrossValidatedFit, gates: Gates):
         near, imitated = known.near.tolerating(known.best.row, gates)
         whole = near.subset()
-        self.known = CrossValidated(near, refine(whole, on_records(whole, known.best)), known.fits)
+        self.known = CrossValidatedFit(near, refine(whole, on_records(whole, known.best)), known.fits)
         self.required = gates.gain + gates.min_gain_per_sample * near.layout.size + imitated
 
     def likely(self, short: list[Candidate]) -> bool:
@@ -298,12 +298,12 @@ class Beyond:
         best = min(c.cost for c in whole.refine([on_records(whole, c) for c in short], 2))
         return self.known.best.cost - best > self.required
 
-    def gain(self, fitted: CrossValidated, folds: np.ndarray) -> float:
+    def gain(self, fitted: CrossValidatedFit, folds: np.ndarray) -> float:
         """Reduction of the loss of all records by a larger set, each predicted without its fold."""
         near = self.known.near
         best = refine(near.subset(), on_records(near.subset(), fitted.best))
         without, with_it = (
-            CrossValidated(near, most, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
+            CrossValidatedFit(near, most, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
             for most, fits in ((self.known.best, self.known.fits), (best, fitted.fits))
         )
         return without.loss(folds) - with_it.loss(folds)
@@ -363,7 +363,7 @@ def shows(effect, logged: set[str]) -> bool:
 
 
 # --------------------------------------------------------------------------------------------------------------------- pruning
-def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, gates: Gates) -> CrossValidated:
+def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, gates: Gates) -> CrossValidatedFit:
     """The set without effects that the others no longer need: one may have stood in for a later one."""
     while len(fitted.best.names) > 1:
         shorter = [without_effect(e, folds, fitted, name) for name in fitted.best.names]
@@ -375,14 +375,14 @@ def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, gates: Gates
     return fitted
 
 
-def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidated, name: str) -> CrossValidated:
+def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, name: str) -> CrossValidatedFit:
     """The set without one effect, refitted."""
     near = fitted.near
     fits = tuple(drop_effect(near.subset(~f), c, name) for f, c in zip(folds, fitted.fits, strict=True))
     return converge(e, folds, drop_effect(near.subset(), fitted.best, name), fits)
 
 
-def loss_increase(fitted: CrossValidated, less: CrossValidated, folds: np.ndarray) -> float:
+def loss_increase(fitted: CrossValidatedFit, less: CrossValidatedFit, folds: np.ndarray) -> float:
     """Increase of the loss with the shorter set: the larger of all records at once, and each without its fold."""
     without, with_it = (f.near.loss(f.best.row) for f in (less, fitted))
     return max(less.loss(folds) - fitted.loss(folds), without - with_it)

@@ -30,7 +30,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, relinearise
-from fishmj.gap.search.stepwise import CrossValidated, Selection, informative_records
+from fishmj.gap.search.stepwise import CrossValidatedFit, Selection, informative_records
 from fishmj.gap.terms.library import (
     ANGLE,
     BEND,
@@ -73,14 +73,14 @@ def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
     allowed = max(limits.likelihood.model_error, limits.stronger.form_ratio * found.near.form)
     checks = {"lead": lead, "term": free.name, "believed": free.form <= allowed}
     verdict = replace(verdict, gates=verdict.gates | checks)
-    if not outdone(verdict.gates):
+    if not is_outdone(verdict.gates):
         return beside_sensor_terms(model, e, found, verdict)
     gains = f"gains {number(lead)} more in twice the log likelihood of records not seen"
     why = f"a free force, {free.name}, {gains}; the best is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 
-def outdone(checks: dict) -> bool:
+def is_outdone(checks: dict) -> bool:
     """Returns True if a term explains more than the found effects by the gates of a verdict; False if that was not asked."""
     least = max(thresholds().stronger.lead, thresholds().gates.min_gain_fraction * checks.get("gain", 0.0))
     return checks.get("lead", 0.0) > least and checks["believed"]
@@ -118,7 +118,7 @@ def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> Stro
     terms = {x.name: x for x in model.active.effects if x in library() and not any(is_own_formula(n, x) for n in named)}
     tried = (relinearise(start, c, 1) for c in best_in_sample(start, list(terms.values())))
     near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
-    fitted = CrossValidated(near, c, tuple(refine(near.subset(~f), c) for f in folds))
+    fitted = CrossValidatedFit(near, c, tuple(refine(near.subset(~f), c) for f in folds))
     before = sum(e.subset(f).loss(found.base.row) for f in folds)
     return StrongerTerm(terms[c.names[0]].formula, before - fitted.loss(folds), near.form)
 

@@ -11,10 +11,10 @@ from fishmj.base import console
 from fishmj.base.errors import SimDiverged
 from fishmj.gap.bench.baselines.answer import Answer
 from fishmj.gap.bench.cases import Case
-from fishmj.gap.bench.rows import keep, kept
+from fishmj.gap.bench.rows import keep, read_rows
 from fishmj.gap.bench.run import fish
 from fishmj.gap.bench.score import score
-from fishmj.gap.bench.workers import answered
+from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.records.records import record_of
 
 NAMES = ("everything_free", "delta_bic", "e_sindy", "residual_correlation")
@@ -72,11 +72,11 @@ def beside(todo: list[Case], rows: list[dict], out: Path | None, jobs: int = 1) 
         console.say(f"skipped: {reason}")
     names = tuple(n for n in NAMES if not absent[n])
     files = {n: out / f"{n}.jsonl" for n in names} if out else {}
-    done = {n: {r["id"]: r for r in kept(files[n])} if files else {} for n in names}
+    done = {n: {r["id"]: r for r in read_rows(files[n])} if files else {} for n in names}
     lacking = [(case, row, tuple(n for n in names if case.id not in done[n])) for case, row in zip(todo, rows, strict=True)]
     lacking = [one for one in lacking if one[2]]
     with console.Progress(len(todo), "baselines", unit="cases") as bar:
-        for i, found in enumerate(answered(lacking, answers, jobs), len(todo) - len(lacking) + 1):
+        for i, found in enumerate(ask_all(lacking, answers, jobs), len(todo) - len(lacking) + 1):
             for name, row in console.plain(found).items():
                 done[name][row["id"]] = row
                 if files:

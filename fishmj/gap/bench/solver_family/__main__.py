@@ -19,7 +19,7 @@ from fishmj.gap.bench.command import shard_of
 from fishmj.gap.bench.solver_family import launches
 from fishmj.gap.bench.solver_family import plan as plans
 from fishmj.gap.bench.solver_family.layout import SETS
-from fishmj.gap.bench.solver_family.plan import Asked, Plan
+from fishmj.gap.bench.solver_family.plan import Plan, PlanSettings
 from fishmj.gap.bench.solver_family.swims import all_swims, finished, swum_all
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
@@ -35,7 +35,7 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     add("--plan", action="store_true", help="draw the plan into OUT, say what it costs, and stop")
     add("--models", nargs="+", type=console.text, default=["fish"], metavar="MODEL", help="of --plan: names or TOML files")
-    console.add_settings(parser, Asked, "robots", "singles", "seed", "seconds", "calibration")
+    console.add_settings(parser, PlanSettings, "robots", "singles", "seed", "seconds", "calibration")
     add("--domain", choices=NAMES, default="window_coarse", help="of --plan: box of water; laptop is a preview")
     place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1 (default auto)"
     add("--device", type=console.devices, default="auto", help=place)
@@ -68,7 +68,7 @@ def drawn(args) -> int:
     models = {Path(source).stem: source for source in args.models}
     if len(models) < len(args.models):
         raise ConfigError(f"solver_family: --models {' '.join(args.models)}: two of one name; rename a file")
-    asked = Asked(models, domain=args.domain, **console.settings_of(args, Asked))
+    asked = PlanSettings(models, domain=args.domain, **console.settings_of(args, PlanSettings))
     if (args.out / plans.FILE).is_file():
         raise ConfigError(f"solver_family: {args.out} has a plan; go on without --plan, or take another --out")
     with console.Progress(args.robots * len(models), "plan", unit="robots") as bar:

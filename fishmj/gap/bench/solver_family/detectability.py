@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fishmj.gap.laboratory.generators.detectability import NOTHING, Seen, at, channels, mean_squares
+from fishmj.gap.laboratory.generators.detectability import NOTHING, SensedChannels, at, channels, mean_squares
 from fishmj.log import Trial
 
 SHORT = 0.1  # s: a healthy robot whose swim ended earlier than another's by more tells nothing of its end
@@ -48,13 +48,13 @@ def detectable(
     return found | both
 
 
-def until(seen: Seen, end: float) -> Seen:
+def until(seen: SensedChannels, end: float) -> SensedChannels:
     """Measurements before `end` [s]."""
     rows = seen.t <= end
     return seen._replace(t=seen.t[rows], values=seen.values[rows])
 
 
-def variance(others: Sequence[Seen], plain: Seen) -> np.ndarray:
+def variance(others: Sequence[SensedChannels], plain: SensedChannels) -> np.ndarray:
     """(K, C) variance of those that swam as long as `plain`, at its stamps; zero if they are too few."""
     whole = [at(other, plain.t) for other in others if other.t[-1] >= plain.t[-1] - SHORT]
     if len(whole) < FEWEST:

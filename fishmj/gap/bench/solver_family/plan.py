@@ -1,6 +1,6 @@
 """Plan of the solver's swims: robots of several models, each with free swims for a calibration, a session, and cases.
 
-    planned(Asked(models={"fish": "fish"}, robots=14, seed=1)) -> Plan         drawn from the seed, kept as plan.json
+    planned(PlanSettings(models={"fish": "fish"}, robots=14, seed=1)) -> Plan  drawn from the seed, kept as plan.json
 
 A robot carries one case with nothing hidden, singles, and every other one a fault outside the catalogue, all in one session of
 designed experiments. Every four robots of a model share two sessions without a common experiment, so that each experiment
@@ -21,7 +21,7 @@ from fishmj.base.errors import ConfigError, SimDiverged, StoreError
 from fishmj.base.options import setting
 from fishmj.base.store import read_json, write_json, write_text
 from fishmj.gap.bench import calibrated, families
-from fishmj.gap.bench.cases import STRENGTH, Case, dealt
+from fishmj.gap.bench.cases import STRENGTH, Case, draw_card
 from fishmj.gap.bench.drawn_robots import FIRST
 from fishmj.gap.laboratory.generators.detectability import BOUND
 from fishmj.log import excitation
@@ -40,7 +40,7 @@ DRAWS = 12  # of a single, at most
 
 
 @dataclass(frozen=True)
-class Asked:
+class PlanSettings:
     """Settings of a plan. models: name -> description."""
 
     models: dict[str, str]
@@ -52,7 +52,7 @@ class Asked:
     domain: str = "window_coarse"
 
 
-class Planned(NamedTuple):
+class PlannedRobot(NamedTuple):
     """One robot: its model's name, its seed, the experiments of its session, and its cases. forecasts: of each."""
 
     id: str
@@ -66,8 +66,8 @@ class Planned(NamedTuple):
 class Plan(NamedTuple):
     """The whole plan. descriptions: of the models, by name."""
 
-    asked: Asked
-    robots: tuple[Planned, ...]
+    asked: PlanSettings
+    robots: tuple[PlannedRobot, ...]
     descriptions: dict[str, Robot]
 
 
@@ -76,7 +76,7 @@ def swims(robot: Robot, seconds: float) -> list[Excitation]:
     return [cut(what, seconds) for what in families.runs_of(calibrated.SWIMS, robot)]
 
 
-def session(one: Planned, robot: Robot, seconds: float) -> list[Excitation]:
+def session(one: PlannedRobot, robot: Robot, seconds: float) -> list[Excitation]:
     """Experiments of a robot, each cut to `seconds`."""
     return [cut(what, seconds) for what in families.runs_of(one.experiments, robot)]
 
@@ -86,14 +86,14 @@ def cut(what: Excitation, seconds: float) -> Excitation:
     return replace(what, commands=what.commands[: max(round(seconds / PERIOD), 1)])
 
 
-def planned(asked: Asked, tick=lambda done: None) -> Plan:
+def planned(asked: PlanSettings, tick=lambda done: None) -> Plan:
     """Draws the whole plan. tick: receives the number of finished robots.
 
     Raises:
         ConfigError, UnknownName: no such model.
     """
     descriptions = {name: load_robot(source) for name, source in asked.models.items()}
-    found: dict[tuple[int, int], Planned] = {}
+    found: dict[tuple[int, int], PlannedRobot] = {}
     for number, name in enumerate(asked.models):
         decks: dict[str, list[str]] = {"single": [], "off": []}
         sessions = [_session(asked.seed, number, turn) for turn in range(asked.robots)]
@@ -111,7 +111,9 @@ def _session(seed: int, number: int, turn: int) -> tuple[str, ...]:
     return tuple(excitation.DESIGNED[k] for k in sorted(half.tolist()))
 
 
-def _robot(asked: Asked, name: str, number: int, turn: int, runs: tuple[str, ...], robot: Robot, decks: dict) -> Planned:
+def _robot(
+    asked: PlanSettings, name: str, number: int, turn: int, runs: tuple[str, ...], robot: Robot, decks: dict
+) -> PlannedRobot:
     rng = np.random.default_rng([asked.seed, 23, number, turn])
     seed = FIRST + 1_000_000 * (asked.seed % 500) + 10_000 * len(families.NAMES) + 1000 * number + turn
     kinds = ["none", *["single"] * asked.singles, *(["off"] if turn % 2 else [])]
@@ -122,7 +124,7 @@ def _robot(asked: Asked, name: str, number: int, turn: int, runs: tuple[str, ...
         forecast = None
         for _ in range(DRAWS if kind == "single" else 1 if kind == "off" else 0):
             source = able.off if kind == "off" else able.catalogued
-            chosen = dealt(decks[kind], list(source), rng)
+            chosen = draw_card(decks[kind], list(source), rng)
             effects = {chosen: source[chosen].draw(rng, float(np.exp(rng.uniform(*np.log(STRENGTH)))))}
             if kind == "off":
                 break
@@ -134,7 +136,7 @@ def _robot(asked: Asked, name: str, number: int, turn: int, runs: tuple[str, ...
                 break
         cases.append(Case(f"{told}-{i}", kind, effects, 1.0, runs, seed))
         forecasts.append(forecast)
-    return Planned(told, name, seed, runs, tuple(cases), tuple(forecasts))
+    return PlannedRobot(told, name, seed, runs, tuple(cases), tuple(forecasts))
 
 
 # ------------------------------------------------------------------------------------------------------------------------ on disk
@@ -166,11 +168,11 @@ def read(folder: Path) -> Plan:
     told: dict[str, Any] = read_json(folder / FILE)
     if told.get("schema") != SCHEMA:
         raise StoreError(f"{folder / FILE}: schema {told.get('schema')!r}, expected {SCHEMA!r}")
-    asked = Asked(**told["asked"])
+    asked = PlanSettings(**told["asked"])
     places = {name: str(folder / source) if (folder / source).is_file() else source for name, source in asked.models.items()}
     robots = []
     for one in told["robots"]:
         runs = tuple(one["experiments"])
         cases = tuple(Case(c["id"], c["kind"], c["effects"], 1.0, runs, one["seed"]) for c in one["cases"])
-        robots.append(Planned(one["id"], one["model"], one["seed"], runs, cases, tuple(c["forecast"] for c in one["cases"])))
+        robots.append(PlannedRobot(one["id"], one["model"], one["seed"], runs, cases, tuple(c["forecast"] for c in one["cases"])))
     return Plan(asked, tuple(robots), {name: load_robot(place) for name, place in places.items()})

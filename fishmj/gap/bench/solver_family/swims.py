@@ -27,8 +27,8 @@ from fishmj.gap.bench.family_rows import APART
 from fishmj.gap.bench.solver_family import detectability
 from fishmj.gap.bench.solver_family.launches import steadied
 from fishmj.gap.bench.solver_family.layout import BARE, FREE, SETS, SWIMS, TRUTH
-from fishmj.gap.bench.solver_family.plan import Plan, Planned, session, swims
-from fishmj.gap.laboratory.hidden_lbm.hidden import HiddenRun, Job, Owned, jobs, swum, trial_of
+from fishmj.gap.bench.solver_family.plan import Plan, PlannedRobot, session, swims
+from fishmj.gap.laboratory.hidden_lbm.hidden import HiddenRun, Job, OwnedJobs, jobs, run_jobs, trial_of
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.log import Trial, excitation
@@ -55,7 +55,7 @@ class Swim(NamedTuple):
         return self.file(folder).is_file() or self.file(folder, ".json").is_file()
 
 
-def swims_of(plan: Plan, one: Planned, *, off: bool) -> Iterator[Swim]:
+def swims_of(plan: Plan, one: PlannedRobot, *, off: bool) -> Iterator[Swim]:
     """Swims of one robot: only the faults outside the catalogue, or only the others."""
     robot = plan.descriptions[one.model]
     if not off:
@@ -66,12 +66,14 @@ def swims_of(plan: Plan, one: Planned, *, off: bool) -> Iterator[Swim]:
             yield from _set(plan, case.id, one, robot, case.effects, runs, APART * (1 + number_of(case)))
 
 
-def free_swims(plan: Plan, one: Planned) -> list[Excitation]:
+def free_swims(plan: Plan, one: PlannedRobot) -> list[Excitation]:
     """Free swims of one robot."""
     return swims(plan.descriptions[one.model], plan.asked.calibration)
 
 
-def _set(plan: Plan, name: str, one: Planned, robot: Robot, effects: dict, runs: list[Excitation], first: int) -> Iterator[Swim]:
+def _set(
+    plan: Plan, name: str, one: PlannedRobot, robot: Robot, effects: dict, runs: list[Excitation], first: int
+) -> Iterator[Swim]:
     """Swims of one set. Placing and packet delays are the same as in every robot's swim of that experiment."""
     made = jobs(effects, runs, one.seed, 1.0, families.NUISANCE, plan.asked.domain, robot=robot)
     for i, job in enumerate(made):
@@ -104,8 +106,8 @@ def swum_all(plan: Plan, folder: Path, device: str, tanks: int = 1, shard: tuple
 
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, folder: Path, tanks: int) -> Iterator[tuple[str, int]]:
     """Swims on one device (`spread`), written to disk when they are done; yields set and steps of each."""
-    jobs_of = Owned(waiting)
-    for run in swum(jobs_of, device, tanks):
+    jobs_of = OwnedJobs(waiting)
+    for run in run_jobs(jobs_of, device, tanks):
         name, steps, swim = jobs_of.owner(run)
         keep(swim, run, folder)
         yield name, steps
@@ -122,7 +124,7 @@ def keep(swim: Swim, run: HiddenRun, folder: Path) -> None:
 
 
 # --------------------------------------------------------------------------------------------------------------------- data sets
-class Swum(NamedTuple):
+class CompleteSet(NamedTuple):
     """A complete set: its trials as measured, and without noise by experiment."""
 
     seen: list[Trial]
@@ -134,7 +136,7 @@ def finished(plan: Plan, folder: Path, tick: Callable[[int], None] = lambda done
 
     A robot is complete once its free swims and its healthy session are. tick: receives the number of robots that were read.
     """
-    sets: dict[str, Swum] = {}
+    sets: dict[str, CompleteSet] = {}
     lost: dict[str, str] = {}
     for done, one in enumerate(plan.robots, 1):
         for swims_ in _by_set(plan, one).values():
@@ -160,7 +162,7 @@ def finished(plan: Plan, folder: Path, tick: Callable[[int], None] = lambda done
     return lost
 
 
-def _by_set(plan: Plan, one: Planned) -> dict[str, list[Swim]]:
+def _by_set(plan: Plan, one: PlannedRobot) -> dict[str, list[Swim]]:
     out: dict[str, list[Swim]] = {}
     for off in (False, True):
         for swim in swims_of(plan, one, off=off):
@@ -168,11 +170,11 @@ def _by_set(plan: Plan, one: Planned) -> dict[str, list[Swim]]:
     return out
 
 
-def _healthy(one: Planned, sets: dict[str, Swum]) -> Iterator[Case]:
+def _healthy(one: PlannedRobot, sets: dict[str, CompleteSet]) -> Iterator[Case]:
     yield from (case for case in one.cases if case.kind == "none" and case.id in sets)
 
 
-def _read(swims_: list[Swim], folder: Path, lost: dict[str, str]) -> Swum:
+def _read(swims_: list[Swim], folder: Path, lost: dict[str, str]) -> CompleteSet:
     """Trials of a set, with the launches cut; adds missing ones to `lost`."""
     seen, bare = [], {}
     for swim in swims_:
@@ -183,4 +185,4 @@ def _read(swims_: list[Swim], folder: Path, lost: dict[str, str]) -> Swum:
         late = swim.job.made.robot.timing.camera_latency
         seen.append(steadied(as_seen, late, without))
         bare[str(as_seen.value("excitation"))] = steadied(without, late)
-    return Swum(seen, bare)
+    return CompleteSet(seen, bare)

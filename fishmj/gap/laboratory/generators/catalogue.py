@@ -15,7 +15,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.gap.laboratory.effect_text import check_range, finite_number, split_text
 from fishmj.gap.laboratory.generators.faults import FAULTS
 from fishmj.gap.laboratory.generators.fish import Fish
-from fishmj.gap.laboratory.generators.hidden_effect import Hidden
+from fishmj.gap.laboratory.generators.hidden_effect import HiddenEntry
 from fishmj.gap.laboratory.random_streams import generators_stream
 
 LOTTERIES = ("random", "random_odd")
@@ -145,10 +145,10 @@ ACTS: dict[str, Callable] = {
 
 
 @cache
-def hidden() -> dict[str, Hidden]:
+def hidden() -> dict[str, HiddenEntry]:
     """All effects and faults that can be hidden, effects of the catalogue first."""
     known = effects.catalogue()
-    own = {name: Hidden(name, known[name].parameters, act, True, known[name].about) for name, act in ACTS.items()}
+    own = {name: HiddenEntry(name, known[name].parameters, act, True, known[name].about) for name, act in ACTS.items()}
     return own | {f.name: f for f in FAULTS}
 
 

@@ -33,7 +33,7 @@ TABLES = ("joint", "pose", "power")
 NOTHING = {"all": 0.0, "each": {}, "noise_only": 0.0, "each_noise_only": {}, "bound": BOUND, "healthy": 0}  # of no effect
 
 
-class Seen(NamedTuple):
+class SensedChannels(NamedTuple):
     """Channels of one record at its stamps: (K, C) values, (C,) noise."""
 
     t: np.ndarray
@@ -62,14 +62,16 @@ def detectable(
     described, fish = load_robot(robot), robot_of(family, {}, seed, nuisance=nuisance, robot=robot)
     sigma = sigmas(fish, noise)
 
-    def seen(hidden: Effects) -> list[Seen]:
+    def seen(hidden: Effects) -> list[SensedChannels]:
         return [s for trial in generate(family, hidden, runs, seed, 0.0, nuisance, robot) for s in channels(trial, sigma)]
 
     spread = [d for what in runs for d in tolerance(family, what, described, nuisance, healthy)]
     return mean_squares(seen, spread, effects, healthy)
 
 
-def mean_squares(seen: Callable[[Effects], list[Seen]], spread: list[np.ndarray], effects: Effects, healthy: int) -> dict:
+def mean_squares(
+    seen: Callable[[Effects], list[SensedChannels]], spread: list[np.ndarray], effects: Effects, healthy: int
+) -> dict:
     """Result of `detectable` for any robots. seen: hidden effects -> channels of every record; spread: their variance."""
     plain = seen({})
     parts = {name: {name: values} for name, values in effects.items()} if len(effects) > 1 else {}
@@ -113,28 +115,28 @@ def _sources() -> bytes:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
 
 
-def channels(trial: Trial, sigma: Mapping[str, float]) -> list[Seen]:
+def channels(trial: Trial, sigma: Mapping[str, float]) -> list[SensedChannels]:
     """Joints, pose and power of a trial; sigma: noise of each column."""
     out = []
     for table, names in (("joint", [n for n in trial.table("joint") if n != "t"]), ("pose", ["x", "y", "yaw"])):
         rows = trial.table(table)
-        out.append(Seen(rows["t"], np.stack([rows[n] for n in names], 1), np.array([sigma[n] for n in names])))
+        out.append(SensedChannels(rows["t"], np.stack([rows[n] for n in names], 1), np.array([sigma[n] for n in names])))
     rows = trial.table("power")
     watts, error = rows["V"] * rows["I"], np.hypot(sigma["V"] * np.mean(rows["I"]), sigma["I"] * np.mean(rows["V"]))
-    return [*out, Seen(rows["t"], watts[:, None], np.array([error]))]
+    return [*out, SensedChannels(rows["t"], watts[:, None], np.array([error]))]
 
 
-def at(seen: Seen, t: np.ndarray) -> np.ndarray:
+def at(seen: SensedChannels, t: np.ndarray) -> np.ndarray:
     """(K, C) values at other stamps, straight between."""
     return np.stack([np.interp(t, seen.t, column) for column in seen.values.T], 1)
 
 
-def spreads(others: list[Seen], plain: Seen) -> np.ndarray:
+def spreads(others: list[SensedChannels], plain: SensedChannels) -> np.ndarray:
     """(K, C) variance of healthy robots at the stamps of `plain`."""
     return np.var([at(other, plain.t) for other in others], axis=0, ddof=1)
 
 
-def shares(hidden: list[Seen], plain: list[Seen], spread: list[np.ndarray]) -> tuple[float, float]:
+def shares(hidden: list[SensedChannels], plain: list[SensedChannels], spread: list[np.ndarray]) -> tuple[float, float]:
     """(mean square over noise and healthy robots, over noise alone), every record and channel alike."""
     both, alone = [], []
     for h, p, d in zip(hidden, plain, spread, strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj.effects import Parameter
 from fishmj.gap.laboratory.generators.fish import Fish
-from fishmj.gap.laboratory.generators.hidden_effect import Hidden
+from fishmj.gap.laboratory.generators.hidden_effect import HiddenEntry
 from fishmj.gap.laboratory.generators.swim import LOOSE, SLOSH
 
 
@@ -175,5 +175,7 @@ _ROWS = (
     (slack_encoder, _one("half_gap", "rad", 0.01, 0.04, 0.2)),
 )
 FAULTS = tuple(
-    Hidden(act.__name__, ps, act, False, (act.__doc__ or "").split("\n")[0]) for act, *given in _ROWS for ps in [tuple(given)]
+    HiddenEntry(act.__name__, ps, act, False, (act.__doc__ or "").split("\n")[0])
+    for act, *given in _ROWS
+    for ps in [tuple(given)]
 )

@@ -10,7 +10,7 @@ from fishmj.effects import Parameter
 from fishmj.gap.laboratory.generators.fish import Fish
 
 
-class Hidden(NamedTuple):
+class HiddenEntry(NamedTuple):
     """An effect or fault that can be hidden. act(fish, **values) changes the robot's numbers."""
 
     name: str

@@ -134,7 +134,7 @@ def second_swims(seed: int, repeats: int = REPEATS, seconds: float | None = None
 
 def solver_trials(seed: int, args) -> dict[str, Trial]:
     """Swims of the same robot in the flow solver, its hull with the slip ratio of the seed; with `--water lbm` the bench, too."""
-    from fishmj.gap.laboratory.hidden_lbm.hidden import Job, swum
+    from fishmj.gap.laboratory.hidden_lbm.hidden import Job, run_jobs
     from fishmj.gap.laboratory.hidden_lbm.hidden import trial_of as seen
     from fishmj.lbm_oracle.run.domain import preset
 
@@ -147,7 +147,7 @@ def solver_trials(seed: int, args) -> dict[str, Trial]:
         for i, name, what, repeat in asked
     ]
     out = {}
-    for run in swum(waiting, args.device, args.tanks):
+    for run in run_jobs(waiting, args.device, args.tanks):
         out[run.job.name] = seen(run)
         console.say(f"{run.job.name}: {out[run.job.name].span[1]:.1f} s")
     return out

@@ -16,7 +16,7 @@ from pathlib import Path
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, OracleUnstable
 from fishmj.base.store import Manifest, read_json, write_json
-from fishmj.gap.laboratory.hidden_lbm.hidden import Job, Owned, jobs, swum, trial_of
+from fishmj.gap.laboratory.hidden_lbm.hidden import Job, OwnedJobs, jobs, run_jobs, trial_of
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import parse
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
@@ -111,8 +111,8 @@ def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) 
 
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int) -> Iterator[tuple[tuple, Trial | str]]:
     """Trials of jobs on one device (`spread`), each with its job's key; the reason in place of a trial without a sound part."""
-    jobs_of = Owned(waiting)
-    for run in swum(jobs_of, device, tanks):
+    jobs_of = OwnedJobs(waiting)
+    for run in run_jobs(jobs_of, device, tanks):
         made: Trial | str
         try:
             made = trial_of(run)

@@ -232,7 +232,7 @@ def generate_lbm(
     waiting = jobs(effects, excitations, seed, noise, nuisance, domain, slip, flow=flow, robot=robot)
     order = [job.name for job in waiting]
     made: dict[str, Trial] = {}
-    for run in swum(waiting, device, tanks):
+    for run in run_jobs(waiting, device, tanks):
         made[run.job.name] = trial = trial_of(run)
         say(f"{trial.name}: {trial.span[1]:.1f} s")
     return [made[name] for name in order]
@@ -265,7 +265,7 @@ def jobs(
     ]
 
 
-def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
+def run_jobs(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
     """Runs jobs, `tanks` side by side; yields them as they finish or stop. Of several devices (`spread`) each takes its part."""
     queue: Waiting = deque(waiting) if isinstance(waiting, Iterable) else waiting
     busy: list[HiddenRun] = []
@@ -278,8 +278,8 @@ def swum(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1
             yield run
 
 
-class Owned:
-    """Queue of jobs from pairs of an owner and its job: `swum` takes the jobs, `owner` returns the owner of a run."""
+class OwnedJobs:
+    """Queue of jobs from pairs of an owner and its job: `run_jobs` takes the jobs, `owner` returns the owner of a run."""
 
     def __init__(self, waiting: Waiting):
         self.waiting = waiting

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.laboratory.virtual_robot.chain import assemble, factor, push_joint, solve
-from fishmj.gap.laboratory.virtual_robot.constants import HullConstants, Uncatalogued
+from fishmj.gap.laboratory.virtual_robot.constants import HullConstants, UncataloguedEffects
 from fishmj.gap.laboratory.virtual_robot.loop import H, blow, rub, write
 from fishmj.gap.laboratory.virtual_robot.numba_entry import entry
 from fishmj.gap.laboratory.virtual_robot.rigid_body import body_of
@@ -123,7 +123,7 @@ class HiddenDifference:
         kept = {key: getattr(made.water, key) for key in drawn}
         self.pair = (
             (made.body, made.water, made.tank, made.odd, gust),
-            (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, Uncatalogued(), STILL),
+            (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, UncataloguedEffects(), STILL),
         )
         self.wakes = [np.zeros(6), np.zeros(6)]
         self.absolute = absolute(made.robot.n_joints)

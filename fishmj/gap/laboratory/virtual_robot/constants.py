@@ -105,7 +105,7 @@ class TankConstants(NamedTuple):
     tether_y: float = 0.0  # effect, m
 
 
-class Placing(NamedTuple):
+class StartScatter(NamedTuple):
     """Errors of placing the fish at its start."""
 
     position: float  # m
@@ -157,7 +157,7 @@ class Meter(NamedTuple):
     offset: float = 0.0  # effect, W
 
 
-class Uncatalogued(NamedTuple):
+class UncataloguedEffects(NamedTuple):
     """Effects outside every catalogue; every field is null at 0 unless its default differs."""
 
     bouc_torque: float = 0.0  # N m, hysteresis of the skin

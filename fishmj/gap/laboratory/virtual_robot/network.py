@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.instruments import order_of_arrival, read_encoders
-from fishmj.gap.laboratory.virtual_robot.constants import Network, Uncatalogued
+from fishmj.gap.laboratory.virtual_robot.constants import Network, UncataloguedEffects
 from fishmj.gap.laboratory.virtual_robot.simulate import Recording
 
 
@@ -25,7 +25,7 @@ class Delivery(NamedTuple):
 class Radio:
     """Decides, packet by packet, the arrival of a command at the servos."""
 
-    def __init__(self, network: Network, odd: Uncatalogued, seed: int, trial: int, noise: float):
+    def __init__(self, network: Network, odd: UncataloguedEffects, seed: int, trial: int, noise: float):
         self.network, self.odd, self.noise = network, odd, noise
         self._streams = [random_streams.stream(seed, purpose, trial) for purpose in ("radio", "radio tail", "loss")]
         self._last: np.ndarray | None = None
@@ -44,7 +44,7 @@ class Radio:
 
 
 def deliver(
-    network: Network, odd: Uncatalogued, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
+    network: Network, odd: UncataloguedEffects, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
 ) -> Delivery:
     """Sends commands (K, J) at `sent` (K,) and takes them out of the queue in order of arrival."""
     radio = Radio(network, odd, seed, trial, noise)

@@ -26,7 +26,7 @@ class RobotConstants:
 
     robot: Robot
     sections: dict  # table [water] of the constants after the nuisance draw
-    placing: constants.Placing
+    placing: constants.StartScatter
     air: np.ndarray  # (4,) thread: stiffness N/m, damping N s/m, twist N m/rad, twist damping N m s/rad
     hull: constants.HullConstants
     water: constants.WaterConstants
@@ -35,7 +35,7 @@ class RobotConstants:
     network: constants.Network
     camera: constants.Camera
     meter: constants.Meter
-    odd: constants.Uncatalogued
+    odd: constants.UncataloguedEffects
 
     def with_fields(self, values: dict[str, float]) -> "RobotConstants":
         """A copy with dotted fields set: {"motor.deadband": 0.02}."""
@@ -155,7 +155,7 @@ def nominal(
     return RobotConstants(
         robot=robot,
         sections=wet,
-        placing=constants.Placing(**table["placing"]),
+        placing=constants.StartScatter(**table["placing"]),
         air=np.array([robot.mass * G / air["thread"], air["damping"], air["twist"], air["twist_damping"]]),
         hull=constants.HullConstants(),
         water=water,
@@ -164,7 +164,7 @@ def nominal(
         network=network,
         camera=constants.Camera(**seen, **table["camera"]),
         meter=constants.Meter(**table["meter"]),
-        odd=constants.Uncatalogued(),
+        odd=constants.UncataloguedEffects(),
     )
 
 

@@ -8,12 +8,12 @@ velocity    slope of a straight line through the last frames, then an optional l
 
 import numpy as np
 
-from fishmj.gap.laboratory.virtual_robot.constants import Camera, Meter, Uncatalogued
+from fishmj.gap.laboratory.virtual_robot.constants import Camera, Meter, UncataloguedEffects
 from fishmj.gap.laboratory.virtual_robot.simulate import Recording
 
 
 def watch(
-    camera: Camera, odd: Uncatalogued, record: Recording, frames: np.ndarray, rng: np.random.Generator, noise: float
+    camera: Camera, odd: UncataloguedEffects, record: Recording, frames: np.ndarray, rng: np.random.Generator, noise: float
 ) -> dict:
     """Table `pose` from frames that reach the host at `frames` (K,) s, on the host's clock: t, x, y, yaw."""
     late = camera.latency + camera.delay

@@ -92,7 +92,7 @@ def main(argv: list[str]) -> int:
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
     out, truth = placed(args.out, truth, names, args.overwrite)
     hidden = understood(args)
-    with progress.shown(len(names), "trials", "trials") as bar:
+    with progress.terminal_bar(len(names), "trials", "trials") as bar:
         make = {"independent": independent, "log": logged, "lbm": solver}.get(args.generator, other_water)
         trials, facts = make(hidden, args, bar.update, given)
     weigh = partial(generators.page, args.generator) if args.generator in generators.NAMES else weighings
