@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 from functools import cache
 from pathlib import Path
 
@@ -80,3 +81,26 @@ def test_every_function_that_a_page_names_is_there():
         if not (YOURS.fullmatch(module) or any(name in names_in(path) for path in modules().get(module, [])))
     ]
     assert not gone, "\n".join(["no such name", *gone])
+
+
+@cache
+def shape() -> dict:
+    """Functions of .ci/shape.py, which counts the package's size and language."""
+    return runpy.run_path(str(ROOT / ".ci" / "shape.py"))
+
+
+def sources() -> dict[str, ast.Module]:
+    paths = [path for folder in ("fishmj", "studies") for path in sorted((ROOT / folder).rglob("*.py"))]
+    return {str(path.relative_to(ROOT)): ast.parse(path.read_text(encoding="utf-8")) for path in paths}
+
+
+def test_docstrings_begin_with_a_verb_or_a_noun():
+    """Never with a relative word, which makes the reader guess the subject."""
+    assert shape()["riddles"](ast.parse('def f():\n    """What a fish is."""')) == ["What a fish is."]
+    found = [f"{name}: {line}" for name, tree in sources().items() for line in shape()["riddles"](tree)]
+    assert not found, "\n".join(["begin with a verb in the third person, or the noun that is returned", *found])
+
+
+def test_public_functions_have_docstrings():
+    found = [f"{name}: {each}" for name, tree in sources().items() for each in shape()["undocumented"](tree.body)]
+    assert len(found) <= 20, "\n".join(found)
