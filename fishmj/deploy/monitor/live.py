@@ -1,7 +1,7 @@
 """The monitor of a swim: rows of the trial go to a separate process, alarms come back.
 
     this process   collects rows as the log takes them in; a thread sends them, twice a second (`LiveMonitor`)
-    the other one  `monitor_process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, behind the loop by as much; it
+    the other one  `process`: 1.2 ms of arithmetic for every bus tick, at a lower priority, behind the loop by as much; it
                    may stay for several swims, one after the other (`MonitorProcess`), and then learns from healthy ones once
 
 So no tick waits for the model. The swim continues after any alarm: protection is the supervisor's task.
@@ -202,7 +202,7 @@ class LiveMonitor:
             self._take()
 
     def heard(self, t: float, packet: Telemetry) -> None:
-        """Adds a packet that arrived at t [s]; if the robot has a clock, its rows use that clock (`monitor_rows.as_heard`)."""
+        """Adds a packet that arrived at t [s]; if the robot has a clock, its rows use that clock (`rows.as_heard`)."""
         at = t
         if packet.time is not None:
             self._shift = min(self._shift, t - packet.time)

@@ -5,7 +5,7 @@
     monitor.alarms                                                                  time, channel, changed probe
 
 The first `settle` seconds, or a healthy log given to `reference_of`, give the distribution of the robot's innovations. After that
-a CUSUM for every channel and probe compares (`monitor_statistics`). Naming the fault is the task of `gap find`.
+a CUSUM for every channel and probe compares (`statistics`). Naming the fault is the task of `gap find`.
 """
 
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""Robots of the flow solver as a family of the benchmark: their data sets exist already (`studies.solver_family`).
+"""Robots of the flow solver as a family of the benchmark: their data sets exist already (`gap.bench.solver_family`).
 
 Each robot's model is calibrated to its own free swims in the solver. The search leaves the solver out, so the null runs are the
 second robot's and the structural error comes from other waters.
@@ -38,7 +38,7 @@ def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
     """Robots with their cases of these kinds, at most `many` in sum, for which data sets exist.
 
     Raises:
-        ConfigError: there are none. StoreError: the folder was not made by `studies.solver_family`.
+        ConfigError: there are none. StoreError: the folder was not made by `gap.bench.solver_family`.
     """
     plan, known = plans.read(folder), read_json(folder / TRUTH)["cases"]
     out: list[BenchRobot] = []

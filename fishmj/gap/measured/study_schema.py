@@ -1,7 +1,7 @@
 """Schema of a study, `fishmj.study/1`: every block and key with its unit and its bounds.
 
     read_study("my.toml")     the file, checked: one ConfigError that lists the errors, a line for each
-    variant(study, 0)         the same study with the keys of its first [[variant]] in place of its own
+    variants(study)           {name: the same study with the keys of one [[variant]] in place of its own}
 
 Nothing of a study is ever run: names of files are matched letter by letter, columns and effects are looked up by name.
 """

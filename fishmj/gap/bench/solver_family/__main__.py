@@ -31,7 +31,7 @@ ON_GPU = 12
 
 def main(argv: list[str]) -> int:
     """Plans, swims or finishes the sets. Returns the exit code."""
-    parser = console.parser("studies.solver_family", __doc__)
+    parser = console.parser("gap.bench.solver_family", __doc__)
     add = parser.add_argument
     add("--plan", action="store_true", help="draw the plan into OUT, say what it costs, and stop")
     add("--models", nargs="+", type=console.text, default=["fish"], metavar="MODEL", help="of --plan: names or TOML files")
