@@ -5,6 +5,7 @@ ten slowest and says which of them should be marked. CPU time, because wall time
 `FISHMJ_SHARE` runs a part of the files, so that a slow tier is spread over several runs.
 """
 
+import gc
 import os
 import resource
 import signal
@@ -52,6 +53,14 @@ def pytest_collection_modifyitems(config, items):
     if others := [item for item in items if item.path.name not in mine]:
         config.hook.pytest_deselected(items=others)
         items[:] = [item for item in items if item.path.name in mine]
+
+
+def pytest_collection_finish(session):
+    """Leaves modules and tests, which live to the end, out of garbage collection, and collects the rest less often."""
+    gc.collect()
+    gc.freeze()
+    gc.unfreeze = lambda: None  # a swim ends with it, and the next one begins with a collection of everything
+    gc.set_threshold(100_000, 20, 20)  # Python's own: 700 objects; traces of JAX hold millions
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
