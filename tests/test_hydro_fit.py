@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import hidden_water as hidden
 import jax
@@ -39,6 +40,7 @@ from fishmj.water.prior import flat, names_of, prior_of, unflat
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
 SMALL = {"size": 0.34, "seconds": 5.0}  # one shape of every campaign: what makes it is compiled once
 QUICK = FitSettings(steps=200, swim=40.0, swims=0)  # learning by swims is a slow test of its own
+SMALLEST = replace(QUICK, steps=20, members=2, hidden=4)  # every stage, with a residual that is cheap to swim with
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +52,24 @@ def records():
     return parts
 
 
+def fit_of(records, folder, settings):
+    """(the fit, its model, the folder of its stages)."""
+    fit = FitPipeline(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=settings, folder=folder)
+    return fit, fit.run(), folder
+
+
 @pytest.fixture(scope="module")
 def fitted(records, tmp_path_factory):
-    """(the fit, its model, the folder of its stages)."""
-    folder = tmp_path_factory.mktemp("stages")
-    fit = FitPipeline(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=QUICK, folder=folder)
-    return fit, fit.run(), folder
+    """A fit of one round whose residual is as small as can be."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gauss_newton, "fit_rollout", partial(gauss_newton.fit_rollout, rounds=1))
+        return fit_of(records, tmp_path_factory.mktemp("stages"), SMALLEST)
+
+
+@pytest.fixture(scope="module")
+def learnt(records, tmp_path_factory):
+    """A fit whose residual has learnt from the forces; for slow tests."""
+    return fit_of(records, tmp_path_factory.mktemp("learnt"), QUICK)
 
 
 def test_coefficients_are_one_vector_with_names():
@@ -132,9 +146,9 @@ def test_learning_that_is_broken_off_goes_on_to_the_same_bits(records, tmp_path)
 
 
 @pytest.mark.slow
-def test_swims_teach_the_residual_what_forces_leave_open(fitted, records):
+def test_swims_teach_the_residual_what_forces_leave_open(learnt, records):
     """From the net that knows the forces: pieces of swims that were not trained on come closer."""
-    fit, _, _ = fitted
+    fit, _, _ = learnt
     longer = FitPipeline(ROBOT, fit.train, fit.val, dataset={"sha256": "made"}, settings=replace(QUICK, swims=25))
     state = fit._read("residual")
     before, after = (residual_hooks.unpacked(given).net for given in (state, longer._swims(state)))
@@ -167,22 +181,22 @@ def test_a_piece_begins_with_the_wake_of_the_motion_before_it(records):
 
 def test_an_interrupted_fit_goes_on_where_it_was(fitted, records):
     fit, model, folder = fitted
-    again = FitPipeline(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=QUICK, folder=folder)
+    again = FitPipeline(ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=SMALLEST, folder=folder)
     for stage in STAGES:
         setattr(again, f"_{stage}", lambda state: pytest.fail("a stage that was done ran again"))
     again.score = lambda *_: model.scores["validation"]
     same = again.run()
     assert flat(same.base).tolist() == flat(model.base).tolist() and same.found == model.found
     other = FitPipeline(
-        ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=replace(QUICK, seed=1), folder=folder
+        ROBOT, records["train"], records["val"], dataset={"sha256": "made"}, settings=replace(SMALLEST, seed=1), folder=folder
     )
     assert other._read("linear") is None  # another seed is another fit
 
 
 @pytest.mark.slow
-def test_a_fit_goes_on_from_a_model_with_more_swims(fitted, records, tmp_path, monkeypatch):
+def test_a_fit_goes_on_from_a_model_with_more_swims(learnt, records, tmp_path, monkeypatch):
     """A water with half the thrust, fitted again: the swims of both parts of the validation come closer."""
-    model = fitted[1].base_only
+    model = learnt[1].base_only
     worse = replace(model, base=model.base._replace(ke=0.5 * model.base.ke))
     given = {"dataset": {"sha256": "made"}, "folder": tmp_path}
     fit = Refit(ROBOT, worse, records["train"], (records["val"], records["test"][:4]), **given)
@@ -213,8 +227,8 @@ def test_a_better_model_is_never_overwritten(fitted, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_verbs_fit_check_and_report_a_data_set(fitted, records, tmp_path, capsys):
-    _, model, stages = fitted
+def test_the_verbs_fit_check_and_report_a_data_set(learnt, records, tmp_path, capsys):
+    _, model, stages = learnt
     data = hidden.write_dataset(tmp_path / "set", [r for part in records.values() for r in part])
     assert len(open_dataset(data).names("train")) == len(records["train"])
     model.save(tmp_path)
@@ -231,9 +245,9 @@ def test_the_verbs_fit_check_and_report_a_data_set(fitted, records, tmp_path, ca
 
 
 @pytest.mark.slow
-def test_a_miss_is_exit_1(fitted, records, monkeypatch):
+def test_a_miss_is_exit_1(learnt, records, monkeypatch):
     """The tolerance is max(stated, twice the solver's own); a worse water misses it."""
-    _, model, _ = fitted
+    _, model, _ = learnt
     worse = replace(model, base=model.base._replace(ke=0.05, cf=0.1))
     repeats = [(r, r) for r in records["test"]]
     found = free_swims.judge(worse, ROBOT, records["test"], repeats)
@@ -266,8 +280,8 @@ def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
 
 
 @pytest.mark.slow
-def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(fitted, records, monkeypatch):
-    _, model, _ = fitted
+def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(learnt, records, monkeypatch):
+    _, model, _ = learnt
     narrow = replace(model, band={name: [0.1 * part for part in parts] for name, parts in model.band.items()})
     monkeypatch.setattr(prediction_interval, "FEWEST", 5)
     made = prediction_interval.calibrated(narrow, ROBOT, records["test"], {"sha256": "fresh"})
