@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import hidden_water as hidden
@@ -16,6 +17,7 @@ from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit.campaign.data import at_hand, plan
 from fishmj.hydro_fit.campaign.data.collect import collect
 from fishmj.hydro_fit.campaign.data.run_segments import Finished
+from fishmj.hydro_fit.fit import gauss_newton, pipeline
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
 from fishmj.lbm_oracle.run import domain, solver_cost
 from fishmj.lbm_oracle.run.domain import preset
@@ -236,6 +238,8 @@ class Recorded:
 def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys):
     """Preview solved, fitted, marked, checked and reported; the shipped water, fitted to a whole plan, stays."""
     monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Recorded(swims))
+    monkeypatch.setattr(pipeline, "FitSettings", partial(pipeline.FitSettings, members=2))
+    monkeypatch.setattr(gauss_newton, "fit_rollout", partial(gauss_newton.fit_rollout, rounds=2))
     assert console.run(verb.main, ["--budget", "400", "--base", "--swims", "0", "--json"]) == console.OK
     out = capsys.readouterr().out
     found = json.loads(out.splitlines()[-1])
