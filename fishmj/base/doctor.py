@@ -138,8 +138,7 @@ def packages(lines: list[str] | None = None) -> list[Finding]:
             found = version(wanted.name)
             out.append(_core(wanted.name, str(wanted.specifier), found, found is not None and found in wanted.specifier))
         elif extra != "all":
-            here = wanted.marker is None or wanted.marker.evaluate({"extra": extra})
-            extras.setdefault(extra, []).extend(_lacking(wanted) if here else ())
+            extras.setdefault(extra, []).extend(_lacking(wanted, extra))
     for extra, missing in extras.items():
         text = f'{", ".join(missing)}: pip install "fishmj[{extra}]"' if missing else "installed"
         out.append(Finding("extras", extra, "no" if missing else "ok", text))
@@ -158,15 +157,17 @@ def _presence(lines: list[str]) -> list[Finding]:
     return out
 
 
-def _lacking(wanted) -> list[str]:
-    """Packages that a requirement lacks here, including one level of its extras (`jax[cuda13]`)."""
+def _lacking(wanted, extra: str) -> list[str]:
+    """Names of what a requirement lacks here, with one level of the extras that it asks of its package (`jax[cuda13]`)."""
     from packaging.requirements import Requirement
 
     found = version(wanted.name)
+    if wanted.marker is not None and not wanted.marker.evaluate({"extra": extra}):
+        return [] if found else [f"{wanted.name} (not installed on this version of Python; README, Install, has the way)"]
     if found is None or not wanted.specifier.contains(found, prereleases=True):
         return [f"{wanted.name}{wanted.specifier} (found {found or 'none'})"]
-    inner = [Requirement(line) for line in metadata.requires(wanted.name) or [] if _extra(line) in wanted.extras]
-    return [r.name for r in inner if version(r.name) is None]
+    inner = [(_extra(line), Requirement(line)) for line in metadata.requires(wanted.name) or [] if _extra(line) in wanted.extras]
+    return [r.name for name, r in inner if version(r.name) is None and (r.marker is None or r.marker.evaluate({"extra": name}))]
 
 
 def _extra(line: str) -> str | None:
