@@ -34,7 +34,7 @@ def test_a_swim_without_a_fault_ends_when_its_time_is_over(tmp_path):
     assert np.allclose(bench.robot.sent[-1], 0.0)  # the joints are straight when the torque goes off
 
 
-def test_fault_23_silence_of_100_ms_holds_the_joints_and_goes_on_afterwards(tmp_path):
+def test_fault_23_telemetry_gap_over_100_ms_holds_joints_then_resumes(tmp_path):
     bench = Bench(tmp_path / "swim", seconds=2.0)
     bench.at(1.0, lambda: setattr(bench.robot, "silent", True))
     bench.at(1.24, lambda: setattr(bench.robot, "silent", False))
@@ -116,7 +116,7 @@ def test_fault_24_a_sag_under_one_kick_is_no_empty_battery(tmp_path):
     assert bench.swim().complete
 
 
-def test_fault_24_commands_never_lead_the_measured_joint_by_more_than_the_servo_can_turn(tmp_path):
+def test_fault_24_command_lead_over_measured_joint_obeys_the_servo_rate(tmp_path):
     bench = Bench(tmp_path / "swim")
     bench.at(0.5, lambda: setattr(bench.robot, "joint", np.array([-1.0, 1.0, -1.0])))  # pushed aside
     bench.swim()
@@ -150,7 +150,7 @@ def test_fault_24_a_measurement_that_comes_no_more_is_told_on_the_way(tmp_path):
     assert bench.swim().complete and unguarded(bench) == ["SERVO_HOT (no temperatures)"]
 
 
-def test_fault_24_slow_measurements_are_waited_for_before_the_robot_is_armed(tmp_path):
+def test_fault_24_arming_waits_for_slow_measurements(tmp_path):
     bench = Bench(tmp_path / "swim", seconds=0.5)
     bench.robot.changes["temperature"] = None
     fixes = bench.eyes.fixes
@@ -204,20 +204,20 @@ def test_fault_25_a_robot_that_the_policy_is_not_for_gets_no_torque(tmp_path, ch
     assert bench.log.closed
 
 
-def test_fault_25_without_a_watchdog_a_person_at_the_tank_is_needed_and_enough(tmp_path):
+def test_fault_25_attended_swim_is_allowed_without_a_watchdog(tmp_path):
     bench = Bench(tmp_path / "swim", at_the_tank=True)
     no_watchdog(bench)
     assert bench.swim().complete
 
 
-def test_fault_25_a_person_at_the_tank_does_not_stand_in_for_a_watchdog_of_a_wrong_time(tmp_path):
+def test_fault_25_slow_watchdog_is_refused_even_at_an_attended_tank(tmp_path):
     bench = Bench(tmp_path / "swim", at_the_tank=True)
     slow_watchdog(bench)
     outcome = bench.swim()
     assert not outcome.cause and "only after 20 s" in outcome.refused[0] and bench.robot.sent == []
 
 
-def test_a_camera_that_fails_is_named_where_the_robot_is_not_armed_and_where_a_swim_ends(tmp_path):
+def test_camera_failure_is_named_when_arming_fails_and_when_a_swim_ends(tmp_path):
     bench = Bench(tmp_path / "one", plan={"wait": 1.0})
     bench.eyes.blind, bench.eyes.failed = True, ConfigError("frame of (480, 640, 3) uint8")
     assert bench.swim().words == "not armed: POSE_LOST (camera: frame of (480, 640, 3) uint8)"
@@ -226,7 +226,7 @@ def test_a_camera_that_fails_is_named_where_the_robot_is_not_armed_and_where_a_s
     assert "ended by POSE_LOST (camera: unplugged)" in bench.swim().words
 
 
-def test_fault_25_a_policy_of_another_structure_is_refused_when_it_is_loaded():
+def test_fault_25_policy_of_another_structure_is_refused_on_load():
     from fishmj.control.learned import LearnedController
     from fishmj.mjcf.reading import load_robot
 
@@ -234,7 +234,7 @@ def test_fault_25_a_policy_of_another_structure_is_refused_when_it_is_loaded():
         LearnedController(load_robot("tendon_fish"), "station")
 
 
-def test_fault_25_an_answer_that_is_no_number_ends_in_neutral_and_is_logged_with_its_observation(tmp_path):
+def test_fault_25_nan_action_ends_in_neutral_and_logs_its_observation(tmp_path):
     bench = Bench(tmp_path / "swim")
 
     def poison():
@@ -249,7 +249,7 @@ def test_fault_25_an_answer_that_is_no_number_ends_in_neutral_and_is_logged_with
 
 
 @pytest.mark.parametrize("how", ["blind", "frozen"])
-def test_fault_25_a_pose_older_than_200_ms_holds_and_than_500_ms_ends_in_neutral(tmp_path, how):
+def test_fault_25_lost_pose_holds_at_200_ms_and_ends_in_neutral_at_500_ms(tmp_path, how):
     bench = Bench(tmp_path / "swim")
     bench.at(1.0, lambda: setattr(bench.eyes, how, True))
     trial = ended(bench, bench.swim(), Condition.POSE_LOST, 1.0 + 0.5 + 0.04)

@@ -129,7 +129,7 @@ def test_fault_19_what_trades_is_not_identified_and_its_partner_is_named():
     assert value[0] + value[1] == pytest.approx(2.0, abs=0.01)
 
 
-def test_fault_19_a_parameter_on_its_bound_is_said_and_not_quoted_as_calibrated(tmp_path):
+def test_fault_19_parameter_on_its_bound_is_flagged_and_not_calibrated(tmp_path):
     rng = np.random.default_rng(4)
     columns = rng.normal(size=(500, 2))
     p = prior(("cf", "cn1"))

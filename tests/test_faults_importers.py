@@ -31,7 +31,7 @@ from fishmj.log import importers
         ("t,oddity\n0,0\n", r"samples.csv:1:1: no column of a known table"),
     ],
 )
-def test_fault_20_a_flat_file_with_wrong_units_or_marks_is_refused_with_the_fix(tmp_path, text, message):
+def test_fault_20_flat_csv_with_wrong_units_or_format_is_refused_with_fix(tmp_path, text, message):
     (tmp_path / "samples.csv").write_text(text, encoding="utf-8")
     assert importers.sniff(tmp_path) == "flat_csv"
     with pytest.raises(LogError, match=message):

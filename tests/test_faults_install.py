@@ -44,7 +44,7 @@ def test_fault_12_a_missing_extra_is_one_line_with_its_install_line():
     assert done.returncode == 0 and 'pip install "fishmj[fast]"' in found["skipped"]
 
 
-def test_fault_12_training_without_the_compiled_engine_says_what_to_install(tmp_path, capsys, monkeypatch):
+def test_fault_12_training_without_numba_says_what_to_install(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
     settings = change(preset("quick"), steps=64, assess_every=64)
     shared = SimpleNamespace(init=lambda key: None)
@@ -159,7 +159,7 @@ def test_a_command_with_a_wrong_renderer_is_bad_input_and_no_fault():
     assert done.stderr.strip().splitlines()[-1].startswith("fishmj: MUJOCO_GL = 'nonsense'")
 
 
-def test_a_module_that_is_missing_is_still_missing_beside_a_chosen_renderer(monkeypatch):
+def test_missing_mujoco_is_not_blamed_on_the_mujoco_gl_setting(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "disabled")
     done = fishmj_without({"mujoco"}, "bench", "engine_batch", "--quick")
     assert "MUJOCO_GL" not in done.stdout + done.stderr

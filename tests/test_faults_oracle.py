@@ -57,7 +57,7 @@ class Spoiled(SwimSetup):
         return made
 
 
-def test_fault_9_a_run_whose_water_blows_up_stops_keeps_its_rows_and_its_last_good_state(tmp_path, monkeypatch, capsys):
+def test_fault_9_diverging_run_stops_and_keeps_rows_and_last_good_state(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(swim, "_stage", lambda args: Spoiled(domain=TINY, device="cpu"))
     out = tmp_path / "trial"
     assert swim.main([*CPU, "--seconds", "3", "--out", str(out), "--json"]) == console.FAILED_CHECK
@@ -78,7 +78,7 @@ def test_fault_9_a_run_whose_water_blows_up_stops_keeps_its_rows_and_its_last_go
     again.watch.look(again.coupled.fluid)
 
 
-def test_fault_9_a_run_that_fails_at_once_says_that_there_is_nothing_to_save(tmp_path, monkeypatch, capsys):
+def test_fault_9_immediate_divergence_leaves_no_last_good_state_to_save(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(swim, "_stage", lambda args: Spoiled(domain=TINY, device="cpu"))
     monkeypatch.setattr(Spoiled, "step", 20)
     monkeypatch.setattr(Spoiled, "growth", 10.0)
@@ -86,7 +86,7 @@ def test_fault_9_a_run_that_fails_at_once_says_that_there_is_nothing_to_save(tmp
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["last_good"] == "" and not list(tmp_path.iterdir())
 
 
-def test_fault_10_a_fish_that_reaches_the_edge_ends_its_run_which_is_kept_and_flagged(tmp_path, monkeypatch, capsys):
+def test_fault_10_fish_at_the_domain_edge_ends_its_run_kept_and_flagged(tmp_path, monkeypatch, capsys):
     """A real fish, carried to the face by a real current."""
     monkeypatch.setattr(swim, "preset", lambda name: TINY)
     out = tmp_path / "trial"
@@ -105,9 +105,7 @@ def test_fault_10_a_fish_that_reaches_the_edge_ends_its_run_which_is_kept_and_fl
 
 
 @pytest.mark.slow
-def test_fault_10_a_judged_trial_that_leaves_its_tank_is_flagged_and_one_whose_water_fails_is_not_scored(
-    tmp_path, monkeypatch, capsys
-):
+def test_fault_10_trial_leaving_its_tank_is_flagged_failed_water_unscored(tmp_path, monkeypatch, capsys):
     robot = load_robot("fish")
     plan = trials(speeds=[0.4], los_deg=[0], repeats=1, duration=1.0)
     box = Domain(name="narrow", shape=(116, 28, 16), dx=0.02, dt=0.004, sponge=4)  # half a length of room behind the fish

@@ -33,7 +33,7 @@ def gait(t):
         ("ke", None, "trailing_edge", "tail"),
     ],
 )
-def test_fault_01_a_force_that_is_not_a_number_is_named_and_the_last_states_are_kept(tmp_path, root, field, index, term, link):
+def test_fault_01_non_finite_force_is_named_and_last_states_are_saved(tmp_path, root, field, index, term, link):
     sim = Sim("fish", root=root, water="structured", rescue_folder=tmp_path / "rescued")
     sim.run(gait, 0.6)
     strips = sim.water.strips
@@ -91,7 +91,7 @@ class Broken(PlanarWater):
         return super().forces(model, data)
 
 
-def test_fault_03_an_exception_in_the_callback_arrives_unchanged_and_the_state_stays():
+def test_fault_03_callback_exception_propagates_and_keeps_the_state():
     model, water = mjcf.build("fish"), Broken(mjcf.load_robot("fish"))
     data = mujoco.MjData(model)
     with pytest.raises(ZeroDivisionError, match="^my own mistake$"), inject(model, water) as fish:
@@ -104,7 +104,7 @@ def test_fault_03_an_exception_in_the_callback_arrives_unchanged_and_the_state_s
     mjcf.build("fish")  # and models can be built again
 
 
-def test_fault_04_building_a_model_inside_the_block_is_refused_with_the_reason():
+def test_fault_04_building_a_model_inside_inject_is_refused():
     model = mjcf.build("fish")
     with inject(model, PlanarWater(mjcf.load_robot("fish"))), pytest.raises(InjectionError, match="leave the inject block first"):
         mjcf.build("fish")
@@ -175,7 +175,7 @@ def test_fault_07_an_unknown_name_lists_the_known_ones_and_the_closest(call, hin
     assert hint in str(caught.value) and "Known:" in str(caught.value)
 
 
-def test_fault_12_without_numba_the_batch_still_runs_and_compiled_says_what_to_install(monkeypatch):
+def test_fault_12_without_numba_batch_runs_and_compiled_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "numba", None)
     robot = mjcf.load_robot("fish")
     with pytest.raises(MissingExtra, match=r'pip install "fishmj\[fast\]"'):

@@ -65,7 +65,7 @@ class _FullDisk(io.FileIO):
         raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_fault_14_disk_full_keeps_the_old_file_and_says_how_much_was_needed(tmp_path, monkeypatch):
+def test_fault_14_full_disk_keeps_the_old_file_and_reports_bytes_needed(tmp_path, monkeypatch):
     checkpoints = store.Checkpoints(tmp_path)
     checkpoints.save(1, {"w": np.zeros(10)}, {})
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}

@@ -81,7 +81,7 @@ def test_fault_01_a_fish_that_diverges_is_dropped_counted_and_replaced():
 
 
 @pytest.mark.slow
-def test_fault_02_above_one_in_a_thousand_the_run_stops_and_its_checkpoint_is_intact(learner, tmp_path, monkeypatch):
+def test_fault_02_divergence_above_0_1_percent_stops_with_checkpoint_kept(learner, tmp_path, monkeypatch):
     """Sound until the checkpoint; then three fish are lost in one iteration."""
     settings = calm_run(checkpoint_every=0.0)
     run = StopAt(settings, tmp_path, 2 * STEP, learner=learner)
@@ -173,7 +173,7 @@ def test_fault_13_ctrl_c_saves_exits_130_and_the_run_goes_on(tmp_path, capfd):
 
 
 @pytest.mark.slow
-def test_fault_13_after_a_kill_the_run_goes_on_from_the_newest_complete_checkpoint(learner, tmp_path):
+def test_fault_13_killed_run_resumes_from_the_newest_complete_checkpoint(learner, tmp_path):
     process = started("-c", TRAIN, str(tmp_path))
     checkpoints = store.Checkpoints(tmp_path / "checkpoints")
     wait_for(process, lambda: checkpoints.paths() and int(checkpoints.paths()[0].stem[5:]) >= 3 * STEP)
@@ -211,7 +211,7 @@ class FullDisk:
 
 
 @pytest.mark.slow
-def test_fault_14_a_full_disk_pauses_the_run_and_it_goes_on_when_there_is_room(learner, tmp_path, monkeypatch, capfd):
+def test_fault_14_full_disk_pauses_training_until_there_is_space(learner, tmp_path, monkeypatch, capfd):
     settings = calm_run(checkpoint_every=0.0, assess_every=10**9)
     StopAt(settings, tmp_path, STEP, learner=learner).go()
     disk = FullDisk(monkeypatch, times=3)
@@ -229,7 +229,7 @@ def test_fault_14_a_full_disk_pauses_the_run_and_it_goes_on_when_there_is_room(l
 
 
 @pytest.mark.slow
-def test_fault_14_asked_to_stop_on_a_full_disk_it_stops_with_the_old_checkpoint_untouched(learner, tmp_path, monkeypatch, capfd):
+def test_fault_14_stop_on_a_full_disk_keeps_the_old_checkpoint(learner, tmp_path, monkeypatch, capfd):
     settings = calm_run(checkpoint_every=0.0, assess_every=10**9)
     run = StopAt(settings, tmp_path, STEP, learner=learner)
     run.go()
@@ -288,7 +288,7 @@ def test_another_failure_of_the_disk_is_an_error_and_no_pause():
 
 
 @pytest.mark.slow
-def test_fault_15_a_damaged_checkpoint_falls_back_to_the_one_before_and_says_so(learner, tmp_path, capfd):
+def test_fault_15_damaged_checkpoint_falls_back_to_the_previous_one(learner, tmp_path, capfd):
     settings = calm_run(checkpoint_every=0.0, assess_every=10**9)
     whole = StopAt(settings, tmp_path, 3 * STEP, learner=learner)
     whole.go()

@@ -73,7 +73,7 @@ def test_fault_26_a_robot_made_by_hand_meets_the_same_check():
                 door(made)
 
 
-def test_fault_26_the_states_of_a_diverged_fish_are_kept_where_only_the_user_can_read(tmp_path, monkeypatch):
+def test_fault_26_diverged_states_are_saved_readable_by_the_user_only(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     sim = Sim("fish")
     for _ in range(3):
@@ -101,7 +101,7 @@ def zeros(path: Path, declared: int, header_rows: int | None = None) -> Path:
     return path
 
 
-def test_fault_27_a_small_archive_of_many_zeros_is_refused_before_it_is_unpacked(tmp_path):
+def test_fault_27_zip_bomb_archive_is_refused_before_unpacking(tmp_path):
     path = zeros(tmp_path / "pose.npz", 40_000_000)
     assert path.stat().st_size < 2_000_000
     with pytest.raises(StoreError, match="unpack to 3200001.. in 1 arrays; at most 268435456"):
@@ -120,7 +120,7 @@ def test_fault_27_the_limit_can_be_moved(tmp_path, monkeypatch):
     assert read_npz(path)["t"].shape == (100_000,)
 
 
-def test_fault_27_a_header_that_tells_of_more_than_there_is_sets_nothing_aside(tmp_path):
+def test_fault_27_array_header_larger_than_the_file_is_refused(tmp_path):
     with pytest.raises(StoreError, match="its header tells of 8000000000000 bytes"):
         read_npz(zeros(tmp_path / "pose.npz", 1000, header_rows=10**12))
 

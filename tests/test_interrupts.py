@@ -150,7 +150,7 @@ with interrupt.keeping(lambda: "x holds it"):
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="a terminal of POSIX")
-def test_fault_13_a_closed_terminal_is_heard_and_what_cannot_be_said_changes_nothing(tmp_path):
+def test_fault_13_closed_terminal_stops_cleanly_despite_unprintable_output(tmp_path):
     import pty
 
     body = """
@@ -189,7 +189,7 @@ return console.INTERRUPTED
 """
 
 
-def test_fault_13_a_robot_on_its_way_to_zero_has_more_than_the_usual_two_seconds(tmp_path):
+def test_fault_13_homing_robot_gets_more_than_two_seconds_to_finish(tmp_path):
     process = begun(tmp_path, WAY_OUT.format(seconds=interrupt.GRACE + 0.5))
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=600)

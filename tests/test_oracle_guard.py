@@ -33,7 +33,7 @@ pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)
 
 
-def test_fault_8_an_unstable_oracle_is_refused_with_the_set_up_that_would_pass():
+def test_fault_8_unstable_oracle_is_refused_with_a_stable_setup():
     domain = preset("paper")
     with pytest.raises(OracleUnstable, match=r"Mach 0.35 at 1 m/s .* dt = 0.003333 s") as error:
         stability.check(domain, speed=1.0)
@@ -83,7 +83,7 @@ def test_water_that_blows_up_stops_whoever_steps_it_from_python(alone):
     assert error.value.step == 50 or not alone
 
 
-def test_water_and_bodies_beyond_the_mach_limit_are_refused_where_they_are_made():
+def test_water_and_bodies_above_the_mach_limit_are_refused():
     half = 0.5 * 3**-0.5  # cells a step: Mach 0.5
     for make, said in (
         (lambda: Fluid(ONE, (8, 8, 8), flow=Flow(speed=half)), "fluid: background flow: Mach 0.50"),
@@ -166,7 +166,7 @@ def test_fields_prescribed_motions_and_steps_are_checked():
         FluidStructure(water, ball(3.0, ONE), sphere_markers(3.0, 1.0), passes=2.5)
 
 
-def test_fault_11_an_accelerator_that_is_too_small_is_named_with_both_figures(monkeypatch, capsys):
+def test_fault_11_too_small_gpu_is_refused_with_free_and_needed_memory(monkeypatch, capsys):
     monkeypatch.setattr(wp, "get_cuda_devices", lambda: [SimpleNamespace(free_memory=300 * 2**20)])
     with pytest.raises(ConfigError, match="300 MB free, the fluid needs 359 MB"):
         device_of("cuda", 359 * 2**20)
@@ -178,7 +178,7 @@ def test_fault_11_an_accelerator_that_is_too_small_is_named_with_both_figures(mo
 
 
 @pytest.mark.parametrize(("said", "queues"), [(None, "32"), ("8", "8")])
-def test_an_accelerator_has_a_queue_for_every_tank_unless_somebody_said_how_many(said, queues, monkeypatch):
+def test_gpu_gets_32_queues_unless_the_environment_sets_another_number(said, queues, monkeypatch):
     if said is None:
         monkeypatch.delenv("CUDA_DEVICE_MAX_CONNECTIONS", raising=False)
     else:
