@@ -66,7 +66,7 @@ def test_a_segment_survives_json():
     assert changed.sha256 != FULL.segments[0].sha256
 
 
-def test_the_fish_of_a_data_set_is_its_body_not_its_paint_or_its_fitted_water():
+def test_fingerprint_of_a_fish_depends_on_mass_not_on_colour_or_water():
     water = replace(FISH, title="another", water=FISH.water | {"cf": 0.5})
     painted = replace(FISH, links=(replace(FISH.links[0], colour=(0.0, 0.0, 0.0)), *FISH.links[1:]))
     heavier = replace(FISH, links=(replace(FISH.links[0], mass=0.8), *FISH.links[1:]))
@@ -161,7 +161,7 @@ def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_pat
         collect(small, tmp_path, replace(SETUP, domain=preset("window")), pool=Toys(), quiet=True)
 
 
-def test_segments_of_another_solver_are_not_added_and_a_complete_data_set_stays(tmp_path, monkeypatch):
+def test_complete_data_set_stays_but_refuses_segments_of_another_solver(tmp_path, monkeypatch):
     collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
     monkeypatch.setattr(run_segments, "solver_sha256", lambda: "0" * 64)
     assert collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True).complete

@@ -29,7 +29,7 @@ def test_a_part_of_the_campaign_consists_of_the_same_episodes():
     assert all(whole[segment.id] == segment for segment in part)
 
 
-def test_an_episode_is_in_one_split_at_every_slip_ratio_and_in_every_repeat():
+def test_campaign_episode_is_in_one_split_for_all_slip_ratios_and_repeats():
     where = {}
     for segment in FULL.segments:
         where.setdefault(segment.episode, set()).add(segment.split)

@@ -72,7 +72,7 @@ def test_without_ray_the_message_has_the_install_line(monkeypatch):
 
 
 @pytest.mark.ray
-def test_two_workers_run_every_segment_once_and_the_data_set_is_that_of_one_process(tmp_path, local):
+def test_two_ray_workers_run_each_segment_once_and_match_one_process(tmp_path, local):
     plan = Plan(label="toy", robot=load_robot("fish"), seed=0, segments=segments(tmp_path / "diary"))
     found = collect(plan, tmp_path / "ray", SETUP, pool=local, quiet=True)
     assert found.complete and found.run == 6 and local.deaths == 0

@@ -187,7 +187,7 @@ def test_what_the_records_leave_open_stays_near_its_null(plant):
 
 
 @pytest.mark.slow
-def test_the_form_error_of_a_right_formula_is_small_and_of_a_wrong_one_large(plant):
+def test_form_error_is_small_for_the_right_effect_and_large_for_a_wrong(plant):
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
     right, wrong = row_of(plant, "command_latency", delay=0.04), row_of(plant, "servo_gain", gain=-0.4)
     assert e.with_estimated_model_error(right).form <= 0.05
@@ -197,7 +197,7 @@ def test_the_form_error_of_a_right_formula_is_small_and_of_a_wrong_one_large(pla
     assert e.with_estimated_model_error(wrong).error(wrong, 0.15).excess_log_likelihood > 30.0
 
 
-def test_an_effect_of_another_size_in_each_record_is_wrong_in_its_size_and_not_in_its_form(plant):
+def test_effect_that_varies_between_records_has_size_error_not_form_error(plant):
     e = evidence_on(plant, {"command_latency": {"delay": 0.04}}, 55)
     rows = [row_of(plant, "command_latency", delay=delay) for delay in (0.04, 0.03, 0.052)]
     near = e.with_estimated_model_error(rows[0])

@@ -128,7 +128,7 @@ def test_versions_form_a_chain_and_a_known_effect_changes_in_place(patched, tmp_
     assert model_version.next_name(third, tmp_path).name == "fish.v4.toml"
 
 
-def test_the_check_passes_on_its_data_and_fails_when_the_effect_grows_wrong(patched, data, tmp_path, capsys):
+def test_gap_check_passes_on_its_data_and_fails_for_a_wrong_effect_size(patched, data, tmp_path, capsys):
     code, out, _ = command(capsys, "check", patched.path, "--data", data, "--json")
     said = json.loads(out.strip().splitlines()[-1])
     assert code == 0 and said["gap"] == pytest.approx(said["stated"], rel=1e-6) and said["gap"] < said["gap_parent"]

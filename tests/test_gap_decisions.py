@@ -83,7 +83,7 @@ def test_the_error_on_some_samples_is_that_of_evidence_that_has_no_others(plant)
     assert near.error(row, 0.15, kept) != every
 
 
-def test_what_is_asked_of_a_further_effect_grows_with_the_first_ones_gain_without_end():
+def test_required_gain_of_a_further_effect_grows_with_the_known_gain():
     gates = frozen()
     alone = SimpleNamespace(best=SimpleNamespace(names=()))
     known = SimpleNamespace(best=SimpleNamespace(names=("tether",)), near=SimpleNamespace(layout=SimpleNamespace(size=5000)))
@@ -109,7 +109,7 @@ def test_given_the_others_is_all_records_less_the_others(plant):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_a_first_effect_may_show_by_what_it_gains_on_all_records_and_given_the_others(plant):  # noqa: F811
+def test_first_effect_below_the_usual_gain_is_accepted_by_its_joint_gain(plant):  # noqa: F811
     e = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73)
     folds, gates = split(e.records), frozen()
     base = e.subset().base()
@@ -159,7 +159,7 @@ def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # 
 
 
 @pytest.mark.slow
-def test_a_gap_that_healthy_robots_of_another_water_leave_is_agreement_unless_most_of_it_is_closed(plant, monkeypatch):  # noqa: F811
+def test_gap_usual_in_healthy_robots_agrees_unless_an_effect_closes_most(plant, monkeypatch):  # noqa: F811
     e, gates = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73), frozen()
     with silent_bar(gates.max_effects, "search", "rounds") as bar:
         found = forward_select(e, gates, split(e.records), lambda text: None, bar)

@@ -96,7 +96,7 @@ def test_the_second_robots_motor_follows_a_calibrated_torque_speed_line():
 
 
 @pytest.mark.slow
-def test_a_healthy_fish_with_a_calibrated_servo_agrees_and_a_late_one_is_named(questioned):
+def test_fish_with_calibrated_servo_agrees_and_its_latency_is_named(questioned):
     agrees = investigate(questioned, generate({}, RUNS, 11, robot=stiffer()), null=SMALL).verdict
     assert agrees.answer == "AGREES"
     late = investigate(questioned, generate({"command_latency": {"delay": 0.05}}, RUNS, 11, robot=stiffer()), null=SMALL).verdict
@@ -129,9 +129,7 @@ def forbidden(*_, **__):
 
 
 @pytest.mark.parametrize("command", [["find", "DATA"], ["next", "DATA"], ["plant", "none", "--out", "NEW"]])
-def test_a_chain_that_is_too_long_is_refused_in_one_line_before_anything_is_computed(
-    command, logs, tmp_path, capsys, monkeypatch
-):
+def test_chain_of_more_than_8_links_is_refused_before_computing(command, logs, tmp_path, capsys, monkeypatch):
     assert new("eel", *sized(links="9"), "--out", str(tmp_path / "eel.toml")) == console.OK
     capsys.readouterr()
     monkeypatch.setattr("fishmj.gap.records.datasets.readable_trials", forbidden)
@@ -229,7 +227,7 @@ def test_what_makes_a_gap_huge_is_read_from_the_data(change, says, far):
     assert any(says in cause for cause in admission.likely(far(change))), admission.likely(far(change))
 
 
-def test_a_huge_gap_stops_a_search_where_its_cause_is_known_and_beyond_all_effects(far):
+def test_huge_gap_is_refused_with_a_usual_cause_or_beyond_all_effects(far):
     flipped = seen("joint", [1], lambda v: -v)
     assert admission.likely(far()) == []
     admission.admit(far())  # 5000 floors and no usual cause: tethers get there
@@ -278,7 +276,7 @@ def test_a_broken_trial_leaves_the_others(copied, signed, capsys, monkeypatch):
     assert "1_02_gait_fast left out" in said.err and "1_02_gait_fast" in json.loads(said.out.splitlines()[-1])["skipped"]
 
 
-def test_one_flat_file_one_trial_and_no_trial_are_refused_with_what_is_needed(copied, tmp_path, capsys):
+def test_gap_find_refuses_data_that_are_not_one_folder_per_trial(copied, tmp_path, capsys):
     flat = tmp_path / "samples.csv"
     flat.write_text("t,c1,c2,c3\n0,0,0,0\n")
     (tmp_path / "empty").mkdir()

@@ -69,7 +69,7 @@ def test_terms_have_names_of_their_own():
     assert all(right <= names or right & names for right in RIGHT.values())
 
 
-def test_a_symmetric_term_does_to_the_mirror_image_the_mirror_image_of_what_it_does():
+def test_symmetric_term_commutes_with_mirroring_and_one_sided_does_not():
     flips = {3: np.array([1.0, -1.0, -1.0]), 1: np.array([-1.0])}
     for effect in library():
         if effect.stage == "environment" or effect in sensor_terms():
@@ -79,7 +79,7 @@ def test_a_symmetric_term_does_to_the_mirror_image_the_mirror_image_of_what_it_d
         assert np.allclose(there, flips[len(here)] * here) != one_sided(effect), effect.formula
 
 
-def test_a_servo_that_reads_too_much_turns_too_little_and_only_its_own_report_hides_it(plant):
+def test_servo_reading_error_lowers_gain_and_encoder_reading_hides_it(plant):
     record = record_of(generated({}, 1, ("slow_triangle",))[0], plant.dt)
     joints = lambda p, row: p.predict([record], row)[0]["joint"][0]
     poses = lambda p, row: p.predict([record], row)[0]["pose"][0]

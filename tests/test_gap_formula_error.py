@@ -25,7 +25,7 @@ def a_right_row(family, number, true, found, name="swirl", parameter="rate", hal
     return about | {"truth": {name: {parameter: true}}, "said": said}
 
 
-def test_the_error_of_a_formula_is_told_by_families_and_not_by_their_many_effects():
+def test_formula_error_limit_counts_families_and_not_their_effects():
     apart = [[0.2] * 9 + [0.21], [-0.2] * 9 + [-0.21], [0.2] * 9 + [0.19], [-0.2, -0.21]]
     alike = [[0.2, -0.2] * 5 for _ in range(4)]
     assert formula_error.limit(apart) > 1.3 * formula_error.limit(alike) > 1.3 * 0.19
@@ -54,7 +54,7 @@ def test_intervals_are_widened_by_the_errors_of_the_other_families(tmp_path, cap
         formula_error.main([str(path)])
 
 
-def test_a_family_is_searched_by_errors_of_formulas_that_it_took_no_part_in():
+def test_family_search_uses_formula_errors_of_the_other_families():
     for name in (*generators.NAMES, "second_robot", "solver"):
         assert widths(name).formula != widths().formula and widths(name).formula["environment"] > 0.08
     robot = load_robot("fish")

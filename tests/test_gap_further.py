@@ -70,7 +70,7 @@ def test_the_error_of_a_known_formula_is_worth_what_is_asked_on_top(told):
     )  # wrong in its size in one record only
 
 
-def test_friction_in_the_joints_is_accepted_beside_a_current_that_explains_a_thousand_times_as_much(told):
+def test_weak_joint_friction_is_accepted_beside_a_dominant_current(told):
     e, gates = told[0], frozen()
     known, more, folds = known_and_more(e)
     beyond = GainOverModelError(known, gates)

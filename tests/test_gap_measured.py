@@ -113,7 +113,7 @@ def test_the_boats_runs_do_not_tell_linear_from_quadratic_drag():
 
 @pytest.mark.slow
 @measured
-def test_a_left_out_frequency_of_the_tendon_fish_is_predicted_within_15_per_cent():
+def test_tendon_fish_speed_at_a_left_out_frequency_is_within_15_per_cent():
     beats = [tendon_fish.beat(name, trial) for name, trial in trials("tendon_fish_markers").items()]
     assert [b.frequency for b in beats] == pytest.approx([0.375, 0.75, 1.125, 1.5], abs=0.02)
     said, figures = tendon_fish.predicted(beats, choices=[tendon_fish.CHOSEN])

@@ -177,7 +177,7 @@ def test_only_what_can_only_be_right_may_have_a_wrong_form(plant):  # noqa: F811
     assert _answer(checks | {"pinned": False}, gates, (), {}, (), ())[0] == "UNEXPLAINED"
 
 
-def test_what_is_left_is_held_against_the_gap_where_the_formula_was_found_right():
+def test_residual_limit_scales_with_the_gap_if_the_formula_is_right():
     gates = frozen()
     left = {"closure": 0.99, "rest": 1.4, "strain": 0.0, "gain": 1e4, "size": 0.1, "transfer": 1.0}
     for form, adequacy, answer in (

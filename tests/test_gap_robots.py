@@ -71,7 +71,7 @@ def test_an_experiment_laid_on_another_chain_bends_it_as_far():
         generate({}, [excitation.get("gait")], 0, robot="tendon_fish")
 
 
-def test_what_the_second_robot_has_no_equations_for_is_refused_with_what_works(fish_of):
+def test_second_robot_refuses_unsupported_chains_and_stiff_servos(fish_of):
     robot = load_robot(fish_of(8))
     with pytest.raises(ConfigError, match="has 9 links; it is a chain of 2 to 8"):
         buildable(replace(robot, links=(*robot.links, robot.links[-1])))

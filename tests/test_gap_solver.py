@@ -65,7 +65,7 @@ def test_an_experiment_that_the_sets_do_not_hold_has_no_null(trials):
         RecordedNull(folder=FOLDER)
 
 
-def test_cases_of_the_solver_are_complete_and_leave_themselves_out_of_their_null():
+def test_solver_cases_are_complete_and_excluded_from_their_own_null():
     given = solver.draw()
     kinds = [one.case.kind for one in given]
     assert (kinds.count("none"), kinds.count("single")) == (48, 48)

@@ -95,7 +95,7 @@ def test_processes_share_all_swims_and_finish_the_same_robots_first(small):
     assert len(off) == 12 and [one.set for one in whole][-12:] == off  # last, for they may be left out
 
 
-def test_a_robot_is_put_down_as_the_others_and_its_sensors_have_noise_of_their_own(small):
+def test_solver_swims_share_their_placing_and_draw_their_own_sensor_noise(small):
     gait = [one for one in swims.all_swims(small) if one.job.what.id == small.robots[0].experiments[0]]
     assert len({(one.job.index, one.job.placing) for one in gait}) == 1 and len({one.job.seed for one in gait}) > 1
     mine = [one.draw for one in swims.all_swims(small) if one.set.startswith(small.robots[0].id)]
@@ -252,7 +252,7 @@ def test_nothing_hidden_and_nothing_swum_show_nothing():
 
 # ------------------------------------------------------------ the score
 @pytest.mark.slow
-def test_each_model_is_calibrated_to_its_own_free_swims_and_the_null_has_not_seen_the_solver(sets, tmp_path, monkeypatch):
+def test_solver_models_use_own_calibration_swims_and_null_without_solver(sets, tmp_path, monkeypatch):
     asked, fitted = [], []
 
     def found(path, family, robot, trials):

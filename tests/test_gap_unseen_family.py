@@ -39,7 +39,7 @@ def test_nineteen_of_twenty_robots_of_a_new_family_stay_below_the_level(families
     assert 0.92 < np.mean(below) < 0.99
 
 
-def test_a_quantile_over_the_robots_of_three_families_holds_fewer_of_a_fourth():
+def test_quantile_over_robots_of_three_families_undercovers_a_fourth():
     rng = np.random.default_rng(4)
     tries = [(drawn(rng, 3, 8, 0.3, 0.1), drawn(rng, 1, 1, 0.3, 0.1)[0, 0]) for _ in range(600)]
     assert np.mean([new < np.quantile(known, 0.95) for known, new in tries]) < 0.85
@@ -53,7 +53,7 @@ def test_families_that_are_alike_have_the_quantile_of_their_robots():
         level([[1.0, 1.1, 1.2]], 0.95)
 
 
-def test_what_a_robot_leaves_of_its_own_swims_widens_the_gate_and_never_narrows_it():
+def test_own_healthy_swims_widen_the_gate_and_never_narrow_it():
     given = structural_error.widths("foil")._replace(adequacy=1.5, beyond_own=1.25)
     gate = lambda own: structural_error.allowed(frozen(), given, own)
     assert gate(0.0).adequacy == gate(0.8).adequacy == 1.5
@@ -83,7 +83,7 @@ def test_no_swim_is_no_evidence(monkeypatch):
         healthy_swims.read_healthy_swims(None, [], SimulatedNull())
 
 
-def test_a_launch_that_is_known_to_two_centimetres_a_second_may_be_off_by_as_much():
+def test_stated_launch_uncertainty_absorbs_a_wrong_launch_speed():
     model = SwimmingFish(load_robot("fish"))
     (trial,) = generate({}, ["tow_ahead"], seed=3)
     u, v, r = trial.meta["push"]
@@ -100,7 +100,7 @@ def test_a_launch_that_is_known_to_two_centimetres_a_second_may_be_off_by_as_muc
     assert gaps[0.04, 0.0] > 3.0 * gaps[0.0, 0.0] and gaps[0.04, 0.02] < 1.5 * gaps[0.0, 0.0], gaps
 
 
-def test_rows_that_are_decided_again_with_the_gates_of_their_robot_say_what_the_search_said():
+def test_redecided_solver_rows_reproduce_the_answers_of_the_search():
     rows = read_rows(Path(__file__).resolve().parent.parent / "docs" / "figures" / "gap" / "solver_21.jsonl")
     decided = [row for row in rows if "gates" in row]
     before = [gates_again.redecide(row, gates_again.gates_of(row, {})) for row in decided]

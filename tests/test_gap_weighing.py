@@ -96,7 +96,7 @@ def test_a_pendulum_tells_which_of_two_twins_it_is(plant):
     assert value.value == pytest.approx(0.006, rel=0.1) and value.low < 0.006 < value.high
 
 
-def test_a_weighing_is_proposed_where_it_separates_and_not_where_it_does_not(plant):
+def test_weighing_is_advised_only_if_it_separates_the_hypotheses(plant):
     sides = [Hypothesis((n,), row_of(plant, n, **p[n]), np.zeros((0, len(plant.null))), 1.0) for p in (TURNS, WATER) for n in p]
     rows = [s.row[None] for s in sides]
     assert mass_properties.separation(plant, *rows) == pytest.approx(0.006 / (mass_properties.PENDULUM * 0.01304), rel=0.01)
@@ -118,7 +118,7 @@ def test_what_was_weighed_is_said_in_words(plant):
 
 
 @pytest.mark.slow
-def test_the_report_places_the_gap_of_the_logs_and_tells_the_weighing_beside_it(plant):
+def test_report_shows_the_weighing_apart_from_the_gap_of_the_logs(plant):
     from html import unescape
 
     from fishmj.gap.report import page as html
@@ -143,7 +143,7 @@ def test_a_robot_that_replaces_another_takes_its_page_along(tmp_path):
     assert len(datasets.trials_in(tmp_path / "data")) == 1 and datasets.page_in(tmp_path / "data") == {}
 
 
-def test_the_page_of_a_data_set_is_found_beside_its_trials_and_searched_with(tmp_path, monkeypatch):
+def test_gap_find_uses_the_weighing_page_beside_the_trials(tmp_path, monkeypatch):
     write_hidden(tmp_path / "data", tmp_path / "truth.json", hidden({}, 5, RUNS[:1]), {}, {}, page=page({}, 5))
     assert datasets.page_in(tmp_path / "data")["pendulum"]["period"] == page({}, 5)["pendulum"]["period"]
     given = {}

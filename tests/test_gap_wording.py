@@ -63,7 +63,7 @@ def material(v, *, changed=None, steps=None):
 
 
 # ------------------------------------------------------------------------------------------------------------------- rounds
-def test_a_round_is_called_accepted_only_where_it_lowers_the_gap_of_records_that_it_did_not_see():
+def test_round_is_called_accepted_only_if_the_held_out_residual_shrinks():
     assert round_text(True, 300.0, (5.0, 1.0)).endswith("accepted") and round_text(True, 300.0, None).endswith("accepted")
     grown = round_text(True, 34561418.0, (7273.97, 42555.6))
     assert "accepted" not in grown and grown.endswith("taken though their residual does not shrink")
@@ -81,7 +81,7 @@ def test_terminal_page_and_json_call_the_same_rounds_accepted(gap, accepted):
     assert v.steps[0]["accepted"]  # what the search decided stays
 
 
-def test_the_residual_of_unseen_records_is_that_of_the_fits_which_did_not_see_them():
+def test_held_out_residual_comes_from_the_fit_that_excluded_the_record():
     blocks = [SimpleNamespace(channel="joint", where=slice(0, 2)), SimpleNamespace(channel="joint", where=slice(2, 4))]
     layout = SimpleNamespace(record=np.array([0, 0, 1, 1]), blocks=blocks, residuals=lambda rows: np.array(rows))
     plant = SimpleNamespace(predict=lambda records, rows: [[1.0 * r[0]] * 4 for r in rows])
@@ -190,7 +190,7 @@ def test_what_is_not_repeatable_shows_no_explanation_though_one_was_taken():
     assert not v.taken and "explain" not in v.text() and "->" not in v.text()
 
 
-def test_a_measured_study_that_has_no_rounds_says_where_its_gap_was_measured():
+def test_verdict_without_rounds_states_the_gap_on_held_out_records():
     v = replace(SHRUNK, steps=(), gates={"closure": 0.7}, explained=0.7)
     assert "explains 70 % of what lies above the floor, on records that it was not fitted to" in v.text()
     assert "gap 1520 -> 1320 on records kept aside" in v.text()
@@ -199,20 +199,20 @@ def test_a_measured_study_that_has_no_rounds_says_where_its_gap_was_measured():
 
 
 # --------------------------------------------------------------------------------------------------------------------- lists
-def test_explanations_are_listed_by_how_probable_they_are_and_only_with_their_own_rivals():
+def test_explanations_are_ranked_by_probability_among_their_own_rivals():
     v = replace(GROWN, effects=(CURRENT, SKIN), rivals=RIVALS)
     lists = [line for line in v.text().splitlines() if "P(best)" in line]
     assert lists[0].endswith("largest first: swirl 0.48, current shear 0.45, steady current 0.04")
     assert lists[1].endswith("largest first: command gain error 1.00, skin stiffness 0.00")
 
 
-def test_a_table_of_finalists_goes_by_p_best_and_ends_with_those_on_a_bound():
+def test_finalists_are_sorted_by_p_best_with_those_on_a_bound_last():
     row = lambda p, tried=False: ReportRow("x", {}, 0.0, p, False, tried)
     assert listed([row(0.0, True), row(None), row(0.3), row(0.7)]) == [3, 2, 0, 1]
     assert listed([row(0.4), row(0.4, True)])[0] == 1
 
 
-def test_the_table_marks_the_one_that_was_tried_and_never_calls_it_the_best():
+def test_table_labels_the_tried_hypothesis_as_tried_and_never_as_best():
     rows = (
         ReportRow("swirl", {"rate": (0.02, "rad/s")}, -0.031, 0.96, True),
         ReportRow("steady_current", {}, 0.0, 0.04, False, True),

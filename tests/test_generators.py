@@ -221,7 +221,7 @@ def test_one_seed_is_one_robot_and_another_is_another(name):
     assert all(np.array_equal(first.tables[t][k], again.tables[t][k]) for t in first.tables for k in first.tables[t])
 
 
-def test_the_logs_say_that_they_are_synthetic_and_nothing_of_what_is_hidden():
+def test_generated_logs_are_marked_synthetic_and_hide_effects_and_truth():
     trial = generators.generate("foil", {"coulomb_friction": {"torque": 0.1}}, [SHORT], 2)[0]
     assert trial.meta["origin"] == "synthetic" and trial.meta["water"] == "generator foil"
     assert "coulomb" not in repr(trial.meta) and "truth" not in trial.tables and "seed" not in trial.meta

@@ -144,7 +144,7 @@ def test_a_planted_latency_is_in_the_joints(swum):
 
 
 @pytest.mark.slow
-def test_without_effects_the_joints_move_as_the_solvers_own_servo_moves_them():
+def test_hidden_run_servo_moves_the_joints_as_the_solver_servo_does():
     """Same numbers, two servos: 200 Hz firmware that counts, and MuJoCo's actuator."""
     own = SwimSetup(domain=TINY).run()
     for command in FLICK.commands:

@@ -349,7 +349,7 @@ def test_the_trials_go_round_before_they_repeat():
 @pytest.mark.parametrize(
     ("alone", "hybrid", "first", "ok"), [(0.1, 0.04, True, True), (0.1, 0.06, True, False), (0, 0, False, True)]
 )
-def test_a_verdict_asks_for_half_where_it_is_off_and_for_no_worse_where_not(alone, hybrid, first, ok):
+def test_hybrid_verdict_needs_half_of_a_clear_error_else_no_worse_error(alone, hybrid, first, ok):
     noise = np.random.default_rng(4).normal(size=(3, 12)) * 0.01
     rows = {}
     for swim, more, wobble in zip(("solver", "alone", "hybrid"), (0.0, alone, hybrid), noise, strict=True):
@@ -434,7 +434,7 @@ def test_unknowns_move_where_they_gain_more_than_by_chance(gain, moves, unknown,
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
-def test_a_water_without_friction_may_get_some_and_none_gets_less_than_none():
+def test_correction_adds_friction_to_frictionless_water_never_below_zero():
     """`swift` was fitted to a hull along which water slides: nothing times a factor would stay nothing."""
     slides = STRIPS_WATER._replace(cf=0.0)
     rough, smooth = (np.where(np.arange(10) == 2, f, 1.0) for f in (15.0, 0.001))

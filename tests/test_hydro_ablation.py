@@ -101,7 +101,7 @@ def test_a_fish_in_ellipsoids_swims_as_in_mujoco():
     assert np.hypot(*q[:2]) > 0.05  # and it went somewhere
 
 
-def test_the_inertia_that_mujoco_leaves_out_is_lambs_at_the_centre_of_each_ellipsoid():
+def test_inertia_omitted_by_mujoco_is_lambs_added_mass_of_each_ellipsoid():
     flat, rng = drawn(5), np.random.default_rng(6)
     flat[[5, 11]] = 0.7, 1.3
     model, data = model_of(flat)

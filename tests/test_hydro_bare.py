@@ -77,7 +77,7 @@ def asked(**given) -> Path:
     return at_hand.segments_at_hand(at_hand.Request(**({"robot": FISH, "home": Path("data/hydro"), "quiet": True} | given)))
 
 
-def test_without_data_and_accelerator_the_hours_are_said_and_a_preview_is_solved(home, capsys):
+def test_hydro_fit_without_data_or_gpu_states_hours_and_solves_a_preview(home, capsys):
     folder = asked()
     said = capsys.readouterr().out
     whole = plan.full(FISH)
@@ -146,7 +146,7 @@ def test_a_budget_that_the_whole_plan_fits_into_has_it_solved(home, tenth):
     assert Toys.seen[0][0].domain.name == "window"
 
 
-def test_with_an_accelerator_the_whole_plan_is_solved_in_the_box_of_the_model(home, tenth, monkeypatch):
+def test_hydro_fit_with_gpu_solves_the_whole_plan_in_the_model_domain(home, tenth, monkeypatch):
     monkeypatch.setattr(at_hand, "accelerator", lambda: True)
     monkeypatch.setattr(at_hand, "devices_of", lambda name: ("cuda:0",))
     assert asked(grid="window_coarse").name == "swift"
@@ -154,13 +154,13 @@ def test_with_an_accelerator_the_whole_plan_is_solved_in_the_box_of_the_model(ho
     assert setup.domain.name == "window_coarse" and setup.device == "cuda:0" and len(ids) == tenth
 
 
-def test_a_budget_that_is_too_small_for_any_fit_is_refused_before_anything_begins(home):
+def test_hydro_fit_refuses_a_budget_below_the_smallest_fit(home):
     with pytest.raises(ConfigError, match="the least that a water can be fitted to, 12 segments, takes about 225 s"):
         asked(budget=60.0)
     assert not (home / "data").exists()
 
 
-def test_a_data_set_that_is_cut_short_goes_on_in_its_own_box_or_is_used_as_it_is(home, tenth, capsys):
+def test_partial_data_set_is_continued_in_its_own_domain_or_used_as_it_is(home, tenth, capsys):
     some = plan.full(FISH)
     folder = Path("data/hydro/swift")
     setup = at_hand.Request(robot=FISH, home=folder).setup(preset("window_coarse"))
@@ -271,7 +271,7 @@ class Fitted:
         return ""
 
 
-def test_a_preview_never_replaces_a_whole_model_and_a_whole_one_always_a_preview(home, swims, monkeypatch, capsys):
+def test_preview_never_replaces_a_whole_model_and_a_whole_replaces_preview(home, swims, monkeypatch, capsys):
     monkeypatch.setattr("fishmj.hydro_fit.fit.pipeline.FitPipeline", Fitted)
     data = hidden.write_dataset(home / "set", swims)
 

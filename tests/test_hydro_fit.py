@@ -317,7 +317,7 @@ def test_training_swims_that_are_easier_than_others_do_not_narrow_the_band():
     assert prediction_interval.easier(np.where(trained, 0.3 * needed, needed), trained) > 2.0
 
 
-def test_a_fit_has_the_compiler_join_operations_unless_the_environment_says_otherwise():
+def test_fit_lets_xla_fuse_operations_unless_xla_flags_say_otherwise():
     """In processes of their own: what JAX reads when it begins."""
     program = (
         "from fishmj.hydro_fit.fit.descent import several; several()\n"

@@ -117,7 +117,7 @@ def test_numpy_jax_and_single_fish_agree():
     np.testing.assert_allclose(alone, expected[:, 2], rtol=0, atol=1e-12)
 
 
-def test_a_wake_that_is_told_nothing_of_itself_takes_one_step_as_well_as_two_halves():
+def test_wake_step_without_self_input_equals_two_half_steps():
     rng = np.random.default_rng(8)
     k = planar_chain.Links([], [], *(list(rng.normal(0, 1, (N, 20))) for _ in range(3)), [])
     m, net = residual_network.motion(np, residual_network.panels(CHAIN), k), wild(2).net

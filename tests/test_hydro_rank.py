@@ -106,7 +106,7 @@ def test_a_trial_that_the_solver_lost_is_left_out_of_both_waters():
     assert (row["n"], row["lost"]) == (7, 1) and row["gap"]["value"] == pytest.approx(0)
 
 
-def test_a_controller_without_a_whole_trial_cannot_be_told_unless_another_fails():
+def test_controller_without_whole_trials_is_undecided_unless_another_fails():
     none = {"pd": np.full(8, np.nan)}
     found = rank.judged(KEY, [water(dob=0.1) | none], [water(dob=0.1) | none])
     assert found["gap_max"] == pytest.approx(0) and found["passed"] == {"gap_max": None, "tau": None}

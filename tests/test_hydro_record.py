@@ -8,7 +8,7 @@ from fishmj.hydro_fit.record import KICK, UNITS, SegmentRecord
 from fishmj.water.flow import Flow
 
 
-def test_a_swim_that_was_let_go_in_a_stream_begins_when_the_water_has_taken_it_along():
+def test_free_swim_in_a_stream_drops_its_start_up_transient():
     rng = np.random.default_rng(0)
     arrays = {name: rng.normal(size=(40, 6)) for name in UNITS}
     meta = {

@@ -18,7 +18,7 @@ SEED, SCALE = 26, 4.0  # of the fresh episodes
 
 
 @pytest.mark.slow
-def test_the_shipped_water_is_within_every_tolerance_on_what_no_fit_has_seen(capsys):
+def test_shipped_water_is_within_every_tolerance_on_unseen_segments(capsys):
     assert console.run(verb.main, ["check", "--json"]) == console.OK
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert all(found["passed"].values()) and found["not_told"] == []
@@ -29,7 +29,7 @@ def test_the_shipped_water_is_within_every_tolerance_on_what_no_fit_has_seen(cap
     assert found["n"]["coverage90"] == len(swims) > 150, "both sets count"
 
 
-def test_the_fresh_episodes_are_what_their_command_makes_and_no_fit_may_open_them():
+def test_fresh_test_episodes_match_their_plan_and_are_never_fitted():
     data = open_dataset(FRESH)
     wanted = {s.id: s.sha256 for s in plan.fresh_test(load_robot("fish"), seed=SEED, scale=SCALE).segments if s.slip == 1}
     made = {name: Segment.of(meta["segment"]).sha256 for name, meta in data.about.items()}

@@ -266,7 +266,7 @@ def test_buoyancy_carries_a_neutral_fish_and_its_ballast_keeps_it_upright():
 # stability and momentum ---------------------------------------------------------------------------------------------
 
 
-def test_explicit_coupling_of_a_neutral_thin_tailed_fish_diverges_and_says_where():
+def test_explicit_coupling_of_a_neutral_fish_diverges_and_names_the_place():
     with pytest.raises(OracleUnstable, match="coupled: a marker at t = 0.0[0-9]+ s: Mach") as stopped:
         beat(pond("cpu", scheme="explicit"), 0.5, every=1000)
     assert stopped.value.limit == "mach"

@@ -46,7 +46,7 @@ def test_the_box_of_cells_lies_round_the_middle_of_all(swimming):
     np.testing.assert_array_less(np.abs(middle - (low + high) / 2), 0.5 * dx + 1e-12)
 
 
-def test_the_fastest_corner_is_found_and_looked_for_anew_when_the_body_moves(swimming):
+def test_fastest_corner_is_found_and_updated_when_the_body_moves(swimming):
     body, corners = swimming
     for factor in (0.5, 2.0, 1.0):
         body.place(body.data.qpos.copy(), factor * np.arange(1.0, body.dofs + 1))
@@ -56,7 +56,7 @@ def test_the_fastest_corner_is_found_and_looked_for_anew_when_the_body_moves(swi
 
 @pytest.mark.parametrize("at", range(6))
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1001.0, -1001.0])
-def test_a_velocity_that_is_no_number_or_runs_away_is_refused_wherever_it_stands(at, value):
+def test_non_finite_or_runaway_velocity_is_refused_naming_its_joint(at, value):
     body, velocity = ImmersedBody.of("fish"), np.linspace(-1.0, 1.0, 6)
     body.equation()
     before, velocity[at] = body.data.qpos.copy(), value

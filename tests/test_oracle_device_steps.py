@@ -178,7 +178,7 @@ def test_a_run_on_the_device_is_the_run_of_the_host():
 
 
 @pytest.mark.parametrize("limit", [0.35, 0.15])
-def test_a_tick_too_fast_for_the_device_is_done_again_there_with_finer_steps(monkeypatch, limit):
+def test_too_fast_device_tick_is_repeated_with_finer_steps_like_the_host(monkeypatch, limit):
     """Twice and four times finer ones: what the host's own steps do, and MuJoCo's agree."""
     gait, made, factors = Gait(ramp=0.2), [], []
     monkeypatch.setattr(Run, "limit", limit)
@@ -242,7 +242,7 @@ def test_a_box_of_water_that_follows_its_fish_is_never_ahead():
     assert (stays.moves_water, moves.moves_water) == (False, True)
 
 
-def test_a_fish_that_becomes_too_fast_is_taken_to_finer_steps_in_the_tick_behind(monkeypatch):
+def test_too_fast_fish_gets_finer_steps_after_the_prefetched_tick(monkeypatch):
     monkeypatch.setattr(Run, "limit", 0.35)
     run, went = swum(True, ticks=18)
     # tick 13 had begun when 12 was found to be fast: it is taken as it is, and those behind it in finer steps
@@ -306,7 +306,7 @@ def test_a_tank_alone_keeps_its_steps_on_the_host_on_a_cpu():
     assert not Run(pond("cpu")).on_device
 
 
-def test_the_domain_is_looked_after_as_often_in_steps_together_as_one_by_one():
+def test_domain_watch_interval_in_steps_is_independent_of_batching():
     looks = []
     for together in (1, 5, 10):
         watch, coupled = DomainWatch(replace(preset("laptop"), shape=(120, 120, 40))), tube().coupled()

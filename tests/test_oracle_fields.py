@@ -35,7 +35,7 @@ ROUND_OFF = 5e-5  # five times what rounding every population anew at every step
 
 
 # slices -------------------------------------------------------------------------------------------------------------
-def test_water_that_turns_as_a_whole_has_twice_its_rate_as_vorticity_at_every_node_and_in_a_moved_window():
+def test_rigid_rotation_has_twice_its_rate_as_vorticity_after_a_shift_too():
     lattice = Lattice(dx=0.02, dt=0.004, corner=(-0.2, -0.1, -0.07))
     water, rate = Fluid(lattice, (20, 12, 8), subgrid="wale"), 0.7
     place = lattice.to_si(np.stack(np.meshgrid(*map(np.arange, water.shape), indexing="ij"), -1))
@@ -206,7 +206,7 @@ def test_the_shipped_state_is_small_whole_and_what_this_build_computes():
     assert max(off.values()) < ROUND_OFF, f"{off}: {same_physics.REMAKE}"
 
 
-def test_the_least_change_of_physics_is_outside_the_tolerance_of_the_shipped_state():
+def test_shipped_state_tolerance_detects_a_tiny_change_of_the_slip_ratio():
     """A slip ratio that differs in its fourth digit: what the comparison between backends must not let pass."""
     off = same_physics.difference(same_physics.fields(same_physics.run("cpu", slip=0.9802)), same_physics.shipped())
     assert off["velocity"] > 4 * same_physics.TOLERANCE

@@ -68,7 +68,7 @@ def test_a_product_and_a_shift_divide_exactly(divisor):
     assert all(n // divisor == n * (magic % 2**32) >> shift for n in (*tried, 2**31 - 1))
 
 
-def test_a_large_box_on_a_cpu_goes_by_rows_and_an_accelerator_by_pairs_where_it_can():
+def test_kernel_choice_is_rows_on_a_large_cpu_box_and_pairs_on_a_gpu():
     class Device:
         def __init__(self, is_cuda: bool):
             self.is_cuda = is_cuda
@@ -91,7 +91,7 @@ def keep(u: wp.array(dtype=wp.vec3), one: wp.array(dtype=wp.vec3s), two: wp.arra
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
-def test_a_velocity_of_16_bits_is_the_nearest_and_ends_at_half_a_cell_a_step(device):
+def test_16_bit_velocity_is_rounded_to_nearest_and_clipped_at_half_a_cell(device):
     u = np.random.default_rng(0).uniform(-0.6, 0.6, (64, 3)).astype(np.float32)
     u[:4] = UNIT * np.array([[0.5, 1.5, 2.5], [-0.5, -1.5, -2.5], [0.49, 0.51, -0.51], [9e4, -9e4, 0.0]])  # ties, signs, ends
     one, two = (wp.zeros(64, dtype=wp.vec3s, device=device) for _ in range(2))
@@ -106,7 +106,7 @@ def test_a_velocity_of_16_bits_is_the_nearest_and_ends_at_half_a_cell_a_step(dev
     assert np.abs(decoded(expected) - u)[slow].max() <= 0.5 * UNIT
 
 
-def test_where_no_force_acts_a_velocity_is_read_as_exactly_as_the_populations_have_it():
+def test_force_free_velocity_is_read_from_populations_at_full_precision():
     still, pushed = (Fluid(Lattice(dx=0.02, dt=0.004), (8, 6, 6), "cpu") for _ in range(2))
     u = 0.03 * np.random.default_rng(0).standard_normal((8, 6, 6, 3))
     still.impose(u)

@@ -70,7 +70,7 @@ def test_morison_finds_the_coefficients_that_made_a_force():
     assert oscillating.morison(oscillating.PHASE, sampled) == pytest.approx((2.1, 1.4), rel=1e-3)
 
 
-def test_the_figure_of_the_swinging_cylinder_has_the_published_coefficients_nearby():
+def test_oscillating_cylinder_figure_matches_the_published_coefficients():
     """Its eleven points give 2.25 and 1.43; 2.09 and 1.45 are quoted for the whole record."""
     assert oscillating.morison(oscillating.PHASE, oscillating.FORCE) == pytest.approx((2.09, 1.45), rel=0.08)
 

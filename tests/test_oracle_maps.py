@@ -127,7 +127,7 @@ def test_a_damaged_table_names_its_line(tmp_path):
         Table(tmp_path, {"slip": 1.0})
 
 
-def test_the_standard_error_knows_that_samples_of_a_wake_are_not_independent():
+def test_standard_error_accounts_for_autocorrelation_of_samples():
     """An AR(1) record has T_c (1 + a) / (1 - a) / 2 steps: its error is sqrt(19) times that of white noise at a = 0.9."""
     rng = np.random.default_rng(1)
     errors, means = [], []
@@ -175,7 +175,7 @@ def test_reading_between_nodes_is_exact_in_a_linear_field():
     np.testing.assert_allclose(water(points), points @ matrix.T, atol=1e-12)
 
 
-def test_solver_and_prescribed_flow_carry_markers_alike_from_an_undisturbed_start():
+def test_solver_and_prescribed_flow_carry_tracers_alike_at_first():
     """In 0.6 s the eddies of the tank are still much those that were prescribed."""
     box = Domain(name="tiny", shape=(48, 40, 16), dx=0.04, dt=0.004, sponge=4)
     flow = Flow(speed=0.3, turbulence="default", seed=4)

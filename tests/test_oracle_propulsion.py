@@ -144,7 +144,7 @@ def test_the_links_of_an_eel_lie_along_its_midline():
         assert np.abs(spun + across[0] - across).max() < 0.015
 
 
-def test_a_swimming_eel_holds_its_joints_to_the_wave_and_keeps_the_momentum():
+def test_swimming_eel_follows_its_joint_wave_and_conserves_momentum():
     """Four links, a beat from rest: as many degrees of freedom as the fish. The inside water lags by a step or two."""
     cells, steps = 24, 13 * 24
     robot = eel.eel(4)

@@ -262,7 +262,7 @@ def test_both_devices_swim_the_same_swim():
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-3)
 
 
-def test_rows_at_the_end_that_are_faster_than_a_log_may_say_are_left_out_and_one_stays():
+def test_implausibly_fast_rows_at_the_end_are_dropped_but_one_row_stays():
     row = lambda wz, rate=0.0: (0.0, 0.02, None, np.array([0, 0, 0, 0.1, 0, wz]), None, np.array([rate]))
     calm, wild = row(1.0), row(1e3)
     assert plausible([calm, wild, calm]) == [calm, wild, calm]

@@ -41,7 +41,7 @@ def kernel(r: np.ndarray, width: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("width", kernels.WIDTHS)
-def test_the_slip_length_of_a_sheet_is_the_mean_distance_of_two_draws_from_the_kernel(width):
+def test_sheet_slip_length_is_the_mean_distance_of_two_kernel_draws(width):
     """Along a sheet at an angle the weights of its markers add up, so that only their distances across it count."""
     nodes, found = np.arange(-9, 10), []
     for angle in np.radians([0, 15, 30, 45]):
@@ -56,7 +56,7 @@ def test_the_slip_length_of_a_sheet_is_the_mean_distance_of_two_draws_from_the_k
     assert np.mean(found) == pytest.approx(KINK[width], abs=0.03)
 
 
-def test_a_plain_sheet_is_as_thick_as_its_kernel_and_a_slip_length_makes_it_thin():
+def test_plain_sheet_is_as_thick_as_its_kernel_and_slip_length_thins_it():
     over, thick = sheet_shear.friction(10, 0.25, "cpu")
     assert over > 1.1
     assert thick == pytest.approx(KINK[3], abs=0.06)
@@ -140,14 +140,14 @@ def test_markers_of_an_arc_face_all_the_ways_that_it_does(a, b, n):
     assert facing[::4] == pytest.approx(facing[3::4])  # of each, four: left and right, above and below
 
 
-def test_a_section_of_many_cells_has_one_marker_a_place_a_thin_one_two_beside_its_edges_and_a_small_one_two_everywhere():
+def test_markers_are_doubled_at_edges_of_thin_sections_and_on_small_ones():
     counts = {b: np.bincount(_facing(20.0, b, 128, _outward(20.0, b, _ellipse(20.0, b, 128)[0]))[0]) for b in (20.0, 0.5)}
     assert (counts[20.0] == 1).all()
     assert (np.bincount(_facing(4.0, 4.0, 24, _outward(4.0, 4.0, _ellipse(4.0, 4.0, 24)[0]))[0]) == 2).all()
     assert np.flatnonzero(counts[0.5] == 2).tolist() == [31, 32, 95, 96]
 
 
-def test_a_hull_with_edges_is_drawn_in_by_the_whole_length_and_a_sheet_where_nothing_is_left_of_it(edged_eel):
+def test_edged_hull_is_inset_by_full_length_and_a_vanishing_one_is_a_sheet(edged_eel):
     dx = 1 / 64
     sheet = edged_eel.sheet
     assert sheet.any() and edged_eel.slip_length[sheet].min() > KINK[3] - SHARP.hull - 1e-9
@@ -156,7 +156,7 @@ def test_a_hull_with_edges_is_drawn_in_by_the_whole_length_and_a_sheet_where_not
     assert min(np.abs(edged_eel.rest[ring, 1]).max() for ring in rings(edged_eel)) < 0.25 * dx  # by a part of its width: 0.3 dx
 
 
-def test_an_edge_is_drawn_in_as_a_rim_where_it_is_sharp_and_as_a_hull_where_it_is_round(edged_eel):
+def test_edge_inset_follows_the_rim_if_sharp_and_the_hull_if_round(edged_eel):
     dx, hull, rim = 0.01, 0.5, 1.25
     inset = lambda half_width: _edge_inset(0.05, half_width, hull, rim, dx)
     assert inset(1e-4) == pytest.approx(rim, abs=1e-3) and inset(1.0) == pytest.approx(hull, abs=1e-3)
@@ -176,7 +176,7 @@ def test_an_offset_that_is_given_holds_for_both():
         PLAIN.insets(5)
 
 
-def test_a_paddle_of_few_cells_pushes_as_one_of_more_where_its_hull_has_edges():
+def test_edged_paddle_on_a_coarse_grid_pushes_as_on_a_finer_one():
     """Six cells a height and a marker too many on an edge or a sheet in its place make it push a quarter less."""
     few, more = (paddle.heave(cells, "cpu", periods=1) for cells in (6, 8))
     plain = paddle.heave(6, "cpu", sharpness=SHARP, periods=1)

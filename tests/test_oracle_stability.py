@@ -119,7 +119,7 @@ def _blends(p: vec6, dx: wp.vec3, dy: wp.vec3, dz: wp.vec3, rho_tau: float, shar
     out[0] = collide.hybrid_stress(p, dx, dy, dz, rho_tau, share)
 
 
-def test_the_blend_is_its_formula_and_leaves_the_trace_and_a_stress_that_fits_alone():
+def test_stress_blend_matches_its_formula_and_preserves_the_trace():
     rng = np.random.default_rng(2)
     g, rho_tau, share = rng.uniform(-0.02, 0.02, (3, 3)), 0.61, 0.3  # g_ab = d u_a / d x_b
     strain = (g + g.T) / 2 - np.trace(g) / 3 * np.eye(3)

@@ -126,7 +126,7 @@ def test_the_kernel_gives_what_the_products_give(monkeypatch):
     assert np.asarray(got[0]).shape == (3, N, 5) and np.asarray(got[1]).shape == (5,) and len(got[2]) == residual_network.WAKES
 
 
-def test_the_kernel_is_for_single_precision_on_a_graphics_card_and_its_gradient_that_of_the_products(monkeypatch):
+def test_residual_kernel_needs_float32_on_a_gpu_and_matches_the_gradient(monkeypatch):
     net, m, z = small(10)
     assert "custom_vjp" not in str(jax.make_jaxpr(lambda *a: residual_step.mean_step(jnp, net, *a, 0.02))(m, z))
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
@@ -148,7 +148,7 @@ def test_the_kernel_is_for_single_precision_on_a_graphics_card_and_its_gradient_
     np.testing.assert_allclose(np.asarray(by_rule), np.asarray(plain), rtol=1e-5)
 
 
-def test_a_device_that_takes_no_kernel_is_told_once_and_products_take_its_place(capsys):
+def test_device_without_kernel_support_is_reported_once_and_uses_products(capsys):
     """This CPU is such a device; for an NVIDIA GPU the kernel that tries it is lowered, which needs none."""
     residual_kernel.usable.cache_clear()
     assert not residual_kernel.usable() and not residual_kernel.usable()

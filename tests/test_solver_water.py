@@ -26,7 +26,7 @@ def test_plain_is_the_papers_tank_and_options_change_it():
     assert (other.domain, other.slip, other.label) == ("laptop_refined", 0.97, "laptop_refined, slip 0.97")
 
 
-def test_the_reference_is_named_in_its_label_and_refuses_another_box_or_slip():
+def test_reference_water_is_labelled_and_refuses_another_domain_or_slip():
     assert asked_for("evaluate", True, None, None) is REFERENCE
     assert REFERENCE.name in REFERENCE.label and REFERENCE.domain in EVERY and REFERENCE.window in EVERY
     for domain, ratio in (("paper", None), (None, 1.0), (None, 0.0)):
@@ -40,7 +40,7 @@ def test_the_reference_swims_freely_on_the_cells_of_its_tank():
     assert tank.boxes == window.boxes and window.follows and not tank.follows
 
 
-def test_a_boundary_that_was_chosen_is_in_the_water_its_label_and_the_names_of_kept_trials():
+def test_chosen_boundary_enters_water_label_and_trial_fingerprint():
     rims = asked_for("evaluate", False, None, 0.98, boundary="rims")
     assert rims.sharpness == Sharpness(rim=1.0) and rims.immersed["sharpness"] == rims.sharpness
     assert (
@@ -53,7 +53,7 @@ def test_a_boundary_that_was_chosen_is_in_the_water_its_label_and_the_names_of_k
     assert len(marks) == len(BOUNDARIES) and run_trials.fingerprint(brain, robot, trials(), PLAIN) in marks
 
 
-def test_water_in_half_precision_has_its_own_label_and_kept_trials_and_no_reference():
+def test_half_precision_has_its_own_label_and_fingerprint_and_no_reference():
     half = asked_for("evaluate", False, None, 0.98, storage="float16")
     assert half.label == "paper, slip 0.98, float16" and half.immersed["storage"] == "float16"
     assert "storage" not in asked_for("evaluate", False, None, 0.98, storage="float32").immersed

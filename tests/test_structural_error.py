@@ -135,7 +135,7 @@ def test_a_water_of_literature_values_has_no_structural_error():
 
 
 @pytest.mark.slow
-def test_a_healthy_robot_of_an_unseen_water_is_what_the_structural_error_expects():
+def test_structural_error_covers_a_healthy_robot_in_an_unseen_water():
     swims = ["gait_slow", "gait_small", "turn_right", "tow_ahead", "tow_sideways", "ramps_2"]
     robot, _ = calibrate_trials(generators.generate("foil", {}, swims, 5), "fish")
     plant = SwimmingFish(robot)
