@@ -140,7 +140,7 @@ def some_trials(folder: Path, names: str, change=lambda table, column, values: v
     ],
 )
 @pytest.mark.parametrize("verb", ["servo", "latency"])
-def test_too_little_to_calibrate_a_servo_is_one_line_and_nothing_is_written(tmp_path, capsys, verb, names, change, said):
+def test_servo_calibration_refuses_insufficient_trials_and_writes_nothing(tmp_path, capsys, verb, names, change, said):
     data = some_trials(tmp_path / "data", names, change or (lambda t, c, v: v))
     where = ["--data", data, "--out", tmp_path / "new.toml", "--report", tmp_path / "report"]
     assert console.run(command.main, [verb, *map(str, where)]) == console.BAD_INPUT

@@ -124,7 +124,7 @@ def test_another_water_of_the_same_form_comes_back(plant):
 
 
 @pytest.mark.slow
-def test_the_fitted_water_has_another_form_and_the_speed_is_mended_all_the_same(plant):
+def test_fitted_water_corrects_swim_speed_although_its_form_is_wrong(plant):
     found = water_fit.calibrate(logs_of(swum(in_water(ROBOT, "swift"), GUIDE)), plant)
     begin = np.nanmean([swim.speed_error for swim in found.before])
     gaits = [swim.speed_error for swim in found.after if "gait" in swim.kind]

@@ -209,7 +209,7 @@ def test_a_file_gets_few_lines_without_carriage_returns():
     assert "\r" not in file.getvalue() and 5 <= len(lines) <= 9 and "100 %" in lines[-1]
 
 
-def test_an_option_that_takes_one_value_is_given_once_and_one_that_collects_them_again_and_again():
+def test_distinct_option_is_refused_twice_and_append_option_is_collected():
     parser = console.parser("x", "x")
     parser.add_argument("--out", nargs="+", action=console.Distinct)
     parser.add_argument("--with", action="append")
@@ -233,7 +233,7 @@ def test_a_text_that_begins_with_a_dash_is_no_option():
     assert parser.parse_args(["--title", "\u2013 a note \u2013"]).title == "\u2013 a note \u2013"
 
 
-def test_a_description_that_lies_here_is_named_where_its_ending_was_left_out(tmp_path, monkeypatch, capsys):
+def test_unknown_robot_suggests_the_toml_file_of_that_name_in_the_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "minnow.toml").write_text("")
     assert cli.main(["evaluate", "pd", "--robot", "minnow"]) == 2 and "did you mean minnow.toml?" in capsys.readouterr().err

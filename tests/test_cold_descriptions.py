@@ -131,7 +131,7 @@ def test_numbers_that_differ_are_shown_with_the_digits_in_which_they_do(tmp_path
     assert load_robot(path).links[3].length == 0.180000001
 
 
-def test_a_water_of_another_fish_is_refused_in_words_and_fitted_is_the_robots_own(tmp_path):
+def test_water_fitted_for_another_robot_is_refused_and_own_water_runs(tmp_path):
     path = tmp_path / "my_fish.toml"
     path.write_text(FISH.replace("[water]\n", '[water]\nmodel = "tendon_fish"\n'))
     with pytest.raises(ConfigError, match="fitted for robot 'tendon_fish'.* another body"):

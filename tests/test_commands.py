@@ -116,7 +116,7 @@ def test_every_room_with_a_main_is_a_verb():
     assert all((ROOT / "fishmj" / f"{module.replace('.', '/')}.py").is_file() for module in cli.VERBS.values())
 
 
-def test_the_help_names_every_exit_code_and_the_page_of_commands_has_the_same_table():
+def test_exit_codes_are_the_same_in_the_help_and_on_the_commands_page():
     rows = [f"| {code} | {meaning} |" for code, meaning in console.EXITS.items()]
     page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     assert [row for row in rows if row not in page] == []
@@ -147,7 +147,7 @@ def test_a_group_lists_its_commands_with_an_example_each(verb):
         assert all(name in nothing for name in GROUPS[verb].commands) and f"see fishmj {verb} --help" in nothing
 
 
-def test_a_group_with_a_bare_command_runs_it_where_none_is_given_and_no_other():
+def test_command_group_runs_its_default_command_if_none_is_given():
     called = []
     commands = {name: console.Command(lambda argv, name=name: called.append((name, argv)), name, name) for name in ("all", "fit")}
     group = console.CommandGroup("x", "x", commands, bare="all")

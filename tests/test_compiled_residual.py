@@ -98,7 +98,7 @@ def test_forces_are_those_of_numpy(robot):
         assert np.abs(strips.forces(q, v, state.attached, params, *around).force - got.force).max() > 1e-3
 
 
-def test_a_fish_swims_the_same_in_any_batch_with_any_threads_and_inside_jit(double):
+def test_compiled_swim_is_identical_for_any_batch_threads_and_jit(double):
     given = school(ROBOT, "default", 300)
     given = (given[0], given[1][:, :20], *given[2:])
     whole = double.advance(*given)

@@ -103,7 +103,7 @@ def cut(trial, start):
     return replace(trial, tables=tables)
 
 
-def test_a_record_that_begins_amid_a_swim_is_refused_unless_its_push_is_stated():
+def test_record_that_starts_in_motion_is_refused_unless_its_push_is_stated():
     sim = Sim("fish")
     trial = sim.run(lambda t: 0.5 * np.sin(2 * math.pi * t - np.arange(3)) * min(t, 1.0), 5.0)
     record_of(trial, 0.004)

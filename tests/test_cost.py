@@ -38,7 +38,7 @@ def listing(folder):
 
 
 @pytest.mark.parametrize("name", sorted(HOPELESS))
-def test_a_hopeless_command_is_refused_with_an_estimate_before_anything_begins(name, tmp_path, monkeypatch, capsys):
+def test_infeasible_command_is_refused_with_an_estimate_before_it_starts(name, tmp_path, monkeypatch, capsys):
     prepare(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", io.StringIO())  # nobody answers
@@ -97,7 +97,7 @@ def test_the_estimate_of_the_solver_is_that_of_the_measured_swim():
         (change(PRESETS["paper-sac"], algo="sb3-sac", water="structured"), training.CPU, 1e6 / 114),
     ],
 )
-def test_the_estimate_of_a_training_is_within_a_factor_of_two_of_what_was_measured(settings, kind, measured, monkeypatch):
+def test_training_time_estimate_is_within_a_factor_of_two_of_measured(settings, kind, measured, monkeypatch):
     monkeypatch.setattr(training, "_kind", lambda: kind)
     assert 0.5 < training.seconds(settings) / measured < 2.0
 
@@ -124,7 +124,7 @@ def test_the_memory_of_a_training_is_that_of_its_arrays():
     assert 0.5 < config.bytes(width, small.steps) / counted < 2.0
 
 
-def test_weeks_of_blind_cases_are_asked_for_and_the_published_benchmark_is_not():
+def test_bench_of_days_needs_confirmation_and_published_bench_does_not():
     asked = {"generator": "second", "small": False, "out": None, "yes": False}
     bench.agree(Namespace(**asked), 720, 1)
     with pytest.raises(TooMuch, match="33000 cases would take about 11 days"):

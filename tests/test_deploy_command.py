@@ -95,7 +95,7 @@ def test_the_help_says_the_ports_that_a_link_without_one_goes_to(capsys):
     assert "default port 2334; of mish 2333" in said and "udp://192.168.1.40 --camera" in said
 
 
-def test_the_paint_that_is_looked_for_is_that_of_the_fish_that_the_loopback_draws():
+def test_tracked_paint_matches_the_bands_on_the_drawn_loopback_fish():
     args = options().parse_args(["--policy", "station", "--tracker", "colour"])
     assert wiring.make_tracker(args, overhead((1280, 720), 0.0028, 3.0)).paint == PAPER_FISH == cases.PAINT
     look = FishLook.of("fish", "colour")

@@ -62,7 +62,7 @@ def test_the_projects_own_turbulence_is_found_again(preset, length):
     assert found.length.low < 1.2 * length and found.length.high > 0.8 * length
 
 
-def test_a_record_too_short_for_a_length_scale_says_how_long_is_needed_and_that_is_enough():
+def test_too_short_turbulence_record_reports_a_length_that_suffices():
     rng = np.random.default_rng(3)
     short = turbulence_of(list(ar1(rng, 1, 100.0)), DT)
     assert short.length is None and np.isfinite(short.intensity.low)

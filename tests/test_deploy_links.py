@@ -82,7 +82,7 @@ def test_a_robot_says_what_it_is():
     assert found.joints == info.joints and found.neutral == 0.3
 
 
-def test_the_robots_clock_is_that_of_the_quickest_answer_and_a_lost_question_tells_nothing():
+def test_robot_clock_uses_the_fastest_reply_and_ignores_ambiguous_ones():
     wire = Wire()
     info = RobotInfo("fw-1", "ab" * 32, (1, 2, 3), ("j1", "j2", "j3"), 1.0, 0.1, 0.3)
     link = Fishmj1Link(wire)
@@ -212,7 +212,7 @@ def bus(**options):
     return clock, port, link
 
 
-def test_the_servo_bus_commands_and_reads_joints_with_their_zeros_and_signs():
+def test_servo_bus_applies_joint_zeros_and_signs_to_commands_and_readings():
     clock, port, link = bus(zeros=(0.1, 0.0, 0.0), signs=(1, 1, -1))
     link.arm(clock.t, 0.1, 0.3)
     assert port.loaded == {1: 1, 2: 1, 3: 1}
@@ -240,7 +240,7 @@ def test_an_answer_that_is_lost_is_asked_for_again_within_the_tick():
     assert [one for one in port.asked if one[0] == 1].count((1, Code.POS_READ)) == 3
 
 
-def test_a_servo_that_is_silent_after_two_retries_is_told_and_the_tick_is_kept():
+def test_silent_servo_is_reported_as_no_reply_within_the_tick_budget():
     clock, port, link = bus()
     link.receive(clock.t)
     for mute in ({3}, {1}, {2, 3}, {1, 2}):

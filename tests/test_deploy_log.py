@@ -52,7 +52,7 @@ def test_every_table_of_a_swim_is_there_with_its_clocks(tmp_path):
     assert trial.meta["host"]["loop"]["ticks"] > 50 and trial.meta["host"]["events"][-1].endswith("FINISHED")
 
 
-def test_readings_are_stamped_by_the_robots_even_clock_shifted_to_the_hosts(tmp_path):
+def test_joint_stamps_follow_the_robot_clock_shifted_to_host_time(tmp_path):
     log, late = TrialLog(tmp_path / "swim", META, 3), np.random.default_rng(0).exponential(0.004, 100)
     for k in range(100):
         log.heard(50.0 + 0.02 * k + late[k], Telemetry((0.0, 0.0, 0.0), k, 3.0 + 0.02 * k))
@@ -63,7 +63,7 @@ def test_readings_are_stamped_by_the_robots_even_clock_shifted_to_the_hosts(tmp_
 
 
 @pytest.mark.parametrize(("ahead", "shift"), [(47.0, 47.0), (46.0, 47.006), (47.02, 47.006)])
-def test_the_robots_clock_is_shifted_by_what_an_answer_told_where_that_can_be(tmp_path, ahead, shift):
+def test_clock_shift_uses_the_round_trip_if_plausible_else_the_least_delay(tmp_path, ahead, shift):
     """The least delay has the whole way up in it, here 6 ms; another life of the robot's was asked where that does not fit."""
     log = TrialLog(tmp_path / "swim", META | {"host": {"robot": {"clock": {"ahead": ahead, "round_trip": 0.012}}}}, 3)
     log.command(50.0, np.zeros(3), np.zeros(3), 0, 3)
@@ -220,7 +220,7 @@ def taken(log, first, last):
         log.fix(Pose(t - 0.06, 0.001 * k, 0.0, 0.0, t + late[k]), 1.0)
 
 
-def test_a_trial_is_the_same_whether_its_rows_went_through_the_journal_or_not(tmp_path):
+def test_trial_log_is_identical_with_or_without_journal_and_after_a_kill(tmp_path):
     whole, flushed, killed = (TrialLog(tmp_path / name, META, 3) for name in ("whole", "flushed", "killed"))
     for log in (whole, flushed, killed):
         for first, last in ((0, 30), (30, 31), (31, 90)):

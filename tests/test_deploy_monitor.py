@@ -67,7 +67,7 @@ def test_the_deviation_of_correlated_blocks_is_that_of_the_long_run():
     assert long_run_deviation(-np.resize([1.0, -1.0], 100)) == pytest.approx(1.0)  # never below the blocks' own
 
 
-def test_cusums_of_blocks_like_the_reference_stay_low_and_a_new_coefficient_is_named():
+def test_cusums_stay_low_on_reference_blocks_and_name_a_new_coefficient():
     rng = np.random.default_rng(3)
 
     def block(coefficient):
@@ -86,7 +86,7 @@ def test_cusums_of_blocks_like_the_reference_stay_low_and_a_new_coefficient_is_n
     assert parted.parted() == "j1" and parted.highest("j1") == ("rate", -1)
 
 
-def test_the_healthy_robot_raises_nothing_and_a_weak_servo_is_found_in_its_joints(reference, struck):
+def test_monitor_is_silent_on_a_healthy_robot_and_detects_a_weak_servo(reference, struck):
     monitor = Monitor(load_robot("fish"), FLOW, reference=reference)
     assert monitor.update(up_to(struck, 18.0)) == [] and monitor.settled
     found = monitor.update(up_to(struck, 46.0, begin=18.0))

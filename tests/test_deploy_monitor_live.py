@@ -67,7 +67,7 @@ def beside(tmp_path, script, **options):
     return made[0], read_trial(bench.folder), said
 
 
-def test_rows_go_out_and_an_alarm_is_one_line_an_event_and_a_table_of_the_trial(tmp_path):
+def test_monitor_process_receives_rows_and_its_alarm_is_printed_and_logged(tmp_path):
     monitor, trial, said = beside(tmp_path, SCRIPT)
     assert [Alarm(**ALARM)] == monitor.alarms and not monitor.failed
     assert said == ["robot and model part at t = 1.2 s in j2 (rate -); fishmj gap find LOGS names the cause"]
@@ -127,7 +127,7 @@ def watching(tables, wanted, size=50):
 
 
 @pytest.mark.slow
-def test_the_process_watches_what_the_robot_measures_against_a_healthy_swim(tmp_path):
+def test_monitor_process_detects_a_weak_servo_against_a_healthy_swim(tmp_path):
     healthy = {n: t for n, t in swim(7, 1, 90.0, speed=FLOW[0]).items() if n != "truth"}
     struck = {
         n: t for n, t in swim(7, 2, 46.0, {"torque_saturation": {"limit": 0.7}}, at=18.0, speed=FLOW[0]).items() if n != "truth"
@@ -212,7 +212,7 @@ def in_lockstep(folder: Path, seconds: float, clock_of, watched=None):
 
 
 @pytest.mark.slow
-def test_torque_that_goes_in_mid_swim_is_an_alarm_of_the_swim_and_a_healthy_swim_is_none(tmp_path):
+def test_live_monitor_alarms_on_a_torque_fault_and_not_on_a_healthy_swim(tmp_path):
     """The whole chain: loopback robot, radio, supervisor, log, the other process; learnt from a swim of the same robot."""
     in_lockstep(tmp_path / "well", 90.0, LockstepClock)
     watched = Watched(model="fish", flow=FLOW, healthy=(tmp_path / "well",))

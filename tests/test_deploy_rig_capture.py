@@ -29,7 +29,7 @@ class Film:
         return [(self.begun + self.count * self.period, np.full((2, 2, 3), self.count % 256, np.uint8))]
 
 
-def test_pictures_come_at_their_distance_and_the_rate_is_that_of_the_camera():
+def test_calibration_pictures_keep_their_interval_and_report_camera_rate():
     clock = FakeClock()
     shots = Shots(Film(clock), clock, 2.0)
     stamps = [t for t, _ in shots.taken(3)]

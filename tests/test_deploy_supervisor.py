@@ -64,7 +64,7 @@ def test_each_fault_of_a_swim_holds_the_fish_or_ends_it(condition):
         assert found == (State.NEUTRAL, Action.LET_GO if condition in AT_ONCE else Action.RETURN, condition)
 
 
-def test_what_takes_the_torque_off_at_once_does_so_beside_every_other_condition():
+def test_immediate_torque_off_overrides_any_other_condition_while_armed():
     for condition in Condition:
         for urgent in AT_ONCE:
             for state in (State.ARMED, State.SWIMMING):

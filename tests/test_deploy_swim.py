@@ -93,7 +93,7 @@ def test_each_fault_of_the_loopback_robot_ends_in_neutral_in_time(tmp_path, faul
 
 
 @pytest.mark.slow
-def test_a_policy_holds_station_in_the_fitted_water_through_the_whole_chain(tmp_path):
+def test_policy_holds_station_in_fitted_water_through_the_whole_chain(tmp_path):
     stream = Flow(speed=0.2, direction=np.pi)
     outcome, trial, _ = lockstep(tmp_path / "swim", 20.0, start=(-0.7, 0.0, 0.0), body="fitted", flow=stream)
     assert outcome.complete

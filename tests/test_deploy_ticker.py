@@ -61,7 +61,7 @@ def test_the_histogram_gives_the_percentiles_of_lateness():
 
 
 @pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="no such priorities on this system")
-def test_the_loop_goes_first_where_the_system_lets_it_and_is_ordinary_afterwards():
+def test_control_loop_gets_real_time_priority_and_restores_it_afterwards():
     before = os.sched_getscheduler(0)
     with first_in_line() as first:
         now = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK

@@ -21,7 +21,7 @@ from fishmj.log import read_trial
 from tests.deploying import DT, Bench
 
 
-def test_the_way_out_has_more_time_than_the_way_to_zero_and_letting_go_take():
+def test_stop_grace_period_covers_homing_and_torque_release():
     assert GRACE > HOME + LET_GO * DT + 2.0  # s, for a log of an hour
     with way_out(Event(), lambda: None, lambda: ""):
         assert interrupt._kept[-1].grace == GRACE
@@ -102,7 +102,7 @@ def on_the_way_to_zero(bench, then):
     return bench.clock.now() - begun()
 
 
-def test_a_stop_or_a_hot_servo_on_the_way_to_zero_takes_the_torque_off_at_once(tmp_path):
+def test_stop_or_hot_servo_while_homing_removes_the_torque_at_once(tmp_path):
     plain = Bench(tmp_path / "plain", seconds=1.0)
     whole = on_the_way_to_zero(plain, lambda: None)
     assert whole > 0.25
@@ -128,7 +128,7 @@ class Firmware:
 
 
 @pytest.mark.parametrize("left", [RobotState.NEUTRAL, RobotState.HOLD, RobotState.ARMED])
-def test_a_robot_that_a_killed_host_left_with_torque_is_let_go_and_then_armed(tmp_path, left):
+def test_robot_left_energised_by_a_killed_host_is_released_then_armed(tmp_path, left):
     bench = Bench(tmp_path / "swim", seconds=0.5, plan={"wait": 2.0})
     Firmware(bench, left)
     assert bench.swim().complete
@@ -162,7 +162,7 @@ def test_watchdog_times_that_no_firmware_takes_are_told():
     assert why_not_armed(None, 1.0, 0.1, 0.3) == why_not_armed(Telemetry((0.0,)), 1.0, 0.1, 0.3) == ""
 
 
-def test_a_joint_beyond_the_range_of_a_robot_that_refuses_is_named_by_the_swim(tmp_path):
+def test_refused_arming_names_the_joint_beyond_its_range(tmp_path):
     bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
     bench.robot.arm = lambda *_: None
     bench.robot.changes["joint"] = (1.2, 0.0, 0.0)

@@ -301,7 +301,7 @@ def test_a_person_is_led_through_and_the_same_command_goes_on_the_next_day(tmp_p
     assert names == ["u0.2_los000_r0"] and known["skipped"] == {}
 
 
-def test_a_swim_that_a_fault_ended_cannot_be_accepted_and_one_that_left_can(tmp_path, monkeypatch):
+def test_swim_ended_by_a_fault_cannot_be_accepted_but_left_tank_can(tmp_path, monkeypatch):
     silent = Outcome(**{**vars(SWUM), "cause": Condition.LINK_SILENT, "swum": 5.0})
     left = Outcome(**{**vars(SWUM), "cause": Condition.LEFT_TANK, "swum": 5.0})
     # pump, place, Enter (repeats); place, Enter (accepts); then q
@@ -377,7 +377,7 @@ def test_each_trial_has_a_loopback_robot_of_its_own_unless_a_seed_is_named(tmp_p
 
 
 @pytest.mark.slow
-def test_trials_that_are_ended_by_a_signal_bring_the_robot_to_rest_and_keep_the_log(tmp_path):
+def test_sigint_during_trials_brings_robot_to_rest_and_keeps_the_log(tmp_path):
     words = [
         *"--policy station --link loopback --speeds 0.1 --los 0,180 --repeats 1 --wait 60 --out".split(),
         str(tmp_path / "s"),
@@ -401,7 +401,7 @@ def test_trials_that_are_ended_by_a_signal_bring_the_robot_to_rest_and_keep_the_
 
 
 @pytest.mark.slow
-def test_the_loopback_robot_swims_them_in_lockstep_into_tables_with_another_water_beside(tmp_path, capsys):
+def test_lockstep_trials_write_tables_and_compare_with_another_water(tmp_path, capsys):
     out, words = tmp_path / "s", ["--speeds", "0.1,0.2", "--los", "0,90", "--repeats", "1", "--duration", "12", "--json"]
     begin = ["trials", "--policy", "station", "--link", "loopback", "--yes", *words, "--out", str(out)]
     assert deploy.main(begin) == console.OK

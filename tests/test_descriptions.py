@@ -180,7 +180,7 @@ RELATIONS = [
 
 
 @pytest.mark.parametrize("block", sorted({str(place[0]) for place, _ in singles()}))
-def test_a_bad_key_is_refused_with_its_place_what_was_got_and_what_expected(tmp_path, block):
+def test_invalid_description_value_is_refused_with_place_got_and_expected(tmp_path, block):
     for place, value in (case for case in singles() if case[0][0] == block):
         (line, *_) = refused(written(tmp_path, put(place, value)))
         assert all(part in line for part in place if not isinstance(part, int)), (place, value, line)
@@ -305,7 +305,7 @@ def scaled(by: float) -> dict:
     return table
 
 
-def test_a_fish_of_six_metres_is_said_and_one_of_a_hundred_and_forty_refused():
+def test_six_metre_fish_gets_a_note_and_140_metre_fish_is_refused():
     assert "length: got 6.42 m in all" in notes(scaled(12.0))
     with pytest.raises(DescriptionError, match="length: got"):
         robot_from_dict(scaled(262.0), "x.toml")
@@ -360,7 +360,7 @@ SHIPPED = {
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_description_reads_to_the_robot_that_its_waters_were_fitted_to(name):
+def test_shipped_description_loads_the_robot_its_waters_were_fitted_to(name):
     robot, (n, mass, length, kd, digest) = load_robot(name), SHIPPED[name]
     assert (len(robot.links), robot.mass, robot.length, robot.servo.kd) == pytest.approx((n, mass, length, kd))
     expected = digest or HydroModel.load("tendon_fish").robot_sha256

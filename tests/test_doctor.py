@@ -55,7 +55,7 @@ def test_a_missing_extra_is_no_fault_and_has_its_install_line():
     assert found.state == "no" and "no-such-package" in found.text and 'pip install "fishmj[thing]"' in found.text
 
 
-def test_an_extra_of_a_package_counts_as_missing_when_only_the_package_is_there():
+def test_doctor_reports_a_missing_extra_although_its_package_is_installed():
     found = one(doctor.packages(['pytest[dev]; extra == "thing"']), "thing")
     assert found.state == ("no" if version("argcomplete") is None else "ok")
 

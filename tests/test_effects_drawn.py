@@ -16,7 +16,7 @@ from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
 
 
-def test_drawn_effects_have_typical_sizes_on_both_sides_and_the_others_stay():
+def test_drawn_effects_span_their_typical_range_and_fixed_effects_stay():
     robot = replace(robot_with("camera_scale"), effects=(typical("camera_scale"),))
     robot = engines.with_effects(robot, ["coulomb_friction", "command_gain_error"])
     names = ("coulomb_friction", "command_gain_error")

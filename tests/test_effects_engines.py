@@ -71,7 +71,7 @@ def same(one, two, atol):
         np.testing.assert_allclose(a, b, rtol=0, atol=atol, err_msg=name)
 
 
-def test_the_compiled_engine_swims_with_effects_at_every_site_as_the_closed_form(swim):
+def test_compiled_engine_with_effects_matches_the_closed_form_engine(swim):
     pytest.importorskip("numba")
     from fishmj.engines import compiled
 
@@ -94,7 +94,7 @@ def test_mjx_swims_with_effects_as_one_fish_in_mujoco():
     np.testing.assert_allclose(state.memory[0], sim.water.memory, rtol=0, atol=1e-8)
 
 
-def test_one_fish_in_mujoco_swims_with_effects_at_every_site_as_the_closed_form(swim):
+def test_sim_with_effects_matches_the_closed_form_engine(swim):
     robot, (_, trace) = swim
     sim = Sim(robot, water="structured", flow=FLOW, pose=POSE)
     trial = sim.run(beat(), TICKS / 50)

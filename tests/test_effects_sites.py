@@ -88,7 +88,7 @@ def test_a_joint_at_rest_stays_where_it_is_until_friction_is_overcome(name, p):
     assert moved <= GIVE and abs(rate) < 1e-6
 
 
-def test_dry_friction_takes_its_torque_off_and_stribeck_friction_is_gone_at_speed():
+def test_coulomb_friction_subtracts_its_torque_and_stribeck_fades_at_speed():
     _, rate = rubbed("coulomb_friction", 0.16, 0.2, torque=0.1)
     assert rate == pytest.approx(0.2 * 0.06 / 3e-4, rel=0.05)
     _, stopped = rubbed("coulomb_friction", 0.0, 0.5, rate=5.0, torque=0.1)
@@ -151,7 +151,7 @@ def test_wake_reaches_63_per_cent_of_a_new_force_after_its_time():
     assert np.isclose(felt[49], 3.0 + 2.0 * (1 - np.exp(-1.0)))  # what belongs to the added mass comes at once
 
 
-def test_walls_raise_drag_by_their_gain_at_the_wall_and_hardly_in_the_middle():
+def test_wall_effect_raises_drag_by_its_gain_and_decays_with_distance():
     water, p = effects.get("wall_effect").water, SimpleNamespace(gain=0.4)
     given = fields(LocalWater, x=np.array([1.8, 0.0, 0.3]), y=np.array([0.2, 0.0, -1.8]))
     given = given._replace(forces=[(2.0, 0.0, 0.0)], instant=[(1.0, 0.0, 0.0)])
@@ -208,7 +208,7 @@ def test_water_turns_shears_and_drifts():
     assert np.allclose((place.u, place.v), (-0.05, 0.0))
 
 
-def test_mass_is_spread_by_weight_and_only_its_sum_with_added_mass_shows_in_a_straight_coast():
+def test_body_mass_is_spread_by_weight_and_coasts_like_added_mass():
     heavy, row = one("body_mass", mass=0.2)
     added, other = one("surge_added_mass", mass=0.2)
     still = np.zeros((200, JOINTS))

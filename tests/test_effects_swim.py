@@ -72,7 +72,7 @@ def test_velocity_filter_delays_nothing_but_velocities():
     assert late == dict.fromkeys(late, 0.0) | {"velocity": 0.1}
 
 
-def test_a_mirrored_fish_in_mirrored_water_swims_the_mirrored_way_with_every_effect():
+def test_mirrored_fish_and_water_with_every_effect_swim_the_mirror_image():
     flip = np.array([1.0, -1, -1, -1, -1, -1])
     sent, given = gait(1.0, 1.5, 25, 6) + 1e-5, row(None, 0.7)  # off the ties of rounding
     for i, (name, _) in enumerate(ACTIVE.names):

@@ -257,7 +257,7 @@ def test_a_steady_current_joins_the_stream_of_the_tank(tiny):
     np.testing.assert_allclose((water - plain).reshape(-1, 3).mean(0), [0.05, -0.02, 0.0], atol=1e-4)
 
 
-def test_in_water_a_tether_pulls_friction_holds_back_and_a_null_does_nothing(tiny):
+def test_solver_tank_applies_tether_and_friction_and_ignores_null_effects(tiny):
     names, ticks = ("tether", "viscous_friction", "body_mass"), 8
     null = engines.with_effects(PLAIN, names)
     rows = np.tile(engines.nominal_params(null, 1).effects, (2, 1))
@@ -335,7 +335,7 @@ def test_a_kept_trial_belongs_to_the_effects_that_it_was_swum_with():
     assert len({run_trials.fingerprint(brain, robot, plan, solver_water.PLAIN) for robot in robots}) == len(robots)
 
 
-def test_a_dm_control_fish_in_the_solver_has_its_effects_and_those_drawn_for_the_episode(dry):
+def test_dm_control_solver_fish_has_described_and_drawn_effects(dry):
     suite = pytest.importorskip("fishmj.tasks.dm_control")
     given = {"robot": robot_with("coulomb_friction"), "effects": ("viscous_friction",), "seconds": 0.4, "water": "lbm"}
     env = suite.load("fish", "station_hold", task_kwargs={"random": 1, **given})

@@ -87,7 +87,7 @@ def test_an_action_beyond_its_range_acts_and_is_remembered_clipped():
     rows_equal(far, near, range(6))
 
 
-def test_an_episode_keeps_its_flow_and_its_fish_and_the_next_one_draws_its_own():
+def test_episode_keeps_its_flow_and_fish_and_a_restart_redraws_both():
     env, before = raft(**ROUGH)
     after = env.step(before, push(f2=(1, 0, 0)))
     others = [0, 1, 3, 4, 5]
@@ -158,7 +158,7 @@ def test_the_state_keeps_its_shapes_and_types_under_scan():
 # ---- over the closed-form fish ----
 
 
-def test_over_the_closed_form_fish_it_takes_the_engines_step_and_survives_a_nan():
+def test_planar_env_step_equals_the_engine_step_and_isolates_a_nan_fish():
     env = StationHold(ROBOT, "planar", Options(turbulence="default"))
     state = env.reset(KEY, 5)
     for i in range(2):

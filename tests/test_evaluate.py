@@ -65,7 +65,7 @@ def test_there_are_72_trials_as_decided():
     assert np.all(start[:, 2] == np.pi)
 
 
-def test_a_target_at_90_degrees_is_to_the_left_of_a_fish_that_faces_upstream():
+def test_target_at_90_degrees_lies_left_of_an_upstream_facing_fish():
     start, target = evaluate.trials(los_deg=[90], repeats=1).ends()
     heading = start[0, 2]
     left = np.array([-np.sin(heading), np.cos(heading)])

@@ -80,7 +80,7 @@ def test_the_command_prints_tables_and_one_json_object_last(capsys, tmp_path):
     assert json.loads((tmp_path / "o" / "results.json").read_text(encoding="utf-8")) == last
 
 
-def test_two_trials_have_no_interval_and_no_star_and_the_reason_stands_there(capsys, tmp_path):
+def test_two_trials_report_no_interval_or_star_and_state_the_reason(capsys, tmp_path):
     argv = ("drift", "pd", "--speeds", "0.2", "--los", "180", "--repeats", "2", "--engine", "compiled", "--duration", "5")
     code, out, _ = run_command(capsys, *argv, "--json", "--out", str(tmp_path / "o"))
     *table, last = out.strip().splitlines()
@@ -144,7 +144,7 @@ def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, en
     assert f"worst of 4 trials: {report.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
 
 
-def test_without_a_replay_the_report_names_the_worst_trial_and_the_command_that_shows_it(capsys, tmp_path):
+def test_report_without_replay_names_worst_trial_and_command_to_show_it(capsys, tmp_path):
     argv = ("pd", "drift", *SHORT, "--out", str(tmp_path / "a b"))
     assert run_command(capsys, *argv)[0] == 0
     head = lead_of((tmp_path / "a b" / "report.html").read_text(encoding="utf-8"))
@@ -170,7 +170,7 @@ def test_the_headline_has_one_baseline_no_control_where_that_was_judged(engine):
     assert "Judged alone. Name drift (no control)" in alone and "Against" not in alone
 
 
-def test_the_headline_says_when_trials_do_not_tell_and_when_they_are_too_short(engine):
+def test_headline_reports_inconclusive_comparisons_and_too_short_trials(engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[0, 60, 120, 180, 240, 300], repeats=1, duration=30)
     pd = evaluate.run("pd", ROBOT, trials, engine)
     assert "these trials do not tell it from twin" in report.headline([pd, pd._replace(controller="twin")])

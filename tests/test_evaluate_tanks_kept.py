@@ -61,7 +61,7 @@ def kept(folder):
     return sorted(path.name for path in (folder / run_trials.KEPT).glob("*.npz"))
 
 
-def test_a_trial_is_kept_as_it_ends_and_a_cut_judgement_goes_on_with_the_rest(tmp_path, ponds):
+def test_interrupted_tank_evaluation_resumes_with_the_missing_trials(tmp_path, ponds):
     class Cut(Exception):
         pass
 
@@ -82,7 +82,7 @@ def test_a_trial_is_kept_as_it_ends_and_a_cut_judgement_goes_on_with_the_rest(tm
         np.testing.assert_allclose(getattr(again, name), getattr(whole, name), rtol=1e-12, atol=1e-12)
 
 
-def test_a_tank_that_is_through_takes_the_next_trial_and_no_more_than_asked_for_are_at_work(ponds):
+def test_free_tank_takes_the_next_trial_within_the_tank_limit(ponds):
     seen = []
     judged(None, tanks=3, progress=lambda done: seen.append((done, sum(0 < pond.ticks[0] < 50 for pond in ponds))))
     assert max(busy for _, busy in seen) == 3 and seen[-1][0] == 8 * STEPS

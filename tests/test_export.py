@@ -267,7 +267,7 @@ def test_a_bundle_is_exported_and_its_names_are_no_paths(trial, tmp_path):
     assert not (tmp_path / "evil").exists() and not (tmp_path.parent / "evil").exists()
 
 
-def test_nothing_is_overwritten_unless_an_export_wrote_it_and_it_is_told_to(folder, tmp_path):
+def test_export_overwrites_only_earlier_exports_and_only_with_force(folder, tmp_path):
     export(folder, "csv", tmp_path / "out")
     with pytest.raises(StoreError, match="exists; choose another name, or pass --force"):
         export(folder, "csv", tmp_path / "out")

@@ -65,7 +65,7 @@ def test_a_whole_data_set_opens(folder):
     assert data.sha256 == open_dataset(folder).sha256
 
 
-def test_an_installed_part_opens_for_judging_alone_and_every_file_of_it_counts(folder):
+def test_partial_data_set_opens_for_test_only_and_checks_all_its_files(folder):
     whole = open_dataset(folder)
     kept = {path.name: path.read_bytes() for path in (folder / SEGMENTS).iterdir()}
     for path in (folder / SEGMENTS).glob("[!t]*"):

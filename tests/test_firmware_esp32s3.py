@@ -46,7 +46,7 @@ def test_low_battery_of_the_firmware_is_that_of_the_shipped_fish():
     assert float(flags()["FJ_LOW_BATTERY"].rstrip("f")) == load_robot("fish").low_voltage
 
 
-def test_main_takes_every_flag_of_platformio_and_the_parts_that_cmake_lists():
+def test_firmware_main_uses_every_build_flag_and_cmake_lists_all_sources():
     text = MAIN.read_text(encoding="utf-8")
     assert set(re.findall(r"FJ_(?:PIN|SERVO|WIFI)_\w+|FJ_SHUNT_OHM|FJ_MOST_AMPERE|FJ_LOW_BATTERY", text)) == set(flags())
     listed = set(re.findall(r"\.\./(\w+\.c)", (MAIN.parent / "CMakeLists.txt").read_text(encoding="utf-8")))

@@ -127,7 +127,7 @@ def test_the_single_environment_equals_the_functional_one(reference):
             assert reward == pytest.approx(rewards[k, fish], abs=TOLERANCE)
 
 
-def test_a_row_of_the_vector_environment_is_the_single_environment_of_its_seed():
+def test_vector_env_row_equals_the_single_env_with_the_same_seed():
     """Noise, draws and restarts included."""
     envs = gymnasium.make_vec(ID, num_envs=3, seconds=1.0)
     rows, _ = envs.reset(seed=7)

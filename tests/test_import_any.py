@@ -66,7 +66,7 @@ def test_three_files_of_ones_own_naming_become_a_data_set_in_one_call(tmp_path, 
     assert "cam_heading_deg" in out and "a word for the heading" in out
 
 
-def test_without_a_terminal_a_guess_needs_yes_and_says_how_to_write_the_map(tmp_path, bring, monkeypatch):
+def test_guessed_import_without_a_terminal_needs_yes_and_suggests_a_map(tmp_path, bring, monkeypatch):
     monkeypatch.setattr(sys, "stdin", open(os.devnull))
     code, out, err = bring(lab_files.one(tmp_path / "log.csv"))
     assert code == console.BAD_INPUT and "--write-map MAP.toml" in err and "servo1_deg" in out and not (tmp_path / "set").exists()
@@ -298,7 +298,7 @@ def test_a_place_without_a_heading_is_a_point_and_no_pose(tmp_path):
 # -------------------------------------------------------------------------------------------------------------------- time
 @pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 @pytest.mark.parametrize("zero", [0.0, 1.7e9])
-def test_stamps_without_a_unit_are_told_apart_by_their_step_and_epochs_by_their_size(tmp_path, bring, unit, scale, zero):
+def test_time_unit_is_inferred_from_the_step_and_epoch_from_the_size(tmp_path, bring, unit, scale, zero):
     t = 0.02 * N
     rows = "".join(
         f"{round(scale * (zero + v))},{20 * w:.3f}\n" if scale > 1 else f"{zero + v:.3f},{20 * w:.3f}\n"
@@ -360,7 +360,7 @@ def test_a_mixture_is_refused_with_the_two_options_and_taken_with_either(tmp_pat
     assert bring(tmp_path / "lab", "--yes", "--trial-each")[0] == 0 and len(names_in(tmp_path / "set")) == 3
 
 
-def test_trial_folders_of_our_own_become_a_data_set_by_import_and_by_manifest(tmp_path, bring, capsys):
+def test_own_trial_folders_become_a_data_set_by_import_or_manifest(tmp_path, bring, capsys):
     for name in ("a", "b"):
         log.write_trial(tmp_path / "ours" / name, whole_trial(0.2), form="csv")
     assert bring(tmp_path / "ours")[0] == 0 and names_in(tmp_path / "set") == ["a", "b"]

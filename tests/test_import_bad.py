@@ -80,7 +80,7 @@ def test_a_row_of_units_and_comments_are_understood(tmp_path, bring):
     near(only(tmp_path / "set").tables["cmd"]["t"], 0.02 * np.arange(50))
 
 
-def test_blank_cells_of_a_slower_sensor_leave_their_rows_out_of_its_table_only(tmp_path, bring):
+def test_blank_cells_of_a_slow_sensor_drop_rows_of_its_own_table_only(tmp_path, bring):
     rows = "".join(f"{20 * i},{20 * math.sin(i):.3f},{f'{i},{i},{i}' if i % 5 == 0 else ',,'}\n" for i in range(100))
     (tmp_path / "log.csv").write_text("time_ms,servo1_deg,cam_x_mm,cam_y_mm,cam_yaw_deg\n" + rows)
     assert bring(tmp_path / "log.csv", "--yes")[0] == 0
@@ -321,7 +321,7 @@ def test_names_with_escape_codes_never_reach_the_terminal(tmp_path, bring):
     assert code == 2 and err.isprintable()
 
 
-def test_a_trial_folder_whose_table_is_a_link_outside_or_a_pipe_is_not_read(tmp_path, bring):
+def test_trial_table_that_is_an_outside_link_or_a_pipe_is_not_read(tmp_path, bring):
     (tmp_path / "secret.csv").write_text("t,c1\n0,0.1\n0.02,0.1\n")
     for name in ("linked", "piped", "good"):
         log.write_trial(tmp_path / "ours" / name, whole_trial(0.2), form="csv")

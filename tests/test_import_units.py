@@ -83,7 +83,7 @@ def test_a_unit_without_a_factor_in_a_row_of_units_is_asked(tmp_path, bring):
     assert code == 2 and "x [BL]: BL is no unit that is known" in err
 
 
-def test_a_battery_in_millivolts_under_a_name_without_a_unit_is_told_by_its_values(tmp_path):
+def test_battery_in_millivolts_without_a_unit_is_inferred_from_values(tmp_path):
     found = guessed(tmp_path, named(7400.0, "vbat"))["vbat"]
     assert (found.place, found.unit, found.state) == ("power.V", "mV", guess.TAKEN)
 

@@ -38,7 +38,7 @@ def test_tail_fish_comes_in_radians_with_both_clocks_as_they_are(tmp_path):
     assert "gait" not in two.tables and any("control15-202.txt: missing" in note for note in two.notes)
 
 
-def test_a_servo_load_is_unwrapped_from_its_register_and_stamps_stay_irregular(tmp_path):
+def test_servo_import_decodes_signed_load_and_keeps_irregular_stamps(tmp_path):
     folder = recordings.servo(tmp_path, rows=150)
     entries = json.loads((folder / "made_up.json").read_text())["entries"]
     trial = importers.read(folder)["made_up"]
@@ -171,7 +171,7 @@ def test_without_the_mcap_package_the_install_line_is_given(tmp_path, monkeypatc
 
 
 # ------------------------------------------------------------------------------------------------------------- command
-def test_import_writes_a_checked_data_set_that_keeps_licence_source_and_notes(tmp_path, capsys):
+def test_import_keeps_licence_source_and_notes_and_refuses_to_overwrite(tmp_path, capsys):
     source = recordings.tail_fish(tmp_path / "raw")
     assert console.run(command.main, ["import", str(source), "--out", str(tmp_path / "set"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out.strip().split("\n")[-1])

@@ -121,7 +121,7 @@ def test_an_unknown_fault_gets_the_nearest_name():
         parse(["brownout"])
 
 
-def test_every_fault_has_one_line_in_the_help_and_can_be_switched_on_by_its_name():
+def test_every_loopback_fault_is_in_the_help_and_enabled_by_its_name():
     assert [line.split()[0] for line in described()] == list(FAULTS)
     assert [fault.name for fault in parse(FAULTS)] == list(FAULTS)
     assert {name for name, kind in FAULTS.items() if kind.where == RADIO} == {

@@ -88,7 +88,7 @@ def test_no_torn_frame_under_a_fast_writer():
     writer.close()
 
 
-def test_the_memory_is_gone_when_the_writer_closes_and_not_when_a_reader_does(ring):
+def test_shared_memory_is_removed_when_the_writer_closes_not_a_reader(ring):
     writer, reader = ring
     FrameReader(writer.name).close()
     FrameReader(writer.name).close()
@@ -130,7 +130,7 @@ def taken(*faults, seconds=2.0, timing=CameraTiming(), **body):  # noqa: B008  a
     return found
 
 
-def test_frames_are_readable_after_their_latency_and_show_the_moment_of_exposure():
+def test_camera_frames_arrive_after_their_latency_with_jittered_stamps():
     found = taken()
     assert len(found) == pytest.approx((2.0 - 0.065) / 0.02, abs=1.5)
     assert all(frame.readable - frame.t == pytest.approx(0.065, abs=1e-6) for frame in found)

@@ -113,7 +113,7 @@ def test_nothing_switched_on_is_the_body_itself_to_the_servos_counts(body):
     assert np.abs(told - seen).max() <= 0.51 * RAD_PER_COUNT
 
 
-def test_a_command_that_took_two_steps_does_not_make_every_later_one_arrive_in_halves():
+def test_two_step_command_does_not_split_later_commands():
     """The rate limit counts from the newest step; a step between two commands would leave the next one 6 ms to move in."""
     host, told = Host(delay=0.006).arm(0.2, 0.4), []
     send = host.robot.body.send
@@ -128,7 +128,7 @@ def test_a_command_that_took_two_steps_does_not_make_every_later_one_arrive_in_h
         assert arrived == pytest.approx(begin + TICK * k + 0.006, abs=1e-9)
 
 
-def test_the_watchdog_holds_then_goes_to_neutral_at_the_times_asked_for_and_only_disarm_leaves():
+def test_watchdog_holds_then_goes_neutral_on_time_and_only_disarm_exits():
     host = Host().arm(0.2, 0.5).swim(0.6, lambda t: (0.3, 0.3, 0.3))
     silent = host.robot.time - TICK + 0.005  # the last command arrived
     host.wait(3.0)
@@ -255,7 +255,7 @@ def readings(*joint: float, volts: float = 7.4, amperes: float = 0.5) -> Reading
     return Readings(joint, volts, amperes, (7.4,) * 3, (20.0,) * 3, (ServoFault.NONE,) * 3)
 
 
-def test_a_reading_that_is_no_angle_is_told_as_no_reply_and_telemetry_goes_on():
+def test_implausible_servo_angle_is_no_reply_and_telemetry_goes_on():
     firmware = FishmjFirmware(load_robot("fish"), 0.0)
     firmware.report(0.0, readings(0.1, 0.2, 0.3))
     told = fishmj1.decode(firmware.report(0.02, readings(0.1, 40.0, 0.3, volts=50.0, amperes=150.0))).value

@@ -237,7 +237,7 @@ def test_in_lockstep_the_camera_gives_each_frame_once_when_it_is_readable():
     assert len(camera.wait(1.0)) == 1 and 0.0 < clock.now() - began <= 0.04
 
 
-def test_in_lockstep_drawn_frames_show_the_fish_and_a_frozen_one_stays_the_same():
+def test_lockstep_frames_show_the_fish_and_camera_freeze_repeats_one():
     settings = Settings()
     clock, _, camera = lockstep("camera_freeze@0.1-1", artist=artist_of(settings), start=(0.3, 0.1, 0.5))
     clock.sleep_until(70.3)

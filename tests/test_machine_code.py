@@ -84,7 +84,7 @@ print(events.count("cache_hits"), events.count("cache_misses"), np.asarray(after
 """
 
 
-def test_a_program_over_the_compiled_engine_is_kept_and_does_the_same_from_there(tmp_path):
+def test_compiled_engine_program_is_cached_and_gives_the_same_result(tmp_path):
     pytest.importorskip("numba")
     env = {**os.environ, machine_code.JAX: str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     begin = lambda: subprocess.run([sys.executable, "-c", SWIM], env=env, capture_output=True, text=True, check=True)

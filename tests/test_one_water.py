@@ -137,7 +137,7 @@ def test_every_engine_and_every_way_into_mujoco_is_one_water(reference, name, wa
     assert mujoco.get_mjcb_passive() is None
 
 
-def test_the_swim_has_the_learnt_force_and_a_wake_and_a_member_is_not_the_mean(reference):
+def test_swim_has_learnt_force_and_wake_and_a_member_differs_from_the_mean(reference):
     mean, member = (reference[water] for water in WATERS)
     strips = in_sim("swift-base")
     assert np.abs(mean.pose[-1] - strips.pose[-1]).max() > 0.01

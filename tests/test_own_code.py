@@ -106,7 +106,7 @@ def installed(folder: Path, group: str, entry: str) -> None:
     (info / "entry_points.txt").write_text(f"[{group}]\n{entry}\n", encoding="utf-8")
 
 
-def test_an_installed_entry_point_is_found_by_its_name_and_not_imported_before(tmp_path, monkeypatch):
+def test_entry_point_is_found_by_name_without_importing_it(tmp_path, monkeypatch):
     write(tmp_path, "class Steer:\n    def __init__(self, robot): pass\n", "own_package_3.py")
     installed(tmp_path, "fishmj.controllers", "steer = own_package_3:Steer\nbad name! = own_package_3:Steer")
     monkeypatch.syspath_prepend(tmp_path)
@@ -420,7 +420,7 @@ def test_an_effect_that_breaks_the_catalogues_rules_is_one_line(change, said):
     assert "\n" not in str(caught.value)
 
 
-def test_an_effect_with_a_name_of_the_catalogue_or_of_another_kind_is_refused(tmp_path, catalogue):
+def test_own_effect_is_refused_if_its_name_exists_or_its_type_is_wrong(tmp_path, catalogue):
     head = "from fishmj.effects import Effect, Parameter\nfrom dataclasses import replace\nfrom fishmj import effects\n"
     path = write(tmp_path, head + "E = replace(effects.get('tether'))\nN = 3\n")
     with pytest.raises(ConfigError, match="'tether' is in the catalogue already"):
@@ -437,7 +437,7 @@ def test_an_effect_with_a_name_of_the_catalogue_or_of_another_kind_is_refused(tm
         (hide, ["--plant", "WEED", "--out", "OUT", "--truth", "OUT.json"]),
     ],
 )
-def test_the_second_robot_says_what_works_for_an_own_effect_and_runs_nothing_of_it(main, words, tmp_path, capsys):
+def test_second_robot_refuses_own_effects_without_running_their_code(main, words, tmp_path, capsys):
     path = write(tmp_path, "raise RuntimeError('this was run')\n")
     argv = [w.replace("WEED", f"{path}:WEED").replace("OUT", str(tmp_path / "out")) for w in words]
     said = refused(main, argv, capsys)
@@ -446,7 +446,7 @@ def test_the_second_robot_says_what_works_for_an_own_effect_and_runs_nothing_of_
     assert [p.name for p in tmp_path.iterdir()] == ["mine.py"]
 
 
-def test_an_own_effect_on_sensors_is_put_onto_logs_and_one_before_them_is_not(tmp_path, catalogue, capsys):
+def test_own_sensor_effect_is_applied_to_logs_and_other_kinds_are_refused(tmp_path, catalogue, capsys):
     head = "from fishmj.effects import Effect, Parameter\n"
     about = "stage='measurement', about='a', formula='f', source='s', shows=('position',)"
     size = "parameters=(Parameter(name='x', unit='m', low=-1.0, high=1.0, typical=(0.01, 0.05)),)"
@@ -490,7 +490,7 @@ def test_the_page_quotes_the_examples_word_for_word():
         assert f"```python\n{part.strip().replace('  # noqa: E402', '')}\n```" in page
 
 
-def test_gymnasium_loads_no_entry_points_so_that_the_import_of_fishmj_registers():
+def test_gymnasium_has_no_entry_points_and_import_registers_the_envs():
     """When this fails, Gymnasium has plugins again: register fishmj's ids by entry point, and mend the page."""
     import gymnasium
 

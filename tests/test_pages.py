@@ -32,7 +32,7 @@ def test_what_is_empty_is_left_out():
 
 @pytest.mark.browser
 @needs_browser
-def test_on_a_phone_tables_and_pictures_scroll_in_themselves_and_the_page_does_not(tmp_path):
+def test_phone_page_scrolls_wide_tables_and_figures_but_not_the_page(tmp_path):
     import cv2
 
     rows = [{f"column {i}": 1000.0 * i for i in range(12)} | {"words": 30 * "long "}]

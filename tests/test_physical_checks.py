@@ -255,7 +255,7 @@ def test_an_import_refuses_a_compass_heading_and_says_the_maps_line(tmp_path, ca
     assert np.abs(np.angle(np.exp(1j * (yaw - p["yaw"])))).max() < 1e-3
 
 
-def test_a_trial_with_failed_reads_beyond_half_a_turn_is_not_called_degrees(tmp_path):
+def test_failed_reads_beyond_half_a_turn_are_not_mistaken_for_degrees(tmp_path):
     bad = changed(turning(), "joint", j2=lambda v: missed(v, 50, 3.0))
     folder = write_trial(tmp_path / "trial", bad, form="csv")
     text = (folder / "joint.csv").read_text().replace(",3.0,", ",274.5,").replace(",3,", ",274.5,")

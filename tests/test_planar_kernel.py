@@ -79,7 +79,7 @@ def taken(engine: planar.Engine, *given) -> bool:
     return engine._physics_of(*given) != engine.physics
 
 
-def test_the_kernel_is_for_many_fish_in_a_learnt_water_in_single_precision_on_a_graphics_card(graphics_card, monkeypatch):
+def test_tick_kernel_needs_many_fish_float32_learnt_water_and_a_gpu(graphics_card, monkeypatch):
     engine = swimming("fish")
     given = given_to(engine)
     assert taken(engine, *given)

@@ -43,7 +43,7 @@ def test_actions_are_the_formula(activation):
     assert np.abs(p(100 * obs)).max() <= 1
 
 
-def test_memory_is_the_newest_observation_then_action_and_observation_back_in_time():
+def test_policy_memory_orders_action_observation_pairs_newest_first():
     p, obs = policy(memory=3), np.random.default_rng(2).normal(size=(6, 11))
     past = [(np.zeros(3), obs[0] / SCALE)] * 2  # before the start: at rest, and the first sight
     for row in obs:

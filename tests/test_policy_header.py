@@ -304,7 +304,7 @@ def raw(path, table: dict, data: bytes = b""):
         {"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]},
     ],
 )
-def test_a_declared_shape_that_the_file_does_not_hold_is_refused_before_it_is_made(tmp_path, entry):
+def test_false_tensor_shape_in_a_policy_file_is_refused(tmp_path, entry):
     table = {"w0": entry, "__metadata__": {"fishmj": json.dumps(header()), "sha256": "0" * 64}}
     with pytest.raises(StoreError):
         Policy.load(raw(tmp_path, table, b"\0" * 4))

@@ -40,7 +40,7 @@ def test_shipped_policies_say_their_water_and_what_they_lack(name):
     assert control.make(name, in_water(ROBOT, other)).notes == differs + lacks
 
 
-def test_every_shipped_policy_has_its_line_in_the_help_and_its_row_in_the_guide():
+def test_every_shipped_policy_is_in_the_help_and_in_the_guide():
     assert sorted(SHIPPED) == shipped()
     guide = (Path(__file__).parent.parent / "docs" / "train" / "controllers.md").read_text(encoding="utf-8")
     for options in (evaluate_options, play_options):
@@ -148,7 +148,7 @@ def test_the_command_line_tells_a_training_its_words(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_policy_that_was_just_trained_lacks_nothing_and_swims_where_it_was_trained(tmp_path):
+def test_freshly_trained_policy_has_complete_metadata_and_no_warnings(tmp_path):
     from fishmj.train.__main__ import main as train
 
     argv = ["--preset", "quick", "--envs", "8", "--steps", "300", "--hidden", "8", "--engine", "planar", "--water", "structured"]

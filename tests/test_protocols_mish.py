@@ -129,7 +129,7 @@ def fuzz(seed: int, count: int) -> tuple[int, int, int]:
     return spoiled, wrong, through
 
 
-def test_of_5000_spoiled_datagrams_none_is_accepted_with_values_out_of_range():
+def test_5000_damaged_datagrams_yield_no_value_out_of_range():
     spoiled, wrong, through = fuzz(1, 5_000)
     assert wrong == 0 and 0 < through < spoiled
 

@@ -56,7 +56,7 @@ def test_in_hold_the_target_stays_and_a_command_leads_out():
     assert watchdog.command(0.2, (0.5, 0.5, 0.5)) and watchdog.state is RobotState.ARMED
 
 
-def test_neutral_brings_joints_to_zero_at_its_rate_and_only_disarm_leads_out():
+def test_neutral_moves_joints_to_zero_at_its_rate_and_only_disarm_exits():
     watchdog, rate = armed((1.0, -0.5, 0.2)), Limits().neutral_rate
     watchdog.fault()
     target, now = (1.0, -0.5, 0.2), 0.0
@@ -102,7 +102,7 @@ def test_it_refuses_to_arm_where_a_joint_was_not_measured():
     assert not Watchdog(3).arm(0.0, HOLD, NEUTRAL, (0.0, 0.0))
 
 
-def test_it_refuses_to_arm_a_joint_beyond_its_range_and_arms_one_at_its_stop():
+def test_watchdog_refuses_to_arm_out_of_range_joints_but_allows_the_stop():
     """A wrong zero: the way back into the range would be a jump at full speed."""
     limits, watchdog = Limits(), Watchdog(3)
     assert not watchdog.arm(0.0, HOLD, NEUTRAL, (0.0, limits.servo_range + limits.near + 0.01, 0.0))
@@ -125,7 +125,7 @@ def seconds_of_torque(watchdog: Watchdog, read, most: float = 10.0) -> float:
     return now
 
 
-def test_neutral_takes_the_torque_off_once_the_joints_are_straight_and_stays_neutral():
+def test_neutral_removes_torque_once_joints_are_straight_and_stays_neutral():
     watchdog = faulted((1.0, -0.5, 0.2))
     assert seconds_of_torque(watchdog, lambda target: target) == pytest.approx(1.0 / Limits().neutral_rate, abs=0.05)
     assert watchdog.state is RobotState.NEUTRAL and watchdog.rested
@@ -186,7 +186,7 @@ ACTS = st.one_of(
 
 
 @given(st.lists(st.tuples(ACTS, st.floats(0.0, 0.2), st.tuples(*[st.floats(-1.5, 1.5) | st.just(math.nan)] * 3)), max_size=40))
-def test_whatever_happens_targets_stay_in_range_and_a_silent_host_ends_in_neutral(steps):
+def test_watchdog_targets_stay_in_range_and_silence_ends_in_neutral(steps):
     watchdog, limits, now, heard = Watchdog(3), Limits(), 0.0, 0.0
     for act, dt, measured in steps:
         now += dt

@@ -77,7 +77,7 @@ def test_the_wall_is_near_within_half_a_body_length():
     assert "near_wall" not in regimes.label(at).known
 
 
-def test_a_servo_that_is_held_back_is_torque_limited_and_a_switched_off_one_is_not():
+def test_stalled_servo_is_torque_limited_and_a_disabled_servo_is_not():
     held = trial(lambda t: np.full_like(t, 0.5), joint=lambda t: np.full_like(t, 0.2))
     assert regimes.label(held).is_["torque_limited"].all()
     held.tables["cmd"]["on1"] = np.zeros(len(held.tables["cmd"]["t"]))
@@ -114,7 +114,7 @@ def test_labels_that_cannot_be_told_are_not_in_known():
     assert set(found.octant) == {-1} and set(found.absent()) <= set(found.known)
 
 
-def test_a_robot_that_tells_its_gait_instead_of_its_joints_has_a_steady_swim():
+def test_steady_swim_is_recognised_from_a_logged_gait_without_joints():
     t = np.arange(0, 8, 1 / 30)
     tables = {
         "gait": {"t": t, "amplitude": np.full_like(t, 0.3), "bias": 0 * t},

@@ -275,7 +275,7 @@ parent.postMessage(JSON.stringify({bar: box(document.querySelector(".dg.main")),
 @pytest.mark.browser
 @needs_browser
 @pytest.mark.parametrize("size", ["390,844", "1200,800"])
-def test_on_a_phone_and_on_a_desk_nothing_lies_over_the_title_and_the_fish_is_in_view(trial, tmp_path, size):
+def test_replay_on_phone_and_desktop_shows_title_and_fish_uncovered(trial, tmp_path, size):
     page = write_html([trial], tmp_path / "a.html", title="Holding station at 0.2 m/s in gusts of 10 %")
     text = re.sub(r"<meta http-equiv=[^>]*>", "", page.read_text())  # the page's policy lets only its own scripts run
     page.write_text(text.replace("</body>", f"<script>setTimeout(() => {{ {MEASURED} }}, 1500)</script></body>"))

@@ -29,7 +29,7 @@ def run(seed, name, sigma=0.02, tau=20, seconds=20.0, **meta):
     return log.Trial({"origin": "synthetic", "excitation": "sine", **meta}, tables, name=name)
 
 
-def test_trials_group_by_what_they_repeat_else_by_excitation_and_conditions():
+def test_trials_group_by_what_they_replicate_else_by_conditions():
     trials = [run(0, "a"), run(1, "b"), run(2, "c", robot="other"), run(3, "d", replicate_of="c", robot="other")]
     trials += [run(4, "e", excitation="step"), run(5, "f", excitation=None)]
     found = {tuple(sorted(t.name for t in members)) for members in replicates.groups(trials).values()}

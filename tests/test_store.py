@@ -192,7 +192,7 @@ def test_mutated_archives_raise_only_store_errors_or_read_the_same(tmp_path_fact
             assert name not in original or np.array_equal(value, original[name])
 
 
-def test_what_comes_with_fishmj_is_found_from_anywhere_unless_the_user_has_his_own(tmp_path, monkeypatch):
+def test_shipped_data_are_found_from_any_folder_unless_the_user_has_a_copy(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = shipped("data/gap/lbm/nulls")
     assert found.is_absolute() and len(list(found.glob("*.npz"))) == 48

@@ -15,7 +15,7 @@ from studies.monitor.loopback_swims import swim
 from studies.monitor.results import Watched
 
 
-def test_stamps_of_the_robots_clock_are_shifted_by_the_least_delay_and_each_life_of_it_by_its_own():
+def test_robot_stamps_are_shifted_by_the_least_delay_of_each_clock_restart():
     own = np.array([5.0, 5.02, 5.04, 0.0, 0.02])  # it began anew
     late = np.array([0.004, 0.003, 0.009, 0.005, 0.006])
     heard = np.array([1.0, 1.02, 1.04, 1.2, 1.22]) + late
@@ -26,7 +26,7 @@ def test_stamps_of_the_robots_clock_are_shifted_by_the_least_delay_and_each_life
     assert as_heard({"joint": {"t": own}})["joint"] == {"t": own}
 
 
-def test_jobs_are_predicted_in_parts_for_each_core_and_never_too_many_side_by_side():
+def test_monitor_jobs_are_split_over_the_cores_in_bounded_parts():
     jobs = [(200, n, "") for n in range(130)]
     assert [len(part) for part in study.parts(jobs, 1)] == [60, 60, 10] and [len(p) for p in study.parts(jobs[:5], 2)] == [3, 2]
     assert study.parts([], 4) == []
@@ -73,7 +73,7 @@ def test_swims_that_were_watched_are_neither_swum_nor_predicted_again(tmp_path, 
         study.main([*words, "--score", "--rate", "0.5"])
 
 
-def test_an_alarm_of_a_healthy_swim_is_told_and_one_before_an_effect_is_none_of_it():
+def test_summary_counts_healthy_alarms_and_excludes_those_before_an_effect():
     seen = {(200, 1, ""): Watched(0.1, 1800, [(34.0, "j3", "friction")], 1.07), (200, 2, ""): Watched(0.1, 1800, [], 0.6)}
     seen[200, 500, "body_mass"] = Watched(0.1, 117, [(34.0, "sway", "size"), (99.0, "power", "load")], 1.2)
     told = study.summary(seen, 0.1)

@@ -242,7 +242,7 @@ def test_a_learnt_water_swims_on_both_roots(root):
     assert np.abs(fitted[-1] - strips[-1]).max() > 1e-4  # the learnt force acts
 
 
-def test_a_learnt_water_on_a_free_root_swims_as_on_a_planar_one_and_a_copy_swims_on_alike():
+def test_learnt_water_swims_alike_on_free_and_planar_roots_and_in_copies():
     planar, free = load(seed=7, water="swift"), load(seed=7, water="swift", root="free")
     one, two = stacked(swim(planar, 15)), stacked(swim(free, 15))
     np.testing.assert_allclose(two[:, :2], one[:, :2], atol=0.03)  # twice as fast as in the strips' own coefficients

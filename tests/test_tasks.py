@@ -127,7 +127,7 @@ def test_starts_stay_in_the_papers_ranges(seed):
     assert start.speed.min() >= 0.1 and start.speed.max() <= 0.3
 
 
-def test_randomisation_fills_its_ranges_and_strength_zero_is_the_nominal_fish():
+def test_randomisation_spans_its_ranges_and_is_nominal_at_zero_strength():
     u = np.random.default_rng(0).random((4000, task.n_fish(ROBOT)))
     fish, camera = task.draw_fish(np, ROBOT, u, 1.0)
     nominal = engines.nominal_params(ROBOT, 1)
@@ -243,7 +243,7 @@ def test_the_flow_reaches_the_observation_only_by_moving_the_fish():
     np.testing.assert_array_equal(looks[0], looks[2])
 
 
-def test_the_camera_shows_a_jump_only_after_its_latency_and_the_filter_spreads_it():
+def test_camera_jump_appears_after_its_latency_and_the_filter_spreads_it():
     rules, scenario = still(control_dt=0.02)
     late, window = int(scenario.camera[0]), ROBOT.timing.velocity_window
     assert late == 4  # 65 ms, in ticks of 20 ms

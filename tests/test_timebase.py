@@ -163,7 +163,7 @@ def test_a_bus_that_changes_its_rate_loses_nothing():
     assert timebase.clock_of("joint", {"t": t, "j1": np.sin(t)}).dropped == 0
 
 
-def test_a_frame_counter_is_told_from_a_clock_and_a_stretched_one_is_noticed():
+def test_audit_tells_frame_counters_from_clocks_and_finds_a_stretched_one():
     frames = np.arange(250) / 30
     steps = np.cumsum(0.078 + 0.006 * np.random.default_rng(0).normal(size=254))
     pose = {"t": frames, "x": 0.1 * frames, "y": 0 * frames, "yaw": 0.1 * np.sin(frames)}

@@ -44,7 +44,7 @@ def test_a_file_that_is_no_toml_is_one_clear_line(tmp_path, kind):
         assert str(path) in str(caught.value) and len(str(caught.value)) < 500 and "\n" not in str(caught.value)
 
 
-def test_a_folder_a_missing_file_and_names_that_are_none_are_one_clear_line(tmp_path):
+def test_folder_missing_file_or_invalid_name_gives_one_clear_error(tmp_path):
     (tmp_path / "folder.toml").mkdir()
     (tmp_path / "fish.txt").write_text("x")
     cases = [

@@ -133,7 +133,7 @@ def test_a_run_killed_after_its_last_checkpoint_writes_its_lines_once(learner, t
     assert all(line["reward"] != 5.0 for line in figures_of(again))
 
 
-def test_a_folder_with_a_run_is_not_overwritten_and_other_settings_do_not_resume(learner, tmp_path):
+def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, tmp_path):
     settings = calm_run()
     StopAt(settings, tmp_path, 8192, learner=learner, command="fishmj train --preset quick").go()
     assert Policy.load(tmp_path).meta["command"] == "fishmj train --preset quick"
@@ -239,7 +239,7 @@ def test_a_policy_with_memory_acts_in_numpy_as_it_did_in_training(tmp_path):
     assert np.abs(action).max() > 0.1
 
 
-def test_the_flow_is_never_in_what_the_policy_sees_and_always_in_what_the_critic_sees(env):
+def test_flow_is_hidden_from_the_policy_and_visible_to_the_critic(env):
     state = env.reset(jax.random.key(0), 6)
     other = state._replace(current=state.current._replace(mean=state.current.mean + 0.5, rms=3 * state.current.rms))
     recent, key = jnp.zeros((6, env.sensors.behind + 1, 2 * env.n_act)), jax.random.key(1)
@@ -263,7 +263,7 @@ def test_a_privileged_critic_uses_the_flow_and_a_plain_one_cannot(env):
         assert policy_of(learner.policy_layers(actor), calm_run(), {}).weights[0][0].shape == (8, 11)
 
 
-def test_hidden_observations_are_zero_in_training_and_ignored_by_the_policy():
+def test_hidden_observations_are_zero_in_training_and_policy_ignores_them():
     hide = ("velocity", "joint")
     env = StationHold(mjcf.load_robot("fish"), "planar", Options(hide=hide, memory=2))
     obs = np.asarray(env.reset(jax.random.key(0), 64).obs)

@@ -76,7 +76,7 @@ def test_ppo_stores_the_log_density_of_what_it_did():
     np.testing.assert_allclose(b.log_prob, (-0.5 * z**2 - np.log(3.0) - 0.5 * np.log(2 * np.pi)).sum(-1), atol=1e-5)
 
 
-def test_a_dropped_step_gives_ppo_no_advantage_and_never_reaches_sacs_buffer():
+def test_dropped_step_has_no_ppo_advantage_and_is_not_in_the_sac_buffer():
     """Fault 2 at the learners: the poisoned point's reward of 777 is nowhere."""
     learner = ppo_learner(poisoned=3)
     _, batch, record = learner.collect(learner.init(jax.random.key(0)))
@@ -89,7 +89,7 @@ def test_a_dropped_step_gives_ppo_no_advantage_and_never_reaches_sacs_buffer():
     assert t.replay.data.reward[:64].max() <= 0
 
 
-def test_sac_remembers_time_limits_as_no_end_and_the_observation_before_the_restart():
+def test_sac_buffer_stores_time_limits_as_non_terminal_with_final_obs():
     learner = sac_learner(warmup=10_000)
     t = learner.init(jax.random.key(0))
     for _ in range(8):

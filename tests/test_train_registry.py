@@ -57,7 +57,7 @@ def small(algo: str) -> Settings:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", [*ALGORITHMS, *OWN])
-def test_a_registered_algorithm_trains_resumes_to_the_bit_and_exports_what_it_does(algo, tmp_path):
+def test_registered_algorithm_trains_resumes_bitwise_and_exports_a_policy(algo, tmp_path):
     if ALGORITHMS[algo].train:
         pytest.skip(f"{algo} keeps no replay buffer and brings its own environment: test_train_sb3.py")
     settings = small(algo)

@@ -36,7 +36,7 @@ def test_without_the_extra_the_message_has_the_install_line(monkeypatch, capsys)
 
 
 @pytest.mark.sb3
-def test_the_shoal_is_the_vector_environment_scaled_and_its_time_limits_bootstrap():
+def test_sb3_env_is_the_scaled_vector_env_and_bootstraps_time_limits():
     from fishmj.train.sb3 import FishVecEnv
 
     shoal = FishVecEnv(settings(task={"turbulence": "gust", "hide": ("joint",)}), 6)
@@ -129,7 +129,7 @@ def figures_of_folder(folder) -> list[dict]:
 
 
 @pytest.mark.sb3
-def test_a_stopped_run_exports_what_sb3_predicts_keeps_tensors_only_and_goes_on_with_a_fresh_memory(tmp_path, capfd, monkeypatch):
+def test_stopped_sb3_run_exports_its_policy_and_resumes_with_empty_buffer(tmp_path, capfd, monkeypatch):
     from fishmj.train import sb3
 
     run = settings(assess_every=10**9)

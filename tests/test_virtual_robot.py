@@ -200,7 +200,7 @@ def test_a_strong_stiction_locks_a_joint_to_the_bit():
     assert np.max(np.abs(record.at(record.t, "j1"))) < 1e-12
 
 
-def test_a_step_is_no_faster_than_the_motor_and_settles_within_its_friction(made):
+def test_joint_step_respects_motor_speed_and_settles_within_friction(made):
     commands = np.tile([40 * DEG, 0.0, 0.0], (100, 1)) * (np.arange(100) > 5)[:, None]
     record = swim(made, commands)
     assert np.max(record.at(record.t, "k1")) < 1.05 * made.robot.servo.speed_no_load

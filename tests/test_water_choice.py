@@ -118,7 +118,7 @@ def test_an_engine_of_another_water_is_refused():
         FishEnv(engine=engines.make("planar", in_water(FISH, "structured")))
 
 
-def test_training_takes_an_engine_that_can_hold_the_water_and_keeps_its_name():
+def test_training_picks_an_engine_that_supports_the_requested_water():
     from fishmj.train.build import pick_engine, settled, water_for
     from fishmj.train.settings import preset
 

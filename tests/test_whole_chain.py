@@ -82,7 +82,7 @@ def test_a_trial_that_does_not_arrive_counts_from_ten_seconds_on():
     assert figures(path, 3.0, np.zeros(2)) == {"rmse": pytest.approx(0.05), "arrival": pytest.approx(29.0)}
 
 
-def test_a_policy_of_its_own_water_is_measured_calibrated_trained_and_then_swims(monkeypatch, tmp_path):
+def test_whole_chain_with_train_runs_experiment_calibrate_train_and_swim(monkeypatch, tmp_path):
     done, swum = [], []
     monkeypatch.setattr(steps.rig_experiment, "main", lambda argv, wire: done.append(["experiment", *argv]) or 0)
     monkeypatch.setattr(steps, "called", lambda loop, seed, *words, **_: done.append([str(word) for word in words]) or 0)

@@ -48,7 +48,7 @@ def test_every_horn_is_turned_to_both_sides_by_a_rule_that_chooses_no_seed():
     assert "command_latency=0.15" in faults[0].options() and "offset1=0.174533" in faults[0].options()
 
 
-def test_a_swim_through_the_command_runs_in_lockstep_and_tells_the_true_path(tmp_path, monkeypatch):
+def test_swim_command_runs_in_lockstep_and_records_the_true_path(tmp_path, monkeypatch):
     monkeypatch.setattr(swim_command, "first_in_line", lambda: pytest.fail("a loop that never waits goes before all others"))
     tank, out = Tank(), tmp_path / "swim"
     assert tank.path.shape == (0, 4) and np.isnan(tank.begun)
@@ -92,7 +92,7 @@ def rig_of(robot, link):
     return Rig(robot=robot, link=link, localiser=None, clock=None, examine=lambda info: None)
 
 
-def test_the_figure_begins_at_the_first_entry_and_keeps_what_an_early_end_left():
+def test_swim_rmse_starts_at_arrival_and_extends_an_early_end():
     t = np.arange(100.0, 140.0, 0.02)
     path = lambda x: np.stack([t, x, np.zeros_like(t), np.zeros_like(t)], 1)
     arrives = np.where(t < 107.0, 1.0, 0.05)
@@ -116,7 +116,7 @@ def test_the_fitted_delay_is_that_of_the_joints_that_come_nearest():
 
 
 @pytest.mark.slow
-def test_the_joints_tell_the_hidden_latency_and_the_few_ms_that_a_healthy_robot_has_beyond_its_description(tmp_path, capsys):
+def test_hidden_latency_is_recovered_from_the_joints_within_1_ms(tmp_path, capsys):
     """The delay alone, fitted to the joints of a gait: nothing of the radio's way up is in it, and it grows by what is hidden."""
     words = ["--seeds", "1", "--hidden", "0", "30", "150", "--out", str(tmp_path), "--json"]
     assert latency.main(words) == console.OK
@@ -135,7 +135,7 @@ def test_a_share_on_the_channels_where_an_effect_shows_is_not_that_of_all():
     assert found["command_latency"] == pytest.approx((1000 / 1010, 900 / 898))
 
 
-def test_gains_are_what_an_effect_explains_beyond_the_tolerated_errors_of_the_others(monkeypatch):
+def test_gain_of_an_effect_excludes_the_tolerated_errors_of_the_others(monkeypatch):
     """Of z with two samples on a joint and one on the heading; errors of the others are let pass by whitening less."""
     layout = SimpleNamespace(channel=np.array(["joint", "joint", "heading"]), size=3)
     z = {"none": [9.0, 2.0, 5.0], "best": [0.5, 0.5, 1.0], "without_a": [7.0, 1.0, 1.5]}
@@ -181,7 +181,7 @@ def test_joints_that_are_late_are_not_taken_for_one_another():
 
 
 @pytest.mark.parametrize("counted_in", [False, True])
-def test_what_was_fitted_beside_a_named_effect_is_applied_where_that_is_asked_for(tmp_path, counted_in):
+def test_counted_in_effects_are_applied_to_the_model_only_on_request(tmp_path, counted_in):
     context = {"model": "fish", "data": "logs", "data_sha256": "0" * 64, "judged": ["gait"], "null": {}, "water": "structured"}
     found = verdict("NAMED", [DELAYED], [BENT])
     measure = lambda versions: [(9.0, {}, 5.0), (1.0, {}, 1.0)]
@@ -280,7 +280,7 @@ def test_what_is_finished_is_not_done_again(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_loop_closes_from_a_hidden_fault_to_a_swim_in_the_patched_model(tmp_path, capsys):
+def test_whole_loop_names_a_hidden_fault_patches_the_model_and_swims(tmp_path, capsys):
     """Few experiments and a token training: each step takes what the one before wrote, and the fault is named."""
     pytest.importorskip("numba")
     spec = importlib.util.spec_from_file_location("whole_loop", ROOT / "examples" / "whole_loop.py")
