@@ -52,6 +52,7 @@ class Way(NamedTuple):
 writing = threading.RLock()  # held while a file is written, so that no half of it stays behind
 _asked: list[int] = []
 _kept: list[Way] = []  # innermost last
+_closed: list[float] = []  # monotonic s at which the last loop that stops by itself ended
 _leaving = threading.Lock()
 _armed = False
 _left_alone: set[int] = set()
@@ -146,6 +147,8 @@ def _leaving_by(way: Way) -> Iterator[None]:
         yield
     finally:
         _kept.remove(way)
+        if way.grace:
+            _closed[:] = [time.monotonic()]
 
 
 @contextmanager
@@ -222,6 +225,8 @@ def _end() -> None:
     """Saves, prints and ends the process after the first signal."""
     way = _kept[-1] if _kept else None
     words = ""
+    if way is None and _closed and time.monotonic() - _closed[0] < GRACE:
+        time.sleep(GRACE)  # the loop saw the signal before this thread and prints its own last line
     if way is not None:
         with suppress(Exception):
             if way.heard is not None:
