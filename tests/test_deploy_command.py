@@ -266,6 +266,8 @@ def test_a_gait_swims_without_a_policy_and_meta_says_its_numbers(tmp_path, capsy
     meta = trial.meta
     assert (meta["excitation"], meta["controller"], meta["policy_sha256"]) == ("sine_gait_1_15_60_-5", "open loop", "")
     assert meta["gait"] == {"frequency": 1.0, "amplitude_deg": 15.0, "lag_deg": 60.0, "bias_deg": -5.0}
+    assert meta["host"]["opened"] == {"link": "loopback", "camera": "", "loopback": "--body structured"}
+    assert meta["host"]["link"]["packets"] > 0  # the counts stand beside the address
 
 
 @pytest.mark.parametrize(

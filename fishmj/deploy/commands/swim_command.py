@@ -223,7 +223,11 @@ def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired
         "licence": "",
         "source": "fishmj deploy swim",
         **made_by("numpy"),
-        "host": {"link": args.link, "protocol": wired.link.name, "lacks": list(wired.link.lacks), "camera": args.camera or ""},
+        "host": {
+            "opened": {"link": args.link, "camera": args.camera or "", "loopback": args.loopback or ""},
+            "protocol": wired.link.name,
+            "lacks": list(wired.link.lacks),
+        },
     }
     return meta if controller else {**meta, "gait": args.gait._asdict()}
 

@@ -30,7 +30,7 @@ class State(IntEnum):
 
 
 class Condition(IntFlag):
-    """Conditions at a tick. The first five are needed for a way up, all others are faults."""
+    """Conditions at a tick. Three lead up, `PERSON_LEAVES` leads from NEUTRAL to DOWN, all others hold or end a swim."""
 
     HEARD = auto()  # the robot answers, and has said what it is where its protocol can
     ASK_ARM = auto()  # a person asked to arm, and the robot says that it is armed where it can
@@ -45,7 +45,7 @@ class Condition(IntFlag):
     BATTERY_LOW = auto()
     SERVO_HOT = auto()
     SERVO_STUCK = auto()  # a joint does not follow
-    SERVO_LOST = auto()  # a servo does not answer, or reports a fault of its own
+    SERVO_LOST = auto()  # a servo does not answer
     READING_BAD = auto()  # the robot sent an angle that is no number, or beyond any servo
     ACTION_NAN = auto()  # the policy's answer is not finite
     POLICY_MISMATCH = auto()  # the policy is for another fish, or for joints in another order
