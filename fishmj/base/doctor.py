@@ -167,7 +167,9 @@ def _lacking(wanted, extra: str) -> list[str]:
     if found is None or not wanted.specifier.contains(found, prereleases=True):
         return [f"{wanted.name}{wanted.specifier} (found {found or 'none'})"]
     inner = [(_extra(line), Requirement(line)) for line in metadata.requires(wanted.name) or [] if _extra(line) in wanted.extras]
-    return [r.name for name, r in inner if version(r.name) is None and (r.marker is None or r.marker.evaluate({"extra": name}))]
+    return [
+        r.name for name, r in inner if version(r.name) is None and (r.marker is None or r.marker.evaluate({"extra": name or ""}))
+    ]
 
 
 def _extra(line: str) -> str | None:
