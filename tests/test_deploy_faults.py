@@ -94,6 +94,16 @@ def test_a_low_battery_that_ends_a_swim_is_told_with_its_voltage(tmp_path):
     assert "ended by BATTERY_LOW (6.10 V, low_voltage is 6.4 V" in bench.swim().words
 
 
+@pytest.mark.parametrize(
+    ("name", "told"),
+    {"hot": "joint 2 from the head) has 76 deg C", "wild_reading": "joint 2 from the head) reports 5 rad"}.items(),
+)
+def test_swim_that_a_servo_ends_names_it(tmp_path, name, told):
+    bench = Bench(tmp_path / "swim")
+    bench.at(1.0, lambda: bench.robot.changes.update(SERVO[name][0]))
+    assert told in bench.swim().words
+
+
 @pytest.mark.parametrize("name", SERVO)
 def test_fault_24_each_fault_of_a_servo_or_the_battery_ends_in_neutral(tmp_path, name):
     changes, cause, after = SERVO[name]

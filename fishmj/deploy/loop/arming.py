@@ -11,6 +11,7 @@ from typing import NamedTuple
 from fishmj.control.learned import LearnedController
 from fishmj.deploy.link.links import Link
 from fishmj.deploy.loop.supervisor import NONE, Condition
+from fishmj.deploy.loop.watch import Thresholds
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.deploy.protocols.watchdog import LONGEST as BEARABLE
 from fishmj.deploy.protocols.watchdog import Limits, times_are_sound
@@ -77,15 +78,14 @@ FAULTY = {
 }  # fmt: skip
 
 
-def servos_at_fault(newest: Telemetry | None, ids: Sequence[int]) -> str:
+def servos_at_fault(newest: Telemetry | None, ids: Sequence[int], thresholds: Thresholds) -> str:
     """Text such as `servo 9 (joint 3 from the head) is hot`, "" without a fault; ids: on the bus, from the head to the tail."""
-    faults = newest.fault if newest is not None and newest.fault else ()
-    return ", ".join(
-        f"servo {ids[k] if k < len(ids) else '?'} (joint {k + 1} from the head) {what}"
-        for k, fault in enumerate(faults)
-        for bit, what in FAULTY.items()
-        if bit in fault
-    )
+    if newest is None:
+        return ""
+    found = [(k, what) for k, fault in enumerate(newest.fault or ()) for bit, what in FAULTY.items() if bit in fault]
+    found += [(k, f"has {c:.0f} deg C") for k, c in enumerate(newest.temperature or ()) if c >= thresholds.hot]
+    found += [(k, f"reports {a:.3g} rad") for k, a in enumerate(newest.joint) if not abs(a) <= thresholds.wildest]
+    return ", ".join(f"servo {ids[k] if k < len(ids) else '?'} (joint {k + 1} from the head) {what}" for k, what in sorted(found))
 
 
 def why_not_armed(newest: Telemetry | None, servo_range: float, hold: float, neutral: float) -> str:

@@ -334,7 +334,8 @@ class Swim:
 
     def _at_fault(self, because: Condition) -> str:
         """Servos that report a fault, by their numbers on the bus, and the voltage of a low battery."""
-        servos = servos_at_fault(self.watch.newest, self.info.servo_ids if self.info is not None else self.rig.robot.servo_ids)
+        ids = self.info.servo_ids if self.info is not None else self.rig.robot.servo_ids
+        servos = servos_at_fault(self.watch.newest, ids, self.watch.limits)
         battery = self.watch.battery() if Condition.BATTERY_LOW in because else ""
         return "; ".join(told for told in (servos, battery) if told)
 
