@@ -225,7 +225,7 @@ def test_a_solver_fit_refuses_what_it_does_not_know():
 def test_pace_of_a_circle():
     t = np.arange(0, 8, 0.02)
     pose = np.stack([np.cos(0.3 * t), np.sin(0.3 * t), 0.3 * t + np.pi / 2], 1)
-    speed, turn = water_fit.pace(t, pose)
+    speed, turn = water_fit.mean_speed_and_yaw_rate(t, pose)
     assert speed == pytest.approx(0.3, rel=0.005) and turn == pytest.approx(0.3, rel=1e-6)
 
 

@@ -19,8 +19,8 @@ import pytest
 numba = pytest.importorskip("numba", reason='the compiled engine needs pip install "fishmj[fast]"')
 
 from fishmj import engines
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import ConfigError, MissingExtra
-from fishmj.base.machine_code import cache_folder
 from fishmj.engines import FishParams, compiled, numba_build, planar
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain

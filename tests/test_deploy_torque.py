@@ -11,10 +11,10 @@ from fishmj.base import console, interrupt
 from fishmj.deploy.commands import swim_command
 from fishmj.deploy.link.links import MishLink
 from fishmj.deploy.loop.arming import why_not_armed
+from fishmj.deploy.loop.graceful_stop import GRACE, TIMES, graceful_stop
 from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.supervisor import Condition, State
 from fishmj.deploy.loop.swim import HOME, LET_GO, Outcome
-from fishmj.deploy.loop.way_out import GRACE, TIMES, way_out
 from fishmj.deploy.protocols.messages import RobotState, ServoFault, Telemetry
 from fishmj.deploy.protocols.watchdog import Watchdog
 from fishmj.log import read_trial
@@ -23,7 +23,7 @@ from tests.deploying import DT, Bench
 
 def test_stop_grace_period_covers_homing_and_torque_release():
     assert GRACE > HOME + LET_GO * DT + 2.0  # s, for a log of an hour
-    with way_out(Event(), lambda: None, lambda: ""):
+    with graceful_stop(Event(), lambda: None, lambda: ""):
         assert interrupt._kept[-1].grace == GRACE
     assert not interrupt._kept
 
@@ -217,6 +217,6 @@ def test_letting_go_blindly_goes_on_where_the_link_fails(tmp_path):
         told.append(1)
         raise OSError("no route")
 
-    with way_out(Event(), let_go, lambda: ""):
+    with graceful_stop(Event(), let_go, lambda: ""):
         interrupt._last()
     assert len(told) == TIMES

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fishmj.hydro_fit.fit.descent import quick
+from fishmj.hydro_fit.fit.training_loop import short_op_compiler_options
 
 FOLDER = Path(__file__).resolve().parent.parent / "examples"
 QUICK = ("own_controller", "own_effect", "own_importer", "own_reward", "read_trial", "side_by_side")
@@ -22,7 +22,7 @@ LINES = 60
 @pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in DEAR)])
 def test_an_example_runs(name, tmp_path):
     """What JAX compiles is compiled as a fit's programs are: in two thirds of the time."""
-    flags = [f"--{key}={str(value).lower()}" for key, value in (quick("cpu") or {}).items()]
+    flags = [f"--{key}={str(value).lower()}" for key, value in (short_op_compiler_options("cpu") or {}).items()]
     flags = " ".join([os.environ.get("XLA_FLAGS", ""), *flags])
     environment = os.environ | {"PYTHONPATH": str(FOLDER.parent), "XLA_FLAGS": flags}
     done = subprocess.run(

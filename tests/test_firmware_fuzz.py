@@ -93,7 +93,7 @@ class HostPieces:
             joint=tuple(measured), seq=self.sent, time=now, echo=self.echo[0], echo_time=self.echo[1], state=self.watchdog.state,
             voltage=volts, current=amperes, temperature=degrees, fault=self.guard.check(now, self.target, angles, degrees, volts),
         )  # fmt: skip
-        return fishmj1.sayable(told, last)
+        return fishmj1.clamped_to_wire_range(told, last)
 
 
 def host_says(rng: random.Random, seq: int, now: float) -> bytes:
@@ -168,13 +168,15 @@ def test_whatever_is_measured_the_host_hears_of_it(firmware, joint, volts, amper
 
     def said(joint, volts, amperes) -> Telemetry:
         out, packet = (ctypes.c_uint8 * fishmj1.MOST_BYTES)(), c_telemetry(Telemetry((0.0,) * 3, 0, 0.0, state=RobotState.IDLE))
-        packet.joint[:3], packet.voltage, packet.current, packet.has = joint, volts, amperes, fishmj1.Has.POWER
+        packet.joint[:3], packet.voltage, packet.current, packet.has = joint, volts, amperes, fishmj1.FieldFlags.POWER
         return fishmj1.decode(bytes(out[: firmware.fj_robot_report(robot, 0, ctypes.byref(packet), out, len(out))])).value
 
     said((0.1, 0.2, 0.3), 7.4, 0.5)
     heard, bad = said(joint, volts, amperes), [not abs(angle) <= math.pi for angle in joint]
     assert heard.joint == pytest.approx(told[0]) and (heard.voltage, heard.current) == (pytest.approx(told[1]), told[2])
     assert [bool(fault & ServoFault.NO_REPLY) for fault in heard.fault] == bad
-    ours = fishmj1.sayable(Telemetry(joint, 0, 0.0, state=RobotState.IDLE, voltage=volts, current=amperes), (0.1, 0.2, 0.3))
+    ours = fishmj1.clamped_to_wire_range(
+        Telemetry(joint, 0, 0.0, state=RobotState.IDLE, voltage=volts, current=amperes), (0.1, 0.2, 0.3)
+    )
     assert (ours.joint, ours.voltage, ours.current) == told and [bool(fault) for fault in ours.fault] == bad
     assert fishmj1.decode(fishmj1.encode_telemetry(ours))

@@ -11,7 +11,7 @@ from fishmj.base.calib import read_toml, resolve
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales, nominal
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import matched_water
-from fishmj.gap.records.movement import pace
+from fishmj.gap.records.movement import mean_speed_and_yaw_rate
 from fishmj.mjcf.reading import load_robot
 
 FISH = load_robot("fish")
@@ -26,7 +26,10 @@ def speeds(model, scales) -> tuple[np.ndarray, np.ndarray]:
     """Of the second robot and of the model, m/s."""
     records = matched_water.swim_second_robot(model.robot, scales, model.dt)
     shown = model.predict(records, model.nothing)
-    paces = [(pace(r.pose.t, r.pose.values)[0], pace(r.pose.t, p["pose"][0])[0]) for r, p in zip(records, shown, strict=True)]
+    paces = [
+        (mean_speed_and_yaw_rate(r.pose.t, r.pose.values)[0], mean_speed_and_yaw_rate(r.pose.t, p["pose"][0])[0])
+        for r, p in zip(records, shown, strict=True)
+    ]
     return np.array(paces).T
 
 

@@ -14,7 +14,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import Manifest, read_json, write_json
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.hydro_fit import __main__ as verb
-from fishmj.hydro_fit.campaign.data import at_hand, plan
+from fishmj.hydro_fit.campaign.data import default_dataset, plan
 from fishmj.hydro_fit.campaign.data.collect import collect
 from fishmj.hydro_fit.campaign.data.run_segments import Finished
 from fishmj.hydro_fit.fit import gauss_newton, pipeline
@@ -54,11 +54,11 @@ def swims():
 def home(tmp_path, monkeypatch):
     """Two cores, no accelerator, own folders for data and waters, a pool of toys in place of the solver."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(at_hand, "accelerator", lambda: False)
-    monkeypatch.setattr(at_hand, "usable_cores", lambda: 2)
+    monkeypatch.setattr(default_dataset, "accelerator", lambda: False)
+    monkeypatch.setattr(default_dataset, "usable_cores", lambda: 2)
     monkeypatch.setattr(solver_cost, "usable_cores", lambda: 2)
     monkeypatch.setattr(Toys, "seen", [])
-    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Toys())
+    monkeypatch.setattr(default_dataset, "Local", lambda tanks, devices: Toys())
     monkeypatch.setattr(verb, "DATA", Path("data/hydro"))
     monkeypatch.setattr(verb, "FOLDERS", (Path("data/water"), *FOLDERS))
     return tmp_path
@@ -74,7 +74,9 @@ def tenth(monkeypatch):
 
 
 def asked(**given) -> Path:
-    return at_hand.segments_at_hand(at_hand.Request(**({"robot": FISH, "home": Path("data/hydro"), "quiet": True} | given)))
+    return default_dataset.segments_at_hand(
+        default_dataset.Request(**({"robot": FISH, "home": Path("data/hydro"), "quiet": True} | given))
+    )
 
 
 def test_hydro_fit_without_data_or_gpu_states_hours_and_solves_a_preview(home, capsys):
@@ -87,7 +89,7 @@ def test_hydro_fit_without_data_or_gpu_states_hours_and_solves_a_preview(home, c
     data = open_dataset(folder)
     assert folder.name == "swift-preview" and data.preview and data.meta["missing"] == 0
     takes = solver_cost.cpu_seconds([(preset("laptop"), sum(s.water for s in planned(data).segments))], 2)
-    assert 0.9 * at_hand.PREVIEW_TIME < takes <= at_hand.PREVIEW_TIME < 1800.0
+    assert 0.9 * default_dataset.PREVIEW_TIME < takes <= default_dataset.PREVIEW_TIME < 1800.0
     assert asked() == folder and len(Toys.seen) == 1, "complete: nothing is solved again"
 
 
@@ -108,12 +110,12 @@ def test_a_preview_that_is_interrupted_goes_on_where_it_was(home, tenth, monkeyp
                     raise KeyboardInterrupt
                 yield finished
 
-    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Broken())
+    monkeypatch.setattr(default_dataset, "Local", lambda tanks, devices: Broken())
     with pytest.raises(KeyboardInterrupt):
         asked()
     kept = {path.stem for path in (home / "data/hydro/swift-preview" / SEGMENTS).glob("*.json")}
     assert len(kept) == 5
-    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Toys())
+    monkeypatch.setattr(default_dataset, "Local", lambda tanks, devices: Toys())
     data = open_dataset(asked())
     assert kept | set(Toys.seen[-1][1]) == set(data.about) and not kept & set(Toys.seen[-1][1]) and not data.meta["missing"]
 
@@ -147,8 +149,8 @@ def test_a_budget_that_the_whole_plan_fits_into_has_it_solved(home, tenth):
 
 
 def test_hydro_fit_with_gpu_solves_the_whole_plan_in_the_model_domain(home, tenth, monkeypatch):
-    monkeypatch.setattr(at_hand, "accelerator", lambda: True)
-    monkeypatch.setattr(at_hand, "devices_of", lambda name: ("cuda:0",))
+    monkeypatch.setattr(default_dataset, "accelerator", lambda: True)
+    monkeypatch.setattr(default_dataset, "devices_of", lambda name: ("cuda:0",))
     assert asked(grid="window_coarse").name == "swift"
     setup, ids = Toys.seen[0]
     assert setup.domain.name == "window_coarse" and setup.device == "cuda:0" and len(ids) == tenth
@@ -163,7 +165,7 @@ def test_hydro_fit_refuses_a_budget_below_the_smallest_fit(home):
 def test_partial_data_set_is_continued_in_its_own_domain_or_used_as_it_is(home, tenth, capsys):
     some = plan.full(FISH)
     folder = Path("data/hydro/swift")
-    setup = at_hand.Request(robot=FISH, home=folder).setup(preset("window_coarse"))
+    setup = default_dataset.Request(robot=FISH, home=folder).setup(preset("window_coarse"))
     collect(some, folder, setup, pool=Toys(), budget=1e-9, quiet=True)
     assert asked() == folder and len(Toys.seen) == 1
     assert f"1 of {tenth} segments are there; the rest would take about" in capsys.readouterr().out
@@ -184,10 +186,10 @@ def test_data_of_another_fish_of_the_same_name_are_refused(home):
 def test_the_preview_box_holds_the_fish(scale, box):
     links = tuple(replace(link, length=scale * link.length) for link in FISH.links)
     if box:
-        assert at_hand.preview_box(replace(FISH, links=links)).name == box
+        assert default_dataset.preview_box(replace(FISH, links=links)).name == box
         return
     with pytest.raises(ConfigError, match="fits none of the boxes"):
-        at_hand.preview_box(replace(FISH, links=links))
+        default_dataset.preview_box(replace(FISH, links=links))
 
 
 def test_every_beginning_of_the_order_spans_the_states():
@@ -237,7 +239,7 @@ class Recorded:
 @pytest.mark.part("the bare hydro_fit")
 def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys):
     """Preview solved, fitted, marked, checked and reported; the shipped water, fitted to a whole plan, stays."""
-    monkeypatch.setattr(at_hand, "Local", lambda tanks, devices: Recorded(swims))
+    monkeypatch.setattr(default_dataset, "Local", lambda tanks, devices: Recorded(swims))
     monkeypatch.setattr(pipeline, "FitSettings", partial(pipeline.FitSettings, members=2))
     monkeypatch.setattr(gauss_newton, "fit_rollout", partial(gauss_newton.fit_rollout, rounds=2))
     assert console.run(verb.main, ["--budget", "400", "--base", "--swims", "0", "--json"]) == console.OK
@@ -343,8 +345,8 @@ def test_the_bare_verb_end_to_end_in_the_flow_solver(tmp_path, monkeypatch, caps
     boxes = domain._presets()
     small = boxes | {"laptop": replace(boxes["laptop"], shape=(42, 36, 14))}
     monkeypatch.setattr(domain, "_presets", lambda: small)
-    monkeypatch.setattr(at_hand, "CPU_TIME", 3600.0)
-    monkeypatch.setattr(at_hand, "PREVIEW_TIME", 9.5)
+    monkeypatch.setattr(default_dataset, "CPU_TIME", 3600.0)
+    monkeypatch.setattr(default_dataset, "PREVIEW_TIME", 9.5)
     monkeypatch.setattr(verb, "DATA", Path("data/hydro"))
     monkeypatch.setattr(verb, "FOLDERS", (Path("data/water"), *FOLDERS))
     given = ["--fish", "tiny.toml", "--device", "cpu", "--swims", "3", "--json"]

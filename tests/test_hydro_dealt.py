@@ -7,20 +7,20 @@ import sys
 import jax
 import numpy as np
 
-from fishmj.hydro_fit.fit.descent import quick
+from fishmj.hydro_fit.fit.training_loop import short_op_compiler_options
 
 SCRIPT = """
 import json
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_num_cpu_devices", 4)
-from fishmj.hydro_fit.fit.descent import devices, several, sharded, stacked
+from fishmj.hydro_fit.fit.training_loop import devices, sharded, stacked, use_cores_as_devices
 
 rng = np.random.default_rng(0)
 x, y = rng.normal(size=(12, 3)), rng.normal(size=12)
 loss = lambda net, x, y: jnp.mean((jnp.tanh(x @ net["w"]) + net["b"] - y) ** 2)
 net = {"w": rng.normal(size=3), "b": 0.3}
 wanted = jax.value_and_grad(loss)(net, x, y)
-several()
+use_cores_as_devices()
 counts = [len(devices(12, 8)), len(devices(12)), len(devices(9, 12)), len(devices(7))]
 batches = stacked([(x[k::4], y[k::4]) for k in range(4)])
 got = jax.jit(sharded(loss, devices(12, 8)))(net, *batches)
@@ -40,9 +40,9 @@ def test_a_compiler_option_that_jax_no_longer_knows_is_left_out(monkeypatch):
     def unknown(fun, compiler_options=None):
         raise jax.errors.JaxRuntimeError(f"INVALID_ARGUMENT: No such compile option: {compiler_options}")
 
-    assert quick("gpu") is None
+    assert short_op_compiler_options("gpu") is None
     monkeypatch.setattr(jax, "jit", unknown)
-    assert quick.__wrapped__("cpu") is None
+    assert short_op_compiler_options.__wrapped__("cpu") is None
 
 
 SWIM = """

@@ -18,19 +18,19 @@ from fishmj.engines.hybrid import online_correction
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import (
-    descent,
     force_training,
     gauss_newton,
     linear_regression,
     prediction_interval,
     rollout_training,
+    training_loop,
     training_windows,
 )
-from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.incremental import Refit
 from fishmj.hydro_fit.fit.pipeline import STAGES, FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
+from fishmj.hydro_fit.fit.training_loop import Loop
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.dynamics import planar_chain
@@ -159,7 +159,10 @@ def test_swims_teach_the_residual_what_forces_leave_open(learnt, records):
         ROBOT, fit.swim, apart, rollout_training.tethered_of(CHAIN, records["test"], water), seen, flat(water)
     )
     thrusts = lambda net: rollout_training.huber(trainer.thrust_errors(net, trainer.tethered))
-    judge = jax.jit(lambda net: (trainer.swim_loss(net, trainer.pieces), thrusts(net)), compiler_options=descent.quick("cpu"))
+    judge = jax.jit(
+        lambda net: (trainer.swim_loss(net, trainer.pieces), thrusts(net)),
+        compiler_options=training_loop.short_op_compiler_options("cpu"),
+    )
     off, pushed = np.transpose([judge(net) for net in (before, after)])
     assert off[1] < 0.9 * off[0] and np.isfinite(pushed).all()
     rng, every = np.random.default_rng(0), set(trainer.tethered.recorded.tolist())
@@ -320,7 +323,7 @@ def test_training_swims_that_are_easier_than_others_do_not_narrow_the_band():
 def test_fit_lets_xla_fuse_operations_unless_xla_flags_say_otherwise():
     """In processes of their own: what JAX reads when it begins."""
     program = (
-        "from fishmj.hydro_fit.fit.descent import several; several()\n"
+        "from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices; use_cores_as_devices()\n"
         "import jax, jax.numpy as jnp\n"
         "both = lambda x: ((y := jnp.sin(x) * 2) + 1, y * jnp.cos(x), jnp.sum(y))\n"
         "print(jax.jit(both).lower(jnp.ones(1000)).compile().as_text().count(' fusion('))\n"

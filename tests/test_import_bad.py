@@ -300,7 +300,7 @@ def test_a_wrong_command_line_is_one_line(tmp_path, monkeypatch, capsys, words, 
 
 
 def test_the_robots_name_and_joints_come_from_its_description(tmp_path, bring):
-    from fishmj.log.bring import robot_of
+    from fishmj.log.import_command import robot_of
 
     assert robot_of("fish") == robot_of("swift") == ("swift", 3) and robot_of("eel7") == ("eel7", 0)
     (tmp_path / "eel.toml").write_text('name = "eel"\n[[link]]\n[[link]]\n[[link]]\n')

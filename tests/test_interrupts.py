@@ -16,7 +16,7 @@ import pytest
 from fishmj import evaluate
 from fishmj.base import console, interrupt
 from fishmj.evaluate import __main__ as judge
-from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.training_loop import Loop
 
 AT = {"train": 3.0, "gap bench": 5.0, "gap find": 2.0, "evaluate": 1.0, "hydro_fit fit": 4.0}  # s; the campaign's are random
 
@@ -176,9 +176,9 @@ console.say("nobody reads this")
 
 WAY_OUT = """
 from threading import Event
-from fishmj.deploy.loop.way_out import way_out
+from fishmj.deploy.loop.graceful_stop import graceful_stop
 asked = Event()
-with way_out(asked, lambda: open("let go", "a").write("."), lambda: "too late"):
+with graceful_stop(asked, lambda: open("let go", "a").write("."), lambda: "too late"):
     open("begun", "w").close()
     asked.wait()
     open("heard", "w").close()

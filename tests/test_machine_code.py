@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from fishmj.base import machine_code
+from fishmj.base import compile_cache
 
 PROGRAM = """
 import fishmj, jax
@@ -21,29 +21,29 @@ print(events.count("cache_hits"), events.count("cache_misses"))
 def bare(monkeypatch, tmp_path):
     """A process that has neither imported JAX nor been told where to keep its programs."""
     monkeypatch.delitem(sys.modules, "jax", raising=False)
-    monkeypatch.delenv(machine_code.JAX, raising=False)
+    monkeypatch.delenv(compile_cache.JAX, raising=False)
     monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path / "made" / "later"))
     yield monkeypatch
-    os.environ.pop(machine_code.JAX, None)  # what `keep` has set; monkeypatch puts the one before back
+    os.environ.pop(compile_cache.JAX, None)  # what `keep` has set; monkeypatch puts the one before back
 
 
 def test_jax_keeps_its_programs_below_the_folder_of_fishmj(bare, tmp_path):
-    machine_code.keep()
-    assert os.environ[machine_code.JAX] == str(tmp_path / "made" / "later" / "jax")
+    compile_cache.keep()
+    assert os.environ[compile_cache.JAX] == str(tmp_path / "made" / "later" / "jax")
     assert not (tmp_path / "made").exists(), "an import makes no folder"
 
 
 @pytest.mark.parametrize("chosen", ("/elsewhere", ""))
 def test_a_folder_that_the_user_chose_stays(bare, chosen):
-    bare.setenv(machine_code.JAX, chosen)
-    machine_code.keep()
-    assert os.environ[machine_code.JAX] == chosen
+    bare.setenv(compile_cache.JAX, chosen)
+    compile_cache.keep()
+    assert os.environ[compile_cache.JAX] == chosen
 
 
 def test_nothing_is_kept_where_nothing_can_be_written(bare):
     bare.setenv("FISHMJ_CACHE", __file__)
-    machine_code.keep()
-    assert machine_code.JAX not in os.environ
+    compile_cache.keep()
+    assert compile_cache.JAX not in os.environ
 
 
 COMPILED_FIRST = "import jax\njax.jit(lambda x: x + 2)(1.0).block_until_ready()\n"
@@ -51,7 +51,7 @@ COMPILED_FIRST = "import jax\njax.jit(lambda x: x + 2)(1.0).block_until_ready()\
 
 @pytest.mark.parametrize("before", ("", COMPILED_FIRST))
 def test_second_process_compiles_nothing_again(tmp_path, before):
-    env = {key: value for key, value in os.environ.items() if key != machine_code.JAX}
+    env = {key: value for key, value in os.environ.items() if key != compile_cache.JAX}
     env |= {"FISHMJ_CACHE": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     begin = lambda: subprocess.run([sys.executable, "-c", before + PROGRAM], env=env, capture_output=True, text=True, check=True)
     (hits, misses), (hits_again, misses_again) = (map(int, begin().stdout.split()) for _ in range(2))
@@ -60,7 +60,7 @@ def test_second_process_compiles_nothing_again(tmp_path, before):
 
 def test_folder_set_in_jax_config_stays(tmp_path):
     chosen = f"import jax\njax.config.update('jax_compilation_cache_dir', {str(tmp_path / 'mine')!r})\nimport fishmj\n"
-    env = {key: value for key, value in os.environ.items() if key != machine_code.JAX}
+    env = {key: value for key, value in os.environ.items() if key != compile_cache.JAX}
     told = "print(jax.config.jax_compilation_cache_dir)"
     done = subprocess.run([sys.executable, "-c", chosen + told], env=env, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(tmp_path / "mine")
@@ -86,7 +86,7 @@ print(events.count("cache_hits"), events.count("cache_misses"), np.asarray(after
 
 def test_compiled_engine_program_is_cached_and_gives_the_same_result(tmp_path):
     pytest.importorskip("numba")
-    env = {**os.environ, machine_code.JAX: str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    env = {**os.environ, compile_cache.JAX: str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     begin = lambda: subprocess.run([sys.executable, "-c", SWIM], env=env, capture_output=True, text=True, check=True)
     (hits, misses, q), (hits_again, misses_again, q_again) = (begin().stdout.split() for _ in range(2))
     assert hits == "0" and int(misses) > 0 and (hits_again, misses_again) == (misses, "0") and q == q_again

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fishmj.deploy.protocols import fishmj1, lx_bus, mish
-from fishmj.deploy.protocols.fishmj1 import Has, Kind
+from fishmj.deploy.protocols.fishmj1 import FieldFlags, Kind
 from fishmj.deploy.protocols.guard import Bounds
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.deploy.protocols.watchdog import LATE, LONGEST, Limits
@@ -144,7 +144,7 @@ def test_numbers_of_states_kinds_parts_and_faults_are_those_of_the_page():
     assert cell("### Every datagram", "kind") == ", ".join(f"{kind.value} {kind.name}" for kind in Kind)
     assert cell("### TELEMETRY", "state") == ", ".join(f"{state.value} {state.name}" for state in RobotState)
     parts = {"ECHO": "echo", "POWER": "battery", "SERVO_VOLTAGE": "servo voltage", "TEMPERATURE": "temperature", "FAULT": "fault"}
-    assert ", ".join(f"{part.value} {parts[str(part.name)]}" for part in Has) in cell("### TELEMETRY", "parts")
+    assert ", ".join(f"{part.value} {parts[str(part.name)]}" for part in FieldFlags) in cell("### TELEMETRY", "parts")
     faults = [f"{fault.value} {str(fault.name).lower().replace('_', ' ')}" for fault in ServoFault if fault]
     assert ", ".join(faults) in cell("### TELEMETRY", "fault")
 

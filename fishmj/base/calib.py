@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.base.plain_file import ABSENT, trouble
+from fishmj.base.plain_file import ABSENT, why_unreadable
 from fishmj.base.toml_errors import explained
 
 LARGEST = 1_000_000  # bytes; the largest file of ours, a fitted water, has 20 kB
@@ -70,7 +70,7 @@ _LONG_KEY = re.compile(rf"(?:\.[ \t]{{0,9}}{_PART}[ \t]{{0,9}}){{{_PARTS}}}")  #
 def _text(path: Path) -> str:
     """Text of a file, at most 1 MB of UTF-8."""
     shown = shown_path(path)
-    if wrong := trouble(path, "a TOML file"):
+    if wrong := why_unreadable(path, "a TOML file"):
         raise ConfigError(f"{shown}: {wrong}")
     try:
         with path.open("rb") as file:
@@ -122,7 +122,7 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
             "(docs/simulate/your_own_fish.md)"
         )
     if path.suffix == ".toml":
-        wrong = trouble(path, "a TOML file")
+        wrong = why_unreadable(path, "a TOML file")
         if wrong == ABSENT:
             raise ConfigError(f"{shown}: {ABSENT}; shipped ones go by name: {', '.join(known)}")
         if wrong:
@@ -132,7 +132,7 @@ def resolve(name: str | Path, *, robot: bool = False) -> Path:
         if os.path.exists(beside := Path(f"{path}.toml")):  # a text that can be no path does not exist
             raise ConfigError(f"{shown}: expected a shipped name ({', '.join(known)}) or a .toml file; did you mean {beside}?")
         if os.path.exists(path):
-            kind = trouble(path, "") or "is a file whose name does not end in .toml"
+            kind = why_unreadable(path, "") or "is a file whose name does not end in .toml"
             raise ConfigError(f"{shown}: {kind}; expected a .toml file, or a shipped name: {', '.join(known)}")
         near = next((key for key, own in robots().items() if own == str(name)), "") if robot else ""
         raise UnknownName("robot" if robot else "calibration file", str(name)[:100], known, near=near)

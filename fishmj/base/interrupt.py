@@ -40,7 +40,7 @@ TWICE = 0.5  # s after which another signal counts as asked twice (some launcher
 Words = Callable[[], str]
 
 
-class Way(NamedTuple):
+class ExitPlan(NamedTuple):
     """Exit plan of a part of a verb: its save function, the seconds that it has to end by itself, and its last action."""
 
     words: Words
@@ -51,7 +51,7 @@ class Way(NamedTuple):
 
 writing = threading.RLock()  # held while a file is written, so that no half of it stays behind
 _asked: list[int] = []
-_kept: list[Way] = []  # innermost last
+_kept: list[ExitPlan] = []  # innermost last
 _closed: list[float] = []  # monotonic s at which the last loop that stops by itself ended
 _leaving = threading.Lock()
 _armed = False
@@ -122,7 +122,7 @@ def telling(tell: Callable[[str], object]) -> None:
 @contextmanager
 def keeping(words: Words) -> Iterator[None]:
     """Context in which an interrupt calls `words()`, which saves what is not saved yet; the last line ends with its answer."""
-    with _leaving_by(Way(words, 0.0, None, None)):
+    with _leaving_by(ExitPlan(words, 0.0, None, None)):
         yield
 
 
@@ -135,19 +135,19 @@ def finishing(
         heard: called at the first signal, in another thread. last: called before the process ends without the loop's own end:
             after `grace`, and at once at a second signal. It must not wait.
     """
-    return _leaving_by(Way(words, grace, heard, last))
+    return _leaving_by(ExitPlan(words, grace, heard, last))
 
 
 @contextmanager
-def _leaving_by(way: Way) -> Iterator[None]:
-    _kept.append(way)
+def _leaving_by(plan: ExitPlan) -> Iterator[None]:
+    _kept.append(plan)
     try:
-        if _asked and way.heard is not None:
-            way.heard()
+        if _asked and plan.heard is not None:
+            plan.heard()
         yield
     finally:
-        _kept.remove(way)
-        if way.grace:
+        _kept.remove(plan)
+        if plan.grace:
             _closed[:] = [time.monotonic()]
 
 
@@ -223,27 +223,27 @@ def _watch(heard: int) -> None:
 
 def _end() -> None:
     """Saves, prints and ends the process after the first signal."""
-    way = _kept[-1] if _kept else None
+    plan = _kept[-1] if _kept else None
     words = ""
-    if way is None and _closed and time.monotonic() - _closed[0] < GRACE:
+    if plan is None and _closed and time.monotonic() - _closed[0] < GRACE:
         time.sleep(GRACE)  # the loop saw the signal before this thread and prints its own last line
-    if way is not None:
+    if plan is not None:
         with suppress(Exception):
-            if way.heard is not None:
-                way.heard()
-        time.sleep(way.grace)  # the main thread leaves meanwhile, if it can
+            if plan.heard is not None:
+                plan.heard()
+        time.sleep(plan.grace)  # the main thread leaves meanwhile, if it can
         _last()
         with suppress(Exception):  # what cannot be kept now must not keep the process
-            words = way.words()
+            words = plan.words()
     leave(words)
 
 
 def _last() -> None:
     """Runs the last action of every open exit plan, innermost first."""
-    for way in reversed(_kept):
+    for plan in reversed(_kept):
         with suppress(Exception):
-            if way.last is not None:
-                way.last()
+            if plan.last is not None:
+                plan.last()
 
 
 def _at_once() -> NoReturn:

@@ -11,7 +11,7 @@ POINTS = b"version https://git-lfs.github.com/spec/"
 SMALL = 1024  # bytes; a pointer is shorter
 
 
-def trouble(path: str | Path, wanted: str = "a file") -> str:
+def why_unreadable(path: str | Path, wanted: str = "a file") -> str:
     """Reason that `path` cannot be read as a file, in a few words that follow "PATH: "; "" if it can. Links are followed."""
     path = Path(path)
     try:

@@ -34,7 +34,7 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.names import is_name
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store import read_json, read_tensors, write_tensors
 
 SCHEMA = "fishmj.policy/1"
@@ -323,7 +323,7 @@ def file_of(source: "str | Path") -> Path:
             expected = f"expected a policy file or the folder of a training{also}"
             raise StoreError(f"{path}: a folder without {' or '.join(OF_A_RUN)}; {expected}")
         return inside[0]
-    if path.suffix == ".safetensors" and (why := trouble(path)).startswith("is "):
+    if path.suffix == ".safetensors" and (why := why_unreadable(path)).startswith("is "):
         raise StoreError(f"{path}: {why}")
     if path.is_file():
         return path

@@ -5,7 +5,7 @@ The text holds numbers of the description and never a word of it: a name from a 
 The text of a module holds its numbers, the elementary functions (fast_math.py), the physics (codegen.py, from
 `planar_chain.step`) and the loops (lane_kernels.py). numba compiles it, except the physics, which lane_code.py writes. Its file
 name is the hash of that text and of the versions, and it is written by renaming a complete temporary file. Several processes may
-therefore start at once, and a stale or incomplete file is never run. If the cache folder (`machine_code`) cannot be written, the
+therefore start at once, and a stale or incomplete file is never run. If the cache folder (`compile_cache`) cannot be written, the
 module lives in memory and every process compiles it.
 """
 
@@ -18,8 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import MissingExtra
-from fishmj.base.machine_code import cache_folder
 from fishmj.engines import codegen, fast_math, residual_lanes, rows_of, ticks_per
 from fishmj.engines.extensions import Extensions
 from fishmj.mjcf.description import Robot
@@ -128,7 +128,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
     swimmer = lambda a: planar_chain.Swimmer(a["mass"], a["kp"], a["kv"], a["kb"], a["zero"], unflat(a["water"]))
 
     def step(a):
-        hooks = effects(a) if learnt is None else residual_lanes.told(jnp, ch, learnt, effects(a), a)
+        hooks = effects(a) if learnt is None else residual_lanes.hooks_from_network_output(jnp, ch, learnt, effects(a), a)
         around = (a["target"], a["flow"], a["ambient"])
         return planar_chain.step(jnp, ch, swimmer(a), a["q"], a["v"], a["attached"], *around, hooks)
 

@@ -3,7 +3,7 @@
 One physics step with a residual is three functions of the workspace, in this order:
     features   generated from `residual_network.motion`: inputs of the network
     network    written here: force coefficients, the members' spread, the wake a step later
-    physics    generated from `planar_chain.step` with `Told` hooks, which do the rest of `residual_hooks.LearnedResidual`
+    physics    generated from `planar_chain.step` with `PrecomputedResidual` hooks, the rest of `residual_hooks.LearnedResidual`
 
 The text depends on shapes alone (links, members, hidden units), so all fitted waters of a robot share one machine code; weights,
 range and lengths come as one flat array. With the input split into e, unchanged by a mirror, and o, whose sign it changes,
@@ -119,7 +119,7 @@ def flat_weights(learnt: residual_hooks.Residual, dt: float, dtype) -> np.ndarra
     return np.concatenate(parts).astype(dtype)
 
 
-class Told(residual_hooks.LearnedResidual):
+class PrecomputedResidual(residual_hooks.LearnedResidual):
     """Residual with the output of its network given: mean coefficients (3 N), spread () and the next wake (WAKES)."""
 
     def __init__(self, xp, ch, learnt, memory, inner, coefficients, spread, wake):
@@ -132,7 +132,7 @@ class Told(residual_hooks.LearnedResidual):
         return self.answer
 
 
-def told(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> Told:
+def hooks_from_network_output(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> PrecomputedResidual:
     """Hooks of the generated step; `a` holds its arguments by name of `Shape.rows`, and the flat `range`."""
     reach = None
     if shape.ranged:
@@ -141,7 +141,7 @@ def told(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> Told:
         reach = residual_hooks.Range(take(n, seen), take(n, seen, seen), take(n), take(n), take())
     unused: Any = None  # the weights are where the network is
     learnt = residual_hooks.Residual(unused, reach)
-    return Told(xp, ch, learnt, a["memory"], inner, a["coefficient"], a["spread"], a["next"])
+    return PrecomputedResidual(xp, ch, learnt, a["memory"], inner, a["coefficient"], a["spread"], a["next"])
 
 
 def features(xp, ch: planar_chain.Chain, sw, inner: Any, q, v, flow) -> list:

@@ -53,9 +53,9 @@ def gathered(robot: Robot, args) -> Path:
     """Data set for the bare verb: at hand, or solved first; refused before the fit if it is too small.
 
     Raises:
-        DatasetError: no data to check the fit. ConfigError: as `at_hand.segments_at_hand`.
+        DatasetError: no data to check the fit. ConfigError: as `default_dataset.segments_at_hand`.
     """
-    from fishmj.hydro_fit.campaign.data.at_hand import Request, segments_at_hand
+    from fishmj.hydro_fit.campaign.data.default_dataset import Request, segments_at_hand
 
     out, place = Path(args.out or FOLDERS[0]), args.data and Path(args.data)
     for folder in (out, place or DATA):  # hours may lie between now and the first file
@@ -228,11 +228,11 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 
     A preview never replaces a complete model: it is named `<name>-preview`.
     """
-    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
+    from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
     from fishmj.water.prior import flat
 
-    several()
+    use_cores_as_devices()
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
     slip = slip_of(data, args.slip)
     train, val = fitted_parts(data, robot, slip)
@@ -348,12 +348,12 @@ def check(robot: Robot, folder: Path, args) -> dict:
 
 def ablation(robot: Robot, folder: Path, args) -> dict:
     """Fits the model without each of its parts, on the same held-out records."""
-    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.pipeline import FitSettings
+    from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
     from fishmj.hydro_fit.water_ablation import ablation_table
     from fishmj.hydro_fit.water_ablation.ablation import table
 
-    several()
+    use_cores_as_devices()
     data = open_dataset(folder)
     slip = slip_of(data, args.slip)
     parts = [*(records_of(data, robot, split, slip) for split in ("train", "val")), held_out(robot, folder, args)[0]]

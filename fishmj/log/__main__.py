@@ -105,7 +105,7 @@ main = console.CommandGroup(
     "Bring recordings in, check data sets, state what they hold, hand them to other programs.",
     {
         "import": Command(
-            "fishmj.log.bring",
+            "fishmj.log.import_command",
             "recordings -> a data set of trial folders with a manifest",
             "fishmj log import commands.csv camera.csv battery.csv --out data/monday --robot swift",
         ),

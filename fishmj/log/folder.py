@@ -12,7 +12,7 @@ import numpy as np
 
 from fishmj.base.calib import parse_toml
 from fishmj.base.errors import ConfigError, FishmjError, LogError, StoreError
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store import put_in_place, temporary_beside, write_text
 from fishmj.log import toml, trial_check
 from fishmj.log.limits import listed, quoted
@@ -41,7 +41,7 @@ def read_trial(path: str | Path) -> Trial:
     if path.is_file() and path.suffix == ".csv":
         return _read_flat(path)
     if not path.is_dir():
-        why = why if (why := trouble(path)).startswith("is ") else "no such trial"
+        why = why if (why := why_unreadable(path)).startswith("is ") else "no such trial"
         raise LogError(f"{path}: {why}; expected a folder with {META_FILE} and tables, or a flat {FLAT_FILE}")
     _inside(path, path / FLAT_FILE)
     if (path / FLAT_FILE).is_file():
@@ -166,7 +166,7 @@ def checked_meta(folder: Path, meta: dict) -> str:
 def read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
     """The dictionary of a `meta.toml` and the notes of its check; an absent one is empty unless `required`."""
     _inside(path.parent, path)
-    why = trouble(path)
+    why = why_unreadable(path)
     if why and why != "no such file":
         raise LogError(f"{path}: {why}")
     if why:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 
 VARIABLE = "FISHMJ_IMPORT_GB"  # raises the limit
 DEFAULT_GB = 2.0
@@ -52,7 +52,7 @@ def regular(path: Path, *, empty: bool = False) -> int:
     Raises:
         LogError: no such file, a pipe, a device or a folder, empty, or beyond the limit.
     """
-    if why := trouble(path):
+    if why := why_unreadable(path):
         raise LogError(f"{path}: {why}")
     size = path.stat().st_size
     if not size and not empty:

@@ -10,7 +10,7 @@ from typing import Any
 
 from fishmj.base import calib, names
 from fishmj.base.calib import constant
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.mjcf.description_schema import Fault, shown
 from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 
@@ -298,7 +298,7 @@ def _no_water(model: str) -> Fault | None:
     if model in (*known, "surrogate") or model.removesuffix("-base") in calib.waters():
         return None
     if model.endswith(".toml"):
-        if not (wrong := trouble(model, "")):
+        if not (wrong := why_unreadable(model, "")):
             return None
         return Fault("water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH)
     near = get_close_matches(model, known, 1, 0.5)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.errors import StoreError
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store.atomic import plain, write_bytes
 
 UNPACKED = 2**28  # bytes that one archive may hold; more where FISHMJ_MAX_UNPACKED says so
@@ -47,7 +47,7 @@ def read_npz(path: str | Path, *, widened: bool = False) -> dict[str, np.ndarray
         StoreError: missing, truncated, bit-flipped, not an archive, with pickled objects, or too large when unpacked.
     """
     path, arrays, wide = Path(path), {}, 0
-    if why := trouble(path):
+    if why := why_unreadable(path):
         raise StoreError(f"{path}: {why}")
     try:
         with zipfile.ZipFile(path) as archive:
@@ -110,7 +110,7 @@ def read_tensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
     from safetensors.numpy import load
 
     path = Path(path)
-    if why := trouble(path):
+    if why := why_unreadable(path):
         raise StoreError(f"{path}: {why}")
     try:
         data = path.read_bytes()

@@ -17,7 +17,7 @@ import numpy as np
 
 from fishmj.base import interrupt
 from fishmj.base.errors import StoreError
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store.temporary import temporary_beside
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -120,7 +120,7 @@ def read_json(path: str | Path):
     Raises:
         StoreError: missing, no plain file, or not JSON.
     """
-    if why := trouble(path):
+    if why := why_unreadable(path):
         raise StoreError(f"{path}: {why}")
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from fishmj.base.calib import OWN, ROOTS
 from fishmj.base.errors import StoreError
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store.atomic import read_json, write_json
 
 MANIFEST = "manifest.json"
@@ -18,7 +18,7 @@ SOURCES = "in a checkout or the source distribution (sdist)"
 
 def sha256(path: str | Path) -> str:
     """Hex digest of a file's bytes."""
-    if why := trouble(path):
+    if why := why_unreadable(path):
         raise StoreError(f"{path}: {why}")
     try:
         with open(path, "rb") as file:

@@ -21,11 +21,11 @@ from fishmj.control.learned import LearnedController
 from fishmj.deploy.loop import arming, wiring
 from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
 from fishmj.deploy.loop.experiment import Gait
+from fishmj.deploy.loop.graceful_stop import graceful_stop
 from fishmj.deploy.loop.pilot import Pilot, PlayedPilot, PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.swim import Outcome, Plan, Rig, Swim
 from fishmj.deploy.loop.trial_log import TrialLog, refuse_taken
-from fishmj.deploy.loop.way_out import way_out
 from fishmj.deploy.monitor.live import LiveMonitor, Watched, monitor_options, watched_of
 from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.mjcf.description import Robot
@@ -185,7 +185,7 @@ def _swum(
 
         in_real_time = isinstance(wired.clock, MonotonicClock)  # a loop that never waits would keep everything else waiting
         ahead = first_in_line() if in_real_time else nullcontext(False)
-        with way_out(stop, lambda: wired.link.disarm(wired.clock.now()), kept), ahead as first:
+        with graceful_stop(stop, lambda: wired.link.disarm(wired.clock.now()), kept), ahead as first:
             log.meta["host"]["first_in_line"] = first
             return swim.run()
 

@@ -27,11 +27,11 @@ from fishmj.deploy.commands.swim_command import (
 )
 from fishmj.deploy.loop import arming, wiring
 from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
+from fishmj.deploy.loop.graceful_stop import graceful_stop
 from fishmj.deploy.loop.pilot import PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.swim import Outcome, Plan, Rig, Swim
 from fishmj.deploy.loop.trial_log import TrialLog
-from fishmj.deploy.loop.way_out import way_out
 from fishmj.deploy.monitor.live import LiveMonitor, MonitorProcess, watched_of
 from fishmj.deploy.rig.rig_experiment import free_name
 from fishmj.deploy.rig.rig_prompt import Person
@@ -246,7 +246,7 @@ class Walk:
             plan = Plan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
             swim = Swim(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
             ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)
-            with undisturbed(), way_out(self.stop, lambda: link.disarm(clock.now()), self._kept), ahead:
+            with undisturbed(), graceful_stop(self.stop, lambda: link.disarm(clock.now()), self._kept), ahead:
                 return swim.run()
 
 

@@ -145,7 +145,7 @@ class FishmjFirmware:
             servo_voltage=readings.servo_voltage, temperature=readings.temperature,
             fault=tuple(f | s for f, s in zip(readings.fault, found, strict=True)),
         )  # fmt: skip
-        told = fishmj1.sayable(told, self._last)
+        told = fishmj1.clamped_to_wire_range(told, self._last)
         self._last = told.joint
         return fishmj1.encode_telemetry(told)
 

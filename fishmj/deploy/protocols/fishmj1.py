@@ -50,7 +50,7 @@ class Kind(IntEnum):
     INFO = 6  # robot -> host: what the robot is
 
 
-class Has(IntFlag):
+class FieldFlags(IntFlag):
     """Flags of the present parts of TELEMETRY; the bytes of the others are zero."""
 
     ECHO = 1
@@ -150,16 +150,20 @@ def encode_telemetry(telemetry: Telemetry) -> bytes:
     it = telemetry
     if it.seq is None or it.time is None or it.state is None:
         raise ProtocolError(f"telemetry with seq {it.seq}, time {it.time}, state {it.state}; fishmj-1 carries all three")
-    has = Has(0)
-    for one, other, bit in ((it.echo, it.echo_time, Has.ECHO), (it.voltage, it.current, Has.POWER)):
+    has = FieldFlags(0)
+    for one, other, bit in ((it.echo, it.echo_time, FieldFlags.ECHO), (it.voltage, it.current, FieldFlags.POWER)):
         if (one is None) != (other is None):
             raise ProtocolError(f"telemetry with {bit.name} {one}, {other}; expected both or none")
-        has |= Has(0) if one is None else bit
+        has |= FieldFlags(0) if one is None else bit
     count = len(it.joint)
-    for row, bit in ((it.servo_voltage, Has.SERVO_VOLTAGE), (it.temperature, Has.TEMPERATURE), (it.fault, Has.FAULT)):
+    for row, bit in (
+        (it.servo_voltage, FieldFlags.SERVO_VOLTAGE),
+        (it.temperature, FieldFlags.TEMPERATURE),
+        (it.fault, FieldFlags.FAULT),
+    ):
         if row is not None and len(row) != count:
             raise ProtocolError(f"telemetry of {count} joints with {bit.name} of {len(row)}; expected one a joint")
-        has |= Has(0) if row is None else bit
+        has |= FieldFlags(0) if row is None else bit
     head = TELEMETRY.pack(
         _whole(it.state, max(RobotState), "state"),
         has,
@@ -182,7 +186,7 @@ def encode_telemetry(telemetry: Telemetry) -> bytes:
     return _frame(Kind.TELEMETRY, it.seq, it.time, count, head + body)
 
 
-def sayable(telemetry: Telemetry, last: Sequence[float]) -> Telemetry:
+def clamped_to_wire_range(telemetry: Telemetry, last: Sequence[float]) -> Telemetry:
     """The telemetry clamped to the wire's range, so that the host receives a packet for any measurement.
 
     Args:
@@ -259,12 +263,16 @@ def _read_command(payload: bytes, joints: int, seq: int, time: float) -> Command
 def _read_telemetry(payload: bytes, joints: int, seq: int, time: float) -> Telemetry:
     _size(payload, (TELEMETRY.size + JOINT.size * joints,), "TELEMETRY")
     state, bits, zero, echo, echo_ticks, voltage, current = TELEMETRY.unpack_from(payload)
-    if state > max(RobotState) or bits > sum(Has) or zero:
+    if state > max(RobotState) or bits > sum(FieldFlags) or zero:
         raise ProtocolError(f"telemetry with state {state}, parts {bits}, reserved {zero}; expected at most 3, 31 and 0")
-    has = Has(bits)
+    has = FieldFlags(bits)
     rows = [JOINT.unpack_from(payload, TELEMETRY.size + JOINT.size * k) for k in range(joints)]
-    blank = {Has.ECHO: payload[4:16], Has.POWER: payload[16:24]}
-    for part, bit in ((slice(4, 6), Has.SERVO_VOLTAGE), (slice(6, 7), Has.TEMPERATURE), (slice(7, 8), Has.FAULT)):
+    blank = {FieldFlags.ECHO: payload[4:16], FieldFlags.POWER: payload[16:24]}
+    for part, bit in (
+        (slice(4, 6), FieldFlags.SERVO_VOLTAGE),
+        (slice(6, 7), FieldFlags.TEMPERATURE),
+        (slice(7, 8), FieldFlags.FAULT),
+    ):
         blank[bit] = b"".join(payload[TELEMETRY.size + JOINT.size * k :][part] for k in range(joints))
     if filled := [str(bit.name) for bit, part in blank.items() if bit not in has and any(part)]:
         raise ProtocolError(f"telemetry says that it has no {', '.join(filled)}, and its bytes are not zero")
@@ -280,14 +288,14 @@ def _read_telemetry(payload: bytes, joints: int, seq: int, time: float) -> Telem
         joint=tuple(_angle(row[0], f"joint {k}") for k, row in enumerate(rows)),
         seq=seq,
         time=time,
-        echo=echo if Has.ECHO in has else None,
-        echo_time=echo_ticks / 1e6 if Has.ECHO in has else None,
+        echo=echo if FieldFlags.ECHO in has else None,
+        echo_time=echo_ticks / 1e6 if FieldFlags.ECHO in has else None,
         state=RobotState(state),
-        voltage=volts if Has.POWER in has else None,
-        current=amperes if Has.POWER in has else None,
-        servo_voltage=tuple(row[1] / 1000 for row in rows) if Has.SERVO_VOLTAGE in has else None,
-        temperature=tuple(float(row[2]) for row in rows) if Has.TEMPERATURE in has else None,
-        fault=tuple(ServoFault(row[3]) for row in rows) if Has.FAULT in has else None,
+        voltage=volts if FieldFlags.POWER in has else None,
+        current=amperes if FieldFlags.POWER in has else None,
+        servo_voltage=tuple(row[1] / 1000 for row in rows) if FieldFlags.SERVO_VOLTAGE in has else None,
+        temperature=tuple(float(row[2]) for row in rows) if FieldFlags.TEMPERATURE in has else None,
+        fault=tuple(ServoFault(row[3]) for row in rows) if FieldFlags.FAULT in has else None,
     )
 
 

@@ -16,8 +16,8 @@ from fishmj.deploy.commands.swim_command import flow
 from fishmj.deploy.loop import arming, wiring
 from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
 from fishmj.deploy.loop.experiment import REPEATS, SESSIONS, Run, meta_of, placing, play, runs, unpoliced
+from fishmj.deploy.loop.graceful_stop import graceful_stop
 from fishmj.deploy.loop.swim import Outcome, Rig
-from fishmj.deploy.loop.way_out import way_out
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.deploy.tracker.fix import Fix
 from fishmj.log import Trial, read_trial, write_trial
@@ -86,7 +86,7 @@ def main(argv: list[str], wire: Wire | None = None) -> int:
         if stop.is_set():
             break
         console.say(f"{number + 1} of {len(todo)}: {run.name}, {run.what.seconds:.1f} s ({run.what.about})")
-        with interrupt.keeping(kept):  # while the robot swims, `way_out` stands within
+        with interrupt.keeping(kept):  # while the robot swims, `graceful_stop` stands within
             trial, outcome = _played(args, robot, run, free_name(raw, run.name), person, at_the_tank, stop, kept, wire)
             why = outcome.words
             held += [run.name] if outcome.released is False else []
@@ -136,7 +136,7 @@ def _played(
     """One experiment: the fish is put in place, all devices are opened, played and closed.
 
     Args:
-        ask: returns True if a person stands at the tank. stop: is set by a signal while the robot swims. words: of `way_out`.
+        ask: returns True if a person stands at the tank. stop: set by a signal while the robot swims. words: of `graceful_stop`.
         wire: as `main`.
 
     Raises:
@@ -162,7 +162,7 @@ def _played(
             person.hands_off(clock)
             wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
         ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)  # lockstep never waits
-        with way_out(stop, lambda: link.disarm(clock.now()), words), ahead:
+        with graceful_stop(stop, lambda: link.disarm(clock.now()), words), ahead:
             outcome, trial = play(
                 rig, run, folder, meta, medium=args.medium, wait=args.wait, stop=stop.is_set, bound=args.bound or inf
             )

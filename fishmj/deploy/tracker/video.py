@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.base.calib import shown_path
 from fishmj.base.errors import LogError, StoreError
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store import put_in_place, temporary_beside
 from fishmj.deploy.tracker.apriltag import AprilTagTracker
 from fishmj.deploy.tracker.fix import Fix, Tracker
@@ -56,7 +56,7 @@ def track_video(
             calibration's. StoreError: the folder exists, or cannot be written.
     """
     cv2, path, folder = opencv("tracking a video"), Path(path), Path(folder)
-    if wrong := trouble(path, "a video"):
+    if wrong := why_unreadable(path, "a video"):
         raise LogError(f"{shown_path(path)}: {wrong}; expected a video file")
     if folder.exists() and not overwrite:
         raise StoreError(f"{shown_path(folder)}: exists; choose another name or pass overwrite=True")

@@ -12,7 +12,7 @@ import weakref
 from math import prod
 from pathlib import Path
 
-from fishmj.base.machine_code import cache_folder
+from fishmj.base.compile_cache import cache_folder
 from fishmj.evaluate.bench import NotHere, Work, benchmark
 
 MEGA = 1e6

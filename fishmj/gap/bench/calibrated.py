@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import StoreError
-from fishmj.base.machine_code import cache_folder
 from fishmj.base.store import read_json, write_json
 from fishmj.gap.bench import families
 from fishmj.gap.calibrate import water_fit

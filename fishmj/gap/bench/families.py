@@ -24,7 +24,7 @@ from fishmj.gap.laboratory.generators.detectability import (
     spreads,
 )
 from fishmj.gap.laboratory.session import Effects
-from fishmj.gap.records.movement import pace
+from fishmj.gap.records.movement import mean_speed_and_yaw_rate
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
@@ -93,7 +93,7 @@ def page(family: str, effects: Effects, seed: int, robot: Robot) -> dict:
 def lengths_a_second(family: str, seed: int, robot: Robot) -> float:
     """Speed of this robot in its own water with the standard gait, body lengths a second."""
     rows = trials(family, {}, ["gait"], seed, robot, noise=0.0)[0].table("pose")
-    speed, _ = pace(rows["t"], np.stack([rows[c] for c in ("x", "y", "yaw")], 1))
+    speed, _ = mean_speed_and_yaw_rate(rows["t"], np.stack([rows[c] for c in ("x", "y", "yaw")], 1))
     return speed / robot.length
 
 

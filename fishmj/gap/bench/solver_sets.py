@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base import console
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import ConfigError
-from fishmj.base.machine_code import cache_folder
 from fishmj.base.store import read_json
 from fishmj.gap.bench import calibrated
 from fishmj.gap.bench.drawn_robots import BenchRobot

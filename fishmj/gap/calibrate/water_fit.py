@@ -28,7 +28,7 @@ from fishmj.gap.calibrate.calibration_logs import QUIET, Logs
 from fishmj.gap.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, bound_of, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, WaterPlant
 from fishmj.gap.progress import Bars, silent_bar
-from fishmj.gap.records.movement import pace
+from fishmj.gap.records.movement import mean_speed_and_yaw_rate
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
@@ -266,7 +266,7 @@ def predicted(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> li
     out = []
     for record, prediction in zip(records, plant.predict(records, plant.rows(theta[None])), strict=True):
         (t, seen, _), made = pose_of(record), prediction["pose"][0]
-        (speed, turn), (other, other_turn) = pace(t, seen), pace(t, made)
+        (speed, turn), (other, other_turn) = mean_speed_and_yaw_rate(t, seen), mean_speed_and_yaw_rate(t, made)
         place = float(np.hypot(*(made[-1] - seen[-1])[:2]))
         out.append(HeldOutSwim(record.name, kind_of(record), speed, other, turn, other_turn, place))
     return out

@@ -10,8 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj.base import console, interrupt
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import ConfigError
-from fishmj.base.machine_code import cache_folder
 from fishmj.base.store import clear, left_out, shipped, write_json
 from fishmj.engines import own_effects
 from fishmj.gap import progress

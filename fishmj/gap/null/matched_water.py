@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 from fishmj.gap.progress import Bars, silent_bar
-from fishmj.gap.records.movement import pace
+from fishmj.gap.records.movement import mean_speed_and_yaw_rate
 from fishmj.gap.records.records import record_of
 from fishmj.log import excitation
 from fishmj.mjcf.description import Robot
@@ -46,14 +46,14 @@ def matched(model, tick: Callable[[int], None] = lambda done: None) -> WaterScal
     """Scales by which the second robot swims like the model without its listed effects. tick: number of finished sets."""
     records, done = swim_second_robot(model.robot, AS_IT_IS, model.dt), count(1)
     shown = model.predict(records, getattr(model, "nothing", model.null))
-    wanted = [pace(r.pose.t, p["pose"][0]) for r, p in zip(records, shown, strict=True)]
+    wanted = [mean_speed_and_yaw_rate(r.pose.t, p["pose"][0]) for r, p in zip(records, shown, strict=True)]
 
     def off(logs: np.ndarray) -> np.ndarray:
         out = list(logs / WIDE)
         for record, (speed, turn) in zip(
             swim_second_robot(model.robot, WaterScales(*np.exp(logs)), model.dt), wanted, strict=True
         ):
-            mine, tolerance = pace(record.pose.t, record.pose.values), of_movement(speed, 0.0, turn)
+            mine, tolerance = mean_speed_and_yaw_rate(record.pose.t, record.pose.values), of_movement(speed, 0.0, turn)
             out += [(mine[0] - speed) / tolerance[0], (mine[1] - turn) / tolerance[1]]
         tick(next(done))
         return np.array(out)

@@ -25,8 +25,8 @@ import numpy as np
 
 import fishmj
 from fishmj.base.calib import resolve
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import LogError, SimDiverged, StoreError
-from fishmj.base.machine_code import cache_folder
 from fishmj.base.store import read_npz, sha256, write_npz
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
 from fishmj.gap.null.log_sensors import log_sensors

@@ -5,7 +5,7 @@ import numpy as np
 LEAD, PACE = 2.0, 1.0  # s before a swim is judged, and between two places that its speed is taken from
 
 
-def pace(t: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
+def mean_speed_and_yaw_rate(t: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
     """Mean speed, m/s, from place to place a second apart, and mean yaw rate, rad/s, once the swim is under way.
 
     Args:

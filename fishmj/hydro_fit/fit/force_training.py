@@ -15,7 +15,7 @@ import numpy as np
 import optax
 from jax import lax
 
-from fishmj.hydro_fit.fit.descent import Loop
+from fishmj.hydro_fit.fit.training_loop import Loop
 from fishmj.hydro_fit.fit.training_windows import TrainingWindows, subset
 from fishmj.water import residual_network
 from fishmj.water.dynamics import planar_chain

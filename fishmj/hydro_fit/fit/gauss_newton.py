@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.hydro_fit.fit import training_windows
-from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.identifiability import Identified, identify
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimTrack, SwimWindow, is_free, recorded, repeated, windows
+from fishmj.hydro_fit.fit.training_loop import Loop
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import planar_chain, strip_forces

@@ -22,8 +22,8 @@ from fishmj.base.errors import DatasetError, StoreError
 from fishmj.base.store import plain, read_tensors, write_tensors
 from fishmj.hydro_fit.fit import force_training, gauss_newton, linear_regression, prediction_interval, rollout, training_windows
 from fishmj.hydro_fit.fit import rollout_training as swims
-from fishmj.hydro_fit.fit.descent import Loop
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
+from fishmj.hydro_fit.fit.training_loop import Loop
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks

@@ -18,8 +18,8 @@ from jax import lax
 from jax.sharding import PartitionSpec
 
 from fishmj.base.errors import DatasetError
-from fishmj.hydro_fit.fit.descent import devices, mesh_of
 from fishmj.hydro_fit.fit.regression_rows import ambient_of
+from fishmj.hydro_fit.fit.training_loop import devices, mesh_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network

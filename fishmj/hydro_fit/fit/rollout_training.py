@@ -23,10 +23,10 @@ import optax
 
 from fishmj.base.errors import DatasetError
 from fishmj.hydro_fit.fit import force_training
-from fishmj.hydro_fit.fit.descent import Loop, devices, quick, replicated, sharded, stacked
 from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
 from fishmj.hydro_fit.fit.regression_rows import attachment, base_force, rows_of
 from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow, cut, is_free
+from fishmj.hydro_fit.fit.training_loop import Loop, devices, replicated, sharded, short_op_compiler_options, stacked
 from fishmj.hydro_fit.fit.training_windows import EVERY, TrainingWindows, motion_of, subset
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
@@ -215,7 +215,7 @@ class RolloutTrainer:
         gradient_of = sharded(self.loss, shards)
         net, state = replicated((net, state), shards)
 
-        @partial(jax.jit, compiler_options=quick(shards[0].platform))
+        @partial(jax.jit, compiler_options=short_op_compiler_options(shards[0].platform))
         def step(net, state, *batches):
             value, gradient = gradient_of(net, *batches)
             updates, state = optimiser.update(gradient, state)

@@ -40,7 +40,7 @@ class Item:
 
 
 @dataclass
-class Shelf:
+class FileCache:
     """Reads every file once, and caches the result as far as memory allows."""
 
     topics: bool = False  # a mapping of topics was given: recordings need no sheets
@@ -131,7 +131,7 @@ def is_own(folder: Path) -> bool:
     )
 
 
-def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None) -> tuple[list[Item], list[str]]:
+def plan(sources: Sequence[Path], cache: FileCache, *, together: bool | None = None) -> tuple[list[Item], list[str]]:
     """The trials in files and folders, and the ignored entries.
 
     Args:
@@ -148,10 +148,10 @@ def plan(sources: Sequence[Path], shelf: Shelf, *, together: bool | None = None)
     tags = tags_of(sources)
     loose = [source for source in sources if not source.is_dir()]
     if loose:
-        items += _told_apart(_heap(loose, shelf, together, name="" if len(loose) > 1 else loose[0].stem, top=True))
+        items += _told_apart(_heap(loose, cache, together, name="" if len(loose) > 1 else loose[0].stem, top=True))
     folders = [source for source in sources if source.is_dir()]
     for source in folders:
-        items += _walk(source, source.resolve(), shelf, together, notes, tags[source], 0, alone=len(folders) == 1)
+        items += _walk(source, source.resolve(), cache, together, notes, tags[source], 0, alone=len(folders) == 1)
     named, told = renamed(items)
     return named, [*notes, *told]
 
@@ -184,13 +184,14 @@ def _told_apart(items: list[Item]) -> list[Item]:
 
 
 def _walk(
-    folder: Path, root: Path, shelf: Shelf, together: bool | None, notes: list[str], prefix: str, depth: int, alone: bool = False
+    folder: Path, root: Path, cache: FileCache, together: bool | None, notes: list[str], prefix: str, depth: int,
+    alone: bool = False,
 ) -> list[Item]:  # fmt: skip
     """Trials below a folder. prefix: of their names, at depth 0 the folder's own; alone: of one folder names go without it."""
     here = _joined(prefix, folder.name) if depth else prefix
     whole = is_own(folder) or (rosbag2.sniff(folder) and (together is not False or (folder / rosbag2.METADATA).is_file()))
     if whole and (outside := leading_outside(folder)):
-        shelf.skipped[str(folder)] = f"{folder}: {bare(outside[0].name)} is a link that leads outside; put the file itself there"
+        cache.skipped[str(folder)] = f"{folder}: {bare(outside[0].name)} is a link that leads outside; put the file itself there"
         return []
     if is_own(folder):
         return [Item(here, (folder,), own=True)]
@@ -198,7 +199,7 @@ def _walk(
         beside = [p.name for p in _inside(folder, root, notes) if p.suffix.lower() in TABLE_FILES or p.is_dir()]
         if beside:
             notes.append(f"{folder}: a bag; passed over beside it: {', '.join(map(bare, beside[:6]))}; import them by themselves")
-        return [Item(here, tuple(shelf.readable([folder])))]
+        return [Item(here, tuple(cache.readable([folder])))]
     if depth > DEEP:
         raise LogError(f"{folder}: folders in folders, {DEEP} deep; name the folder that holds the trials")
     files, folders, other = [], [], []
@@ -212,15 +213,15 @@ def _walk(
         elif (kind := other_files.kind_of(entry)) in other_files.RECORDINGS or (
             kind == "archive" and other_files.holds_tables(entry)
         ):
-            shelf.skipped[str(entry)] = f"{entry}: {other_files.advice(entry, kind)}"
+            cache.skipped[str(entry)] = f"{entry}: {other_files.advice(entry, kind)}"
         elif entry.name not in ("manifest.json", "measurements.toml"):
             other.append(entry.name)
     if other:
         more = f" and {len(other) - 6} more" if len(other) > 6 else ""
         notes.append(f"{folder}: passed over: {', '.join(bare(name) for name in other[:6])}{more}")
-    items = _heap(files, shelf, together, name=here, top=alone) if files else []
+    items = _heap(files, cache, together, name=here, top=alone) if files else []
     for sub in folders:
-        items += _walk(sub, root, shelf, together, notes, "" if alone else here, depth + 1)
+        items += _walk(sub, root, cache, together, notes, "" if alone else here, depth + 1)
     return items
 
 
@@ -258,9 +259,9 @@ def _inside(folder: Path, root: Path, notes: list[str]) -> Iterator[Path]:
         yield entry
 
 
-def _heap(files: Sequence[Path], shelf: Shelf, together: bool | None, *, name: str, top: bool) -> list[Item]:
+def _heap(files: Sequence[Path], cache: FileCache, together: bool | None, *, name: str, top: bool) -> list[Item]:
     """The trials of the files of one folder."""
-    good = shelf.readable(files)
+    good = cache.readable(files)
     if not good:
         return []
     recordings = [file for file in good if is_recording(file)]
@@ -272,17 +273,17 @@ def _heap(files: Sequence[Path], shelf: Shelf, together: bool | None, *, name: s
         return out
     if len(tables) == 1 and not (together and len(files) > 1):
         only = Item(name if not top and len(files) == 1 else _joined("" if top else name, tables[0].stem), (tables[0],))
-        return [*out, *_by_episode(only, shelf)]
-    different = len(guess.kinds(sheet for file in tables for sheet in shelf.sheets(file)))
+        return [*out, *_by_episode(only, cache)]
+    different = len(guess.kinds(sheet for file in tables for sheet in cache.sheets(file)))
     if together if together is not None else _is_one(tables, different):
         return [*out, Item(name or tables[0].parent.resolve().name or "trial", tuple(tables))]
     each = (Item(_joined("" if top else name, file.stem), (file,)) for file in tables)
-    return [*out, *(part for item in each for part in _by_episode(item, shelf))]
+    return [*out, *(part for item in each for part in _by_episode(item, cache))]
 
 
-def _by_episode(item: Item, shelf: Shelf) -> list[Item]:
+def _by_episode(item: Item, cache: FileCache) -> list[Item]:
     """The item, or one for each episode in its file."""
-    episodes = [sheet.episode for sheet in shelf.sheets(item.files[0]) if sheet.episode is not None]
+    episodes = [sheet.episode for sheet in cache.sheets(item.files[0]) if sheet.episode is not None]
     if len(episodes) < 2:
         return [item]
     return [replace(item, name=f"{item.name}_episode_{episode}", episode=episode) for episode in episodes]
@@ -349,12 +350,12 @@ def excitations(texts: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def layouts(items: Sequence[Item], shelf: Shelf) -> dict[tuple, list[Item]]:
+def layouts(items: Sequence[Item], cache: FileCache) -> dict[tuple, list[Item]]:
     """Foreign items, grouped by the kinds of their files."""
     out: dict[tuple, list[Item]] = {}
     for item in items:
         if item.own or not item.files:
             continue
-        made = guess.kinds(shelf.sheets_of(item))
+        made = guess.kinds(cache.sheets_of(item))
         out.setdefault(tuple(sorted(repr(guess.flavour(kind.sheets[0])) for kind in made)), []).append(item)
     return out

@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import nearest
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.mjcf.from_above import opencv
 from fishmj.mjcf.new.shape import Outline, root_of_fin, typical_width
 
@@ -174,7 +174,7 @@ def size_of(data: bytes) -> tuple[int, int] | None:
 def _decoded(cv2, path: Path) -> np.ndarray:
     """The picture (H, W, 3) BGR, after its header was found harmless."""
     try:
-        if wrong := trouble(path, ""):
+        if wrong := why_unreadable(path, ""):
             raise ConfigError(f"{path}: {wrong}; expected a side view as PNG or JPG")
         if path.stat().st_size > BYTES:
             raise ConfigError(f"{path}: {path.stat().st_size / 1e6:.0f} MB; a photo may have {BYTES / 1e6:.0f} MB")

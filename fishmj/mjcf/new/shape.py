@@ -13,7 +13,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import nearest
-from fishmj.base.plain_file import trouble
+from fishmj.base.plain_file import why_unreadable
 from fishmj.mjcf.description import Link
 from fishmj.mjcf.drawing import PALETTE
 from fishmj.mjcf.new.quantity import KINDS
@@ -178,7 +178,7 @@ def read_sections(path: Path, unit: str | None = None) -> Outline:
 
 
 def _text(path: Path) -> str:
-    if (wrong := trouble(path, "a table of sections")).startswith("is "):
+    if (wrong := why_unreadable(path, "a table of sections")).startswith("is "):
         raise ConfigError(f"{path}: {wrong}")
     try:
         if path.stat().st_size > LARGEST:

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import StoreError
-from fishmj.base.machine_code import cache_folder
 from fishmj.base.store import read_npz, write_npz
 from fishmj.gap.laboratory.session import Effects
 from fishmj.log import Trial, excitation

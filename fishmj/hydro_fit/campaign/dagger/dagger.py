@@ -249,12 +249,12 @@ def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Pat
     Args:
         out: folder of the rounds; finished stages of the fit are kept there.
     """
-    from fishmj.hydro_fit.fit.descent import several
     from fishmj.hydro_fit.fit.gauss_newton import flaps
     from fishmj.hydro_fit.fit.incremental import Refit
     from fishmj.hydro_fit.fit.rollout import is_free
+    from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
 
-    several()
+    use_cores_as_devices()
     keep = lambda r: not r.meta.get("replicate_of") and (is_free(r) or flaps(r))
     of = lambda data, split: [r for r in data.records(split, slip=model.slip) if keep(r)]
     added = open_dataset(solver)

@@ -19,7 +19,7 @@ APART = 0.01  # s between them
 
 
 @contextmanager
-def way_out(stop: Event, let_go: Callable[[], object], words: Callable[[], str], grace: float = GRACE) -> Iterator[None]:
+def graceful_stop(stop: Event, let_go: Callable[[], object], words: Callable[[], str], grace: float = GRACE) -> Iterator[None]:
     """Context in which a signal sets `stop`; the loop that reads it has `grace` s to end.
 
     Args:

@@ -205,13 +205,13 @@ def _found(args: Namespace) -> ImportResult:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
     if known and known != TABLE:
         return _in_format(args.source, known, args)
-    shelf = gather.Shelf(topics=args.topics is not None)
+    cache = gather.FileCache(topics=args.topics is not None)
     together = True if args.one_trial else False if args.trial_each else None
     found = ImportResult(TABLE)
-    items, passed = gather.plan(args.source, shelf, together=together)
+    items, passed = gather.plan(args.source, cache, together=together)
     found.notes += [*passed, *_changed(args.source)]
     found.page = _page(args.source)
-    mapped = [item for item in items if not item.own and len(item.files) == 1 and shelf.mapped(item.files[0])]
+    mapped = [item for item in items if not item.own and len(item.files) == 1 and cache.mapped(item.files[0])]
     if mapped:
         found.format = registry.sniff(mapped[0].files[0])
     elif args.topics is not None:
@@ -230,22 +230,22 @@ def _found(args: Namespace) -> ImportResult:
         wanted = read_map(args.columns)
         found.maps.append(wanted)
         for item in foreign:
-            found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
+            found.trials.append((item.name, partial(_convert, item, cache, wanted)))
     elif foreign:
-        _guessed(foreign, shelf, args, found)
+        _guessed(foreign, cache, args, found)
     if found.trials and not foreign and not mapped:
         found.format = "fishmj.log/1"
-    found.skipped |= shelf.skipped
+    found.skipped |= cache.skipped
     if not found.trials and not any(guessed.unclear(gs) for _, gs in found.guesses):
         _nothing(args, found)
     return found
 
 
-def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, found: ImportResult) -> None:
+def _guessed(items: list[gather.Item], cache: gather.FileCache, args: Namespace, found: ImportResult) -> None:
     """Guesses a column map for every layout of files."""
     said = overrides(args.set)
-    for group in gather.layouts(items, shelf).values():
-        kinds = guess.kinds(sheet for item in group for sheet in shelf.sheets_of(item))
+    for group in gather.layouts(items, cache).values():
+        kinds = guess.kinds(sheet for item in group for sheet in cache.sheets_of(item))
         here = {name: value for name, value in said.items() if any(kind.called(name) for kind in kinds)}
         made = guess.guess(kinds, here)
         where = ", ".join(item.name for item in group[:3]) + (", .." if len(group) > 3 else "")
@@ -259,14 +259,14 @@ def _guessed(items: list[gather.Item], shelf: gather.Shelf, args: Namespace, fou
             continue
         found.guesses.append((kinds, made))
         found.maps.append(wanted)
-        parts = in_order([sheet for item in group for sheet in shelf.sheets_of(item)]) if len(kinds) == 1 else []
+        parts = in_order([sheet for item in group for sheet in cache.sheets_of(item)]) if len(kinds) == 1 else []
         if len(parts) == len(group) and go_on(parts, next(iter(wanted.tables.values())).t.column):
             names = f"{bare(parts[0].name)} to {bare(parts[-1].name)}"
             found.notes.append(
                 f"{names}: each begins where the one before ends; --one-trial makes the {len(parts)} files one trial"
             )
         for item in group:
-            found.trials.append((item.name, partial(_convert, item, shelf, wanted)))
+            found.trials.append((item.name, partial(_convert, item, cache, wanted)))
     if unknown := [name for name in said if not any(kind.called(name) for kinds, _ in found.guesses for kind in kinds)]:
         guess.guess(
             [kind for kinds, _ in found.guesses for kind in kinds], {name: said[name] for name in unknown}
@@ -312,8 +312,8 @@ def _mapped(item: gather.Item, topics: Path | None) -> Trial:
     return replace(next(iter(importers.read(item.files[0], topics=topics).values())), name=item.name)
 
 
-def _convert(item: gather.Item, shelf: gather.Shelf, wanted: ColumnMap) -> Trial:
-    sheets = shelf.sheets_of(item)
+def _convert(item: gather.Item, cache: gather.FileCache, wanted: ColumnMap) -> Trial:
+    sheets = cache.sheets_of(item)
     shift = {table: f", {entry.offset:+g} s" if entry.offset else "" for table, entry in wanted.tables.items()}
     clock = {table: f"{entry.t.column} of the file{shift[table]}" for table, entry in wanted.tables.items()}
     meta = {"source": ", ".join(file.name for file in item.files)[:200], "clock": clock, **wanted.meta}

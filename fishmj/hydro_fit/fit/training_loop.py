@@ -81,7 +81,7 @@ class Loop:
             self.path.unlink(missing_ok=True)
 
 
-def several() -> None:
+def use_cores_as_devices() -> None:
     """Uses the CPU's cores as devices, and lets XLA join operations there; has no effect once JAX has started.
 
     A step of a swim is some 850 operations on a few fish: its cost is their number. On request (`JOINED`) XLA joins those that
@@ -103,7 +103,7 @@ def devices(*sizes: int) -> list:
 
 
 @cache
-def quick(platform: str) -> dict | None:
+def short_op_compiler_options(platform: str) -> dict | None:
     """Compiler options for a long loop of short operations; None if there are none, or this JAX no longer has them.
 
     JAX 0.10: compiled in 17 s in place of 42, a step takes 125 ms in place of 203. JAX 0.11 is as fast without, and so are both
