@@ -1,8 +1,10 @@
 """The table of power: which cases are dealt, how an effect is scaled to a strength, what counts as found, and the score."""
 
 import json
+from collections import Counter
 from functools import partial
 from itertools import islice
+from pathlib import Path
 
 import pytest
 
@@ -152,3 +154,19 @@ def test_added_drag_is_named_where_healthy_swims_are_given():
     given, alone = (asked(healthy=one).verdict for one in (healthy, healthy._replace(swims=None)))
     assert given.answer == "NAMED" and [effect.name for effect in given.effects] == ["quadratic_drag"]
     assert alone.answer == "AGREES"  # by the widths of other waters: what this case was missed for
+
+
+def test_published_rows_give_the_table_of_the_page():
+    root = Path(__file__).resolve().parent.parent
+    rows = [json.loads(line) for line in (root / "docs" / "figures" / "gap" / "power_741.jsonl").read_text().splitlines()]
+    found = power.score(rows)
+    assert found["missed"]["hits"] == 0 and found["missed"]["n"] == 75 and found["met"] == {"missed": True, "healthy": True}
+    page = (root / "docs" / "search" / "results.md").read_text(encoding="utf-8")
+    for times in power.TIMES:
+        mine = [row for row in rows if row.get("times") == times]
+        ends = Counter(row["answer"] if row["answer"] == power.NOT_REACHED else power.found(row) for row in mine)
+        counts = [
+            len(mine) - ends[power.NOT_REACHED],
+            *(ends[end] for end in ("named", "class", "agrees", "other", power.NOT_REACHED)),
+        ]
+        assert f"| {times:g} times | {' | '.join(map(str, counts))} |" in page
