@@ -324,8 +324,8 @@ def test_a_cut_experiment_keeps_its_beginning():
 
 
 def test_the_page_says_what_the_shipped_rows_say():
-    folder = Path(__file__).resolve().parent.parent / "docs"
-    rows = read_rows(folder / "figures" / "gap" / "solver_21.jsonl")
+    root = Path(__file__).resolve().parent.parent
+    folder, rows = root / "docs", read_rows(root / "studies" / "gap_benchmark" / "rows" / "solver_21.jsonl")
     found = {name: family_score.figures([row for row in rows if row["described"] == name]) for name in ("fish", "five_link")}
     page = (folder / "search" / "results.md").read_text(encoding="utf-8")
     of = lambda name, key: f"{found[name][key]['hits']} of {found[name][key]['n']}"

@@ -101,7 +101,7 @@ def test_stated_launch_uncertainty_absorbs_a_wrong_launch_speed():
 
 
 def test_redecided_solver_rows_reproduce_the_answers_of_the_search():
-    rows = read_rows(Path(__file__).resolve().parent.parent / "docs" / "figures" / "gap" / "solver_21.jsonl")
+    rows = read_rows(Path(__file__).resolve().parent.parent / "studies" / "gap_benchmark" / "rows" / "solver_21.jsonl")
     decided = [row for row in rows if "gates" in row]
     before = [gates_again.redecide(row, gates_again.gates_of(row, {})) for row in decided]
     changed = [(row["answer"], now) for row, now in zip(decided, before, strict=True) if row["answer"] != now]
