@@ -5,10 +5,12 @@ from dataclasses import replace
 import pytest
 
 from fishmj import control
+from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import run_trials, trials
 from fishmj.gap.calibrate import slip
+from fishmj.hydro_fit.campaign.data import collect
 from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
@@ -91,6 +93,16 @@ def test_a_table_of_solver_swims_is_found_by_its_grid_and_boundary():
 def test_reference_is_of_the_solver_alone():
     with pytest.raises(ConfigError, match="--reference: of --water lbm only"):
         evaluate.main(["pd", "--water", "structured", "--reference"])
+
+
+def test_collect_moves_all_segments_to_the_slip_ratio_of_its_option():
+    parser = console.parser("hydro_fit collect", "")
+    collect.add_arguments(parser)
+    plan_of = lambda *argv: collect.plan_of(parser.parse_args(["--scale", "0.1", *argv]), load_robot("fish"))
+    assert plan_of("--all-at-slip", "0.98").label == "scale 0.1, all at slip 0.98"
+    for other in (["--reference"], ["--slip", "0.95"]):
+        with pytest.raises(ConfigError, match=f"--all-at-slip 0.98 beside {other[0]}"):
+            plan_of("--all-at-slip", "0.98", *other)
 
 
 def test_a_plan_at_another_slip_ratio_has_the_same_episodes_and_splits():

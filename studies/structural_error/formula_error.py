@@ -1,7 +1,8 @@
 """Error of an effect's size by a formula in another water, measured on effects that the search named right.
 
-    python -m studies.structural_error.formula_error studies/gap_benchmark/rows/families_611.jsonl studies/gap_benchmark/rows/solver_21.jsonl
-        studies/gap_benchmark/rows/solver_21_again.jsonl --out data/calib/formula_error.toml          (one line)
+    R=studies/gap_benchmark/rows
+    python -m studies.structural_error.formula_error $R/families_611.jsonl $R/solver_21.jsonl $R/solver_21_again.jsonl \\
+        --out data/calib/formula_error.toml
 
     q_fr = (true - found) / (found - null)     effect r of a stage in family f of F, R of each; calibrated models
     V    = (1 + 1/F) B + (1 - 1/R) W           B: mean square of the families' means; W: mean variance within a family

@@ -10,9 +10,9 @@ insufficient_data       too few     one record cannot both fit and judge
 admit                   a gap too large for any missing effect: other units, a sign, another frame, another robot
 
 One or two effects of the catalogue, at up to one and a half times their typical size, reach a gap of 1000 in nine of 1440 blind
-sets of the benchmark (tethers, stiff skins, up to 18,946: studies/gap_benchmark/rows/bench_2010.json, bench_2011.json). So a search stops
-at a recognised cause from FAR on in one channel, and in any case from BEYOND on; docs/search/results.md states
-how often that is wrong.
+sets of the benchmark (tethers, stiff skins, up to 18,946: bench_2010.json, bench_2011.json in studies/gap_benchmark/rows). So a
+search stops at a recognised cause from FAR on in one channel, and in any case from BEYOND on; docs/search/results.md states how
+often that is wrong.
 """
 
 from collections import Counter

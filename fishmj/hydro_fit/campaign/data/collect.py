@@ -233,6 +233,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     boundary_option(add, default=None)
     slip = "only segments of this slip ratio; may be repeated; by default all"
     add("--slip", type=console.number(0, 1), action="append", default=[], metavar="S", help=slip)
+    add("--all-at-slip", type=console.number(0, 1), metavar="S", help="all segments at this slip ratio, for a water of its own")
     add("--seed", type=console.SEED, default=0, help="of the draws")
     steers = "what steers on-policy episodes; may be repeated; by default the shipped policies that are made for the fish"
     add("--policy", type=console.text, action="append", default=[], metavar="NAME|FILE", help=steers)
@@ -302,7 +303,7 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
     """Plan that the options select.
 
     Raises:
-        ConfigError: two kinds of plan at once; a slip ratio that no segment has.
+        ConfigError: two kinds of plan at once; a slip ratio that no segment has; --all-at-slip beside another ratio.
     """
     if args.preview and args.fresh_test is not None:
         raise ConfigError("collect: --preview and --fresh-test are two plans; choose one")
@@ -312,7 +313,11 @@ def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
         plan = plans.fresh_test(robot, seed=args.fresh_test, policies=args.policy, scale=args.scale)
     else:
         plan = plans.full(robot, seed=args.seed, scale=args.scale, policies=args.policy)
-    plan = plan.moved_to(REFERENCE.slip) if args.reference else plan
+    if args.all_at_slip is not None and (args.reference or args.slip):
+        other = "--reference" if args.reference else "--slip"
+        raise ConfigError(f"collect: --all-at-slip {args.all_at_slip:g} beside {other}; leave one of them out")
+    slip = REFERENCE.slip if args.reference else args.all_at_slip
+    plan = plan if slip is None else plan.moved_to(slip)
     return plan.at(args.slip) if args.slip else plan
 
 
