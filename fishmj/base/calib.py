@@ -19,6 +19,7 @@ ROOTS = (_ROOT.parent / "data", _ROOT / "_data")  # what comes with fishmj: chec
 FOLDERS = tuple(root / "calib" for root in ROOTS)
 OWN = ROOTS[0] if FOLDERS[0].is_dir() else Path("data")  # where verbs put what they fit and collect: never into site-packages
 WATERS = (OWN / "water", ROOTS[1] / "water")
+FAMILY = "-family"  # end of the name of a family of waters
 
 
 def calib_folder() -> Path:
@@ -152,6 +153,16 @@ def shipped() -> list[str]:
 
 def waters() -> list[str]:
     """Names of the fitted waters that come with fishmj."""
+    return [name for name in _in_waters() if not name.endswith(FAMILY)]
+
+
+@cache
+def families() -> list[str]:
+    """Names of the families of fitted waters that come with fishmj."""
+    return [name for name in _in_waters() if name.endswith(FAMILY)]
+
+
+def _in_waters() -> list[str]:
     return sorted({path.stem for folder in WATERS if folder.is_dir() for path in folder.glob("*.toml")})
 
 

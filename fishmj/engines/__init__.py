@@ -48,7 +48,7 @@ class FishParams(NamedTuple):
     kv: Any  # (B, J) N m s/rad
     kb: Any  # (B, J) N m s/rad
     zero: Any  # (B, J) rad
-    water: Any  # (B, 2 N + 10) coefficients of the strip model, flat
+    water: Any  # (B, 2 N + 11) coefficients of the strip model, flat
     delay: Any  # (B,) int, command latency in physics steps, effects included
     effects: Any  # (B, P) parameters of the robot's effects, in the order of its description
 

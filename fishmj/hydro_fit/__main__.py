@@ -110,6 +110,13 @@ def options(verb: str) -> console.Parser:
     add("--seed", type=console.SEED, default=0, help="of the draws of the fit")
     add("--base", action="store_true", help="the strip model alone, without the learnt residual")
     add("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
+    if verb == "fit":
+        add(
+            "--residual",
+            type=console.text,
+            metavar="NAME",
+            help="keep the learnt residual of this water; fit its share and the strips",
+        )
     if verb in ("fit", "all"):
         swims = console.whole(0, 100_000)
         add("--swims", type=swims, help="steps of learning by swims, 1000 by default; 0 learns from forces alone")
@@ -248,8 +255,9 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 
         work = Path("runs") / "hydro_fit" / f"{folder.name}-{robot.name}-{slip:g}"
         taught = {} if args.swims is None else {"swims": args.swims}
+        given = HydroModel.load(args.residual).learnt if getattr(args, "residual", None) else None
         settings = FitSettings(seed=args.seed, residual=not args.base, **taught)
-        done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told)
+        done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told, given=given)
         with interrupt.keeping(done.kept_so_far):
             model = replace(done.run(), name=args.name or robot.name, preview=data.preview)
     doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]

@@ -220,6 +220,7 @@ class WaterBlock(TomlTable):
     stall_width_deg: float | None = number("how sharply", 0.5, 180.0, "deg", default=None)
     stall_lag: float | None = number("travelled, in heights of the trailing edge", 0.01, 1000.0, default=None)
     suction: float | None = number("share of leading-edge suction behind the head", 0.0, 1.0, default=None)
+    residual: float | None = number("share of a fitted water's learnt residual, 1 as fitted", 0.0, 2.0, default=None)
     edge_place: float | None = number("where the tail meets the flow it sheds, 1 at its rear end", 0.1, 1.5, default=None)
     tail_held: float | None = number("share of the tail's cross-flow drag that attached flow lacks", 0.0, 1.0, default=None)
     linear_drag: float | None = number("drag in proportion to the speed", 0.0, 20.0, "N s/m", default=None)

@@ -19,6 +19,7 @@ from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.mjcf.description import Robot
 from fishmj.tasks.sensing import Sensors, delayed, estimate
+from fishmj.water import family
 
 JOINTS = 3
 WEIGHTS = ("wG", "wD", "wS")  # of the reward, in the paper's symbols
@@ -52,11 +53,11 @@ def n_fish(robot: Robot, effects=()) -> int:
     """Number of uniforms that `draw_fish` needs."""
     plain = len(robot.links) + 3 * robot.n_joints + 2
     active = Extensions.of(robot).active
-    return plain + (randomise.width(active, effects) if active is not None else 0)
+    return plain + (randomise.width(active, effects) if active is not None else 0) + family.width(robot.water)
 
 
 def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> tuple[FishParams, Any]:
-    """Randomised fish from uniforms (B, n_fish): masses, servo gains, joint zeros, both latencies, and the named `effects`.
+    """Randomised fish from uniforms (B, n_fish): masses, servo gains, joint zeros, both latencies, effects, a family's water.
 
     strength 0 gives the nominal fish with nominal latencies, 1 the paper's ranges and effects of typical size. Effects of the
     robot that are not named keep their calibrated values.
@@ -64,7 +65,8 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
     Returns:
         (FishParams, camera delay in bus ticks (B,) int).
     """
-    n, j, m = len(robot.links), robot.n_joints, n_fish(robot)
+    n, j, drawn = len(robot.links), robot.n_joints, family.width(robot.water)
+    m = n_fish(robot) - drawn
     p = nominal_params(robot, 1)
     added = Extensions.of(robot)
     span = lambda a, b: 2 * uniforms[:, a:b] - 1
@@ -72,7 +74,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
     kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
     delay = _latency(robot.timing.command_latency, get("command_latency"), uniforms[:, m - 2], strength)
     camera = _latency(robot.timing.camera_latency, get("camera_latency"), uniforms[:, m - 1], strength)
-    like = xp.zeros_like(uniforms[:, :1])
+    like, waters = xp.zeros_like(uniforms[:, :1]), family.family_of(str(robot.water.get("model", "")))
     rows = like + p.effects
     if effects and added.active is not None:
         rows = randomise.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)
@@ -83,7 +85,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
         kv=p.kv * kd,
         kb=p.kb * kd,
         zero=strength * radians(get("zero_deg")) * span(n + 2 * j, n + 3 * j),
-        water=like + p.water,
+        water=like + p.water if waters is None else waters.draw(xp, uniforms[:, uniforms.shape[1] - drawn :], strength),
         delay=xp.floor(delay / robot.timing.physics_dt + 0.5).astype("int32"),
         effects=rows,
     )

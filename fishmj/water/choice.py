@@ -5,6 +5,7 @@
     hybrid       `fitted`, corrected by the flow solver while the fish swims
     lbm          the flow solver itself
     none         no water: a bench in air
+    family       fits to the flow solver at several slip ratios: every randomised fish draws a water between them
     NAME         a fitted water by name or .toml file; NAME-base: its strips alone; NAME#2: member 2 of its ensemble alone
 
     choice = chosen(robot, None)      Choice(kind, robot in that water, one line that says which it is)
@@ -24,19 +25,22 @@ from fishmj.base.errors import ConfigError, FishmjError, UnknownName
 from fishmj.base.names import split_member
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import strip_forces
+from fishmj.water.family import family_of
 
 if TYPE_CHECKING:
     from fishmj.water.hydro_model import HydroModel
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
+FAMILY = "family"  # the family of the robot's name
 OWN = "own"  # in `robot.water`: the table of the description
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
 SOLVED = (HYBRID, LBM)  # those that need it
 HELP = (
-    "fitted: strips and learnt residual fitted to the flow solver for this body, the default where there is one; structured: the"
-    " description's own coefficients; none: air; a fitted water by name (NAME-base: its strips alone) or .toml file"
+    "fitted: strips and learnt residual fitted to the flow solver for this body, the default where there is one; family: each"
+    " randomised fish draws a water between several fits; structured: the description's own coefficients; none: air; a fitted"
+    " water by name (NAME-base: its strips alone) or .toml file"
 )
 
 
@@ -78,6 +82,8 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
     """
     name, described = canonical(water), robot.water.get(OWN, robot.water)
     stated = canonical(robot.water.get("model"))
+    if name == FAMILY:
+        name = f"{robot.name}{calib.FAMILY}"
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
     if name == STRUCTURED:
@@ -187,7 +193,12 @@ def fitted_for(robot: Robot) -> str | None:
 def _fitted(robot: Robot, name: str) -> Choice:
     name = _own(robot, name)
     model = fitted_water(name)
-    made = _with(robot, model.swimmer(robot).water._asdict(), name)
+    stated = {key: robot.water.get(OWN, robot.water).get(key) for key in ("residual",)}
+    coefficients = model.swimmer(robot).water._asdict() | {key: value for key, value in stated.items() if value is not None}
+    made = _with(robot, coefficients, name)
+    if (family := family_of(name)) is not None:
+        fits = ", ".join(f"{one.name} {one.slip:g}" for one in family.members)
+        return Choice(FITTED, made, f"{name}: each randomised fish draws a water between fits at slip {fits}")
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
     preview = ", a preview" if model.preview else ""
     return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")
@@ -219,7 +230,9 @@ def fitted_water(name: str) -> "HydroModel":
     """Loads a fitted water by name or file."""
     from fishmj.water.hydro_model import HydroModel, shipped
 
+    if (family := family_of(name)) is not None:
+        return family.members[0]
     plain, _ = split_member(name)
     if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
-        raise UnknownName("water", name, (*KINDS, *shipped()))
+        raise UnknownName("water", name, (*KINDS, *shipped(), *calib.families()))
     return HydroModel.load(name)

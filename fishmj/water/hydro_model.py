@@ -27,9 +27,10 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.description_schema import shown
 from fishmj.water import residual_hooks
 from fishmj.water.dynamics import planar_chain, strip_forces
-from fishmj.water.prior import unflat
+from fishmj.water.prior import flat, unflat
 
 SCHEMA = "fishmj.water/1"
+FULL = ", residual=1.0)"  # left out of hashes: files of before this coefficient keep theirs
 UNITS = "SI: m, s, kg, N, N m, rad, W; coefficients without a unit"
 FOLDERS = calib.WATERS
 
@@ -89,6 +90,7 @@ class Base(_Table):
     stall_width: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     stall_lag: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     suction: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+    residual: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
 
 
 class CoefficientRow(_Table):
@@ -190,7 +192,7 @@ class HydroModel:
     @property
     def sha256(self) -> str:
         """Hex digest of coefficients and weights."""
-        digest = hashlib.sha256(repr([self.base, self.dt]).encode())
+        digest = hashlib.sha256(repr([self.base, self.dt]).replace(FULL, ")").encode())
         for key, value in sorted(({} if self.learnt is None else residual_hooks.packed(self.learnt)).items()):
             digest.update(key.encode() + np.ascontiguousarray(value, np.float32).tobytes())
         return digest.hexdigest()
@@ -294,7 +296,8 @@ def _read(path: Path) -> HydroModel:
         given = {key: table[key] for key in ("name", "robot", "robot_sha256", "dt", "slip")}
         given |= {key: table.get(key, "") for key in ("notes", "body_sha256")} | {"preview": table.get("preview", False)}
         given |= {key: table.get(key, {}) for key in ("found", "dataset", "band", "band_alone", "scores", "calibration")}
-        given |= {"base": strip_forces.Coefficients(**table["base"]), "members": arrays["members"], "alone": arrays["alone"]}
+        given |= {"base": strip_forces.Coefficients(**table["base"])}
+        given |= {key: _with_residual(arrays[key], given["base"]) for key in ("members", "alone")}
         if table["weights"]["residual"]:
             given["learnt"] = residual_hooks.unpacked({key: value.astype(float) for key, value in arrays.items()})
         return HydroModel(**given)
@@ -302,6 +305,11 @@ def _read(path: Path) -> HydroModel:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: {error!r}; expected what HydroModel.save writes; fit the model again") from error
+
+
+def _with_residual(rows: np.ndarray, base: strip_forces.Coefficients) -> np.ndarray:
+    """Flat coefficients (E, P); files of before the coefficient `residual` lack its column, which is then 1."""
+    return rows if rows.shape[1] == len(flat(base)) else np.column_stack([rows, np.ones(len(rows))])
 
 
 def _finite(value):

@@ -6,6 +6,7 @@ from hashlib import sha256
 from fishmj.base.store import plain
 from fishmj.mjcf.description import Robot
 from fishmj.water.choice import STRUCTURED, label, model_of
+from fishmj.water.family import family_of
 
 
 def water_identity(robot: Robot) -> dict[str, str]:
@@ -13,16 +14,21 @@ def water_identity(robot: Robot) -> dict[str, str]:
 
     Returns:
         {"name", "kind"} and, for fitted or stated coefficients, "sha256": of the coefficients of kind `structured`, of
-        coefficients and weights of kind `fitted`, or `base` without the learnt residual.
+        coefficients and weights of kind `fitted`, or `base` without the learnt residual; of all members of kind `family`.
     Raises:
         UnknownName, StoreError, ConfigError: there is no such fitted water, or its file cannot be read.
     """
     name, model = label(robot), model_of(robot)
+    if (family := family_of(name)) is not None:
+        return {"name": family.name, "kind": "family", "sha256": family.sha256}
+    share = robot.water.get("residual")
     if model is not None:
         return {
             "name": model.name.replace("#", "."),
             "kind": "base" if model.learnt is None else "fitted",
-            "sha256": model.sha256,
+            "sha256": model.sha256
+            if share in (None, model.base.residual)
+            else sha256(f"{model.sha256} {share}".encode()).hexdigest(),
         }
     if name != STRUCTURED:
         return {"name": name, "kind": name}

@@ -11,7 +11,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import strip_forces
 
 FILE = "hydro_fit.toml"
-FIXED = ("stall_width",)  # never fitted: it only keeps gradients finite
+FIXED = ("stall_width", "residual")  # never fitted: one keeps gradients finite, the other scales what was fitted
 
 
 @cache
@@ -43,7 +43,7 @@ def names_of(links: int) -> tuple[str, ...]:
 
 
 def flat(c: strip_forces.Coefficients) -> np.ndarray:
-    """Coefficients as a vector (2 N + 10,) in the order of `names_of`."""
+    """Coefficients as a vector (2 N + 11,) in the order of `names_of`."""
     return np.array([*c.k, *c.cn, *c[2:]], float)
 
 

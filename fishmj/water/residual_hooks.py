@@ -4,7 +4,8 @@
     s = planar_chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
 
 The added force is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
-    gamma   = min_i (in range)_i / (1 + (spread / spread0)^2)    0 if the motion of a link left the range of the fit
+    gamma   = r min_i (in range)_i / (1 + (spread / spread0)^2)  0 if the motion of a link left the range of the fit; r: the
+                                                                 coefficient `residual`, 1 in a fitted water
     sigma   = (1 + (P+ / (eta D + R / T))^4)^-1/4                P = power of the faded forces, D = what drag takes
     R'      = eta D - sigma P+ - R / T,   R >= 0                 a reservoir: only wake energy can come back
 in the frame of the water. The whole water is therefore passive up to the reservoir, and outside the range only the base acts.
@@ -14,6 +15,7 @@ The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states,
 outside the range. `inner` are other hooks that act first, on the same fish.
 """
 
+import hashlib
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -134,6 +136,7 @@ class LearnedResidual:
         if reach is not None:
             fade, outside = self._inside(reach, k, m)
             gamma = fade / (1.0 + self.spread / reach.spread**2)
+        gamma = gamma * c.residual
         forces = [residual_network.load(p, s.rho, m, i, [gamma * mean[c][i] for c in range(3)]) for i in range(len(k.u))]
         scale, self.store = bounded(xp, forces, residual_network.dissipated(xp, s, c, k), k, self.store, dt)
         self.z, self.guarded = wake, self.guarded + outside
@@ -187,6 +190,14 @@ def packed(learnt: Residual) -> dict[str, np.ndarray]:
         raise ConfigError("a residual without a range is for learning only; expected one with residual_hooks.Range")
     parts: dict[str, Any] = {"net": learnt.net, "range": learnt.reach}
     return {f"{part}.{key}": np.asarray(value) for part, fields in parts.items() for key, value in fields._asdict().items()}
+
+
+def sha256(learnt: Residual) -> str:
+    """Hex digest of the weights and the range, in single precision as a file holds them."""
+    digest = hashlib.sha256()
+    for key, value in sorted(packed(learnt).items()):
+        digest.update(key.encode() + np.ascontiguousarray(value, np.float32).tobytes())
+    return digest.hexdigest()
 
 
 def unpacked(arrays: dict) -> Residual:

@@ -33,6 +33,7 @@ from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
 from fishmj.water.prior import flat, prior_of, unflat
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
+SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a given residual that are tried
 TYPICAL = dict(zip(STAGES, (4.0, 25.0, 12.0, 204.0, 17.0, 30.0), strict=True))  # s, of 1000 swims on 16 cores; for the bar alone
 PACKAGE = Path(__file__).parents[2]
 ROOMS = ("water/dynamics", "water", "hydro_fit", "hydro_fit/fit")
@@ -87,6 +88,7 @@ class FitPipeline:
     Args:
         train, val: records at one slip ratio. folder: folder of finished stages; None keeps nothing.
         dataset: sha256 and further metadata of the data.
+        given: a learnt residual that is kept as it is; the fit chooses its share (the coefficient `residual`) and the strips.
     Raises:
         DatasetError: a part is empty or has no free swim.
     """
@@ -94,10 +96,12 @@ class FitPipeline:
     def __init__(
         self, robot: Robot, train: Sequence[SegmentRecord], val: Sequence[SegmentRecord], *, dataset: dict,
         settings: FitSettings | None = None, folder: Path | None = None, report: Report = quiet,
+        given: residual_hooks.Residual | None = None,
     ):  # fmt: skip
         if not train or not val:
             raise DatasetError(f"fit: {len(train)} training and {len(val)} validation records; both parts are needed")
         self.robot, self.chain, self.folder, self.report = robot, planar_chain.chain_of(robot), folder, report
+        self.given = given
         self.train, self.val, self.dataset, self.settings = list(train), list(val), dataset, settings or FitSettings()
         self.force_records = [r for r in self.train if r.meta["block"] != gauss_newton.PUSHED]  # whose forces tell, row by row
         self.tick = self.train[0].tick
@@ -107,6 +111,8 @@ class FitPipeline:
         self.about: dict[str, Any] = {"robot": robot_hash(robot), "prior": prior, "data": dataset, "code": code()}
         self.about["water"] = flat(planar_chain.nominal(robot).water).tolist()
         self.about["records"] = [r.id for r in [*self.train, *self.val]]
+        if given is not None:
+            self.about["given"] = residual_hooks.sha256(given)
         # all inputs of the result: a kept stage is reused only if they are all the same
         depends = self.about | {"settings": asdict(self.settings)}
         self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
@@ -192,6 +198,8 @@ class FitPipeline:
 
     def _residual(self, state) -> dict:
         s = self.settings
+        if self.given is not None:
+            return self._with_share(state["water"], self.given)
         if not s.residual:
             return {}
         report = lambda k, n, cost: self._report("residual", k / n, loss=cost)
@@ -202,9 +210,18 @@ class FitPipeline:
         ).net
         return residual_hooks.packed(self._with_range(net, state["water"]))
 
+    def _with_share(self, water: np.ndarray, learnt: residual_hooks.Residual) -> dict:
+        """State with a residual of which the share acts that swims best on the validation part."""
+        waters = [flat(unflat(water.tolist())._replace(residual=share)) for share in SHARES]
+        scores = [self.score(row, learnt) for row in waters]
+        best = int(np.argmin(scores))
+        tried = ", ".join(f"{share:g}: {score:.4g}" for share, score in zip(SHARES, scores, strict=True))
+        self.notes.append(f"residual: given; validation swims by its share: {tried}")
+        return {"water": waters[best], **residual_hooks.packed(learnt)}
+
     def _swims(self, state) -> dict:
         learnt, water = learnt_of(state), state["water"]
-        if learnt is None or not self.settings.swims:
+        if learnt is None or self.given is not None or not self.settings.swims:
             return {}
         s, c = self.settings, unflat(water.tolist())
         windows = self._training_windows(water)
@@ -244,7 +261,10 @@ class FitPipeline:
             # the strips alone were fitted for this case; the residual is used only if it improves the swims
             if alone < both:
                 self.notes.append("the residual is not taken")
-                learnt, water = None, state["alone"]
+                if self.given is None:
+                    learnt, water = None, state["alone"]
+                else:
+                    water = flat(unflat(state["alone"].tolist())._replace(residual=0.0))
                 state = {**state, "factors": state["alone_factors"]}
         swims = [r for r in [*self.train, *self.val] if rollout.is_free(r)]
         fleet = rollout.fish_batch_of(self.chain, self.robot, swims, seconds=1e6)

@@ -51,6 +51,7 @@ class Coefficients(NamedTuple):
     stall_width: Any  # rad
     stall_lag: Any  # trailing-edge heights
     suction: Any = 1.0  # share of their leading edge's suction that the links behind the head recover
+    residual: Any = 1.0  # share of the learnt residual that acts, in a water that has one
 
 
 class Strips(NamedTuple):
@@ -87,6 +88,8 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
             raise ConfigError(f"[water] {key}: one value a link, got {len(table[key])} for {n_links} links")
         table[key] = [float(v) for v in table[key]]
     c = Coefficients(**table)
+    if not 0.0 <= c.residual <= 2.0:
+        raise ConfigError(f"[water]: residual = {c.residual}; a share from 0 to 2 of the learnt residual, 1 as fitted")
     if not 0.0 <= c.suction <= 1.0:
         raise ConfigError(f"[water]: suction = {c.suction}; a share from 0, none recovered, to 1, all of it")
     if c.lift_a < 0 or c.lift_b < 0 or c.lift_a + c.lift_b < 0.5:

@@ -1,0 +1,154 @@
+"""A family of waters: fits to the flow solver at several slip ratios, between which every episode draws a water of its own.
+
+    c = f ((1 - w) A + w B + (A_e - A)),   residual = r
+    A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them
+    A_e    member e of A's ensemble: the error bar of that fit
+    f      a factor for each coefficient, within `scatter`, except for the shape of the stall and the suction; those of the
+           trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0
+    r      share of the learnt residual, which all members have in common
+
+A family is a TOML file beside its members, `<name>.toml` with schema `fishmj.water-family/1`. Its first member is the water of a
+fish that is not randomised.
+"""
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fishmj.base import calib, names
+from fishmj.base.calib import read_toml
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.water import residual_hooks
+from fishmj.water.hydro_model import HydroModel
+from fishmj.water.prior import flat, names_of
+
+SCHEMA = "fishmj.water-family/1"
+KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
+EDGE, LEAST_EDGE = ("ke", "lift_a", "lift_b"), 1e-6  # of the trailing edge; k_e of a fit without suction there
+N_FIXED = 5  # uniforms before those of the factors: A, B, w, e, r
+
+
+class FamilyFile(BaseModel):
+    """The file of a family."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    schema_: Literal["fishmj.water-family/1"] = Field(alias="schema")
+    name: Annotated[str, Field(pattern=rf"^{names.PATTERN}$")]
+    members: Annotated[list[Annotated[str, Field(pattern=rf"^{names.PATTERN}$")]], Field(min_length=2, max_length=32)]
+    scatter: Annotated[float, Field(ge=0.0, le=0.5)]
+    residual: tuple[Annotated[float, Field(ge=0.0, le=2.0)], Annotated[float, Field(ge=0.0, le=2.0)]]
+    commands: list[str] = []  # that made the members
+
+
+class Family:
+    """Fitted waters of one body that share their learnt residual.
+
+    Attributes:
+        members: the fitted waters. base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles'
+            members from them.
+        scatter: largest relative change of a coefficient. residual: bounds of the residual's share.
+    Raises:
+        ConfigError: members of different bodies, time steps or residuals.
+    """
+
+    def __init__(self, name: str, members: list[HydroModel], *, scatter: float, residual: tuple[float, float]):
+        first = members[0]
+        for other in members[1:]:
+            for what in ("body_sha256", "dt"):
+                if getattr(other, what) != getattr(first, what):
+                    raise ConfigError(f"family {name}: {other.name} has another {what} than {first.name}; one body, one step")
+            if _residual_sha256(other) != _residual_sha256(first):
+                said = f"python -m fishmj.hydro_fit fit --residual {first.name}"
+                raise ConfigError(f"family {name}: {other.name} has another learnt residual than {first.name}; fit it by {said}")
+        if residual[0] > residual[1]:
+            raise ConfigError(f"family {name}: residual = {residual}; expected the smaller share first")
+        self.name, self.members, self.scatter, self.residual = name, members, scatter, residual
+        self.names = names_of(len(first.base.k))
+        self.base = self._forces(np.stack([flat(model.base) for model in members]))
+        count = min(len(model.members) for model in members)
+        self.deviation = np.stack([self._forces(model.members[:count]) for model in members]) - self.base[:, None]
+        self.factored = np.array([key not in KEPT for key in self.names])
+
+    @property
+    def sha256(self) -> str:
+        """Hex digest of all members and of what is drawn between them."""
+        parts = [*(model.sha256 for model in self.members), self.base.tobytes().hex(), self.deviation.tobytes().hex()]
+        return hashlib.sha256(repr([*parts, self.scatter, self.residual]).encode()).hexdigest()
+
+    @property
+    def width(self) -> int:
+        """Number of uniforms of a draw."""
+        return N_FIXED + len(self.names)
+
+    def draw(self, xp, uniforms, strength: float = 1.0):
+        """Strip coefficients (B, P) from uniforms (B, width); strength 0 gives the first member."""
+        u, base, deviation = uniforms, xp.asarray(self.base), xp.asarray(self.deviation)
+        count, size = deviation.shape[:2]
+        a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
+        drawn = (1.0 - u[:, 2:3]) * base[a] + u[:, 2:3] * base[b] + deviation[a, e]
+        factor = 1.0 + self.scatter * (2.0 * u[:, N_FIXED:] - 1.0) * xp.asarray(self.factored, dtype=base.dtype)
+        low, high = self.residual
+        rows = base[0] + strength * (drawn * factor - base[0])
+        share = base[0, -1] + strength * (low + (high - low) * u[:, 4] - base[0, -1])
+        return self._coefficients(xp, rows, share)
+
+    def _forces(self, rows: np.ndarray) -> np.ndarray:
+        """Coefficients (.., P) with k_e a and k_e b in the place of a and b: forces may be averaged, their ratios may not."""
+        ke, a, b = (self.names.index(key) for key in EDGE)
+        made = np.array(rows)
+        made[..., a], made[..., b] = rows[..., ke] * rows[..., a], rows[..., ke] * rows[..., b]
+        return made
+
+    def _coefficients(self, xp, rows, share):
+        """Inverse of `_forces`, with this share of the residual; passive: k, cn, .. >= 0, a + b >= 1/2."""
+        columns = [xp.maximum(rows[:, i], 0.0) for i in range(len(self.names))]
+        ke, a, b = (self.names.index(key) for key in EDGE)
+        columns[ke] = xp.maximum(columns[ke], LEAST_EDGE)
+        columns[a], columns[b] = columns[a] / columns[ke], columns[b] / columns[ke]
+        columns[a] = xp.maximum(columns[a], 0.5 - columns[b])
+        columns[-1] = share
+        return xp.stack(columns, -1)
+
+    @classmethod
+    def load(cls, path: Path) -> "Family":
+        """Reads a family and its members.
+
+        Raises:
+            StoreError: it or a member is missing or damaged. ConfigError: not a family, or members that do not belong together.
+        """
+        try:
+            table = read_toml(path)
+        except ConfigError as error:
+            raise StoreError(str(error)) from error
+        try:
+            found = FamilyFile.model_validate({**table, "residual": tuple(table.get("residual", ()))})
+        except (ValidationError, TypeError) as error:
+            raise ConfigError(f"{path}: not a family of waters: {error}") from error
+        members = [HydroModel.load(path.with_name(f"{member}.toml")) for member in found.members]
+        return cls(found.name, members, scatter=found.scatter, residual=found.residual)
+
+
+def _residual_sha256(model: HydroModel) -> str:
+    return "" if model.learnt is None else residual_hooks.sha256(model.learnt)
+
+
+@lru_cache(8)
+def family_of(name: str) -> "Family | None":
+    """Family by name or file; None if `name` is another water."""
+    path = Path(name)
+    if path.suffix != ".toml":
+        found = [folder / f"{name}.toml" for folder in calib.WATERS if (folder / f"{name}.toml").is_file()]
+        return Family.load(found[0]) if name in calib.families() and found else None
+    is_family = path.is_file() and read_toml(path).get("schema") == SCHEMA
+    return Family.load(path) if is_family else None
+
+
+def width(water: dict[str, Any]) -> int:
+    """Number of uniforms of a draw of the robot's water, `robot.water`; 0 if it is no family."""
+    family = family_of(str(water.get("model", "")))
+    return 0 if family is None else family.width
