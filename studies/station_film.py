@@ -49,7 +49,7 @@ class Filmed(Engine):
         """Fills the tanks as `Engine`, without pipelining, because the recorder reads the water between two ticks."""
         tanks = yield from super()._fill(state, params)
         for run in tanks.runs:
-            run.ahead = False
+            run.pipelined = False
         return tanks
 
     def advancing(self, state, commands, params, current, tick):

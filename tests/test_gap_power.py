@@ -158,7 +158,9 @@ def test_added_drag_is_named_where_healthy_swims_are_given():
 
 def test_published_rows_give_the_table_of_the_page():
     root = Path(__file__).resolve().parent.parent
-    rows = [json.loads(line) for line in (root / "studies" / "gap_benchmark" / "rows" / "power_741.jsonl").read_text().splitlines()]
+    rows = [
+        json.loads(line) for line in (root / "studies" / "gap_benchmark" / "rows" / "power_741.jsonl").read_text().splitlines()
+    ]
     found = power.score(rows)
     assert found["missed"]["hits"] == 0 and found["missed"]["n"] == 75 and found["met"] == {"missed": True, "healthy": True}
     page = (root / "docs" / "search" / "results.md").read_text(encoding="utf-8")

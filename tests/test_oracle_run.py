@@ -189,9 +189,9 @@ def test_a_refined_tick_logs_nothing_of_an_attempt_that_was_given_up(monkeypatch
         if given_up:
             monkeypatch.setattr(Run, "limit", 0.05)
             with pytest.raises(OracleUnstable, match="sub-steps take"):
-                list(run._again(kept))
+                list(run._redo_tick(kept))
             monkeypatch.setattr(Run, "limit", 10.0)
-        attempt = run._again(kept)
+        attempt = run._redo_tick(kept)
         with pytest.raises(StopIteration) as done:
             while True:
                 next(attempt)

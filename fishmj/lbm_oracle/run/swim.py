@@ -24,7 +24,6 @@ from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.slices import STRONG, add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
-from fishmj.lbm_oracle.run.refined_run import OuterState, outer_states, restore_outer
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_option
@@ -255,22 +254,20 @@ class LastGood:
     """
 
     def __init__(self) -> None:
-        self.good: tuple[TickState, tuple[OuterState, ...]] | None = None
-        self.candidate: tuple[TickState, tuple[OuterState, ...]] | None = None
+        self.good: TickState | None = None
+        self.candidate: TickState | None = None
         self.looks = 0
 
     def look(self, run: Run) -> None:
         """Updates the states; call it after every tick."""
         if run.watch.looks > self.looks or self.candidate is None:
             self.looks, self.good = run.watch.looks, self.candidate
-            self.candidate = checkpoint(run.coupled), outer_states(run.coupled)
+            self.candidate = checkpoint(run.coupled)
 
     def save(self, path: str | Path, run: Run) -> str:
         """Puts the run back to its last good state and writes it; returns "" if there is none: the water failed at once."""
         if self.good is None:
             return ""
-        body, outer = self.good
-        restore(run.coupled, body)
-        restore_outer(run.coupled, outer)
+        restore(run.coupled, self.good)
         notes = {"robot": run.robot.name, "stopped": run.stopped, "last_good": True}
         return str(snapshot.save(path, run.coupled, **notes))

@@ -23,7 +23,6 @@ from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run, flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import boundary_entry
@@ -222,7 +221,7 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
         joints = segment.joints or (0.0,) * robot.n_joints
         coupled.body.place(reference_qpos(coupled.body.model, pose, joints), segment.velocity)
     edge = DomainWatch(domain, yaw)
-    run = run_of(coupled, Run)(coupled, robot, follow=edge, tethered=moved.root is not None, prescribed=moved.joints)
+    run = Run(coupled, robot, follow=edge, tethered=moved.root is not None, prescribed=moved.joints)
     if moved.root is not None:
         path, off = moved.root, np.array([pose[0] - x, pose[1] - y, 0.0])
         run.root = lambda t: path(t) + off
