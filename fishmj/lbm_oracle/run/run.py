@@ -16,21 +16,18 @@ from typing import cast
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
+from fishmj.base.errors import ConfigError, FishmjError, OracleUnstable, SimDiverged
 from fishmj.base.options import checked_array, shown_value
 from fishmj.lbm_oracle.fluid.guard import MACH, Watch, numbers
 from fishmj.lbm_oracle.fluid.lattice import RATIO
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.run.pipeline import CAUTION, DeviceTick, HostTick, JointDriver, Pipeline, servo_power
-from fishmj.lbm_oracle.run.run_meta import about, plausible
+from fishmj.lbm_oracle.run.run_log import trial_of
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
-from fishmj.log import Trial, numbered
+from fishmj.log import Trial
 from fishmj.mjcf import load_robot
-from fishmj.mjcf.description import Robot
-from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.model import reference_pose
 from fishmj.mjcf.servos import arrived, on_the_bus
-from fishmj.water.flow import Flow
 
 ALERT = 50  # ticks after a repeated one that keep a checkpoint: the wake is still fast
 
@@ -312,52 +309,7 @@ class Run:
         Raises:
             LogError: nothing was recorded yet.
         """
-        if not self.rows:
-            raise LogError("oracle run: no tick was finished, nothing to write")
-        rows = plausible(self.rows) if self.stopped else self.rows
-        began, t, cmd, pose, joint, rate, power, raw, whole = (np.array(column) for column in zip(*rows, strict=True))
-        q, v = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
-        before = np.concatenate([self.first[None], q[:-1]])  # at the start of each tick
-        flow = flow_at_links(self.coupled.fluid.flow, self.robot, before, self.start + began)
-        servo, planar = self.robot.servo, [0, 1, 5]
-        # with prescribed joints the servos' power is not known
-        drawn = None if self.prescribed else (servo.voltage, (power + servo.idle_power) / servo.voltage)
-        tables = log_tables(began, t, cmd, q, v, flow, whole[:, :, planar], raw[:, :, planar], drawn)
-        return Trial(about(self, tables), tables)
-
-
-def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = None) -> dict[str, dict[str, np.ndarray]]:
-    """Tables of the log's schema from T ticks of a fish with J joints and L links.
-
-    Args:
-        began, t: start and end of each tick, s. command: (T, J) rad. q, v: (T, 3 + J) at its end.
-        flow: (T, L, 2) m/s at its start. power: voltage V, and current A (T,), if servos drove the joints.
-        whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water.
-    """
-    place, joint, rate = dict(zip(("x", "y", "yaw"), q[:, :3].T, strict=True)), q[:, 3:], v[:, 3:]
-    wrench: dict[str, np.ndarray] = {}
-    for names, values in ((("f#x", "f#y", "m#"), whole), (("r#x", "r#y", "n#"), raw)):
-        for name, column in zip(names, np.moveaxis(values, -1, 0), strict=True):
-            wrench |= numbered(name, column)
-    truth = place | dict(zip(("vx", "vy", "wz"), v[:, :3].T, strict=True)) | numbered("j#", joint) | numbered("k#", rate)
-    return {
-        "cmd": {"t": began, **numbered("c#", command)},
-        "joint": {"t": t, **numbered("j#", joint), **numbered("w#", rate)},
-        "pose": {"t": t, **place},
-        **({} if power is None else {"power": {"t": t, "V": np.full(len(t), power[0]), "I": power[1]}}),
-        "truth": {"t": t, **truth},
-        "flow": {"t": began, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
-        "wrench": {"t": t, **wrench},
-    }
-
-
-def flow_at_links(flow: Flow, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Undisturbed flow at the links' centres, (T, N, 2) m/s, for states q (T, 3 + J) at times t (T,) s."""
-    points = link_centres(robot, q)
-    if flow.rms == 0.0:
-        return np.broadcast_to(flow.mean[:2], points.shape).copy()
-    deep = np.concatenate([points, np.zeros((*points.shape[:2], 1))], -1)
-    return np.stack([flow.at(where, float(when))[:, :2] for where, when in zip(deep, t, strict=True)])
+        return trial_of(self)
 
 
 class ConcurrentRuns:

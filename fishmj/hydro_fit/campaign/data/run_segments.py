@@ -23,7 +23,8 @@ from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run, flow_at_links, log_tables
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.run_log import flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import boundary_entry
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
