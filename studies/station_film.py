@@ -62,7 +62,7 @@ class Filmed(Engine):
             if self.recorder is None:
                 self.recorder = FieldRecorder(self.folder, run, every=EVERY, overwrite=True)
                 self.recorder.frames = 1  # the water before the first tick is not kept
-            self.recorder.look(run)
+            self.recorder.record(run)
         return state, Trace(*(np.concatenate(column, 1) for column in zip(*traces, strict=True)))
 
 

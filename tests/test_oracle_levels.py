@@ -85,7 +85,7 @@ def test_the_last_good_state_has_all_levels(monkeypatch):
     monkeypatch.setattr(snapshot, "save", lambda path, coupled, **notes: "kept")
     run = deep()
     kept = LastGood()
-    kept.look(run)
+    kept.update(run)
     kept.good, before = kept.candidate, [level.velocity() for level in run.coupled.fluid.levels]
     run.tick(QUICK(0.0))
     run.coupled.fluid.levels[-1].f.fill_(np.nan)

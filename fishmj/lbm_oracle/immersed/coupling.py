@@ -26,7 +26,7 @@ import warp as wp
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.guard import MACH, Watch, check_speed, numbers
+from fishmj.lbm_oracle.fluid.guard import MACH, StabilityMonitor, check_speed, numbers
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.early_water import EarlyWater
@@ -95,7 +95,7 @@ class FluidStructure:
             raise ConfigError(f"coupled: the fluid steps {fluid.lattice.dt} s and the body {body.dt} s; give both the same dt")
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
-        self.steps, self.watch = 0, Watch()
+        self.steps, self.watch = 0, StabilityMonitor()
         self.in_flight = False  # the device runs a next tick whose result the host has not read back (`DeviceSteps.queue_next`)
         self.steps_since_sync = 1  # steps between the last two times that the host read the body
         self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`

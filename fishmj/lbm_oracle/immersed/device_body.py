@@ -21,13 +21,13 @@ from fishmj.lbm_oracle.immersed.articulated_body import (
     Tree,
     inertia_about,
     move_joint,
-    paired,
     place_body,
+    screw_product,
     weigh_body,
 )
 from fishmj.lbm_oracle.immersed.fsi_solve import wait_for_block
 from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
-from fishmj.lbm_oracle.immersed.link_dynamics import put
+from fishmj.lbm_oracle.immersed.link_dynamics import store_vec3
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})  # unrolled further it takes long to compile
 
@@ -126,15 +126,15 @@ def gain_of_interior(t: Tree, s: Motion, e: InteriorWater, l: int):
         u += (e.speed[l] - wp.dot(along, u)) * along
     linear, angular = e.mass[l] * u, inertia_about(turn, matrix3(e.inertia, 9 * l)) * w
     gained, spun = linear - point3(e.last_momentum, 6 * l), angular - point3(e.last_momentum, 6 * l + 3)
-    put(e.last_momentum, 6 * l, linear)
-    put(e.last_momentum, 6 * l + 3, angular)
+    store_vec3(e.last_momentum, 6 * l, linear)
+    store_vec3(e.last_momentum, 6 * l + 3, angular)
     if e.counts_gain == 0:
         gained, spun = wp.vec3d(), wp.vec3d()
-    put(e.total_gain, 6 * l, point3(e.total_gain, 6 * l) + gained)
-    put(e.total_gain, 6 * l + 3, point3(e.total_gain, 6 * l + 3) + spun)
+    store_vec3(e.total_gain, 6 * l, point3(e.total_gain, 6 * l) + gained)
+    store_vec3(e.total_gain, 6 * l + 3, point3(e.total_gain, 6 * l + 3) + spun)
     gained -= point3(e.weight, 6 * l)
-    put(e.push, 6 * l, wp.cross(p, gained) + spun)
-    put(e.push, 6 * l + 3, gained)
+    store_vec3(e.push, 6 * l, wp.cross(p, gained) + spun)
+    store_vec3(e.push, 6 * l + 3, gained)
 
 
 @wp.func
@@ -162,7 +162,7 @@ def write_equation(
         block[at.before + i] = s.qvel[i]
         right = e.dt * (s.passive[i] + s.actuator[i] - s.bias[i] + e.applied[i])
         for k in range(t.links):
-            right += t.reach[k * n + i] * paired(s.screw, i, e.push, k)
+            right += t.reach[k * n + i] * screw_product(s.screw, i, e.push, k)
         for j in range(n):
             entry = s.mass_matrix[n * i + j] + wp.where(i == j, e.dt * t.damping[i], wp.float64(0.0))
             block[at.system + n * i + j] = entry
@@ -195,7 +195,7 @@ def store_interior_speed(s: Motion, e: InteriorWater, l: int):
     if e.speed[l] != e.speed[l]:
         along = wp.vec3d(s.pose[12 * l + 3], s.pose[12 * l + 6], s.pose[12 * l + 9])
         linear = point3(e.last_momentum, 6 * l)
-        put(e.last_momentum, 6 * l, linear + (e.mass[l] * e.measured_speed[l] - wp.dot(along, linear)) * along)
+        store_vec3(e.last_momentum, 6 * l, linear + (e.mass[l] * e.measured_speed[l] - wp.dot(along, linear)) * along)
     e.speed[l] = e.measured_speed[l]
 
 
@@ -211,8 +211,8 @@ def measure_link_box(t: Tree, s: Motion, e: InteriorWater, l: int):
         low, high = wp.min(low, x), wp.max(high, x)
         v = u + wp.cross(w, x - point3(s.pose, 0))
         fast = wp.max(fast, wp.dot(v, v))
-    put(e.link_boxes, 7 * l, low)
-    put(e.link_boxes, 7 * l + 3, high)
+    store_vec3(e.link_boxes, 7 * l, low)
+    store_vec3(e.link_boxes, 7 * l + 3, high)
     e.link_boxes[7 * l + 6] = fast
 
 

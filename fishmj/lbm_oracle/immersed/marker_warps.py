@@ -13,7 +13,7 @@ scratch box. A CPU runs the same code with one lane.
 """
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -71,10 +71,20 @@ class MarkerKernels(NamedTuple):
 @cache
 def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> MarkerKernels:
     """Makes the kernels for markers of this width, in water whose populations are stored as `number`."""
-    cells = width**3
     lanes, group = (LANES, GROUP) if on_gpu else (1, 1)
     module = wp.get_module(f"{__name__}.{width}_{lanes}_{number.__name__}")
     wp.set_module_options({"enable_backward": False, "max_unroll": 64 if on_gpu else Q}, module)
+    return MarkerKernels(
+        place_markers_kernel(width, lanes, module),
+        sample_fluid_kernel(width, lanes, number, module),
+        assemble_response_kernel(width, group, on_gpu, module),
+        spread_force_kernel(width, lanes, module),
+    )
+
+
+def place_markers_kernel(width: int, lanes: int, module: Any) -> wp.Kernel:
+    """Kernel of the markers' places and weights."""
+    cells = width**3
 
     @wp.kernel(module=module, grid_stride=False)
     def place_markers(
@@ -148,6 +158,13 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> Marke
             weights[wp.static(cells) * k + o] = weight * phi(p[2] - float(cell[2] + l), wp.static(width))
             o += wp.static(lanes)
 
+    return place_markers
+
+
+def sample_fluid_kernel(width: int, lanes: int, number: type, module: Any) -> wp.Kernel:
+    """Kernel of the fluid's velocity at the markers and the first pass."""
+    cells = width**3
+
     @wp.kernel(module=module, grid_stride=False)
     def sample_fluid(
         host: wp.array(dtype=wp.float64),
@@ -214,6 +231,13 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> Marke
             value = weight_over_rho[wp.static(cells) * k + o] * (push * force[k, side])
             wp.atomic_add(scratch, cell[0] + i, cell[1] + j, cell[2] + l, side, value)
             e += wp.static(lanes)
+
+    return sample_fluid
+
+
+def assemble_response_kernel(width: int, group: int, on_gpu: bool, module: Any) -> wp.Kernel:
+    """Kernel of the second pass, K, b0 and v+."""
+    cells = width**3
 
     @wp.kernel(module=module, grid_stride=False)
     def assemble_response(
@@ -292,6 +316,13 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> Marke
             wait_for_block()
             solve_block(host, at, water, 1, rows, step, pivots, v, target, me, threads)
 
+    return assemble_response
+
+
+def spread_force_kernel(width: int, lanes: int, module: Any) -> wp.Kernel:
+    """Kernel of the final force and the wrenches."""
+    cells = width**3
+
     @wp.kernel(module=module, grid_stride=False)
     def spread_force(
         host: wp.array(dtype=wp.float64),
@@ -354,7 +385,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> Marke
             scratch[p[0] + i, p[1] + j, p[2] + l, side] = wp.vec3(0.0, 0.0, 0.0)
             e += wp.static(lanes)
 
-    return MarkerKernels(place_markers, sample_fluid, assemble_response, spread_force)
+    return spread_force
 
 
 class MarkerWarps:

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.lbm_oracle.fluid.guard import Watch
+from fishmj.lbm_oracle.fluid.guard import StabilityMonitor
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure, StepDriver
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps, StepResults
 from fishmj.mjcf.description import Robot
@@ -43,7 +43,7 @@ class TickSource(Protocol):
 
     coupled: FluidStructure
     robot: Robot
-    watch: Watch
+    watch: StabilityMonitor
     follow: Callable[[FluidStructure], None] | None
     on_device: bool
     pipelined: bool
@@ -73,7 +73,7 @@ class HostTick:
         turns: number of calls of `advance` in the tick.
     """
 
-    def __init__(self, coupled: FluidStructure, driver: JointDriver, watch: Watch, turns: int):
+    def __init__(self, coupled: FluidStructure, driver: JointDriver, watch: StabilityMonitor, turns: int):
         self.coupled, self.driver, self.watch, self.turns = coupled, driver, watch, turns
 
     def advance(self, turn: int) -> Generator[None, None, float]:

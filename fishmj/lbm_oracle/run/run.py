@@ -18,7 +18,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError, FishmjError, OracleUnstable, SimDiverged
 from fishmj.base.options import checked_array, shown_value
-from fishmj.lbm_oracle.fluid.guard import MACH, Watch, numbers
+from fishmj.lbm_oracle.fluid.guard import MACH, StabilityMonitor, numbers
 from fishmj.lbm_oracle.fluid.lattice import RATIO
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.run.pipeline import CAUTION, DeviceTick, HostTick, JointDriver, Pipeline, servo_power
@@ -140,7 +140,7 @@ class Run:
         self.pushed = self.pose[3:]
         self.rows: list[tuple] = []
         self.stopped = ""  # why the run ended early
-        self.watch = Watch()
+        self.watch = StabilityMonitor()
         self.fastest = 0.0  # marker in the last tick, m/s
         self.factor = 1  # of the last tick that was done: how many times finer its steps were
         self.refined = 0  # ticks that were done again with finer steps

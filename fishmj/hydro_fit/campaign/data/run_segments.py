@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.run_log import flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import boundary_entry
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop
 from fishmj.log import SCHEMA, Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
@@ -164,7 +164,7 @@ class SegmentRunner:
         }
 
 
-def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = always) -> Iterator[Finished]:
+def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = never_stop) -> Iterator[Finished]:
     """Runs the waiting segments, `tanks` at a time, each at its own pace; a free tank takes the next segment.
 
     Args:
