@@ -35,7 +35,7 @@ TREES = "a49ee31bb533b9700cbc0e882b344be74349a904f5cbd0fa116445696fbb3cc3"  # bo
 CHECKED = "3f5d5c786db440eda181170c089b18802b7fee14a50425a13bee6734b368ec5e"  # every object and number is checked; to the bit
 ROOMS = "e9e86576e9e2d74b532ae597dde80d9adbc213fc0e50627dc4d6cc974ec94984"  # imports of moved modules, no other line
 # one generator for a coupled step, one class of run for all levels, one subgrid model, plain names; to the bit on a CPU
-ONE_LOOP = "966c5a47351c42e9b498cfd08ddf2e5bfe485c6c7753da5d5797ea84579d1b0d"
+ONE_LOOP = "3fe611ac37e302d67b2ecb0e893490b86e9764493a8878f400bbcfcd5a9525ba"
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
 SAME = dict.fromkeys(LATER, SHIPPED)
 
