@@ -49,7 +49,7 @@ class Filmed(Engine):
         """Fills the tanks as `Engine`, without pipelining, because the recorder reads the water between two ticks."""
         tanks = yield from super()._fill(state, params)
         for run in tanks.runs:
-            run.ahead = False
+            run.pipelined = False
         return tanks
 
     def advancing(self, state, commands, params, current, tick):
@@ -62,7 +62,7 @@ class Filmed(Engine):
             if self.recorder is None:
                 self.recorder = FieldRecorder(self.folder, run, every=EVERY, overwrite=True)
                 self.recorder.frames = 1  # the water before the first tick is not kept
-            self.recorder.look(run)
+            self.recorder.record(run)
         return state, Trace(*(np.concatenate(column, 1) for column in zip(*traces, strict=True)))
 
 

@@ -20,6 +20,7 @@ from fishmj.engines.tank_run import EffectServos
 from fishmj.evaluate import __main__ as command
 from fishmj.evaluate import run_trials
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
+from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.run import solver_water
 from fishmj.lbm_oracle.run.domain import Domain
@@ -59,14 +60,16 @@ def robot_with(*names: str, **values: float):
 class Dry:
     """A tank without water: what `Run` asks of a coupled fish, and the equation of its step without the water's K and b0."""
 
+    stepping = FluidStructure.stepping
+
     def __init__(self, stage: SwimSetup, body: ImmersedBody):
-        self.body, self.steps, self.together, self.slip = body, 1, 1, 1.0  # step 1 for good: nobody looks after the water
+        self.body, self.steps, self.steps_since_sync, self.slip = body, 1, 1, 1.0  # step 1 for good: nobody looks after the water
         body.place(reference_qpos(body.model, stage.pose, np.array(stage.joints)))
         lattice, idle = SimpleNamespace(sound=np.inf, dt=body.dt), dict.fromkeys(("set_steps", "settle"), lambda *_: None)
         device = SimpleNamespace(is_cuda=False)
         self.fluid = SimpleNamespace(flow=stage.flow, lattice=lattice, steps=1, levels=[None], device=device, **idle)
         self.boundary = SimpleNamespace(corners=Corners(np.zeros((body.links, 8, 3)), body.water.centre))
-        self.ahead = False
+        self.in_flight = False
         self.place_markers = self.assemble_response = self.push_water = self.join_stream = lambda: None
 
     @property

@@ -75,7 +75,7 @@ def test_fault_9_diverging_run_stops_and_keeps_rows_and_last_good_state(tmp_path
     again.begin()
     for _ in range(20):  # past the step that failed
         again.tick(np.zeros(3))
-    again.watch.look(again.coupled.fluid)
+    again.watch.check(again.coupled.fluid)
 
 
 def test_fault_9_immediate_divergence_leaves_no_last_good_state_to_save(tmp_path, monkeypatch, capsys):

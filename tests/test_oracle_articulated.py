@@ -113,7 +113,7 @@ def test_a_step_ends_where_mujocos_own_does(name):
     data, dt = somewhere(model), 0.004
     tree, found = on_device(model, data)
     v = np.random.default_rng(5).normal(size=model.nv)
-    wp.launch(articulated_body.move_on, dim=model.njnt, inputs=[tree, found, wp.array(v, device="cpu"), dt], device="cpu")
+    wp.launch(articulated_body.advance_state, dim=model.njnt, inputs=[tree, found, wp.array(v, device="cpu"), dt], device="cpu")
     mujoco.mj_integratePos(model, data.qpos, v, dt)
     np.testing.assert_allclose(found.qpos.numpy(), data.qpos, atol=1e-13)
     np.testing.assert_array_equal(found.qvel.numpy(), v)

@@ -15,7 +15,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import kernels
 from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
-from fishmj.lbm_oracle.immersed.boundary import slip_here
+from fishmj.lbm_oracle.immersed.boundary import slip_on_grid
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import HELD, SLIDING, fish_markers, offset_of, sphere_markers
 from fishmj.lbm_oracle.run.run import Run
@@ -28,7 +28,7 @@ wp.config.quiet = True
 @wp.kernel
 def _weights(x: wp.array(dtype=float), width: int, out: wp.array2d(dtype=float)):
     k = wp.tid()
-    start = kernels.first(x[k], width)
+    start = kernels.first_cell(x[k], width)
     for i in range(width):
         out[k, 2 * i] = kernels.phi(x[k] - float(start + i), width)
         out[k, 2 * i + 1] = float(start + i)
@@ -181,12 +181,12 @@ def test_full_slip_leaves_no_pull_along_a_plate_and_stops_water_through_it():
 
 def test_slip_means_the_same_friction_on_every_grid():
     coarse, fine = Lattice(dx=0.02, dt=0.004), Lattice(dx=0.01, dt=0.001)
-    assert slip_here(0.95, coarse) == pytest.approx(0.95)
-    assert slip_here(0.95, fine) ** 4 == pytest.approx(slip_here(0.95, Lattice(dx=0.01, dt=0.004)))
+    assert slip_on_grid(0.95, coarse) == pytest.approx(0.95)
+    assert slip_on_grid(0.95, fine) ** 4 == pytest.approx(slip_on_grid(0.95, Lattice(dx=0.01, dt=0.004)))
     for slip in (0.0, 1.0):
-        assert slip_here(slip, fine) == slip
+        assert slip_on_grid(slip, fine) == slip
     with pytest.raises(ConfigError, match="slip = 1.2"):
-        slip_here(1.2, coarse)
+        slip_on_grid(1.2, coarse)
 
 
 def test_force_on_the_cells_is_the_force_on_the_markers(bent):

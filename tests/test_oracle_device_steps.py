@@ -57,6 +57,7 @@ def test_a_tick_on_the_device_is_the_hosts_tick(root, warps):
         torque, rate, fastest = by_the_host(one, tick)
         steps.queue(command(tick))
         seen = steps.finish(audit=True)
+        assert (other.steps_since_sync, one.steps_since_sync) == (COUNT, 1)
         np.testing.assert_allclose(state_of(other), state_of(one), atol=1e-11)
         np.testing.assert_allclose(seen.torque, torque, atol=1e-10)
         np.testing.assert_allclose(seen.rate, rate, atol=1e-11)
@@ -150,7 +151,7 @@ def test_levels_of_water_are_the_hosts_too():
             run.tick(0.3 * command(tick)[0])
         made.append(run)
     one, other = made
-    assert 1 in other._at_once and not one._at_once
+    assert 1 in other._pipeline.steps and not one._pipeline.steps
     np.testing.assert_allclose(state_of(other.coupled), state_of(one.coupled), atol=1e-11)
     assert other.coupled.fluid.account == one.coupled.fluid.account
 
@@ -170,7 +171,7 @@ def test_a_run_on_the_device_is_the_run_of_the_host():
             run.tick(gait(run.time))
         made.append(run)
     one, other = made
-    assert 1 in other._at_once and not one._at_once
+    assert 1 in other._pipeline.steps and not one._pipeline.steps
     for mine, theirs in zip(columns(other), columns(one), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-11, rtol=1e-9)
     assert (other.watch.looks, other.coupled.steps) == (one.watch.looks, one.coupled.steps)
@@ -182,7 +183,7 @@ def test_too_fast_device_tick_is_repeated_with_finer_steps_like_the_host(monkeyp
     """Twice and four times finer ones: what the host's own steps do, and MuJoCo's agree."""
     gait, made, factors = Gait(ramp=0.2), [], []
     monkeypatch.setattr(Run, "limit", limit)
-    monkeypatch.setattr("fishmj.lbm_oracle.run.run.AUDIT", 3)
+    monkeypatch.setattr("fishmj.lbm_oracle.run.pipeline.AUDIT", 3)
     for on_device in (False, True):
         run = Run(pond("cpu"), on_device=on_device, latency=0.0)
         for _ in range(12):
@@ -190,27 +191,31 @@ def test_too_fast_device_tick_is_repeated_with_finer_steps_like_the_host(monkeyp
             factors.append(run.factor)
         made.append(run)
     one, other = made
-    assert max(factors) == max(other._at_once) == (4 if limit == 0.15 else 2) and not one._at_once
+    assert max(factors) == max(other._pipeline.steps) == (4 if limit == 0.15 else 2) and not one._pipeline.steps
     assert (other.refined, other.watch.looks) == (one.refined, one.watch.looks) and one.refined > 0
     for mine, theirs in zip(columns(other), columns(one), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-11, rtol=1e-9)
 
 
-def swum(ahead: bool, ticks: int = 14, root: str = "planar", **options) -> tuple[Run, list[bool]]:
+def swum(pipelined: bool, ticks: int = 14, root: str = "planar", **options) -> tuple[Run, list[bool]]:
     """A run that MuJoCo audits in ticks 0, 3 and 9, and whether it was ahead after each tick."""
     gait, run = Gait(ramp=0.2), Run(pond("cpu", root=root), on_device=True, **options)
-    run._at_once[1], run.ahead, run._audited = DeviceSteps(run.coupled, run.steps, warps=True), ahead, 3
+    run._pipeline.steps[1], run.pipelined, run._pipeline.audit_offset = (
+        DeviceSteps(run.coupled, run.steps, warps=True),
+        pipelined,
+        3,
+    )
     went = []
     for _ in range(ticks):
         run.tick(gait(run.time))
-        went.append(run.coupled.ahead)
+        went.append(run.coupled.in_flight)
     return run, went
 
 
 @pytest.mark.parametrize(("root", "off"), [("planar", 0.0), ("free", 1e-13)])
 def test_ticks_ahead_are_the_same_ticks(monkeypatch, root, off):
     """To the bit; a free fish to the round-off of its quaternion's length. The watch looks as often."""
-    monkeypatch.setattr("fishmj.lbm_oracle.run.run.AUDIT", 6)
+    monkeypatch.setattr("fishmj.lbm_oracle.run.pipeline.AUDIT", 6)
     (one, paused), (other, went) = swum(False, root=root), swum(True, root=root)
     assert not any(paused) and [k for k in range(14) if not went[k]] == [0, 3, 9]
     for mine, theirs in zip(columns(other), columns(one), strict=True):
@@ -221,7 +226,7 @@ def test_ticks_ahead_are_the_same_ticks(monkeypatch, root, off):
 def test_water_that_is_ahead_of_its_fish_is_not_shown():
     run, went = swum(True, ticks=2)
     assert went == [False, True] and run.coupled.fluid.steps == run.coupled.steps + run.steps
-    with pytest.raises(ConfigError, match=r"the water is ahead of the fish's t = 0\.04 s; take a run with ahead = False"):
+    with pytest.raises(ConfigError, match=r"the water is ahead of the fish's t = 0\.04 s; take a run with pipelined = False"):
         run.coupled.scope()
     with pytest.raises(ConfigError, match="the water is ahead"):
         run.begin()
@@ -264,28 +269,28 @@ def test_what_is_led_is_left_to_the_host():
     start = run.pose[:3].copy()
     run.root = lambda t: start + [0.01 * t, 0.0, 0.0]
     run.tick(np.zeros(3))
-    assert not run._at_once
+    assert not run._pipeline.steps
     run.tethered = False
     run.tick(np.zeros(3))
-    assert 1 in run._at_once
+    assert 1 in run._pipeline.steps
     led = Run(pond("cpu"), on_device=True, prescribed=Gait())
     led.tick()
-    assert not led._at_once
+    assert not led._pipeline.steps
     other = Run(pond("cpu", scheme="explicit"), on_device=True)
     other.tick(np.zeros(3))
-    assert not other._at_once and not other.on_device
+    assert not other._pipeline.steps and not other.on_device
 
 
-@pytest.mark.parametrize("ahead", [False, True])
-def test_a_fish_that_is_held_and_let_go_is_the_hosts(ahead, monkeypatch):
+@pytest.mark.parametrize("pipelined", [False, True])
+def test_a_fish_that_is_held_and_let_go_is_the_hosts(pipelined, monkeypatch):
     """MuJoCo's own steps agree while it is held, too; no tick is ahead of the one after which it is let go."""
-    monkeypatch.setattr("fishmj.lbm_oracle.run.run.AUDIT", 2)
+    monkeypatch.setattr("fishmj.lbm_oracle.run.pipeline.AUDIT", 2)
     gait, made = Gait(ramp=0.2), []
     for on_device in (False, True):
         run = Run(pond("cpu", slip=0.97), on_device=on_device, tethered=True, latency=0.02)
-        run.ahead = ahead and on_device
-        if on_device and ahead:
-            run._at_once[1] = DeviceSteps(run.coupled, run.steps, warps=True)
+        run.pipelined = pipelined and on_device
+        if on_device and pipelined:
+            run._pipeline.steps[1] = DeviceSteps(run.coupled, run.steps, warps=True)
         for tick in range(9):
             run.tethered = tick < 4
             run.tick(gait(run.time))
@@ -293,7 +298,7 @@ def test_a_fish_that_is_held_and_let_go_is_the_hosts(ahead, monkeypatch):
                 assert np.abs(run.coupled.body.data.qvel[:3]).max() < 1e-15 < np.abs(run.rates()).max()
                 held = run.pose[:3].copy()
             elif tick < 3:
-                assert run.coupled.ahead is False
+                assert run.coupled.in_flight is False
         assert np.abs(run.pose[:3] - held).max() > 1e-4
         made.append(run)
     one, other = made
@@ -308,12 +313,12 @@ def test_a_tank_alone_keeps_its_steps_on_the_host_on_a_cpu():
 
 def test_domain_watch_interval_in_steps_is_independent_of_batching():
     looks = []
-    for together in (1, 5, 10):
+    for steps in (1, 5, 10):
         watch, coupled = DomainWatch(replace(preset("laptop"), shape=(120, 120, 40))), tube().coupled()
         seen: list[int] = []
         watch.follow = lambda coupled, seen=seen: seen.append(coupled.steps)
-        for coupled.steps in range(together, 61, together):
-            coupled.together = together
+        for coupled.steps in range(steps, 61, steps):
+            coupled.steps_since_sync = steps
             watch(coupled)
         looks.append(len(seen))
     assert looks == [15, 15, 15]
@@ -356,5 +361,5 @@ def test_finer_steps_on_an_accelerator_are_the_hosts(monkeypatch, limit):
         made.append(run)
     one, other = made
     assert other.on_device and not one.on_device
-    assert factors[:14] == factors[14:] and max(factors) == (4 if limit == 0.15 else 2) == max(other._at_once)
+    assert factors[:14] == factors[14:] and max(factors) == (4 if limit == 0.15 else 2) == max(other._pipeline.steps)
     np.testing.assert_allclose(np.array([row[3] for row in other.rows]), np.array([row[3] for row in one.rows]), atol=1e-3)

@@ -9,8 +9,9 @@ import warp as wp
 
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.domain_faces import channel
-from fishmj.lbm_oracle.fluid.fluid import Fluid, pieces
+from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.fluid.slabs import split_wrapped
 from fishmj.lbm_oracle.immersed.early_water import EarlyWater
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
@@ -104,9 +105,9 @@ def test_a_fish_swims_the_same_to_the_bit_whether_its_water_is_early():
 
 
 def test_runs_of_an_array_that_wraps():
-    assert pieces(-3, 5, 10) == [(7, 3), (0, 2)]
-    assert pieces(23, 5, 10) == [(3, 5)]
-    assert pieces(5, 5, 10) == [(5, 5)] and pieces(5, 0, 10) == []
+    assert split_wrapped(-3, 5, 10) == [(7, 3), (0, 2)]
+    assert split_wrapped(23, 5, 10) == [(3, 5)]
+    assert split_wrapped(5, 5, 10) == [(5, 5)] and split_wrapped(5, 0, 10) == []
 
 
 def test_planes_outside_the_box_are_refused():

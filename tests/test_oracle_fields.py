@@ -117,7 +117,7 @@ def test_a_swim_writes_slices_pictures_and_a_film_for_paraview(tmp_path, monkeyp
 @pytest.mark.parametrize("during", ["a tick", "a picture"])
 def test_ctrl_c_ends_the_run_between_two_ticks_and_keeps_everything(tmp_path, monkeypatch, capsys, during):
     tiny(monkeypatch)
-    owner, name = {"a tick": (Run, "tick"), "a picture": (FieldRecorder, "look")}[during]
+    owner, name = {"a tick": (Run, "tick"), "a picture": (FieldRecorder, "record")}[during]
     plain, called = getattr(owner, name), []
 
     def interrupted(self, *args):
@@ -141,14 +141,14 @@ def test_ctrl_c_ends_the_run_between_two_ticks_and_keeps_everything(tmp_path, mo
 def test_a_full_disk_stops_the_fields_with_the_reason_and_keeps_the_trial(tmp_path, monkeypatch):
     tiny(monkeypatch)
     (tmp_path / "fields").mkdir()
-    plain = FieldRecorder.look
+    plain = FieldRecorder.record
 
     def full(self, run):
         if run.ticks == 4:
             raise StoreError("disk full: needs 7 bytes")
         return plain(self, run)
 
-    monkeypatch.setattr(FieldRecorder, "look", full)
+    monkeypatch.setattr(FieldRecorder, "record", full)
     keep = ["--out", str(tmp_path / "trial"), "--fields", str(tmp_path / "fields"), "--every", "0.02"]
     assert swim.main([*CPU, "--seconds", "1", *keep]) == console.FAILED_CHECK
     trial = read_trial(tmp_path / "trial")

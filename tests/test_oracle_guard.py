@@ -59,7 +59,7 @@ def test_fault_9_the_watch_stops_a_fluid_that_blows_up(along, rest, limit):
     water.f.assign(f)
     water.run(1)
     with pytest.raises(OracleUnstable, match="at step 51") as error:
-        water.watch.look(water)
+        water.watch.check(water)
     assert error.value.limit == limit
 
 
@@ -189,7 +189,7 @@ def test_gpu_gets_32_queues_unless_the_environment_sets_another_number(said, que
 
 @pytest.mark.parametrize(("levels", "steps"), [(1, 50), (2, 100), (3, 200)])
 def test_the_watch_looks_every_fifty_steps_of_the_coarsest_water(levels, steps):
-    seen = [n for n in range(1, 401) if guard.Watch().due(SimpleNamespace(steps=n, levels=[None] * levels))]
+    seen = [n for n in range(1, 401) if guard.StabilityMonitor().due(SimpleNamespace(steps=n, levels=[None] * levels))]
     assert seen == list(range(steps, 401, steps))
 
 
@@ -309,8 +309,8 @@ def test_water_of_impossible_pressure_clock_or_parts_is_refused():
         (lambda: water.finer(0), "factor of finer steps = 0"),
         (lambda: water.finer(1.5), "factor of finer steps has the type float64"),
         (lambda: water.planes(0.5, 2), "fluid: planes has the type float64"),
-        (lambda: guard.Watch(every=0), "watch: every = 0"),
-        (lambda: guard.Watch(every=np.nan), "watch: every has the type float64"),
+        (lambda: guard.StabilityMonitor(every=0), "watch: every = 0"),
+        (lambda: guard.StabilityMonitor(every=np.nan), "watch: every has the type float64"),
         (lambda: Lattice(dx="1", dt=1.0), "lattice: dx = '1'; expected a finite number"),
         (lambda: Lattice(dx=1.0, dt=1.0, corner=(0.0, None, 0.0)), "lattice: corner"),
         (lambda: Boundaries(x="slip"), "boundaries: x = 'slip'; expected Axis"),

@@ -88,7 +88,7 @@ def test_a_sphere_sinks_from_rest_with_its_added_mass():
 @pytest.mark.slow
 def test_a_sphere_in_a_duct_carries_its_weight_at_the_noted_speed():
     """By bounce-back at six cells, 1 % from what 18 cells give; the speed measured in the thickest oil would take 4 % more."""
-    assert duct.carried("E1", 6) == pytest.approx(1.0, abs=0.02)
+    assert duct.drag_over_weight("E1", 6) == pytest.approx(1.0, abs=0.02)
 
 
 def test_the_duct_pushes_on_no_sphere_in_water_at_rest():
@@ -101,7 +101,7 @@ def test_the_duct_pushes_on_no_sphere_in_water_at_rest():
 
 def test_force_vectors_are_compared_by_their_difference():
     one, other = maps.Load(1.0, 0.0, 0.0, 0.0), maps.Load(0.0, 2.0, 0.0, 0.0)
-    assert maps.apart(one, one) == 0 and maps.apart(one, other) == pytest.approx(np.sqrt(5) / 2)
+    assert maps.relative_difference(one, one) == 0 and maps.relative_difference(one, other) == pytest.approx(np.sqrt(5) / 2)
 
 
 def test_cases_for_an_accelerator_are_left_out_on_the_cpu_unless_named():

@@ -179,7 +179,7 @@ def test_solver_and_prescribed_flow_carry_tracers_alike_at_first():
     """In 0.6 s the eddies of the tank are still much those that were prescribed."""
     box = Domain(name="tiny", shape=(48, 40, 16), dx=0.04, dt=0.004, sponge=4)
     flow = Flow(speed=0.3, turbulence="default", seed=4)
-    release = drift.released(box, flow, n=3, seconds=0.6, interval=0.1, width=0.08)
+    release = drift.release_markers(box, flow, n=3, seconds=0.6, interval=0.1, width=0.08)
     solver = tracers.carry(drift.in_solver(box, flow, settle=0.0, end=0.8), release)
     given = tracers.carry(drift.in_flow(flow, end=0.8), release)
     for one, two in zip(solver, given, strict=True):

@@ -106,7 +106,7 @@ def test_the_fastest_part_of_the_fin_sets_the_time_step():
         lag, step = np.radians(psi), 1e-4
         moved = [fin(p + step, lag, place) - fin(p, lag, place) for p in np.arange(0, 1, 0.01)]
         fastest = np.linalg.norm(moved, axis=-1).max() / step * 0.6 / (rolling_fin.SWING * rolling_fin.SPAN)
-        assert rolling_fin.swiftest(0.6, lag) == pytest.approx(fastest, rel=1e-2)
+        assert rolling_fin.greatest_rim_speed(0.6, lag) == pytest.approx(fastest, rel=1e-2)
 
 
 def test_a_fin_gives_power_and_its_lift_alternates():

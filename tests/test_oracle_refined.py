@@ -7,7 +7,7 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from fishmj.base.errors import ConfigError, OracleUnstable
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.cases.refined import across, ball_in_a_box, pulse_returned, shear_viscosity, water_and_box
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -17,6 +17,7 @@ from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory, fine_
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
+from fishmj.lbm_oracle.run.time_refinement import hand_over
 from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
@@ -254,8 +255,6 @@ def test_what_a_refined_box_cannot_do_is_refused():
         box.snapshot()
     with pytest.raises(ConfigError, match="outer.shift"):
         box.shift((1, 0, 0))
-    with pytest.raises(OracleUnstable, match="RefinedRun"):
-        box.finer(2)  # a plain `Run` would leave the coarse water behind
 
 
 def test_the_box_follows_the_fish_and_stays_in_the_tank():
@@ -304,10 +303,10 @@ def test_levels_survive_another_time_step_and_back():
         run.tick(QUICK(run.time))
     water = run.coupled.fluid
     before = [level.velocity() for level in water.levels], water.account
-    fine = run._refinement._fine(2)
-    run._refinement.hand_over(run.coupled, fine)
+    fine = run._refinement.finer(2)
+    hand_over(run.coupled, fine)
     assert fine.fluid.account[1][1] == 2 * before[1][1][1] and fine.fluid.outer.lattice.dt == 0.005
-    run._refinement.hand_over(fine, run.coupled)
+    hand_over(fine, run.coupled)
     for level, velocity in zip(water.levels, before[0], strict=True):
         assert level.velocity() == pytest.approx(velocity, abs=2 * UNIT * level.lattice.velocity)  # kept anew twice
     assert water.account == before[1]

@@ -14,7 +14,7 @@ from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import sphere_markers
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, LeftDomain, Run
-from fishmj.lbm_oracle.run.run_meta import plausible
+from fishmj.lbm_oracle.run.run_log import plausible_rows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import checkpoint
 from fishmj.log import read_trial, write_trial
@@ -189,9 +189,9 @@ def test_a_refined_tick_logs_nothing_of_an_attempt_that_was_given_up(monkeypatch
         if given_up:
             monkeypatch.setattr(Run, "limit", 0.05)
             with pytest.raises(OracleUnstable, match="sub-steps take"):
-                list(run._again(kept))
+                list(run._redo_tick(kept))
             monkeypatch.setattr(Run, "limit", 10.0)
-        attempt = run._again(kept)
+        attempt = run._redo_tick(kept)
         with pytest.raises(StopIteration) as done:
             while True:
                 next(attempt)
@@ -265,6 +265,6 @@ def test_both_devices_swim_the_same_swim():
 def test_implausibly_fast_rows_at_the_end_are_dropped_but_one_row_stays():
     row = lambda wz, rate=0.0: (0.0, 0.02, None, np.array([0, 0, 0, 0.1, 0, wz]), None, np.array([rate]))
     calm, wild = row(1.0), row(1e3)
-    assert plausible([calm, wild, calm]) == [calm, wild, calm]
-    assert plausible([calm, calm, row(1.0, -1e3), wild]) == [calm, calm]
-    assert plausible([wild]) == [wild]
+    assert plausible_rows([calm, wild, calm]) == [calm, wild, calm]
+    assert plausible_rows([calm, calm, row(1.0, -1e3), wild]) == [calm, calm]
+    assert plausible_rows([wild]) == [wild]

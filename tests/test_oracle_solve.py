@@ -116,7 +116,7 @@ def test_threads_of_a_block_that_run_in_any_order_find_the_same(n, threads, acro
     stand_in |= {"float64": float, "int32": int, "where": lambda which, yes, no: yes if which else no}
     scope = {"wp": SimpleNamespace(**stand_in), "WARP": across, "read": read, "write": np.ndarray.__setitem__}
     scope["wait_for_block"] = block.wait
-    for kernel in (fsi_solve.gather, fsi_solve.pivot_row, fsi_solve.solve_block, fsi_solve.solve):
+    for kernel in (fsi_solve.assemble_system, fsi_solve.pivot_row, fsi_solve.solve_block, fsi_solve.solve):
         scope[kernel.func.__name__] = FunctionType(kernel.func.__code__, scope)
     water = np.concatenate([given[1][:, None], given[0]], 1)
     v, target = np.zeros(n), np.zeros(n)

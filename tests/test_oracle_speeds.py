@@ -15,8 +15,8 @@ CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device"
 
 @pytest.mark.slow
 def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, monkeypatch, capsys):
-    swum, real = [], speeds.swum
-    monkeypatch.setattr(speeds, "swum", lambda box, *key: swum.append((box.shape[2], *key[:2])) or real(box, *key))
+    swum, real = [], speeds.swim_row
+    monkeypatch.setattr(speeds, "swim_row", lambda box, *key: swum.append((box.shape[2], *key[:2])) or real(box, *key))
     call = [*CALL, "--out", str(tmp_path)]
     assert speeds.main([*call, "--slips", "1"]) == console.OK
     assert speeds.main([*call, "--slips", "0.98", "1"]) == console.OK
@@ -30,7 +30,7 @@ def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, m
 
 def test_what_cannot_be_swum_is_refused():
     with pytest.raises(ConfigError, match="slip ratios in 0..1"):
-        speeds.asked([1.0], [1.2], [0.6])
+        speeds.swim_keys([1.0], [1.2], [0.6])
 
 
 MINNOW = """
@@ -90,12 +90,12 @@ def test_study_swims_another_robot_and_keeps_its_rows_apart(name, minnow, tmp_pa
 
 def test_parts_of_a_study_drive_all_joints_of_their_robot(minnow):
     box = Domain(name="tiny", shape=(40, 28, 18), dx=0.02, dt=0.004, sponge=4)
-    row = speeds.swum(box, 2.0, 1.0, 0.1, "cpu", minnow)
+    row = speeds.swim_row(box, 2.0, 1.0, 0.1, "cpu", minnow)
     assert row["status"] == "ok" and row["power_W"] > 0
     options = {"robot": minnow, "slip": 1.0, "device": "cpu", "sharpness": PLAIN}
     assert converge_fish.cruise(box, 0.1, options).status == "ok"
     plan = converge_fish.Plan(settle=0.04, seconds=0.2, length=0.5)
-    assert converge_fish.held("yaw", box, plan, options).value != 0
+    assert converge_fish.force_when_held("yaw", box, plan, options).value != 0
 
 
 def test_real_fish_refuses_a_robot_with_other_joints_than_were_filmed(tmp_path):

@@ -39,7 +39,7 @@ from fishmj.lbm_oracle.force_maps.force_points import Plan, Point
 from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
-from fishmj.lbm_oracle.run.spread import _Asked, _give, _Process, _Told, spread
+from fishmj.lbm_oracle.run.spread import _KeyRequests, _Process, _ProgressReports, _send_key, spread
 from fishmj.mjcf import load_robot
 
 TWO = ("cpu", "cpu")
@@ -137,7 +137,7 @@ class Pipe:
 
 def test_a_process_asks_again_only_after_it_has_finished_one():
     pipe = Pipe((True, "a"), (False, True), (True, "b"), (False, False))
-    asked = _Asked(pipe)
+    asked = _KeyRequests(pipe)
     assert asked and asked and asked.popleft() == "a" and len(pipe.sent) == 1
     assert not asked and not asked and len(pipe.sent) == 2
     asked.full = False  # as after a result
@@ -152,16 +152,16 @@ def test_no_process_takes_more_than_its_part_of_what_is_left():
     one, other = (_Process(Pipe(), None, "cpu") for _ in range(2))
     todo = deque("abc")
     for _ in range(3):
-        _give(one, [one, other], todo)
+        _send_key(one, [one, other], todo)
     assert one.pipe.sent == [(True, "a"), (True, "b"), (False, True)] and one.held == 2
-    _give(other, [one, other], todo)
-    _give(other, [one, other], todo)
+    _send_key(other, [one, other], todo)
+    _send_key(other, [one, other], todo)
     assert other.pipe.sent == [(True, "c"), (False, False)]
 
 
 def test_progress_is_reported_now_and_then():
     now, pipe = [0.0], Pipe()
-    told = _Told(pipe, lambda: now[0])
+    told = _ProgressReports(pipe, lambda: now[0])
     for now[0] in (0.1, 0.3, 0.4, 0.6):
         assert told(now[0])
     assert [said.value for said in pipe.sent] == [0.3, 0.6]
@@ -299,7 +299,7 @@ def test_a_command_spreads_what_can_be_sent_over_the_devices_it_is_given(name, t
     with pytest.raises(Begun) as begun:
         module.main([*argv, "--device", "cpu,cpu,cpu", "--out", str(tmp_path / "out")])
     work, keys, devices = begun.value.args
-    assert devices == ("cpu", "cpu", "cpu") and keys and (b"on_device" in work or b"swum" in work)
+    assert devices == ("cpu", "cpu", "cpu") and keys and (b"on_device" in work or b"run_swims" in work)
 
 
 def test_hidden_sets_and_robots_of_a_plan_are_spread_too(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.lbm_oracle.grid_studies import real_fish
-from fishmj.lbm_oracle.grid_studies.real_fish import ResultTable, fitted, speed_of, swims
+from fishmj.lbm_oracle.grid_studies.real_fish import ResultTable, fit_slip, speed_of, swims
 
 SLIPS = (0.95, 0.97, 0.98, 0.99, 1.0)
 
@@ -26,7 +26,7 @@ def test_eight_swims_were_filmed_and_every_second_one_is_kept_aside():
 
 def test_a_planted_slip_ratio_is_found():
     real, swum = planted(0.983)
-    fit = fitted(real, swum)
+    fit = fit_slip(real, swum)
     assert fit.slip == pytest.approx(0.983, abs=2e-4) and fit.high - fit.low < 1e-3
     assert fit.misfit < 0.01 and fit.judged < 0.01
     assert fit.speeds[1.5] == pytest.approx(real[-2].speed, rel=0.01)
@@ -35,20 +35,20 @@ def test_a_planted_slip_ratio_is_found():
 def test_swims_that_are_kept_aside_only_judge():
     aside = {swim.beat for swim in swims() if not swim.sets}
     real, swum = planted(0.983, lambda beat: 2.0 if beat in aside else 1.0)
-    fit = fitted(real, swum)
+    fit = fit_slip(real, swum)
     assert fit.slip == pytest.approx(0.983, abs=2e-4) and fit.judged == pytest.approx(np.log(2), abs=0.01)
 
 
 def test_the_range_is_what_leaving_one_swim_out_does():
     real, swum = planted(0.98, lambda beat: 1.3 if beat == 0.38 else 1.0)
-    fit = fitted(real, swum)
+    fit = fit_slip(real, swum)
     assert fit.low == pytest.approx(0.98, abs=3e-4) and 0.98 + 2e-3 < fit.slip < fit.high
 
 
 def test_two_ratios_are_too_few():
     real, swum = planted(0.98)
     with pytest.raises(LogError, match="three or more"):
-        fitted(real, {key: u for key, u in swum.items() if key[1] < 0.98})
+        fit_slip(real, {key: u for key, u in swum.items() if key[1] < 0.98})
 
 
 def test_speed_is_that_of_the_last_two_beats():

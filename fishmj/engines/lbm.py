@@ -21,7 +21,6 @@ from fishmj.engines.tank_effects import check_effects
 from fishmj.engines.tank_run import EffectRun, TankEffects
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import PLAIN
@@ -109,7 +108,7 @@ class Engine:
         if len(q) != len(self.flows):
             raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
         runs = [self.tank(i, q[i], params, np.asarray(state.memory)[i]) for i in range(len(q))]
-        tanks = ConcurrentRuns(runs, ahead=True)  # nobody looks at the water of a trial
+        tanks = ConcurrentRuns(runs, pipelined=True)  # nobody reads the water of a trial
         asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
         streams = [flow.speed > 0 or flow.rms > 0 for flow in (run.coupled.fluid.flow for run in tanks.runs)]
         if any(streams):
@@ -149,7 +148,7 @@ class Engine:
                 f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
             )
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
-        run: Callable[..., Run] = run_of(coupled, Run) if added is None else partial(run_of(coupled, EffectRun), added)
+        run: Callable[..., Run] = Run if added is None else partial(EffectRun, added)
         return run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
 
 

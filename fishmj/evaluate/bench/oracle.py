@@ -129,7 +129,7 @@ def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
     from fishmj.lbm_oracle.run.setup import SwimSetup
 
     stage = SwimSetup(domain=domain, device=str(device))
-    side = [ConcurrentRuns([stage.run()], ahead=True) for _ in range(tanks)]
+    side = [ConcurrentRuns([stage.run()], pipelined=True) for _ in range(tanks)]
     first = side[0].runs[0]
     commands = np.zeros((1, first.joints))
 

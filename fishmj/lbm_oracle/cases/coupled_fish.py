@@ -106,7 +106,7 @@ def beat(coupled: FluidStructure, seconds: float, *, frequency: float = 1.0, amp
     return history
 
 
-def lasts(device: str, scheme: str, seconds: float) -> float:
+def time_to_failure(device: str, scheme: str, seconds: float) -> float:
     """Time [s] for which a beating fish stays finite under a coupling scheme; `seconds` at most."""
     coupled = pond(device, scheme=scheme)
     try:
@@ -119,7 +119,7 @@ def lasts(device: str, scheme: str, seconds: float) -> float:
 @register("coupled_fish", rung=15, quick=True, grid="56 x 32 x 20, dx = 2 cm", source="conservation of momentum")
 def coupled_fish(device):
     """A neutral fish with a thin light tail: stability, momentum, exchange of force."""
-    yield below("explicit coupling fails after, s", lasts(device, "explicit", 0.5), 0.2)
+    yield below("explicit coupling fails after, s", time_to_failure(device, "explicit", 0.5), 0.2)
     coupled = pond(device)
     history = beat(coupled, 3.0)
     largest = max(np.linalg.norm(m.solid) for m in history)

@@ -169,7 +169,7 @@ def street(force: np.ndarray, interval: float) -> tuple[float, float, float, int
     return float(whole[:, 0].mean()), float(swing / 2), periods / ((crossing[-1] - crossing[0]) * interval), periods
 
 
-def judged(quantity: str, value: float, reference: float, room: float | None) -> Check:
+def check_or_report(quantity: str, value: float, reference: float, room: float | None) -> Check:
     """Check within `room` of the reference, relative; reported only if `room` is None."""
     return reported(quantity, value, reference) if room is None else about(quantity, value, reference, room)
 
@@ -179,8 +179,8 @@ def steady(cells: int, device: str, room: dict[str, float], times: float = 45.0,
     found = hold(cells, 40.0, times, device, box=box)
     last, before = found.force[-50:, 0].mean(), found.force[-100:-50, 0].mean()  # the last two D / U
     length, inset = bubble(found, cells), offset_of(found.coupled.boundary.width)
-    yield judged(f"C_D at Re 40, D = {cells}", last, TAIRA["C_D"], room.get("C_D"))
-    yield judged(f"bubble l / D at Re 40, D = {cells}", length, TAIRA["l / D"], room.get("l / D"))
+    yield check_or_report(f"C_D at Re 40, D = {cells}", last, TAIRA["C_D"], room.get("C_D"))
+    yield check_or_report(f"bubble l / D at Re 40, D = {cells}", length, TAIRA["l / D"], room.get("l / D"))
     yield reported("the same of the markers' own circle", (length * cells + inset) / (cells - 2 * inset), TAIRA["l / D"])
     yield reported("change of C_D in the last D / U", last / before - 1)
     yield reported("blockage D / breadth", 1 / box[1])
@@ -190,9 +190,9 @@ def shedding(cells: int, device: str, room: dict[str, float], times: float = 130
     """Checks of the vortex street; quantities without `room` are reported."""
     found = hold(cells, 100.0, times, device, stream=stream, box=box, kick=0.3)
     drag, lift, frequency, periods = street(found.force[round(settle / found.interval) :], found.interval)
-    yield judged(f"mean C_D at Re 100, D = {cells}", drag, STREET["C_D"], room.get("C_D"))
-    yield judged(f"amplitude of C_L at Re 100, D = {cells}", lift, STREET["C_L"], room.get("C_L"))
-    yield judged(f"Strouhal number at Re 100, D = {cells}", frequency, STREET["St"], room.get("St"))
+    yield check_or_report(f"mean C_D at Re 100, D = {cells}", drag, STREET["C_D"], room.get("C_D"))
+    yield check_or_report(f"amplitude of C_L at Re 100, D = {cells}", lift, STREET["C_L"], room.get("C_L"))
+    yield check_or_report(f"Strouhal number at Re 100, D = {cells}", frequency, STREET["St"], room.get("St"))
     yield reported("periods averaged", periods)
     yield reported("blockage D / breadth", 1 / box[1])
 

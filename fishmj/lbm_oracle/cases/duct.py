@@ -43,7 +43,7 @@ def drag(reynolds: float, cells: int, *, width: float = WIDTH, slip: bool = Fals
     inside = held[:, 1:-1, 1:-1, 1:-1]
     f = np.broadcast_to((3 * W * C[:, 2] * STREAM)[:, None, None, None], (Q, *shape)).astype(np.float32)
     window, found = round(cells / STREAM / 2), []
-    while len(found) < 2 * longest and not settled(found, steady):
+    while len(found) < 2 * longest and not has_settled(found, steady):
         total = 0.0
         for _ in range(window):
             collide(f, even, odd)
@@ -56,7 +56,7 @@ def drag(reynolds: float, cells: int, *, width: float = WIDTH, slip: bool = Fals
     return float(np.mean(found[-8:]))
 
 
-def settled(found: list[float], steady: float) -> bool:
+def has_settled(found: list[float], steady: float) -> bool:
     """Returns True if the last three half diameters of travel agree."""
     return len(found) > 6 and max(abs(found[-1] / value - 1) for value in found[-3:]) < steady
 
@@ -131,7 +131,7 @@ def _slot(shape, i, at: np.ndarray) -> np.ndarray:
     return ((i * x + at[:, 0] + 1) * y + at[:, 1] + 1) * z + at[:, 2] + 1
 
 
-def carried(name: str, cells: int) -> float:
+def drag_over_weight(name: str, cells: int) -> float:
     """Share of its weight that a sphere in this oil has as drag at the speed noted in `OILS` for an endless duct."""
     oil = OILS[name]
     nu = oil.viscosity / oil.density
@@ -154,7 +154,7 @@ def duct(device):
         "C_D at Re 20 in open water, from sides 7 and 10 D apart", (100 * wide - 49 * narrow) / 51, sphere.clift(20.0), 0.03
     )
     for name in ("E1", "E2", "E3"):
-        yield about(f"{name}: drag over weight at the noted speed, D = 6", carried(name, 6), 1.0, 0.03)
+        yield about(f"{name}: drag over weight at the noted speed, D = 6", drag_over_weight(name, 6), 1.0, 0.03)
     box, inset = ((AHEAD + BEHIND) * WIDTH, WIDTH, WIDTH), retraction(6, sphere.STREAM * 6 / 11.1)
     towed = sphere.drag(11.1, 6, device, box=box, times=6.0, towed=True, sides="wall", hydro_offset=inset)
     yield about("C_D at Re 11.1, immersed over bounce-back, D = 6", towed / drag(11.1, 6), 1.0, 0.03)

@@ -14,7 +14,7 @@ state them. **Its speed was not found in the part of the paper that could be rea
 swim 0.26 to 0.5 L / T, as the authors say of their own swimmers (www.cse-lab.ethz.ch/swimming). That band, the convergence and a
 straight course are gated; the speed itself is reported.
 
-A stiff eel is towed while it heaves (`towed`), which shows the effect of the boundary alone on the forces.
+A stiff eel is towed while it heaves (`towed_forces`), which shows the effect of the boundary alone on the forces.
 """
 
 from collections.abc import Callable
@@ -188,7 +188,7 @@ def in_phase(force: np.ndarray) -> tuple[float, float]:
     return float(-2 * np.mean(force * np.cos(turn))), float(-2 * np.mean(force * np.sin(turn)))
 
 
-def towed(cells: int, device: str, *, sharpness: Sharpness = PLAIN, periods: int = 3) -> tuple[float, float, float]:
+def towed_forces(cells: int, device: str, *, sharpness: Sharpness = PLAIN, periods: int = 3) -> tuple[float, float, float]:
     """Mean axial force, N, and lateral force in phase with acceleration and velocity, N, of a stiff eel over the last period.
 
     It is towed nose first at 0.4 L / T while it heaves by 0.08 L.
@@ -254,7 +254,7 @@ def eel_fine(device):
           cost="GPU, 62 G updates", gpu=True)  # fmt: skip
 def eel_towed(device):
     """A stiff eel, towed while it heaves: the lateral force of few cells is that of many, the axial one is not."""
-    found = {cells: towed(cells, device, sharpness=EDGES) for cells in (48, 64, 96, 192)}
+    found = {cells: towed_forces(cells, device, sharpness=EDGES) for cells in (48, 64, 96, 192)}
     for cells, forces in found.items():
         for name, force in zip(("mean axial force", "in phase with acceleration", "in phase with velocity"), forces, strict=True):
             yield reported(f"{name}, N, L = {cells}", force)

@@ -195,7 +195,7 @@ def checks(cells: int, device: str, lift: tuple[float, float], drag: tuple[float
         yield reported("mean C_L of the two periods before", before[:, 0].mean())
 
 
-def widened(reference: float, room: float) -> tuple[float, float]:
+def range_about(reference: float, room: float) -> tuple[float, float]:
     """The range of `room` about a reference."""
     return (1 - room) * reference, (1 + room) * reference
 
@@ -203,7 +203,7 @@ def widened(reference: float, room: float) -> tuple[float, float]:
 @register("flapping_coarse", rung=19, grid="256 x 256 x 1, c = 16, box 16 c", source=SOURCE, cost="1 min")
 def flapping_coarse(device):
     """A hovering ellipse at Re 75, sixteen cells a chord."""
-    means = (widened(0.5 * (TANK[name] + VORTEX[name]), COARSE) for name in ("C_L", "C_D"))
+    means = (range_about(0.5 * (TANK[name] + VORTEX[name]), COARSE) for name in ("C_L", "C_D"))
     yield from checks(16, device, *means, None, box=16.0)
 
 

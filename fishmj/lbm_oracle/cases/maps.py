@@ -134,7 +134,7 @@ def _planar(held, seconds: float) -> tuple[float, float, float]:
     return fx.sum(), fy.sum(), (whole[:, 5] + arm[:, 0] * fy - arm[:, 1] * fx).sum()
 
 
-def apart(one: Load, other: Load) -> float:
+def relative_difference(one: Load, other: Load) -> float:
     """Difference of two force vectors, divided by the greater."""
     return float(np.linalg.norm(one.force - other.force) / max(np.linalg.norm(one.force), np.linalg.norm(other.force)))
 
@@ -157,14 +157,14 @@ def checks(plan: MapPlan, device: str, judged: bool, reported_only: tuple[str, .
     yield within("mirror: sum of the yaw moments", abs(other.yaw + base.yaw) / abs(base.yaw), 0.02)
     slow, quick = (abs(load(plan, device, aoa=90.0, speed=speed).y) / speed**2 for speed in (SLOW, SPEED))
     yield within("square: F / U^2 broadside at 0.3 over that at 0.2 m/s, from 1", abs(quick / slow - 1), 0.1)
-    yield within("towed: difference from held", apart(load(plan, device, towed=True), base), 0.03)
+    yield within("towed: difference from held", relative_difference(load(plan, device, towed=True), base), 0.03)
     for turn in (22.5, 45.0):
-        yield within(f"turned by {turn:g} deg: difference", apart(load(plan, device, turn=turn), base), 0.05)
+        yield within(f"turned by {turn:g} deg: difference", relative_difference(load(plan, device, turn=turn), base), 0.05)
     x, y, z = (round(1.5 * n) for n in plan.domain.shape)
     larger = plan._replace(domain=replace(plan.domain, shape=(x, y, z)))
-    yield within("blockage: difference in 1.5 times the box", apart(load(larger, device), base), 0.03)
+    yield within("blockage: difference in 1.5 times the box", relative_difference(load(larger, device), base), 0.03)
     shorter = plan._replace(domain=replace(plan.domain, dt=plan.domain.dt / 2))
-    yield within("step: difference at half the time step", apart(load(shorter, device), base), 0.03)
+    yield within("step: difference at half the time step", relative_difference(load(shorter, device), base), 0.03)
     if finer:
         fine = load(plan._replace(domain=plan.domain.changed(dx=plan.domain.dx / 2)), device)
         yield reported("grid: drag over that at half the cell", base.x / fine.x, 1.0)

@@ -105,7 +105,7 @@ def across(flow: Callable[..., Field] = shear, device: str = "cpu", nu: float = 
     return max(error(box.outer, there), error(box, there, box.box_slices()))
 
 
-def alone(flow: Callable[..., Field], device: str, nu: float, steps: int, fine: bool) -> float:
+def error_on_one_level(flow: Callable[..., Field], device: str, nu: float, steps: int, fine: bool) -> float:
     """Error of the same flow in water of one level, of coarse or of fine cells."""
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=nu)
     factor = 2 if fine else 1
@@ -223,7 +223,8 @@ def refined_waves(device):
         yield below(f"{what}: error", across(flow, device), 0.005)
         for fine in (False, True):
             yield reported(
-                f"{what}: error of {'fine' if fine else 'coarse'} water all over", alone(flow, device, 0.02, 400, fine)
+                f"{what}: error of {'fine' if fine else 'coarse'} water all over",
+                error_on_one_level(flow, device, 0.02, 400, fine),
             )
         yield reported(f"{what}: error with uniform explosion", across(flow, device, linear=False))
         yield about(f"{what}: order, 16 to 32 cells", np.log2(across(flow, device, n=16) / across(flow, device)), 2.0, 0.1)

@@ -95,7 +95,7 @@ def angles(phase, lag: float) -> np.ndarray:
     return SWING * np.stack([np.cos(turn), np.cos(turn + lag)], -1)  # both axes point against those of the source
 
 
-def swiftest(strouhal: float, lag: float) -> float:
+def greatest_rim_speed(strouhal: float, lag: float) -> float:
     """Greatest speed of the fin's rim over U."""
     turn = 2 * pi * (np.arange(400) + 0.5)[:, None] / 400
     rim = 2 * pi * np.arange(200) / 200
@@ -120,7 +120,7 @@ def flap(
 ) -> list[Cycle]:
     """All cycles of a fin of `cells` cells a chord from rest in a uniform stream; psi in deg."""
     lag, frequency = radians(psi), strouhal / (SWING * SPAN)  # of U / c
-    every = round(swiftest(strouhal, lag) * cells / (frequency * FASTEST) / samples)
+    every = round(greatest_rim_speed(strouhal, lag) * cells / (frequency * FASTEST) / samples)
     steps = every * samples
     stream = cells / (frequency * steps)
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=stream * cells / REYNOLDS)

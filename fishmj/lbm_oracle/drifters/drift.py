@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
     domain = _domain(args)
     flow = Flow(speed=args.speed, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
-    release = released(domain, flow, n=args.n, seconds=args.seconds, interval=args.interval, width=args.spin_box)
+    release = release_markers(domain, flow, n=args.n, seconds=args.seconds, interval=args.interval, width=args.spin_box)
     settle = domain.size[0] / flow.speed if args.settle is None else args.settle
     if not settle >= 0:
         raise ConfigError(f"drift: settle = {settle} s; expected 0 or more")
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
         looks = in_flow(flow, end=end)
     with console.Progress(end, f"drift ({args.water})", unit="s", every=1e9 if args.json else None) as bar:
         stopped: list[str] = []
-        tracks = carry(_told(looks, bar, stopped), release)
+        tracks = carry(_with_progress(looks, bar, stopped), release)
     found = figures(tracks) | {"water": args.water, "speed": args.speed, "turbulence": args.turbulence}
     found |= {"intensity": args.intensity, "seed": args.seed, "interval_s": release.times[1] if args.n > 1 else 0.0}
     found |= {"marker_width_m": release.width, "origin": "synthetic", "stopped": stopped[0] if stopped else ""}
@@ -71,7 +71,9 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
-def released(domain: Domain, flow: Flow, *, n: int, seconds: float | None, interval: float | None, width: float) -> Release:
+def release_markers(
+    domain: Domain, flow: Flow, *, n: int, seconds: float | None, interval: float | None, width: float
+) -> Release:
     """Release of n markers from the middle of the upstream end of the box, each two integral lengths of water after the other.
 
     Raises:
@@ -128,7 +130,7 @@ def as_csv(tracks: list[np.ndarray]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _told(looks, bar, stopped: list[str]):
+def _with_progress(looks, bar, stopped: list[str]):
     """Yields the samples of the water with progress; water that fails ends them, with the reason in `stopped`."""
     t = None
     try:

@@ -6,7 +6,6 @@ an accelerator; on a CPU one for each core, each a slab of x.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -14,25 +13,30 @@ import numpy as np
 import warp as wp
 
 from fishmj.base.calib import constant
-from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked_kind, shown_value
 from fishmj.lbm_oracle.fluid import fields
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey, Surveyor
-from fishmj.lbm_oracle.fluid.guard import Watch, check_density, check_snapshot, check_speed, check_tau, numbers, whole_numbers
+from fishmj.lbm_oracle.fluid.guard import (
+    StabilityMonitor,
+    check_density,
+    check_snapshot,
+    check_speed,
+    check_tau,
+    numbers,
+    whole_numbers,
+)
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
 from fishmj.lbm_oracle.fluid.lattice import Lattice, Q, vec19i
 from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
 from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
+from fishmj.lbm_oracle.fluid.slabs import launch_slabs, record_slabs, slabs_for
 from fishmj.lbm_oracle.fluid.step import Params, stream_collide
 from fishmj.lbm_oracle.fluid.storage import STORAGE, decoded, encoded, velocity_type
 from fishmj.water.flow import Flow
 
-MOST = 16  # cores that one box keeps busy
-_POOL = ThreadPoolExecutor(max_workers=MOST, thread_name_prefix="slab")
-THINNEST = 4  # planes of x in a slab, at least
 ROWS = 40_000  # cells from which on a CPU goes by rows: twice as fast, and longer to compile
 CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
@@ -50,13 +54,6 @@ def blend_at(lattice: Lattice) -> float:
     return min(1.0, BLEND * constant("oracle", "dx") / constant("oracle", "dt") / lattice.velocity)
 
 
-def slabs_for(device, planes: int, wanted: int | None = None) -> int:
-    """Number of slabs: one on an accelerator, else at most the cores that this process may use."""
-    if device.is_cuda:
-        return 1
-    return max(1, min(wanted or usable_cores(), planes // THINNEST or 1, MOST))
-
-
 def kernel_for(shape: tuple[int, int, int], device) -> tuple[Callable[..., wp.Kernel], int]:
     """Returns the factory of the step's kernel and the number of threads in a plane of x. All kernels compute the same."""
     row, cells = shape[2], int(np.prod(shape))
@@ -65,40 +62,6 @@ def kernel_for(shape: tuple[int, int, int], device) -> tuple[Callable[..., wp.Ke
     if not device.is_cuda and cells >= ROWS:
         return stream_collide_rows, shape[1]
     return stream_collide, shape[1] * row
-
-
-def record(kernel: wp.Kernel, planes: int, plane: int, args: list[Any], device, slabs: int) -> list[Any]:
-    """Records launches over `planes` times `plane` threads; the kernel's first argument is the first thread of its slab."""
-    edges = np.linspace(0, planes, slabs + 1).astype(int) * plane
-    return [
-        wp.launch(kernel, dim=int(high - low), inputs=[int(low), *args], device=device, record_cmd=True)
-        for low, high in zip(edges[:-1], edges[1:], strict=True)
-    ]
-
-
-def launch(slabs: list[Any]) -> None:
-    """Runs the slabs side by side and waits for all of them (an accelerator only queues its one slab).
-
-    A launch releases the interpreter's lock while it runs, so that Python threads keep all cores busy: 1.7 times the rate on two.
-    """
-    waiting = [_POOL.submit(slab.launch) for slab in slabs[1:]]
-    slabs[0].launch()
-    for done in waiting:
-        done.result()
-
-
-def pool() -> ThreadPoolExecutor:
-    """Thread pool that steps slabs."""
-    return _POOL
-
-
-def pieces(first: int, count: int, size: int) -> list[tuple[int, int]]:
-    """Splits `count` world planes from `first` on into runs (first, count) of an array that is indexed modulo `size`."""
-    if count == 0:
-        return []
-    start = first % size
-    over = max(0, start + count - size)
-    return [(start, count - over)] + ([(0, over)] if over else [])
 
 
 class Fluid:
@@ -189,7 +152,7 @@ class Fluid:
         self._launches: list[list[Any]] | None = None
         self._parts: dict[tuple[int, int, int], Any] = {}
         self._graphs: dict[int, wp.Graph] = {}
-        self._surveyor, self.watch = Surveyor(shape, self.device), Watch()
+        self._surveyor, self.watch = Surveyor(shape, self.device), StabilityMonitor()
         self.set_flow(self.flow)
         self.settle()
 
@@ -324,7 +287,7 @@ class Fluid:
         """Does one time step with the force in `self.box`, without a host transfer, so that a graph can capture it."""
         if self._launches is None:
             self._launches = [self._recorded(parity) for parity in range(2)]
-        launch(self._launches[self.parity])
+        launch_slabs(self._launches[self.parity])
         self.parity, self.steps = 1 - self.parity, self.steps + 1
 
     def planes(self, first: int, count: int) -> Any:
@@ -344,7 +307,7 @@ class Fluid:
     def _recorded(self, parity: int) -> list[Any]:
         """Launches of a step that starts from `parity`."""
         turn = self.shape[0] * self._plane - 1 if parity else -1  # back and forth: what was written last is read first
-        return record(self._kernel, self.shape[0], self._plane, self._arguments(parity, turn), self.device, self.threads)
+        return record_slabs(self._kernel, self.shape[0], self._plane, self._arguments(parity, turn), self.device, self.threads)
 
     def _arguments(self, parity: int, turn: int = -1) -> list[Any]:
         """Arguments of the kernel, after its first thread, for a step that starts from `parity`; `turn`: pairs.py."""

@@ -151,14 +151,14 @@ def step_for(lattice: Lattice, speed: float) -> float:
 
 
 @dataclass
-class Watch:
+class StabilityMonitor:
     """Checks a fluid every `every` steps of its coarsest level and stops it before it writes nonsense.
 
-    `look` waits for the device. `begin` does not wait; `end` judges its survey once the device has finished it.
+    `check` waits for the device. `begin` does not wait; `end` judges its survey once the device has finished it.
 
     Raises:
         ConfigError: `every` is not a whole number of 1 at least.
-        OracleUnstable: from `look` and `end`, with `limit` one of lost, speed, density, mass.
+        OracleUnstable: from `check` and `end`, with `limit` one of lost, speed, density, mass.
     """
 
     every: int = EVERY
@@ -180,13 +180,13 @@ class Watch:
         """
         if not self.due(fluid, since):
             return False
-        self.look(fluid)
+        self.check(fluid)
         return True
 
-    def look(self, fluid):
+    def check(self, fluid):
         """Surveys the fluid and judges the survey. Raises OracleUnstable."""
         self.pending = None
-        return self._judged(fluid, fluid.steps, fluid.survey())
+        return self._judge(fluid, fluid.steps, fluid.survey())
 
     def begin(self, fluid) -> None:
         """Queues a survey that `end` judges."""
@@ -200,9 +200,9 @@ class Watch:
         """
         if self.pending is not None:
             (fluid, step), self.pending = self.pending, None
-            return self._judged(fluid, step, fluid.surveyed())
+            return self._judge(fluid, step, fluid.surveyed())
 
-    def _judged(self, fluid, step: int, found):
+    def _judge(self, fluid, step: int, found):
         self.looks += 1
         mean = found.mass / fluid.cells
         speed = found.speed * fluid.lattice.velocity
@@ -213,12 +213,12 @@ class Watch:
             "mass": abs(mean) > MEAN_DRHO,
         }
         if limit := next((name for name, found_so in broken.items() if found_so), ""):
-            raise OracleUnstable(_said(limit, fluid, step, found, speed, mean), limit=limit, step=step, figures=found)
+            raise OracleUnstable(_limit_message(limit, fluid, step, found, speed, mean), limit=limit, step=step, figures=found)
         self.fastest = max(self.fastest, speed)
         return found
 
 
-def _said(limit: str, fluid, step: int, found, speed: float, mean: float) -> str:
+def _limit_message(limit: str, fluid, step: int, found, speed: float, mean: float) -> str:
     lat = fluid.lattice
     slower = lat.dt / 2
     what = {

@@ -13,13 +13,14 @@ from functools import cache
 
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
+from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct, relaxed
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, completes, ramp
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
 from fishmj.lbm_oracle.fluid.lattice import C, Q, vec19, vec19i
 from fishmj.lbm_oracle.fluid.step import (
     Faces,
     Params,
+    blend_through,
     gradient_within,
     is_ghost,
     leave_through,
@@ -38,14 +39,15 @@ Gradients = wp.types.vector(length=9 * CELLS, dtype=wp.float32)
 Velocities = wp.types.vector(length=3 * CELLS, dtype=wp.float32)
 
 
-def collide_through(faces: Faces, subgrid: bool):
-    """Makes `update_through` for one cell without a branch. `outer`: an open face with normal n completes the cell."""
+def branchless_update_through(faces: Faces, subgrid: bool):
+    """Makes `step.update_through` without a branch. `outer`: an open face with normal n completes the cell."""
     opened = any(any(completes(axis)) for axis in faces)
     complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
+    blend = blend_through(subgrid)
 
     @wp.func
-    def collide(
-        q: vec19, d: wp.mat33, s: Params, g: wp.vec3, damped: bool, sigma: float, target: wp.vec3, outer: bool, n: wp.vec3
+    def update(
+        q: vec19, d: wp.mat33, s: Params, push: wp.vec3, damped: bool, sigma: float, target: wp.vec3, outer: bool, n: wp.vec3
     ):
         drho = density(q)
         u = (1.0 / (1.0 + drho)) * momentum(q)
@@ -55,13 +57,10 @@ def collide_through(faces: Faces, subgrid: bool):
             drho = wp.where(outer, own_drho, drho)
             for a in range(3):
                 u[a] = wp.where(outer, own_u[a], u[a])
-        share = wp.where(g[0] * g[0] + g[1] * g[1] + g[2] * g[2] == 0.0, s.hybrid_share, s.hybrid_share_layer)
-        nu = s.nu
-        if wp.static(subgrid):
-            nu += wale(d[0], d[1], d[2], s.cw2)
-            p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
-        p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
-        v = u + (s.body_acceleration + g)
+        share = wp.where(push[0] * push[0] + push[1] * push[1] + push[2] * push[2] == 0.0, s.hybrid_share, s.hybrid_share_layer)
+        p, omega = blend(drho, p, d, s, share)
+        p = relaxed(p, omega, s.omega_bulk)
+        v = u + (s.body_acceleration + push)
         if wp.static(opened):
             drho = wp.where(damped, drho - sigma * drho, drho)
             for a in range(3):
@@ -71,7 +70,7 @@ def collide_through(faces: Faces, subgrid: bool):
                 p[a] = wp.where(damped, p[a] * (1.0 - sigma), p[a])
         return reconstruct(drho, u, v, p), 0.5 * (u + v)
 
-    return collide
+    return update
 
 
 @cache
@@ -81,7 +80,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
     module = module_of(faces, "wale" if subgrid else "none", dtype, "u_rows" if keeps else "f_rows")
     pull, velocity_gradient = pull_through(faces, number), gradient_within(faces, velocity)
     opened = any(any(completes(axis)) for axis in faces)
-    inward, collide = leave_through(faces)[0], collide_through(faces, subgrid)
+    inward, update = leave_through(faces)[0], branchless_update_through(faces, subgrid)
     (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
     wraps = [FACES[axis.low].wraps for axis in faces]
 
@@ -217,9 +216,9 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                 d = wp.mat33()
                 for a in range(9):
                     d[wp.static(a // 3), wp.static(a % 3)] = gradients[wp.static(a) * LONG + k]
-                g = wp.vec3(pushes[k], pushes[LONG + k], pushes[2 * LONG + k])
+                push = wp.vec3(pushes[k], pushes[LONG + k], pushes[2 * LONG + k])
                 target = wp.vec3(targets[k], targets[LONG + k], targets[2 * LONG + k])
-                q, w = collide(q, d, s, g, damped, sigma, target, outer, n)
+                q, w = update(q, d, s, push, damped, sigma, target, outer, n)
                 for i in range(wp.static(Q)):
                     populations[wp.static(i) * LONG + k] = q[i]
                 for a in range(3):

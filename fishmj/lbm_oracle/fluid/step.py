@@ -19,7 +19,7 @@ import warp as wp
 from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Source, completes, ramp, sources
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
-from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec6i, vec19, vec19i
+from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec6, vec6i, vec19, vec19i
 from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, poke, poke3, six, velocity_type
 
 OPTIONS = {"max_unroll": 32, "enable_backward": False}  # and quick roots and quotients on a GPU where there is an eddy viscosity
@@ -223,10 +223,30 @@ def module_of(faces: Faces, model: str, dtype: str, keeps: str):
     return module
 
 
+def blend_through(subgrid: bool):
+    """Makes the Warp function of the subgrid model, for all kernels of a step; it has no branch (rows.py).
+
+    It takes density and stress P of a node before the collision, the velocity gradient d and the share of stress that d gives,
+    and returns the hybrid stress and the relaxation rate omega. `relaxed` stays with the callers: inside this function a GPU's
+    compiler would contract other products, and the last bits would change.
+    """
+
+    @wp.func
+    def blend(drho: float, p: vec6, d: wp.mat33, s: Params, share: float):
+        nu = s.nu
+        if wp.static(subgrid):  # from the last step's velocity: this step's neighbours are being written by other threads
+            nu += wale(d[0], d[1], d[2], s.cw2)
+            p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
+        return p, 1.0 / (0.5 + 3.0 * nu)
+
+    return blend
+
+
 def update_through(faces: Faces, subgrid: bool):
     """Makes the Warp function that updates a cell: pulled populations q, velocity gradient d -> stored populations, velocity."""
     opened = any(any(completes(axis)) for axis in faces)
     _, leave = leave_through(faces)
+    blend = blend_through(subgrid)
 
     @wp.func
     def update(
@@ -248,11 +268,8 @@ def update_through(faces: Faces, subgrid: bool):
         target = wp.vec3()
         if wp.static(opened):
             drho, u, sigma, target = leave(s, flow, at, inner, node, step + 1, drho, u)
-        nu = s.nu
-        if wp.static(subgrid):  # from the last step's velocity: this step's neighbours are being written by other threads
-            nu += wale(d[0], d[1], d[2], s.cw2)
-            p = hybrid_stress(p, d[0], d[1], d[2], (1.0 + drho) * (0.5 + 3.0 * nu), share)
-        p = relaxed(p, 1.0 / (0.5 + 3.0 * nu), s.omega_bulk)
+        p, omega = blend(drho, p, d, s, share)
+        p = relaxed(p, omega, s.omega_bulk)
         v = u + g  # exact difference: f_eq(u + G) - f_eq(u), without a half-force correction of P (collide.py)
         if wp.static(opened):
             if sigma > 0.0:  # in moments, P among them: at sigma = 1 the node would be the background's equilibrium

@@ -18,7 +18,7 @@ from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import write_json, write_text
 from fishmj.lbm_oracle.cases.maps import average
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop
 
 OK = "ok"
 SETTLE = 5.0  # body lengths of water that pass before the average begins
@@ -172,13 +172,13 @@ def measure(
     quiet: bool = False,
 ) -> None:
     """Runs every point in this process, with a line of progress; `finished` gets each with its row and run."""
-    begun = partial(measured, deque(points), make, plan, tick=tick, tanks=tanks)
-    for point, row, run in watched(lambda go_on: begun(go_on=go_on), points, plan, tick=tick, quiet=quiet):
+    begun = partial(measure_points, deque(points), make, plan, tick=tick, tanks=tanks)
+    for point, row, run in with_progress(lambda go_on: begun(go_on=go_on), points, plan, tick=tick, quiet=quiet):
         finished(point, row, run)
 
 
-def measured(
-    waiting: Waiting, make: Callable[[Point], Run], plan: Plan, *, tick: float, tanks: int = 1, go_on: GoOn = always
+def measure_points(
+    waiting: Waiting, make: Callable[[Point], Run], plan: Plan, *, tick: float, tanks: int = 1, go_on: GoOn = never_stop
 ) -> Iterator[tuple[Point, dict, Run]]:
     """Yields points with their rows and runs as they finish, `tanks` side by side; a free tank takes the next point.
 
@@ -202,7 +202,7 @@ def measured(
             return
 
 
-def watched(begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: Plan, *, tick: float, quiet: bool):
+def with_progress(begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: Plan, *, tick: float, quiet: bool):
     """Yields the results of `begin(go_on)` for these points, with a line of progress in simulated seconds."""
     seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
     done = 0.0

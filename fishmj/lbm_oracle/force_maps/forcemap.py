@@ -26,7 +26,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.figures import canvas, save, style
 from fishmj.base.units import WATER_DENSITY, WATER_VISCOSITY
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.force_maps.force_points import OK, Plan, Point, Table, measured, watched
+from fishmj.lbm_oracle.force_maps.force_points import OK, Plan, Point, Table, measure_points, with_progress
 from fishmj.lbm_oracle.force_maps.point_fields import keep, panels, slice_path
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.output.slices import add_fields
@@ -71,7 +71,7 @@ def main(argv: list[str]) -> int:
     pictured = {"out": out, "points": [p for p in left if _pictured(args, p)], "z": args.slice, "whole": args.volume}
     work = partial(on_device, domain=domain, plan=plan, tanks=args.tanks, options=options, pictured=pictured)
     devices = devices_of(args.device) if left else ()
-    for point, row in watched(lambda go_on: spread(work, left, devices, go_on), left, plan, tick=tick, quiet=args.json):
+    for point, row in with_progress(lambda go_on: spread(work, left, devices, go_on), left, plan, tick=tick, quiet=args.json):
         table.add(point, row)
     rows = [table[p] for p in points]
     pictures = draw_forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
@@ -100,7 +100,7 @@ def on_device(
             tethered=True, prescribed=lambda t: point.joints(robot.n_joints)
         )
 
-    for point, row, run in measured(waiting, make, plan, tick=robot.timing.bus_dt, tanks=tanks, go_on=go_on):
+    for point, row, run in measure_points(waiting, make, plan, tick=robot.timing.bus_dt, tanks=tanks, go_on=go_on):
         if point in pictured["points"]:
             keep(run, pictured["out"], point, z=pictured["z"], whole=pictured["whole"])
         yield point, row

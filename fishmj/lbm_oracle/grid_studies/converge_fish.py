@@ -106,7 +106,7 @@ def cruise(domain: Domain, beats: float, options: dict[str, Any]) -> Result:
     return Result(last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK)
 
 
-def held(what: str, domain: Domain, plan: Plan, options: dict[str, Any]) -> Result:
+def force_when_held(what: str, domain: Domain, plan: Plan, options: dict[str, Any]) -> Result:
     """Force or moment of the held fish: straight along the stream, straight across it, or bent; options as of `cruise`."""
     point, column = HELD[what]
     robot = load_robot(options["robot"])
@@ -130,7 +130,7 @@ def on_device(
         key, start = waiting.popleft(), time.perf_counter()
         grid = box(domain, key)
         options = {"robot": robot, "slip": key.slip, "device": device, "sharpness": edge}
-        found = cruise(grid, beats, options) if key.what == "cruise" else held(key.what, grid, plan, options)
+        found = cruise(grid, beats, options) if key.what == "cruise" else force_when_held(key.what, grid, plan, options)
         yield key, found, time.perf_counter() - start
 
 

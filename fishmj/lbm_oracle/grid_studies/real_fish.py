@@ -85,7 +85,7 @@ def swims() -> list[RealSwim]:
     ]
 
 
-def fitted(real: Sequence[RealSwim], swum: dict[tuple[float, float], float]) -> SlipFit:
+def fit_slip(real: Sequence[RealSwim], swum: dict[tuple[float, float], float]) -> SlipFit:
     """The slip ratio from the swims that set it. swum: (beat Hz, slip) -> m/s.
 
     Raises:
@@ -158,7 +158,7 @@ class ResultTable:
         write_text(self.path, text.getvalue())
 
 
-def swum(
+def run_swims(
     waiting: Waiting, device: str, go_on: GoOn, *, stage: SwimSetup, beats: float, tanks: int
 ) -> Iterator[tuple[tuple[float, float], dict]]:
     """Yields key and row of each swim as it ends, `tanks` at a time side by side on a device.
@@ -226,7 +226,7 @@ def main(argv: list[str]) -> int:
             bar.update(done + under_way)
             return True
 
-        swimming = partial(swum, stage=stage, beats=args.beats, tanks=args.tanks)
+        swimming = partial(run_swims, stage=stage, beats=args.beats, tanks=args.tanks)
         for key, found in spread(swimming, left, devices_of(args.device), told):
             book.add(key, found)
             done += args.beats / key[0]
@@ -240,7 +240,7 @@ def main(argv: list[str]) -> int:
     if not same:
         console.say("", f"{robot.name} is not the fish that was filmed ({filmed.name}): its speeds are not compared")
     if same and len(args.slips) >= 3 and any(swim.sets for swim in real):
-        fit = fitted(real, {(row["beat_hz"], row["slip"]): row["speed_m_s"] for row in rows if row["status"] == OK})
+        fit = fit_slip(real, {(row["beat_hz"], row["slip"]): row["speed_m_s"] for row in rows if row["status"] == OK})
         table = [
             {"beat_hz": w.beat, "sets s": "yes" if w.sets else "no", "measured_m_s": w.speed, "solver_m_s": fit.speeds[w.beat],
              "off": fit.speeds[w.beat] / w.speed - 1}

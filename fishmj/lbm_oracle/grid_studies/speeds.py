@@ -36,7 +36,7 @@ KEYS = ("frequency", "slip", "depth")
 COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "refined_ticks", "status")
 
 
-def swum(domain: Domain, frequency: float, slip: float, beats: float, device: str, robot: str = "fish") -> dict:
+def swim_row(domain: Domain, frequency: float, slip: float, beats: float, device: str, robot: str = "fish") -> dict:
     """Row of one swim: speed m/s, path from the first heading deg, swing of the heading deg, servo power W, early end."""
     gait = replace(Gait.of_the_paper(joints=load_robot(robot).n_joints), frequency=frequency)
     run = SwimSetup(domain=domain, robot=robot, slip=slip, device=device).run()
@@ -55,7 +55,7 @@ def on_device(
     """Yields key and row of swims, one after another on one device (`spread`)."""
     while waiting:
         frequency, slip, depth = key = waiting.popleft()
-        yield key, swum(box.changed(depth=depth), frequency, slip, beats, device, robot)
+        yield key, swim_row(box.changed(depth=depth), frequency, slip, beats, device, robot)
 
 
 class ResultTable:
@@ -81,7 +81,7 @@ class ResultTable:
         write_json(self.path, {"source": "fishmj.lbm_oracle speeds", "origin": "synthetic", "setup": self.setup, "rows": rows})
 
 
-def asked(frequencies: Sequence[float], slips: Sequence[float], depths: Sequence[float]) -> list[tuple]:
+def swim_keys(frequencies: Sequence[float], slips: Sequence[float], depths: Sequence[float]) -> list[tuple]:
     """Keys (frequency Hz, slip ratio, depth m) of all swims, the short ones first.
 
     Raises:
@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
     box, robot = preset(args.preset), load_robot(args.robot)
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
-    keys = asked(args.frequencies, args.slips, depths)
+    keys = swim_keys(args.frequencies, args.slips, depths)
     setup = {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats} | robot_entry(robot)
     book = ResultTable(Path(args.out), setup)
     left = [key for key in keys if key not in book.rows]

@@ -24,7 +24,7 @@ import warp as wp
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.storage import matrix3, point3
 from fishmj.lbm_oracle.immersed.fsi_solve import wait_for_block
-from fishmj.lbm_oracle.immersed.link_dynamics import put
+from fishmj.lbm_oracle.immersed.link_dynamics import store_vec3
 
 wp.set_module_options({"enable_backward": False})
 
@@ -90,13 +90,13 @@ class Motion:
 
 
 @wp.func_native("for (int i = 0; i < 9; ++i) a.data[at + i] = m.data[i / 3][i % 3];")
-def put3(a: wp.array(dtype=wp.float64), at: int, m: wp.mat33d):
+def store_mat33(a: wp.array(dtype=wp.float64), at: int, m: wp.mat33d):
     """Stores a 3 x 3 matrix row by row at offset `at` of a flat array."""
     ...
 
 
 @wp.func
-def turned(axis: wp.vec3d, angle: wp.float64) -> wp.mat33d:
+def rotation_about(axis: wp.vec3d, angle: wp.float64) -> wp.mat33d:
     """Rotation by `angle` about a unit axis."""
     c, s = wp.cos(angle), wp.sin(angle)
     return c * wp.identity(n=3, dtype=wp.float64) + s * wp.skew(axis) + (wp.float64(1.0) - c) * wp.outer(axis, axis)
@@ -127,22 +127,22 @@ def follow_joints(t: Tree, s: Motion, l: int, place: wp.vec3d, turn: wp.mat33d):
             for i in range(3):
                 along = wp.vec3d()
                 along[i] = wp.float64(1.0)
-                put(s.pose, axes + 3 * (d + i), along)
-                put(s.pose, axes + 3 * (d + 3 + i), r * along)
-                put(s.pose, anchors + 3 * (d + i), x)
-                put(s.pose, anchors + 3 * (d + 3 + i), x)
+                store_vec3(s.pose, axes + 3 * (d + i), along)
+                store_vec3(s.pose, axes + 3 * (d + 3 + i), r * along)
+                store_vec3(s.pose, anchors + 3 * (d + i), x)
+                store_vec3(s.pose, anchors + 3 * (d + 3 + i), x)
         else:
             own = point3(t.axis, 3 * j)
             axis, anchor, moved = r * own, x + r * point3(t.anchor, 3 * j), s.qpos[q] - t.zero[j]
-            put(s.pose, axes + 3 * d, axis)
-            put(s.pose, anchors + 3 * d, anchor)
+            store_vec3(s.pose, axes + 3 * d, axis)
+            store_vec3(s.pose, anchors + 3 * d, anchor)
             if t.kind[j] == wp.static(SLIDE):
                 x += moved * axis
             else:
-                r = r * turned(own, moved)
+                r = r * rotation_about(own, moved)
                 x = anchor - r * point3(t.anchor, 3 * j)
-    put(s.pose, 12 * l, x)
-    put3(s.pose, 12 * l + 3, r)
+    store_vec3(s.pose, 12 * l, x)
+    store_mat33(s.pose, 12 * l + 3, r)
     if t.hinge[l] >= 0:
         s.pose[12 * t.links + l] = s.qpos[t.hinge[l]]
 
@@ -163,11 +163,11 @@ def set_screw(t: Tree, s: Motion, d: int):
     """Writes S_d, the motion per unit speed of degree of freedom d."""
     axis = point3(s.pose, 13 * t.links + 3 * d)
     if t.spins[d] == 1:
-        put(s.screw, 6 * d, axis)
-        put(s.screw, 6 * d + 3, wp.cross(point3(s.pose, 13 * t.links + 3 * t.dofs + 3 * d) - point3(s.pose, 0), axis))
+        store_vec3(s.screw, 6 * d, axis)
+        store_vec3(s.screw, 6 * d + 3, wp.cross(point3(s.pose, 13 * t.links + 3 * t.dofs + 3 * d) - point3(s.pose, 0), axis))
     else:
-        put(s.screw, 6 * d, wp.vec3d())
-        put(s.screw, 6 * d + 3, axis)
+        store_vec3(s.screw, 6 * d, wp.vec3d())
+        store_vec3(s.screw, 6 * d + 3, axis)
 
 
 @wp.func
@@ -179,8 +179,8 @@ def set_drift(t: Tree, s: Motion, d: int):
         w += speed * point3(s.screw, 6 * e)
         u += speed * point3(s.screw, 6 * e + 3)
     a, b = point3(s.screw, 6 * d), point3(s.screw, 6 * d + 3)
-    put(s.drift, 6 * d, s.qvel[d] * wp.cross(w, a))
-    put(s.drift, 6 * d + 3, s.qvel[d] * (wp.cross(w, b) + wp.cross(u, a)))
+    store_vec3(s.drift, 6 * d, s.qvel[d] * wp.cross(w, a))
+    store_vec3(s.drift, 6 * d + 3, s.qvel[d] * (wp.cross(w, b) + wp.cross(u, a)))
 
 
 @wp.func
@@ -193,8 +193,8 @@ def inertia_about(turn: wp.mat33d, inertia: wp.mat33d) -> wp.mat33d:
 def set_masses(t: Tree, s: Motion, l: int):
     """Writes the centre of mass of link l relative to r, and its moments of inertia in the world's axes."""
     turn = matrix3(s.pose, 12 * l + 3)
-    put(s.arm, 3 * l, point3(s.pose, 12 * l) - point3(s.pose, 0) + turn * point3(t.centre, 3 * l))
-    put3(s.turned, 9 * l, inertia_about(turn, matrix3(t.inertia, 9 * l)))
+    store_vec3(s.arm, 3 * l, point3(s.pose, 12 * l) - point3(s.pose, 0) + turn * point3(t.centre, 3 * l))
+    store_mat33(s.turned, 9 * l, inertia_about(turn, matrix3(t.inertia, 9 * l)))
 
 
 @wp.func
@@ -211,8 +211,8 @@ def set_force(t: Tree, s: Motion, l: int):
     p, inertia = point3(s.arm, 3 * l), matrix3(s.turned, 9 * l)
     gained = du + wp.cross(dw, p) + wp.cross(w, u + wp.cross(w, p))
     force = t.mass[l] * (gained - t.gravity)
-    put(s.force, 6 * l, inertia * dw + wp.cross(w, inertia * w) + wp.cross(p, force))
-    put(s.force, 6 * l + 3, force)
+    store_vec3(s.force, 6 * l, inertia * dw + wp.cross(w, inertia * w) + wp.cross(p, force))
+    store_vec3(s.force, 6 * l + 3, force)
 
 
 @wp.func
@@ -227,12 +227,12 @@ def set_momentum(t: Tree, s: Motion, d: int):
             second += matrix3(s.turned, 9 * l)
             second += t.mass[l] * (wp.dot(p, p) * wp.identity(n=3, dtype=wp.float64) - wp.outer(p, p))
     a, b = point3(s.screw, 6 * d), point3(s.screw, 6 * d + 3)
-    put(s.momentum, 6 * d, second * a + wp.cross(first, b))
-    put(s.momentum, 6 * d + 3, mass * b + wp.cross(a, first))
+    store_vec3(s.momentum, 6 * d, second * a + wp.cross(first, b))
+    store_vec3(s.momentum, 6 * d + 3, mass * b + wp.cross(a, first))
 
 
 @wp.func
-def paired(a: wp.array(dtype=wp.float64), i: int, b: wp.array(dtype=wp.float64), j: int) -> wp.float64:
+def screw_product(a: wp.array(dtype=wp.float64), i: int, b: wp.array(dtype=wp.float64), j: int) -> wp.float64:
     """Product of the six-vectors a_i and b_j, angular part plus linear part."""
     return wp.dot(point3(a, 6 * i), point3(b, 6 * j)) + wp.dot(point3(a, 6 * i + 3), point3(b, 6 * j + 3))
 
@@ -242,7 +242,7 @@ def set_joint_forces(t: Tree, s: Motion, d: int):
     """Writes bias, passive and servo force of one degree of freedom."""
     bias = wp.float64(0.0)
     for l in range(t.links):
-        bias += t.reach[l * t.dofs + d] * paired(s.screw, d, s.force, l)
+        bias += t.reach[l * t.dofs + d] * screw_product(s.screw, d, s.force, l)
     s.bias[d] = bias
     s.passive[d] = -t.damping[d] * s.qvel[d]
     s.actuator[d] = wp.float64(0.0)
@@ -286,7 +286,7 @@ def weigh_body(t: Tree, s: Motion, me: int, threads: int):
         i, j = wp.min(k // t.dofs, k % t.dofs), wp.max(k // t.dofs, k % t.dofs)
         entry = wp.where(i == j, t.armature[i], wp.float64(0.0))
         if t.reach[t.carrier[j] * t.dofs + i] > wp.float64(0.5):  # else they lie on two branches
-            entry += paired(s.screw, i, s.momentum, j)
+            entry += screw_product(s.screw, i, s.momentum, j)
         s.mass_matrix[k] = entry
         k += threads
     wait_for_block()
@@ -323,14 +323,14 @@ def move_joint(t: Tree, s: Motion, j: int, v: wp.array(dtype=wp.float64), dt: wp
             c0, x0 = s.qpos[q + 3], point3(s.qpos, q + 4)
             real, vector = c0 * c - wp.dot(x0, x), c0 * x + c * x0 + wp.cross(x0, x)
             s.qpos[q + 3] = real
-            put(s.qpos, q + 4, vector)
+            store_vec3(s.qpos, q + 4, vector)
     else:
         s.qpos[q] += dt * v[d]
         s.qvel[d] = v[d]
 
 
 @wp.kernel
-def move_on(t: Tree, s: Motion, v: wp.array(dtype=wp.float64), dt: wp.float64):
+def advance_state(t: Tree, s: Motion, v: wp.array(dtype=wp.float64), dt: wp.float64):
     """Advances the state by one step, one thread for each joint."""
     move_joint(t, s, wp.tid(), v, dt)
 

@@ -234,7 +234,7 @@ class ImmersedBody:
     def _follow(self, mass: DisplacedWater, **found: np.ndarray) -> tuple[link_dynamics.LinkArrays, link_dynamics.Recorded]:
         """Arrays that describe the motion of masses in the links, and the launch that fills the arrays in `found`."""
         m, d, n = self.model, self.data, self.dofs
-        s, share = link_dynamics.LinkArrays(), link_dynamics.shared
+        s, share = link_dynamics.LinkArrays(), link_dynamics.host_view
         s.links, s.dofs = self.links, n
         s.place, s.turn = share(d.xpos[1:]), share(d.xmat[1:])
         s.mujoco_axis, s.mujoco_anchor, s.qpos, s.qvel = (share(a) for a in (d.xaxis, d.xanchor, d.qpos, d.qvel))
@@ -256,7 +256,7 @@ class ImmersedBody:
 
     def _equations(self, interior: int) -> link_dynamics.LinkDynamics:
         """Arrays of the step's equation."""
-        d, e, share = self.data, link_dynamics.LinkDynamics(), link_dynamics.shared
+        d, e, share = self.data, link_dynamics.LinkDynamics(), link_dynamics.host_view
         e.body, e.interior = self._moving, interior
         e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
         e.passive, e.actuator, e.bias = share(d.qfrc_passive), share(d.qfrc_actuator), share(d.qfrc_bias)
@@ -302,9 +302,9 @@ class ImmersedBody:
         return self.corner_box(corners)[6:9]
 
     def corner_box(self, corners: Corners) -> np.ndarray:
-        """Result (10,) of `Corners.look`, cached until the body moves."""
+        """Result (10,) of `Corners.measure`, cached until the body moves."""
         if self._boxes is None or self._boxes[0] is not corners:
-            self._boxes = corners, corners.look(self.pose, self.twist)
+            self._boxes = corners, corners.measure(self.pose, self.twist)
         return self._boxes[1]
 
     def largest_extent(self, corners: Corners) -> np.ndarray:

@@ -33,7 +33,7 @@ ROOM = 1.1  # rounding to whole numbers of markers: a median distance so far ove
 MARGIN = 4  # cells of the scratch box round the markers: half a kernel, rounding, the bend of the skin
 
 
-def slip_here(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004) -> float:
+def slip_on_grid(slip: float, lattice: Lattice, dx: float = 0.02, dt: float = 0.004) -> float:
     """Slip ratio on this grid for a ratio quoted at the paper's: s = exp(-c dt / dx), c = -ln(slip) dx0 / dt0.
 
     c [m/s] is the wall stress over rho and the slip velocity, so that neither the time step nor the cell changes the friction.
@@ -68,7 +68,8 @@ class Boundary:
         passes: passes of the direct forcing.
         slip: slip ratio quoted at the paper's grid.
 
-    If links can part without bounds, as two free bodies can, the scratch box spans all of the water on those axes (`whole`).
+    If links can part without bounds, as two free bodies can, the scratch box spans all of the water on those axes
+    (`spanned_axes`).
 
     Raises:
         ConfigError: a marker of a link that the body does not have, or on a bend without a hinge; invalid numbers.
@@ -79,10 +80,10 @@ class Boundary:
         lattice, device = fluid.lattice, fluid.device
         self.markers, self.lattice, self.shape, self.device = markers, lattice, fluid.shape, device
         self.passes = int(whole_numbers("immersed boundary: passes", passes, low=1))
-        self.width, self.slip = check_width(width), slip_here(slip, lattice)
+        self.width, self.slip = check_width(width), slip_on_grid(slip, lattice)
         self.body_acceleration = fluid.params.body_acceleration
         wraps = [FACES[axis.low].wraps for axis in fluid.boundaries.axes]
-        self.wraps, self._bounded = wp.vec3i(*map(int, wraps)), [a for a in range(3) if not wraps[a]]
+        self.wraps, self._walled_axes = wp.vec3i(*map(int, wraps)), [a for a in range(3) if not wraps[a]]
         n, self.dofs, self.links = len(markers), body.dofs, body.links
         if n == 0:
             raise ConfigError("immersed boundary: no markers")
@@ -93,13 +94,13 @@ class Boundary:
         self.layout = _layout(self.links, self.dofs)
         self.corners = Corners.of(markers, body.water.centre)
         size = body.largest_extent(self.corners)
-        self.whole = [a for a in range(3) if not isfinite(size[a])]
-        cells = (n if a in self.whole else int(np.ceil(size[a] / lattice.dx)) for a, n in enumerate(fluid.shape))
+        self.spanned_axes = [a for a in range(3) if not isfinite(size[a])]
+        cells = (n if a in self.spanned_axes else int(np.ceil(size[a] / lattice.dx)) for a, n in enumerate(fluid.shape))
         self.box_shape = tuple(n + 2 * MARGIN for n in cells)
-        if self.whole:
+        if self.spanned_axes:
             device_of(str(device), int(np.prod(self.box_shape)) * (12 * self.rhs + 16))
         # cells before the first cell of water, on axes where the scratch box wraps round
-        self._folded = [MARGIN if a in self.whole and wraps[a] else 0 for a in range(3)]
+        self._fold_margin = [MARGIN if a in self.spanned_axes and wraps[a] else 0 for a in range(3)]
         self.corners.set_grid(lattice.dx, lattice.corner, self.box_shape)
         make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)
         self.rest = make(markers.rest, wp.vec3d)
@@ -124,20 +125,20 @@ class Boundary:
         chunks = min(n, max(CHUNKS[0], min(n // MARKERS_A_CHUNK, CHUNKS[1]))) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
         self.water = empty((self.dofs, self.rhs), wp.float64)  # b0 and K, SI
-        self._solvers = fsi_solve.BLOCK if device.is_cuda else 1  # threads
-        self._adders = fsi_solve.WARP if device.is_cuda else 1  # threads that add up the chunks of an entry
+        self._solve_threads = fsi_solve.BLOCK if device.is_cuda else 1  # threads
+        self._sum_threads = fsi_solve.WARP if device.is_cuda else 1  # threads that add up the chunks of an entry
         self.elimination = empty(self.dofs * self.rhs, wp.float64), empty(self.dofs, wp.int32), empty(self.dofs, wp.int32)
         self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
-        sent, returned = (_reached(array, device) for array in (self.staging, self.inbox))
+        sent, returned = (_device_view(array, device) for array in (self.staging, self.inbox))
         first = self.layout.system  # the place of the body goes ahead of its equation
-        self._sent = [(sent[:first], self.host[:first]), (sent[first:], self.host[first:])]
+        self._transfers = [(sent[:first], self.host[:first]), (sent[first:], self.host[first:])]
         velocity, impulse = self.dofs, self.dofs + 6 * self.links
         self._velocity, self._interior_speed = returned[:velocity], returned[impulse:]
         self._returned_wrench = returned[velocity:impulse].reshape((self.links, 6))
         self.wrench_part = empty((chunks, self.links, 6), wp.float64)
-        self._holds = False  # velocities were prescribed in the last step
-        self._taken = False  # what is in `_wrench` was taken; the next step starts from zero
-        self._current = True  # `inbox` holds what is in `_wrench`
+        self._had_prescribed = False  # velocities were prescribed in the last step
+        self._wrench_read = False  # the host has read `_wrench`; the next step starts from zero
+        self._host_wrench_valid = True  # `inbox` holds the same as `_wrench`
         on_host = self.inbox.numpy()
         self.velocity, self.interior_speed = on_host[:velocity], on_host[impulse:]  # views: v+ (n,), s (L,) m/s
         self._impulse = on_host[velocity:impulse].reshape(self.links, 6)
@@ -146,8 +147,8 @@ class Boundary:
             order = np.argsort(self.interior.link, kind="stable")  # link after link: whoever sums over one reads its own only
             place, link, share = (values[order] for values in self.interior)
             self._points, self._shares = (make(place, wp.vec3d), make(link.astype(np.int32), wp.int32)), make(share, wp.float32)
-            self._begin = make(np.searchsorted(link, np.arange(self.links + 1)).astype(np.int32), wp.int32)
-            self._along = empty((len(link), 8), wp.float32)  # of the nodes round each
+            self._first_points = make(np.searchsorted(link, np.arange(self.links + 1)).astype(np.int32), wp.int32)
+            self._node_speeds = empty((len(link), 8), wp.float32)  # of the nodes round each
         self.view = _views(self.staging.numpy(), self.links, self.dofs)  # what is sent, by name
         self.view["pose"] = self.staging.numpy()[: body.pose.size]  # frame, angle, axis, anchor
         self.view["origin"][:] = lattice.corner
@@ -163,14 +164,14 @@ class Boundary:
         if not np.isfinite(body.pose).all():
             raise ConfigError("immersed boundary: the body's place is not finite; see body.data.qpos")
         for a in range(3):
-            if a in self.whole:
+            if a in self.spanned_axes:
                 self.view["box"][a] = first[a] - MARGIN
             elif found[3 + a] - found[a] > (self.box_shape[a] - 2 * MARGIN + 1) * dx:  # the kernels would write beyond it
                 raise ConfigError(
                     f"immersed boundary: the body spans {found[3 + a] - found[a]:.3g} m along {'xyz'[a]}, further than its links"
                     " reached when it was put into the water; put a changed model into the water anew"
                 )
-        for a in self._bounded:  # plain numbers: a handful is faster so than in NumPy
+        for a in self._walled_axes:  # plain numbers: a handful is faster so than in NumPy
             corner = self.lattice.corner[a] + first[a] * dx
             room = min((found[a] - corner) / dx, self.shape[a] - 1 - (found[3 + a] - corner) / dx)
             if room < self.width / 2:
@@ -183,28 +184,28 @@ class Boundary:
         """Writes the body's equation into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
         view = self.view
         view["system"][:], view["momentum"][:], view["before"][:] = system, right, velocity
-        if fixed is not None or self._holds:
+        if fixed is not None or self._had_prescribed:
             view["fixed"][:] = 0.0 if fixed is None else fixed
             view["value"][:] = 0.0 if value is None else value
-            self._holds = fixed is not None
-        view["fresh"][:] = self._taken
-        self._taken = False
-        self._current = True
+            self._had_prescribed = fixed is not None
+        view["reset_wrench"][:] = self._wrench_read
+        self._wrench_read = False
+        self._host_wrench_valid = True
 
-    def fetch_place(self) -> None:
+    def fetch_pose(self) -> None:
         """Queues the transfer of the pose that `place_markers` wrote."""
-        self._fetch(*self._sent[0])
+        self._fetch(*self._transfers[0])
 
     def fetch_equation(self) -> None:
         """Queues the transfer of the equation that `set_equation` wrote."""
-        self._fetch(*self._sent[1])
+        self._fetch(*self._transfers[1])
 
-    def assemble_response(self, f: wp.array, corner: wp.array, acts: wp.array, speed: wp.array | None = None) -> None:
+    def assemble_response(self, f: wp.array, corner: wp.array, force_box: wp.array, speed: wp.array | None = None) -> None:
         """Queues all kernels up to K and b0, and the speed of the interior water, for the pose in `host`.
 
         Args:
             f: populations that this step will pull, flat. corner: (3,) world node of the fluid's low corner.
-            acts: (6,) world nodes between which the fluid reads a force; written here.
+            force_box: (6,) world nodes between which the fluid reads a force; written here.
             speed: (L,) m/s, output for the interior water's speed; the host's memory by default.
         """
         lat, w, shape, n = self.lattice, self.width, wp.vec3i(*self.shape), self.count
@@ -212,8 +213,8 @@ class Boundary:
             self._measure_interior(f, shape, self._interior_speed if speed is None else speed)
         pose_in = [self.host, self.layout, self.rest, self.rest_normal, self.pivot, self.before, self.after, self.share]
         pose_in += [self.moves, self.slides, lat.dx, lat.dt, w, shape]
-        pose_in += [wp.vec3i(*self.box_shape), self.wraps, wp.vec3i(*self._folded), corner]
-        self._launch(kernels.pose, n, pose_in, [acts, self.world, self.cell, self.normal, self.store, self.jacobian])
+        pose_in += [wp.vec3i(*self.box_shape), self.wraps, wp.vec3i(*self._fold_margin), corner]
+        self._launch(kernels.pose, n, pose_in, [force_box, self.world, self.cell, self.normal, self.store, self.jacobian])
         read_in = [f, self.body_acceleration, self.cell, self.store, w, shape]
         self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
         target_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
@@ -221,20 +222,20 @@ class Boundary:
         for _ in range(self.passes - 1):
             self.scratch.zero_()
             self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
-            for a in self.whole:
+            for a in self.spanned_axes:
                 self._fold(a)
             self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
         # float32 forces, float64 sums: K couples the masses of trunk and tail in one solve
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(fsi_solve.response_part, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
-        total_in = [self.part, scale * lat.velocity, self._adders]
-        self._launch(fsi_solve.response_total, (*self.water.shape, self._adders), total_in, [self.water])
+        total_in = [self.part, scale * lat.velocity, self._sum_threads]
+        self._launch(fsi_solve.response_total, (*self.water.shape, self._sum_threads), total_in, [self.water])
         if self._branch is not None:
             wp.get_stream(self.device).wait_stream(self._branch)
 
     def _fold(self, axis: int) -> None:
         """Queues the sum over cells of the scratch box that are one cell of water, a period apart; each gets the sum."""
-        if self._folded[axis]:
+        if self._fold_margin[axis]:
             dim = list(self.scratch.shape)
             dim[axis] = min(self.shape[axis], 2 * MARGIN)
             self._launch(kernels.fold, tuple(dim), [axis, self.shape[axis]], [self.scratch])
@@ -245,14 +246,14 @@ class Boundary:
             return
         args = [self.host, self.layout, *self._points, f, self.body_acceleration]
         args += [wp.float64(self.lattice.dx), shape]
-        self._launch(kernels.measure, self._along.shape, args, [self._along])
-        args = [self._along, self._begin, self._shares, self.lattice.velocity]
-        self._launch(kernels.mean, self.links, args, [speed])
+        self._launch(kernels.measure_interior, self._node_speeds.shape, args, [self._node_speeds])
+        args = [self._node_speeds, self._first_points, self._shares, self.lattice.velocity]
+        self._launch(kernels.mean_interior_speed, self.links, args, [speed])
 
     def solve(self, implicit: bool = True) -> None:
         """Queues the solve of the equation in `host`, which writes into the host's memory, and the markers' final forces."""
         args = [self.host, self.layout, self.water, int(implicit)]
-        self._launch(fsi_solve.solve, self._solvers, args, [*self.elimination, self._velocity, self.target])
+        self._launch(fsi_solve.solve, self._solve_threads, args, [*self.elimination, self._velocity, self.target])
         self._launch(kernels.combine, self.count, [self.force, self.target], [self.final])
 
     def sum_wrench(self) -> None:
@@ -260,8 +261,8 @@ class Boundary:
         lat = self.lattice
         args = [self.world, self.before, self.after, self.share, self.volume, self.final, self.host, self.layout]
         self._launch(fsi_solve.wrench, self.wrench_part.shape[:2], args, [self.wrench_part])
-        args = [self.wrench_part, lat.mass * lat.velocity, self._adders, self.host, self.layout]
-        self._launch(fsi_solve.add_wrench, (self.links, 6, self._adders), args, [self._wrench, self._returned_wrench])
+        args = [self.wrench_part, lat.mass * lat.velocity, self._sum_threads, self.host, self.layout]
+        self._launch(fsi_solve.add_wrench, (self.links, 6, self._sum_threads), args, [self._wrench, self._returned_wrench])
 
     def spread_force(self, acceleration: wp.array) -> None:
         """Queues the spreading of the final force into the fluid's `acceleration`."""
@@ -278,25 +279,25 @@ class Boundary:
 
         It came with the velocity of the last step, so this does not wait for the water.
         """
-        if self._taken:
+        if self._wrench_read:
             return np.zeros((self.links, 6))
-        self._taken = True
-        if self._current:
+        self._wrench_read = True
+        if self._host_wrench_valid:
             return self._impulse.copy()
         wp.synchronize_device(self.device)
         return self._wrench.numpy().copy()
 
-    def hand_wrench(self, impulse: np.ndarray) -> None:
+    def set_wrench(self, impulse: np.ndarray) -> None:
         """Sets the impulse since the last `take_wrench`, (L, 6), from the sum of steps without the host."""
         self._impulse[:] = impulse
-        self._taken, self._current = False, True
+        self._wrench_read, self._host_wrench_valid = False, True
 
     @property
     def wrench(self) -> wp.array:
         """Impulse since the last `take_wrench` on the device, (L, 6); may be saved or set between two steps."""
-        if self._taken:
+        if self._wrench_read:
             self._wrench.zero_()
-        self._taken = self._current = False
+        self._wrench_read = self._host_wrench_valid = False
         return self._wrench
 
     @property
@@ -360,7 +361,7 @@ def _identity(value: Any) -> Any:
     return tuple(value) if hasattr(value, "__len__") else id(value)
 
 
-def _reached(array: wp.array, device) -> wp.array:
+def _device_view(array: wp.array, device) -> wp.array:
     """Pinned host array as the device sees it: at the same address, so that no copy stands between two kernels."""
     return wp.array(ptr=array.ptr, dtype=array.dtype, shape=array.shape, device=device)
 
@@ -369,7 +370,7 @@ def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the fields of the host block, in their order."""
     shapes: dict[str, tuple[int, ...]] = {"frame": (links, 12), "angle": (links,), "axis": (dofs, 3), "anchor": (dofs, 3)}
     shapes |= {"origin": (3,), "box": (3,), "system": (dofs, dofs), "momentum": (dofs,)}
-    return shapes | {name: (dofs,) for name in ("before", "fixed", "value")} | {"fresh": (1,)}
+    return shapes | {name: (dofs,) for name in ("before", "fixed", "value")} | {"reset_wrench": (1,)}
 
 
 def _layout(links: int, dofs: int) -> kernels.CouplingArrays:

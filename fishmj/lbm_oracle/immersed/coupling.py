@@ -10,12 +10,15 @@ Strong coupling without sub-iterations: K is exact, because the direct forcing i
 water and for a thin, light tail. The explicit scheme uses the water's response to the old velocity and diverges
 (docs/solver/coupling.md). Host and device work in parallel: the device assembles K while the host assembles M, and it steps the
 water while MuJoCo steps.
+
+`FluidStructure.stepping` is the only loop body: `step` and the ticks of a `Run` use it. `device_steps.py` queues the same step
+without the host.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Generator, Hashable
 from contextlib import nullcontext
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 import warp as wp
@@ -23,7 +26,7 @@ import warp as wp
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.guard import MACH, Watch, check_speed, numbers
+from fishmj.lbm_oracle.fluid.guard import MACH, StabilityMonitor, check_speed, numbers
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.early_water import EarlyWater
@@ -34,6 +37,36 @@ SCHEMES = ("implicit", "explicit")
 Part = Literal["response", "solution", "water", "steps"]
 MOST_GRAPHS = 64  # kept of one fluid
 NEXT, LAST = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])  # a x b: the first less the second half of a_next b_last
+
+
+class StepDriver(Protocol):
+    """Drives the body through steps of one time step each."""
+
+    def actuate(self, step: int) -> tuple:
+        """Sets the joints' torque in this step; returns `fixed` and `value` of `FluidStructure.solve`."""
+
+    def record(self) -> None:
+        """Called when the step's equation is assembled and its launches are under way."""
+
+    def follow(self) -> None:
+        """Called after MuJoCo has done the step."""
+
+
+class Prescribed(NamedTuple):
+    """Driver that prescribes velocities and leaves the torques of `body.data.ctrl`; None: no velocity is prescribed."""
+
+    fixed: object = None
+    value: object = None
+
+    def actuate(self, step: int) -> tuple:
+        """Returns `fixed` and `value`."""
+        return self.fixed, self.value
+
+    def record(self) -> None:
+        """Does nothing."""
+
+    def follow(self) -> None:
+        """Does nothing."""
 
 
 class FluidStructure:
@@ -62,9 +95,9 @@ class FluidStructure:
             raise ConfigError(f"coupled: the fluid steps {fluid.lattice.dt} s and the body {body.dt} s; give both the same dt")
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
-        self.steps, self.watch = 0, Watch()
-        self.ahead = False  # steps are queued whose outcome the body has not taken, behind others (`DeviceSteps.queue_next`)
-        self.together = 1  # steps between the last two times that the host saw the body
+        self.steps, self.watch = 0, StabilityMonitor()
+        self.in_flight = False  # the device runs a next tick whose result the host has not read back (`DeviceSteps.queue_next`)
+        self.steps_since_sync = 1  # steps between the last two times that the host read the body
         self.gain = np.zeros((body.links, 6))  # momentum of the interior water handed to the links since `take_wrench`
         self.graphs = Graphs(fluid) if fluid.device.is_cuda else None
         cores = not fluid.device.is_cuda and type(fluid) is Fluid and fluid.threads > 1
@@ -87,12 +120,10 @@ class FluidStructure:
                 every 50 steps (on a GPU one step later).
             ConfigError: as `place_markers` and `solve`.
         """
-        self.place_markers()
-        self.assemble_response()
-        self.solve(fixed, value)
-        self.push_water()
-        velocity = self.advance()
-        self.watch.end()  # the look begun after the step before: its copies lie behind the velocity just waited for
+        for _ in self.stepping(Prescribed(fixed, value)):
+            pass
+        velocity = self.boundary.velocity.copy()
+        self.watch.end()  # the survey begun after the step before: its copies lie behind the velocity just waited for
         if self.watch.due(self.fluid):
             with self.scope():
                 self.watch.begin(self.fluid)
@@ -101,6 +132,18 @@ class FluidStructure:
         self.join_stream()
         self._check_speed(velocity)
         return velocity
+
+    def stepping(self, driver: StepDriver, step: int = 0) -> Generator[None, None, None]:
+        """Does step number `step` of a driver; yields once, when the device has work and the host could serve another tank."""
+        self.place_markers()
+        self.assemble_response()
+        fixed, value = driver.actuate(step)  # only now: the device is at K while the host works out the joints' torques
+        self.solve(fixed, value)
+        self.push_water()
+        driver.record()
+        yield
+        self.advance()
+        driver.follow()
 
     def _check_speed(self, velocity: np.ndarray) -> None:
         """Raises OracleUnstable if a marker is beyond the Mach limit at this velocity of the body, (n,)."""
@@ -150,24 +193,26 @@ class FluidStructure:
         if self.boundary.interior is not None:
             self.body.set_interior_speed(self.boundary.interior_speed)
         self.body.advance(velocity)
-        self.steps, self.together = self.steps + 1, 1
+        self.steps, self.steps_since_sync = self.steps + 1, 1
         return velocity
 
     def scope(self):
         """Stream of this tank: all other code that reads or changes its arrays runs inside this context.
 
         Raises:
-            ConfigError: the device already computes the next tick (`Run.ahead`), so that the water is ahead of the fish.
+            ConfigError: the device already computes the next tick (`Run.pipelined`), so that the water is ahead of the fish.
         """
-        if self.ahead:
-            raise ConfigError(f"coupled: the water is ahead of the fish's t = {self.time:.4g} s; take a run with ahead = False")
-        return self.behind_what_is_queued()
+        if self.in_flight:
+            raise ConfigError(
+                f"coupled: the water is ahead of the fish's t = {self.time:.4g} s; take a run with pipelined = False"
+            )
+        return self.ordered_scope()
 
-    def behind_what_is_queued(self):
+    def ordered_scope(self):
         """Like `scope`, but without its check: code inside sees the water after all queued work, wherever the fish is."""
         return nullcontext() if self.graphs is None else wp.ScopedStream(self.graphs.stream)
 
-    def come_behind(self, other: "FluidStructure") -> None:
+    def wait_for_stream_of(self, other: "FluidStructure") -> None:
         """Makes later work of this tank wait for all that is queued for the other one; the host does not wait."""
         if self.graphs is not None and other.graphs is not None:
             self.graphs.stream.wait_stream(other.graphs.stream)
@@ -187,7 +232,7 @@ class FluidStructure:
         if part == "response":
             if self.early is not None:
                 self.early.begin(int(self.boundary.view["box"][0]), self.boundary.box_shape[0])
-            self.boundary.fetch_place()
+            self.boundary.fetch_pose()
             self.boundary.assemble_response(self.fluid.f.flatten(), self.fluid.origin, self.fluid.box)
         elif part == "solution":
             self.boundary.fetch_equation()

@@ -1,9 +1,9 @@
 """The body's part of steps without the host: its equation, its motion, the water inside it.
 
-    begin     data from the host -> state; only the commands if the device keeps its own state                once
-    follow    v+ -> state -> pose, box, fastest corner                                                        a step
-    equation  M + dt D and right-hand side                                                                    a step
-    give_back state, torques, rates, wrenches -> the host's memory, and last the number of the run             once
+    load_state         data from the host -> state; only the commands if the device keeps its own state        once
+    move_body          v+ -> state -> pose, box, fastest corner                                                 a step
+    assemble_equation  M + dt D and right-hand side                                                             a step
+    return_state       state, torques, rates, wrenches -> the host's memory, and last the number of the run     once
 
 Each is one block of threads, a thread for each link and each degree of freedom; one thread on the CPU. The formulas are those of
 `articulated_body.py` (M, bias, servos) and of `link_dynamics.py` (the water inside the links).
@@ -21,35 +21,35 @@ from fishmj.lbm_oracle.immersed.articulated_body import (
     Tree,
     inertia_about,
     move_joint,
-    paired,
     place_body,
+    screw_product,
     weigh_body,
 )
 from fishmj.lbm_oracle.immersed.fsi_solve import wait_for_block
 from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
-from fishmj.lbm_oracle.immersed.link_dynamics import put
+from fishmj.lbm_oracle.immersed.link_dynamics import store_vec3
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})  # unrolled further it takes long to compile
 
 
 @wp.struct
-class Inside:
+class InteriorWater:
     """Water inside L links, and boxes round their markers; float64, SI."""
 
     dt: wp.float64
-    counts: int  # whether its gain does
+    counts_gain: int  # 1 if its gain pushes the links
     mass: wp.array(dtype=wp.float64)  # L
     centre: wp.array(dtype=wp.float64)  # 3 L, in the link's frame
     inertia: wp.array(dtype=wp.float64)  # 9 L
     weight: wp.array(dtype=wp.float64)  # 6 L, dt m g
-    slid: wp.array(dtype=wp.float64)  # L, speed along the link as this step measures it
+    measured_speed: wp.array(dtype=wp.float64)  # L, speed along the link as this step measures it
     speed: wp.array(dtype=wp.float64)  # L, as the step before measured it; nan: it moves as the link does
-    last: wp.array(dtype=wp.float64)  # 6 L, momentum at the start of the step before
-    total: wp.array(dtype=wp.float64)  # 6 L, what it gained in all steps
+    last_momentum: wp.array(dtype=wp.float64)  # 6 L, momentum at the start of the step before
+    total_gain: wp.array(dtype=wp.float64)  # 6 L, what it gained in all steps
     push: wp.array(dtype=wp.float64)  # 6 L, moment about the first link's frame and force times dt
     applied: wp.array(dtype=wp.float64)  # n
     corner: wp.array(dtype=wp.float64)  # 24 L, of the boxes
-    seen: wp.array(dtype=wp.float64)  # 7 L, low, high, and square of the greatest speed, of each link
+    link_boxes: wp.array(dtype=wp.float64)  # 7 L, low, high, and square of the greatest speed, of each link
     fastest: wp.array(dtype=wp.float64)  # 1, of all steps
     dx: wp.float64
     grid: wp.vec3d  # corner of the grid
@@ -91,15 +91,15 @@ def use(seen: int, values: wp.array(dtype=wp.float64)):
 
 @wp.func
 def touch_all(
-    whole: wp.array(dtype=int),
-    real: wp.array(dtype=wp.float64),
+    integers: wp.array(dtype=int),
+    reals: wp.array(dtype=wp.float64),
     state: wp.array(dtype=wp.float64),
     block: wp.array(dtype=wp.float64),
     me: int,
     threads: int,
 ):
     """Loads all later inputs at once: while the water steps, one load after another is slow."""
-    a, b = touch(whole, me, threads), touch(real, me, threads)
+    a, b = touch(integers, me, threads), touch(reals, me, threads)
     use(a ^ b ^ touch(state, me, threads) ^ touch(block, me, threads), state)
 
 
@@ -115,7 +115,7 @@ def twist_of(t: Tree, s: Motion, l: int):
 
 
 @wp.func
-def push_link(t: Tree, s: Motion, e: Inside, l: int):
+def gain_of_interior(t: Tree, s: Motion, e: InteriorWater, l: int):
     """Writes the momentum that the water inside link l gained since the previous step, and its buoyancy over this step."""
     w, u = twist_of(t, s, l)
     turn = matrix3(s.pose, 12 * l + 3)
@@ -125,23 +125,23 @@ def push_link(t: Tree, s: Motion, e: Inside, l: int):
         along = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
         u += (e.speed[l] - wp.dot(along, u)) * along
     linear, angular = e.mass[l] * u, inertia_about(turn, matrix3(e.inertia, 9 * l)) * w
-    gained, spun = linear - point3(e.last, 6 * l), angular - point3(e.last, 6 * l + 3)
-    put(e.last, 6 * l, linear)
-    put(e.last, 6 * l + 3, angular)
-    if e.counts == 0:
+    gained, spun = linear - point3(e.last_momentum, 6 * l), angular - point3(e.last_momentum, 6 * l + 3)
+    store_vec3(e.last_momentum, 6 * l, linear)
+    store_vec3(e.last_momentum, 6 * l + 3, angular)
+    if e.counts_gain == 0:
         gained, spun = wp.vec3d(), wp.vec3d()
-    put(e.total, 6 * l, point3(e.total, 6 * l) + gained)
-    put(e.total, 6 * l + 3, point3(e.total, 6 * l + 3) + spun)
+    store_vec3(e.total_gain, 6 * l, point3(e.total_gain, 6 * l) + gained)
+    store_vec3(e.total_gain, 6 * l + 3, point3(e.total_gain, 6 * l + 3) + spun)
     gained -= point3(e.weight, 6 * l)
-    put(e.push, 6 * l, wp.cross(p, gained) + spun)
-    put(e.push, 6 * l + 3, gained)
+    store_vec3(e.push, 6 * l, wp.cross(p, gained) + spun)
+    store_vec3(e.push, 6 * l + 3, gained)
 
 
 @wp.func
-def balance(
+def write_equation(
     t: Tree,
     s: Motion,
-    e: Inside,
+    e: InteriorWater,
     block: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     rate: wp.array(dtype=wp.float64),
@@ -153,7 +153,7 @@ def balance(
     weigh_body(t, s, me, threads)
     l = int(me)
     while l < t.links:
-        push_link(t, s, e, l)
+        gain_of_interior(t, s, e, l)
         l += threads
     wait_for_block()
     i = int(me)
@@ -162,7 +162,7 @@ def balance(
         block[at.before + i] = s.qvel[i]
         right = e.dt * (s.passive[i] + s.actuator[i] - s.bias[i] + e.applied[i])
         for k in range(t.links):
-            right += t.reach[k * n + i] * paired(s.screw, i, e.push, k)
+            right += t.reach[k * n + i] * screw_product(s.screw, i, e.push, k)
         for j in range(n):
             entry = s.mass_matrix[n * i + j] + wp.where(i == j, e.dt * t.damping[i], wp.float64(0.0))
             block[at.system + n * i + j] = entry
@@ -172,35 +172,35 @@ def balance(
 
 
 @wp.kernel
-def equation(
+def assemble_equation(
     t: Tree,
     s: Motion,
-    e: Inside,
+    e: InteriorWater,
     block: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     rate: wp.array(dtype=wp.float64),
-    whole: wp.array(dtype=int),
-    real: wp.array(dtype=wp.float64),
+    integers: wp.array(dtype=int),
+    reals: wp.array(dtype=wp.float64),
     state: wp.array(dtype=wp.float64),
 ):
     """Assembles the equation of a step."""
     me, threads = wp.tid(), wp.block_dim()
-    touch_all(whole, real, state, block, me, threads)
-    balance(t, s, e, block, at, rate, me, threads)
+    touch_all(integers, reals, state, block, me, threads)
+    write_equation(t, s, e, block, at, rate, me, threads)
 
 
 @wp.func
-def settle_inside(s: Motion, e: Inside, l: int):
+def store_interior_speed(s: Motion, e: InteriorWater, l: int):
     """Stores the measured speed of the water along the link; the first value is a state, not a gain."""
     if e.speed[l] != e.speed[l]:
         along = wp.vec3d(s.pose[12 * l + 3], s.pose[12 * l + 6], s.pose[12 * l + 9])
-        linear = point3(e.last, 6 * l)
-        put(e.last, 6 * l, linear + (e.mass[l] * e.slid[l] - wp.dot(along, linear)) * along)
-    e.speed[l] = e.slid[l]
+        linear = point3(e.last_momentum, 6 * l)
+        store_vec3(e.last_momentum, 6 * l, linear + (e.mass[l] * e.measured_speed[l] - wp.dot(along, linear)) * along)
+    e.speed[l] = e.measured_speed[l]
 
 
 @wp.func
-def look_round(t: Tree, s: Motion, e: Inside, l: int):
+def measure_link_box(t: Tree, s: Motion, e: InteriorWater, l: int):
     """Computes the upright box round link l's markers, and the square of its fastest corner's speed."""
     w, u = twist_of(t, s, l)
     place, turn = point3(s.pose, 12 * l), matrix3(s.pose, 12 * l + 3)
@@ -211,16 +211,16 @@ def look_round(t: Tree, s: Motion, e: Inside, l: int):
         low, high = wp.min(low, x), wp.max(high, x)
         v = u + wp.cross(w, x - point3(s.pose, 0))
         fast = wp.max(fast, wp.dot(v, v))
-    put(e.seen, 7 * l, low)
-    put(e.seen, 7 * l + 3, high)
-    e.seen[7 * l + 6] = fast
+    store_vec3(e.link_boxes, 7 * l, low)
+    store_vec3(e.link_boxes, 7 * l + 3, high)
+    e.link_boxes[7 * l + 6] = fast
 
 
 @wp.func
 def set_box(
     t: Tree,
     s: Motion,
-    e: Inside,
+    e: InteriorWater,
     block: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     me: int,
@@ -229,21 +229,21 @@ def set_box(
     """Writes the box of cells round the body into the block that the markers read."""
     l = int(me)
     while l < t.links:
-        look_round(t, s, e, l)
+        measure_link_box(t, s, e, l)
         l += threads
     wait_for_block()
     a = int(me)
     while a < 3:
         low, high = wp.float64(wp.inf), -wp.float64(wp.inf)
         for k in range(t.links):
-            low, high = wp.min(low, e.seen[7 * k + a]), wp.max(high, e.seen[7 * k + 3 + a])
+            low, high = wp.min(low, e.link_boxes[7 * k + a]), wp.max(high, e.link_boxes[7 * k + 3 + a])
         middle = wp.float64(0.5) * (low + high)
         block[at.box + a] = wp.rint((middle - e.grid[a]) / e.dx - wp.float64(0.5) * e.size[a])
         a += threads
 
 
 @wp.kernel
-def begin(
+def load_state(
     t: Tree,
     at: CouplingArrays,
     block: wp.array(dtype=wp.float64),
@@ -251,32 +251,32 @@ def begin(
     state: wp.array(dtype=wp.float64),
     sent_state: wp.array(dtype=wp.float64),
     wrench: wp.array2d(dtype=wp.float64),
-    kept: int,
-    told: int,
+    carried: int,
+    sent_count: int,
 ):
-    """Copies the host's data from the host's memory: the state up to number `told`, its last number, and the block.
+    """Copies the host's data from the host's memory: the state up to number `sent_count`, its last number, and the block.
 
-    With `kept` > 0 the first `kept` numbers of the state, and the block, stay as the previous steps left them. Sums restart from
-    zero if the host has read them, or if `kept` > 0.
+    With `carried` > 0 the first `carried` numbers of the state, and the block, stay as the previous steps left them. Sums restart
+    from zero if the host has read them, or if `carried` > 0.
     """
     me, threads = wp.tid(), wp.block_dim()
-    k = int(me) + kept
-    while k < told:  # the steps find the others, one of them beside this
+    k = int(me) + carried
+    while k < sent_count:  # the steps find the others, one of them beside this
         state[k] = sent_state[k]
         k += threads
     if me == 0:
         state[state.shape[0] - 1] = sent_state[state.shape[0] - 1]
     k = int(me)
-    while k < at.size and kept == 0:
+    while k < at.size and carried == 0:
         block[k] = sent_block[k]
         k += threads
     wait_for_block()
     k = int(me)
-    while k < 6 * at.links and (kept > 0 or block[at.fresh] > wp.float64(0.5)):
+    while k < 6 * at.links and (carried > 0 or block[at.reset_wrench] > wp.float64(0.5)):
         wrench[k // 6, k % 6] = wp.float64(0.0)
         k += threads
     j = int(me)
-    while j < t.joints and kept > 0:  # as MuJoCo's own state is, which the host would have sent; `state` begins with qpos
+    while j < t.joints and carried > 0:  # as MuJoCo's own state is, which the host would have sent; `state` begins with qpos
         if t.kind[j] == wp.static(FREE):
             q, total = t.coordinate[j] + 3, wp.float64(0.0)
             for i in range(4):
@@ -287,10 +287,10 @@ def begin(
 
 
 @wp.kernel
-def follow(
+def move_body(
     t: Tree,
     s: Motion,
-    e: Inside,
+    e: InteriorWater,
     block: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     v: wp.array(dtype=wp.float64),
@@ -298,20 +298,20 @@ def follow(
     measured: int,
     next: Motion,
     rate: wp.array(dtype=wp.float64),
-    weighs: int,
-    whole: wp.array(dtype=int),
-    real: wp.array(dtype=wp.float64),
+    assembles: int,
+    integers: wp.array(dtype=int),
+    reals: wp.array(dtype=wp.float64),
     state: wp.array(dtype=wp.float64),
 ):
     """Computes the state after the step (`moves`), its pose and its box of cells.
 
-    `measured` = 0: the interior water moves with the links. `weighs`: also assembles the equation of the `next` step.
+    `measured` = 0: the interior water moves with the links. `assembles`: also assembles the equation of the `next` step.
     """
     me, threads = wp.tid(), wp.block_dim()
-    touch_all(whole, real, state, block, me, threads)
+    touch_all(integers, reals, state, block, me, threads)
     l = int(me)
     while l < t.links and moves * measured == 1:
-        settle_inside(s, e, l)
+        store_interior_speed(s, e, l)
         l += threads
     wait_for_block()
     j = int(me)
@@ -322,12 +322,12 @@ def follow(
     place_body(t, s, me, threads)
     set_box(t, s, e, block, at, me, threads)
     if me == 0 and moves == 1:
-        block[at.fresh] = wp.float64(0.0)
+        block[at.reset_wrench] = wp.float64(0.0)
         for k in range(t.links):
-            e.fastest[0] = wp.max(e.fastest[0], wp.sqrt(e.seen[7 * k + 6]))
-    if weighs == 1:
+            e.fastest[0] = wp.max(e.fastest[0], wp.sqrt(e.link_boxes[7 * k + 6]))
+    if assembles == 1:
         wait_for_block()
-        balance(t, next, e, block, at, rate, me, threads)
+        write_equation(t, next, e, block, at, rate, me, threads)
 
 
 @wp.func_native("""
@@ -348,7 +348,7 @@ def write_at_once(values: wp.array(dtype=wp.float64), i: int, value: wp.float64)
 
 
 @wp.kernel
-def give_back(
+def return_state(
     state: wp.array(dtype=wp.float64),
     on_host: wp.array(dtype=wp.float64),
     wrench: wp.array2d(dtype=wp.float64),
@@ -371,7 +371,7 @@ def give_back(
         write_at_once(on_host, last, state[last])
 
 
-def side_by_side(structs: list, kind: type, device: Any) -> wp.array:
+def pack_arrays(structs: list, kind: type, device: Any) -> wp.array:
     """Packs all arrays of one number type that the structs own into one array, of which they become views; returns it."""
     owned = [(one, name) for one in structs for name in one._cls.vars if _owns(getattr(one, name), kind)]
     places = np.cumsum([0] + [-(-getattr(one, name).size // 8) * 8 for one, name in owned])  # each at the begin of a cache line

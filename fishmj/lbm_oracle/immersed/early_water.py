@@ -13,7 +13,8 @@ from concurrent.futures import Future
 from threading import Lock
 from typing import Any
 
-from fishmj.lbm_oracle.fluid.fluid import THINNEST, Fluid, pieces, pool
+from fishmj.lbm_oracle.fluid.fluid import Fluid
+from fishmj.lbm_oracle.fluid.slabs import THINNEST, slab_pool, split_wrapped
 
 SHARE = 8  # parts of the box for each core
 SMALL = 2  # so many of them, those at the end, are halved: all cores end together
@@ -50,7 +51,7 @@ class EarlyWater:
     def _parts(self, first: int, count: int, small: int = 0) -> list[Any]:
         """Launches for so many world planes; the last `small` of them in half parts, so that all cores end together."""
         made = []
-        for start, planes in pieces(first, count, self.fluid.shape[0]):
+        for start, planes in split_wrapped(first, count, self.fluid.shape[0]):
             low, end = start, start + planes
             while low < end:
                 size = min(self._grain if end - low > small else self._grain // 2, end - low)
@@ -64,7 +65,7 @@ class EarlyWater:
             self._waiting.extend(parts)
             more = self.fluid.threads - 1 - self._working
             self._working += more
-        self._workers += [pool().submit(self._work) for _ in range(more)]
+        self._workers += [slab_pool().submit(self._work) for _ in range(more)]
 
     def _work(self) -> None:
         """Runs part after part until none is left."""

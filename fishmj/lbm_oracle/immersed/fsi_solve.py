@@ -12,9 +12,10 @@ from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 256  # threads of the one block that solves on a GPU: Warp's own number, with any other the module is compiled twice
+MOST = 24  # degrees of freedom that are solved for in shared memory (`finish_response`)
 WARP = 32  # of them run in step: they take the columns of a row, or the chunks of a sum, and read and write side by side
 
-OVER_WARP = """
+SUM_OVER_WARP = """
 #if defined(__CUDA_ARCH__)
     for (int o = 16; o > 0; o /= 2) x += __shfl_xor_sync(0xffffffffu, x, o);
 #endif
@@ -46,28 +47,28 @@ def response_part(
     part[c, i, r] = total
 
 
-@wp.func_native(OVER_WARP)
-def over_warp(x: wp.float64) -> wp.float64:
+@wp.func_native(SUM_OVER_WARP)
+def sum_over_warp(x: wp.float64) -> wp.float64:
     """Sum of x over the lanes of a warp."""
     ...
 
 
 @wp.func
-def over_chunks(part: wp.array3d(dtype=wp.float64), i: int, j: int, lane: int, lanes: int):
+def sum_over_chunks(part: wp.array3d(dtype=wp.float64), i: int, j: int, lane: int, lanes: int):
     """Sum over c of part[c, i, j], by the lanes of a warp together; by one thread on the CPU."""
     s = wp.float64(0.0)
     c = int(lane)
     while c < part.shape[0]:
         s += part[c, i, j]
         c += lanes
-    return over_warp(s)
+    return sum_over_warp(s)
 
 
 @wp.kernel
 def response_total(part: wp.array3d(dtype=wp.float64), scale: wp.float64, lanes: int, total: wp.array2d(dtype=wp.float64)):
     """total[i, r] = scale sum_c part[c, i, r]."""
     i, r, lane = wp.tid()
-    s = over_chunks(part, i, r, lane, lanes)
+    s = sum_over_chunks(part, i, r, lane, lanes)
     if lane == 0:
         total[i, r] = scale * s
 
@@ -101,7 +102,7 @@ def write(values: wp.array(dtype=wp.float64), i: int, value: wp.float64):
 
 
 @wp.func
-def gather(
+def assemble_system(
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     water: wp.array2d(dtype=wp.float64),
@@ -163,7 +164,7 @@ def solve_block(
     wide = n + 1
     across = wp.min(threads, wp.static(WARP))
     column, row, down = me % across, me // across, threads // across
-    gather(host, at, water, implicit, rows, step, me, threads)
+    assemble_system(host, at, water, implicit, rows, step, me, threads)
     wait_for_block()
     # pivots although M is symmetric: K is symmetric only without slip, and a row that a tether replaced is not
     for p in range(n):
@@ -224,6 +225,89 @@ def solve(
     solve_block(host, at, water, implicit, rows, step, pivots, v, target, wp.tid(), wp.block_dim())
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ int last;
+    __threadfence();
+    __syncthreads();
+    if (threadIdx.x == 0) last = atomicAdd(done.data, 1) == blocks - 1;
+    __syncthreads();
+    __threadfence();
+    return last;
+#else
+    done.data[0] += 1;
+    return done.data[0] == blocks;
+#endif
+""")
+def finishes_last(done: wp.array(dtype=wp.int32), blocks: int) -> int:
+    """Returns 1 in the block that finishes last, else 0; `done` counts the finished blocks."""
+    ...
+
+
+@wp.func_native(f"""
+#if defined(__CUDA_ARCH__)
+    // Gauss-Jordan, a thread an entry; a row that was a pivot's is marked in `used`. Column p stands while step p reads it
+    __shared__ double a[{MOST} * ({MOST} + 1)];
+    __shared__ double x[{MOST}];
+    const int wide = n + 1, entries = n * wide;
+    for (int e = me; e < entries; e += threads) {{
+        const int i = e / wide, j = e - i * wide, r = j < n ? j + 1 : 0;
+        double total = 0.0;
+        #pragma unroll 8
+        for (int c = 0; c < blocks; ++c) total += part.data[(c * n + i) * wide + r];
+        total *= scale;
+        water.data[i * wide + r] = total;
+        const bool held = host.data[fixed + i] >= 0.5;
+        double entry = j < n ? host.data[system + n * i + j] + total : host.data[momentum + i] - total;
+        if (held) entry = j < n ? (i == j ? 1.0 : 0.0) : host.data[value + i];
+        a[e] = entry;
+    }}
+    __syncthreads();
+    unsigned used = 0u;
+    for (int p = 0; p < n; ++p) {{
+        int found = -1;
+        double greatest = 0.0;
+        for (int i = 0; i < n; ++i) {{
+            const double size = fabs(a[wide * i + p]);
+            if (!(used >> i & 1u) && (found < 0 || size > greatest)) {{ found = i; greatest = size; }}
+        }}
+        used |= 1u << found;
+        for (int e = me; e < entries; e += threads) {{
+            const int i = e / wide, j = e - i * wide;
+            if (j > p && i != found) a[e] -= a[wide * i + p] / a[wide * found + p] * a[wide * found + j];
+        }}
+        __syncthreads();
+        if (me == p) x[p] = a[wide * found + p], pivots.data[p] = found;
+    }}
+    __syncthreads();
+    if (me < n) {{
+        const double solution = a[wide * pivots.data[me] + n] / x[me];
+        v.data[me] = solution;
+        target.data[me] = solution;
+    }}
+#endif
+""")
+def finish_response(
+    part: wp.array3d(dtype=wp.float64),
+    blocks: int,
+    scale: wp.float64,
+    host: wp.array(dtype=wp.float64),
+    system: int,
+    momentum: int,
+    fixed: int,
+    value: int,
+    n: int,
+    water: wp.array2d(dtype=wp.float64),
+    pivots: wp.array(dtype=wp.int32),
+    v: wp.array(dtype=wp.float64),
+    target: wp.array(dtype=wp.float64),
+    me: int,
+    threads: int,
+):
+    """Sums the chunks of K and b0 and solves (A + K) v = right - b0 by Gauss-Jordan elimination, one thread for each entry."""
+    ...
+
+
 @wp.kernel
 def wrench(
     world: wp.array(dtype=wp.vec3d),
@@ -273,8 +357,8 @@ def add_wrench(
 ):
     """total[l] += scale sum_c part[c, l]; it restarts from zero after the host has read the sum. `on_host` is the host's copy."""
     l, i, lane = wp.tid()
-    s = over_chunks(part, l, i, lane, lanes)
+    s = sum_over_chunks(part, l, i, lane, lanes)
     if lane == 0:
-        before = wp.where(host[at.fresh] > wp.float64(0.5), wp.float64(0.0), total[l, i])
+        before = wp.where(host[at.reset_wrench] > wp.float64(0.5), wp.float64(0.0), total[l, i])
         total[l, i] = before + scale * s
         on_host[l, i] = before + scale * s

@@ -66,7 +66,7 @@ def phi(r: float, width: int) -> float:
 
 
 @wp.func
-def first(x: float, width: int) -> int:
+def first_cell(x: float, width: int) -> int:
     """Index of the first of the `width` cells that a marker at x [cells] touches."""
     if width == 3:
         return int(wp.floor(x + 0.5)) - 1
@@ -103,7 +103,7 @@ class CouplingArrays:
     before: int  # n: velocity at the start of the step
     fixed: int  # n: 1 where the velocity is prescribed
     value: int  # n: the prescribed velocity
-    fresh: int  # 1 where the sum of the wrenches starts anew
+    reset_wrench: int  # 1 where the sum of the wrenches starts anew
     size: int
 
 
@@ -127,7 +127,7 @@ def pose(
     wraps: wp.vec3i,
     folded: wp.vec3i,
     corner: wp.array(dtype=int),
-    acts: wp.array(dtype=int),
+    force_box: wp.array(dtype=int),
     world: wp.array(dtype=wp.vec3d),
     cell: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
@@ -137,8 +137,8 @@ def pose(
     """Computes positions in the world [m] and in box cells, normals, and Jacobians [cells a step per unit velocity]."""
     k = wp.tid()
     if k < 3:  # nodes where the fluid will look for a force: the box, or all of an axis that wraps round
-        acts[k] = wp.where(wraps[k] == 1, corner[k], int(host[at.box + k]))
-        acts[k + 3] = acts[k] + wp.where(wraps[k] == 1, shape[k], box[k])
+        force_box[k] = wp.where(wraps[k] == 1, corner[k], int(host[at.box + k]))
+        force_box[k + 3] = force_box[k] + wp.where(wraps[k] == 1, shape[k], box[k])
     b, a, s = before[k], after[k], share[k]
     turn = s * host[at.angle + a]
     c, sn = wp.cos(turn), wp.sin(turn)
@@ -155,13 +155,13 @@ def pose(
     inner = grid - low
     for e in range(3):
         if folded[e] > 0:  # the box is all of the water: the marker's image in it, a whole number of periods away
-            period, ahead = wp.float64(shape[e]), wp.float64(folded[e])
-            inner[e] -= period * wp.floor((inner[e] - ahead) / period)
+            period, margin = wp.float64(shape[e]), wp.float64(folded[e])
+            inner[e] -= period * wp.floor((inner[e] - margin) / period)
     place = wp.vec3(float(inner[0]), float(inner[1]), float(inner[2]))
     cell[k] = place
-    i = wrap(first(place[0], width) + int(low[0]), shape[0])
-    j = wrap(first(place[1], width) + int(low[1]), shape[1])
-    store[k] = wp.vec3i(i, j, wrap(first(place[2], width) + int(low[2]), shape[2]))
+    i = wrap(first_cell(place[0], width) + int(low[0]), shape[0])
+    j = wrap(first_cell(place[1], width) + int(low[1]), shape[1])
+    store[k] = wp.vec3i(i, j, wrap(first_cell(place[2], width) + int(low[2]), shape[2]))
     for d in range(at.dofs):
         w = ((wp.float64(1.0) - s) * reach[b, d] + s * reach[a, d]) * dt / dx
         axis = point3(host, at.axis + 3 * d)
@@ -172,7 +172,7 @@ def pose(
 
 
 @wp.func
-def pulled(f: wp.array(dtype=Any), x: int, y: int, z: int, shape: wp.vec3i):
+def pulled_moments(f: wp.array(dtype=Any), x: int, y: int, z: int, shape: wp.vec3i):
     """rho and rho u* of a cell, from the populations that its next step pulls.
 
     It wraps round on every axis and ignores faces: `Boundary.place_markers` refuses a body so near to a face that it would
@@ -209,9 +209,9 @@ def read_cells(
     at = store[k]
     x, y, z = wrap(at[0] + i, shape[0]), wrap(at[1] + j, shape[1]), wrap(at[2] + l, shape[2])
     # only the cells that a marker touches: velocities of the whole box would cost a second pass over memory
-    rho, m = pulled(f, x, y, z, shape)
+    rho, m = pulled_moments(f, x, y, z, shape)
     p = cell[k]
-    bx, by, bz = first(p[0], width) + i, first(p[1], width) + j, first(p[2], width) + l
+    bx, by, bz = first_cell(p[0], width) + i, first_cell(p[1], width) + j, first_cell(p[2], width) + l
     box_u[bx, by, bz] = m / rho + body_acceleration
     box_rho[bx, by, bz] = rho
 
@@ -234,7 +234,7 @@ def set_target(
     # frozen for all passes: with a target that follows u*, the friction would depend on the number of passes
     if r == 0:
         p, u = cell[k], wp.vec3(0.0, 0.0, 0.0)
-        x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+        x, y, z = first_cell(p[0], width), first_cell(p[1], width), first_cell(p[2], width)
         for i in range(width):
             for j in range(width):
                 for l in range(width):
@@ -259,7 +259,7 @@ def spread(
     """scratch(x) += V_k F_k d(x - X_k) / rho(x) in plane i of the cells that marker k touches, right-hand sides innermost."""
     k, r, i = wp.tid()
     p, push = cell[k], volume[k] * force[k, r]
-    x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+    x, y, z = first_cell(p[0], width), first_cell(p[1], width), first_cell(p[2], width)
     wx = phi(p[0] - float(x + i), width)
     for j in range(width):
         wy = wx * phi(p[1] - float(y + j), width)
@@ -296,15 +296,15 @@ def correct(
 ):
     """Does one more pass: F_k += wanted_k - G_k."""
     k, r = wp.tid()
-    p, got = cell[k], wp.vec3(0.0, 0.0, 0.0)
-    x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+    p, g_at_marker = cell[k], wp.vec3(0.0, 0.0, 0.0)
+    x, y, z = first_cell(p[0], width), first_cell(p[1], width), first_cell(p[2], width)
     for i in range(width):
         wx = phi(p[0] - float(x + i), width)
         for j in range(width):
             wy = wx * phi(p[1] - float(y + j), width)
             for l in range(width):
-                got += (wy * phi(p[2] - float(z + l), width)) * scratch[x + i, y + j, z + l, r]
-    force[k, r] = force[k, r] + wanted[k, r] - got
+                g_at_marker += (wy * phi(p[2] - float(z + l), width)) * scratch[x + i, y + j, z + l, r]
+    force[k, r] = force[k, r] + wanted[k, r] - g_at_marker
 
 
 @wp.kernel
@@ -331,7 +331,7 @@ def spread_force(
     """G(x) += V_k F_k d(x - X_k) / rho(x) in the fluid's own array, in plane i of the cells that marker k touches."""
     k, i = wp.tid()
     p, at, whole = cell[k], store[k], volume[k] * final[k]
-    x, y, z = first(p[0], width), first(p[1], width), first(p[2], width)
+    x, y, z = first_cell(p[0], width), first_cell(p[1], width), first_cell(p[2], width)
     for j in range(width):
         for l in range(width):
             w = weight(p, x + i, y + j, z + l, width) / box_rho[x + i, y + j, z + l]
@@ -369,7 +369,7 @@ class Points(NamedTuple):
 
 
 @wp.kernel
-def measure(
+def measure_interior(
     host: wp.array(dtype=wp.float64),
     at: CouplingArrays,
     place: wp.array(dtype=wp.vec3d),
@@ -391,12 +391,12 @@ def measure(
     # trilinear: the markers' kernel reaches 1.5 cells and would leave a hull that is three cells wide
     i, j, k = o // 4, (o // 2) % 2, o % 2
     weight = wp.abs(float(1 - i) - part[0]) * wp.abs(float(1 - j) - part[1]) * wp.abs(float(1 - k) - part[2])
-    rho, m = pulled(f, low[0] + i, low[1] + j, low[2] + k, shape)
+    rho, m = pulled_moments(f, low[0] + i, low[1] + j, low[2] + k, shape)
     along[p, o] = weight * wp.dot(axis, m / rho + body_acceleration)
 
 
 @wp.kernel
-def mean(
+def mean_interior_speed(
     along: wp.array2d(dtype=float),
     begin: wp.array(dtype=int),
     share: wp.array(dtype=float),
@@ -414,6 +414,6 @@ def mean(
     speed[l] = scale * wp.float64(total)
 
 
-for _kernel in (read_cells, measure):
+for _kernel in (read_cells, measure_interior):
     for _storage in STORAGE.values():  # beforehand: an overload that comes later reloads the module under captured graphs
         wp.overload(_kernel, {"f": wp.array(dtype=_storage)})

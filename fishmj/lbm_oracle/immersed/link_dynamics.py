@@ -84,7 +84,7 @@ class LinkDynamics:
 
 
 @wp.func_native("a.data[at] = v[0]; a.data[at + 1] = v[1]; a.data[at + 2] = v[2];")
-def put(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
+def store_vec3(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
     """Stores a vector at offset `at` of a flat array."""
     ...
 
@@ -103,17 +103,17 @@ def move(s: LinkArrays):
         if kind >= 0:
             own = matrix3(s.turn, 9 * s.carrier[d])
             axis = wp.vec3d(own[0, kind], own[1, kind], own[2, kind])
-        put(s.pose, axes + 3 * d, axis)
-        put(s.pose, anchors + 3 * d, point3(s.mujoco_anchor, 3 * s.joint[d]))
+        store_vec3(s.pose, axes + 3 * d, axis)
+        store_vec3(s.pose, anchors + 3 * d, point3(s.mujoco_anchor, 3 * s.joint[d]))
     for l in range(s.links):
         place, turn = point3(s.place, 3 * l), matrix3(s.turn, 9 * l)
-        put(frames, 12 * l, place)
+        store_vec3(frames, 12 * l, place)
         for i in range(9):
             frames[12 * l + 3 + i] = s.turn[9 * l + i]
         if s.hinge[l] >= 0:
             s.pose[angles + l] = s.qpos[s.hinge[l]]
         centre = place + turn * point3(s.arm, 3 * l)
-        put(s.centre, 3 * l, centre)
+        store_vec3(s.centre, 3 * l, centre)
         u, w = wp.vec3d(), wp.vec3d()
         for d in range(s.dofs):
             along = s.reach[l * s.dofs + d] * point3(s.pose, axes + 3 * d)
@@ -124,15 +124,15 @@ def move(s: LinkArrays):
                 s.jacobian[(6 * l + 3 + i) * s.dofs + d] = spin[i]
             u += s.qvel[d] * shift
             w += s.qvel[d] * spin
-        put(s.twist, 6 * l, u)
-        put(s.twist, 6 * l + 3, w)
+        store_vec3(s.twist, 6 * l, u)
+        store_vec3(s.twist, 6 * l + 3, w)
         if (
             s.interior_speed[l] == s.interior_speed[l]
         ):  # not nan: measured. Only along the link: across it the wall takes it along
             axis = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
             u += (s.interior_speed[l] - wp.dot(axis, u)) * axis
-        put(s.now, 6 * l, s.mass[l] * u)
-        put(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
+        store_vec3(s.now, 6 * l, s.mass[l] * u)
+        store_vec3(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
 
 
 @wp.func
@@ -191,7 +191,7 @@ def compare(e: LinkDynamics):
     e.check[1] = (off + lost) / (wp.float64(1.0) + e.check[0])
 
 
-def shared(values: np.ndarray, dtype=wp.float64) -> wp.array:
+def host_view(values: np.ndarray, dtype=wp.float64) -> wp.array:
     """Flat Warp array over the same memory."""
     flat = values.reshape(-1)
     if not np.shares_memory(flat, values):
@@ -234,7 +234,7 @@ class Boxes:
 
 
 @wp.kernel
-def surround(b: Boxes):
+def compute_bounds(b: Boxes):
     """Computes the box round all corners, its first cell and its greatest speed; one thread, a few hundred multiplications."""
     far, fast = wp.float64(wp.inf), wp.float64(0.0)
     low, high = wp.vec3d(far, far, far), wp.vec3d(-far, -far, -far)
@@ -285,7 +285,7 @@ class Corners:
         """Sets the cell size dx [m], the grid's `corner` (3,) m, and the number of cells (3,) in the box round all corners."""
         self.grid, self._surround = (dx, wp.vec3d(*corner), wp.vec3d(*map(float, size))), None
 
-    def look(self, pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
+    def measure(self, pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
         """Low and high corner [m] of the upright box round all, first cell of the box of cells, greatest speed [m/s], (10,).
 
         Args:
@@ -294,9 +294,9 @@ class Corners:
         """
         if self._surround is None or self._at[0] is not pose or self._at[1] is not twist:
             boxes = Boxes()
-            boxes.links, boxes.at, boxes.arm = len(self.at), shared(self.at), shared(self.centre)
+            boxes.links, boxes.at, boxes.arm = len(self.at), host_view(self.at), host_view(self.centre)
             boxes.dx, boxes.corner, boxes.size = self.grid
-            boxes.pose, boxes.twist, boxes.seen = shared(pose), shared(twist), shared(self._seen)
-            self._at, self._surround = (pose, twist), Recorded(surround, boxes)
+            boxes.pose, boxes.twist, boxes.seen = host_view(pose), host_view(twist), host_view(self._seen)
+            self._at, self._surround = (pose, twist), Recorded(compute_bounds, boxes)
         self._surround.launch()
         return self._seen

@@ -1,7 +1,7 @@
 """Records fields during a run: at intervals a slice with its picture and, as an option, the whole box for ParaView.
 
     recorder = FieldRecorder("runs/a_fields", run, every=0.1)
-    recorder.look(run)          between two ticks; writes a frame when one is due
+    recorder.record(run)        between two ticks; writes a frame when one is due
 
     omega_z = dv/dx - du/dy        central differences, one-sided at the faces; times 1 / dt from cells to 1/s
 
@@ -132,7 +132,7 @@ class FieldRecorder:
         for path in old:
             path.unlink()
 
-    def look(self, run: Run) -> bool:
+    def record(self, run: Run) -> bool:
         """Writes a frame if one is due, and returns True then; call it between ticks."""
         if run.ticks != self.frames * self.ticks:
             return False

@@ -92,7 +92,7 @@ def offset(r: wp.vec3i):
 
 
 @wp.func
-def beyond(s: Nest, x: wp.vec3i, axis: int):
+def is_outside(s: Nest, x: wp.vec3i, axis: int):
     """True if a coarse cell, counted from R's low corner, is outside R along an axis that R does not fill."""
     return s.ghost[axis] > 0 and (x[axis] < 0 or 2 * x[axis] >= s.size[axis])
 
@@ -100,7 +100,7 @@ def beyond(s: Nest, x: wp.vec3i, axis: int):
 @wp.func
 def within_box(s: Nest, x: wp.vec3i):
     """True if a coarse cell, counted from R's low corner, is inside R."""
-    return not (beyond(s, x, 0) or beyond(s, x, 1) or beyond(s, x, 2))
+    return not (is_outside(s, x, 0) or is_outside(s, x, 1) or is_outside(s, x, 2))
 
 
 @wp.func_native("return (later ? second.data : first.data)[i];")
@@ -141,7 +141,7 @@ def in_coarse(s: Nest, corner: vec6i, x: wp.vec3i):
 
 
 @wp.func
-def around(s: Nest, corner: vec6i, x: wp.vec3i):
+def neighbours_of(s: Nest, corner: vec6i, x: wp.vec3i):
     """Index `in_coarse` of a cell, and of its neighbours behind it and ahead of it on each axis."""
     n = s.coarse
     i, j, k = within(corner[3] + x[0], n[0]), within(corner[4] + x[1], n[1]), within(corner[5] + x[2], n[2])
@@ -166,7 +166,7 @@ def entry(s: Nest, x: wp.vec3i, c: wp.vec3i, second: int):
     k = 2.0 * float(second) - 1.0
     edges = int(0)  # noqa: UP018  a variable to Warp
     for a in range(3):
-        if c[a] != 0 and beyond(s, x, a):
+        if c[a] != 0 and is_outside(s, x, a):
             edges += 1
     if edges == 2:
         k -= 0.5  # one child in four enters in the first step: the mean over all shall stay f_i(X)
@@ -174,7 +174,7 @@ def entry(s: Nest, x: wp.vec3i, c: wp.vec3i, second: int):
 
 
 @wp.func
-def end_of(s: Nest, p: wp.vec3i, here: int):
+def unfilled_end(s: Nest, p: wp.vec3i, here: int):
     """-1 or 1 for a ghost cell at the low or high end of z whose sector of the memory has nothing of R in it, else 0.
 
     The ghost of the other end may be in that sector. A write for one end destroys nothing of the other: no population enters at
@@ -188,7 +188,7 @@ def end_of(s: Nest, p: wp.vec3i, here: int):
 
 
 @wp.func
-def loaded(f: wp.array(dtype=float), n: wp.vec3i, here: int):
+def load_cell(f: wp.array(dtype=float), n: wp.vec3i, here: int):
     """Loads all populations of a cell."""
     q = vec19()
     for i in range(_Q):
@@ -197,7 +197,7 @@ def loaded(f: wp.array(dtype=float), n: wp.vec3i, here: int):
 
 
 @wp.func
-def stored(f: wp.array(dtype=float), n: wp.vec3i, here: int, q: vec19):
+def store_cell(f: wp.array(dtype=float), n: wp.vec3i, here: int, q: vec19):
     """Stores all populations of a cell."""
     for i in range(_Q):
         poke(f, i * n[0] * n[1] * n[2] + here, q[i])
@@ -229,7 +229,7 @@ def explode(
     i = direction_in(word)
     x = cell_in(word, s.shell, s.by_shell) - s.ghost
     low = 2 * x + s.ghost
-    here, behind, ahead = around(s, o, x)
+    here, behind, ahead = neighbours_of(s, o, x)
     if i == 0:
         middle = peek3(u, here)
         gx = peek3(u, ahead[0]) - peek3(u, behind[0])
@@ -240,7 +240,7 @@ def explode(
                 r = child_at(child)
                 d = offset(r)
                 there = in_fine(s, o, low + r)
-                end = end_of(s, low + r, there)
+                end = unfilled_end(s, low + r, there)
                 v = middle + 0.5 * d[0] * gx + 0.5 * d[1] * gy + 0.5 * d[2] * gz
                 poke_end(u_first, there, end, v)
                 poke_end(u_second, there, end, v)
@@ -259,7 +259,7 @@ def explode(
                     d = offset(r) + along
                     p = low + r + second * c
                     there = in_fine(s, o, p)
-                    end = end_of(s, p, there)
+                    end = unfilled_end(s, p, there)
                     w = value + 0.5 * d[0] * g[0] + 0.5 * d[1] * g[1] + 0.5 * d[2] * g[2]
                     if second == 0:
                         poke_end(f_first, plane + there, end, w)
@@ -317,7 +317,7 @@ def strain(dx: wp.vec3, dy: wp.vec3, dz: wp.vec3):
 
 
 @wp.func
-def loaded_pair(f: wp.array(dtype=float), cells: int, here: int):
+def load_cell_pair(f: wp.array(dtype=float), cells: int, here: int):
     """Loads all populations of two neighbours along z, the first at an even place."""
     q = mat219()
     for i in range(_Q):
@@ -347,7 +347,7 @@ def restrict(
     for pair in range(pairs):  # four, but the compiler shall not write them out
         a, b = pair / 2, pair % 2
         here = in_fine(s, o, 2 * x + s.ghost + wp.vec3i(a, b, 0))
-        both, velocities = loaded_pair(f_fine, fine_cells, here), peek3_pair(u_fine, here)
+        both, velocities = load_cell_pair(f_fine, fine_cells, here), peek3_pair(u_fine, here)
         for c in range(2):
             q, w = both[c], velocities[c]
             rho = density(q)
@@ -364,14 +364,14 @@ def restrict(
     w = (1.0 / (1.0 + drho)) * m
     p += ((1.0 + drho) * _CS2) * strain(dx, dy, dz)
     here = in_coarse(s, o, x)
-    stored(f, s.coarse, here, reconstruct(drho, w, w, p))
+    store_cell(f, s.coarse, here, reconstruct(drho, w, w, p))
     poke3(u, here, v)
 
 
 @wp.func
 def moments(f: wp.array(dtype=float), n: wp.vec3i, here: int):
     """rho - 1 and rho u of a coarse cell."""
-    q = loaded(f, n, here)
+    q = load_cell(f, n, here)
     m = momentum(q)
     return wp.vec4(density(q), m[0], m[1], m[2])
 
@@ -397,8 +397,8 @@ def prolong(
     if at[0] >= 0 and at[0] < kept_size[0] and at[1] >= 0 and at[1] < kept_size[1] and at[2] >= 0 and at[2] < kept_size[2]:
         return
     o = six(corner)
-    here, behind, ahead = around(s, o, x)
-    q = loaded(f, n, here)
+    here, behind, ahead = neighbours_of(s, o, x)
+    q = load_cell(f, n, here)
     drho, m = density(q), momentum(q)
     p = non_equilibrium_stress(q, drho, (1.0 / (1.0 + drho)) * m)
     gx = 0.5 * (moments(f, n, ahead[0]) - moments(f, n, behind[0]))
@@ -414,7 +414,7 @@ def prolong(
         g = wp.vec4(drho, m[0], m[1], m[2]) + d[0] * gx + d[1] * gy + d[2] * gz
         v = (1.0 / (1.0 + g[0])) * wp.vec3(g[1], g[2], g[3])
         there = in_fine(s, o, 2 * x + s.ghost + r)
-        stored(f_fine, s.fine, there, reconstruct(g[0], v, v, p))
+        store_cell(f_fine, s.fine, there, reconstruct(g[0], v, v, p))
         poke3(u_fine, there, peek3(u, here) + d[0] * ux + d[1] * uy + d[2] * uz)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from fishmj.base.errors import ConfigError, OracleUnstable
+from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked_kind
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, PERIODIC, Boundaries
 from fishmj.lbm_oracle.fluid.fields import Survey
@@ -366,15 +366,9 @@ class RefinedFluid(Fluid):
         speed, lost = max(fine.speed, coarse.speed), fine.lost + coarse.lost
         return Survey(min(fine.rho_min, coarse.rho_min), max(fine.rho_max, coarse.rho_max), speed, mass, lost)
 
-    def finer(self, factor: int) -> Fluid:
-        """Raises OracleUnstable: finer steps need one level; use a `RefinedRun`, or half the dt."""
-        raise OracleUnstable(
-            "refined: this run takes finer steps on one level only; take a `RefinedRun`, or half the dt", limit="mach"
-        )
-
-    def finer_levels(self, factor: int) -> "RefinedFluid":
-        """Undisturbed water on both levels, with the same cells at their present place and steps `factor` times finer."""
-        outer = self.outer.finer_levels(factor) if isinstance(self.outer, RefinedFluid) else self.outer.finer(factor)
+    def finer(self, factor: int) -> "RefinedFluid":
+        """Undisturbed water on all levels, with the same cells at their present place and steps `factor` times finer."""
+        outer = self.outer.finer(factor)
         outer._place(self.outer.origin_lu.copy())
         x, y, z = self.low_lu
         same: dict[str, Any] = {"linear": self._linear, "threads": self.threads, "numbers": int(self._numbers[2])}

@@ -12,48 +12,24 @@ holds the root or moves it along `root`. The torques that this needs are the rea
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from itertools import count
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError, FishmjError, LogError, OracleUnstable, SimDiverged
+from fishmj.base.errors import ConfigError, FishmjError, OracleUnstable, SimDiverged
 from fishmj.base.options import checked_array, shown_value
-from fishmj.lbm_oracle.fluid.guard import MACH, Watch, numbers
+from fishmj.lbm_oracle.fluid.guard import MACH, StabilityMonitor, numbers
+from fishmj.lbm_oracle.fluid.lattice import RATIO
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
-from fishmj.lbm_oracle.run.run_meta import about, plausible
+from fishmj.lbm_oracle.run.pipeline import CAUTION, DeviceTick, HostTick, JointDriver, Pipeline, servo_power
+from fishmj.lbm_oracle.run.run_log import trial_of
 from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
-from fishmj.log import Trial, numbered
+from fishmj.log import Trial
 from fishmj.mjcf import load_robot
-from fishmj.mjcf.description import Robot
-from fishmj.mjcf.geometry import link_centres
 from fishmj.mjcf.model import reference_pose
 from fishmj.mjcf.servos import arrived, on_the_bus
-from fishmj.water.flow import Flow
 
-ALERT = 50  # ticks after one that was done again: the wake is still fast
-PATIENCE = 2000  # turns that other tanks are given while one's device works
-AUDIT = 50  # ticks between two that MuJoCo does again, where the device moves the fish by itself
-_RUNS = count()  # of this process
-CAUTION = 0.6  # of the limit: from this speed on, a tick keeps a checkpoint of its start
-
-
-class JointDriver(Protocol):
-    """Moves the joints through one tick; a new one for each tick, and for each repetition with finer steps."""
-
-    @property
-    def power(self) -> float:
-        """Mean power that the servos drew, W."""
-
-    def actuate(self, step: int) -> tuple:
-        """Sets the joints' torque in this step of the tick; returns `fixed` and `value` of `FluidStructure.solve`."""
-
-    def record(self) -> None:
-        """Called when the step's equation is assembled and its launches are under way."""
-
-    def follow(self) -> None:
-        """Called after MuJoCo has done the step."""
+ALERT = 50  # ticks after a repeated one that keep a checkpoint: the wake is still fast
 
 
 class Servos:
@@ -85,11 +61,6 @@ class Servos:
         return servo_power(np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb)
 
 
-def servo_power(torque: np.ndarray, rate: np.ndarray, kb: float) -> float:
-    """Mean servo power over the steps, P = sum max(tau (tau - k_b w) / k_b, 0), W; torque N m and rate rad/s, (S, J)."""
-    return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)
-
-
 class LeftDomain(FishmjError, RuntimeError):
     """Error: the fish reached the edge of its box of water; everything before is kept."""
 
@@ -109,16 +80,16 @@ class Run:
 
     Attributes:
         root: path of a tethered fish, t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
-        ahead: pipelines ticks: tick n + 1 starts before the host reads tick n. Needs a command latency of one tick or more and
+        pipelined: tick n + 1 starts before the host reads tick n (`pipeline`). Needs a command latency of one tick or more and
             a window that does not move. The water is then one tick ahead of the fish, and `FluidStructure.scope` refuses to
             show it. A fish whose speed doubles within one tick gets finer steps one tick later.
 
     Raises:
-        ConfigError: the fluid's step does not divide the bus tick, or an invalid latency.
+        ConfigError: a bus tick is not a whole number of steps of the water, on every level, or an invalid latency.
     """
 
     root: Callable[[float], np.ndarray] | None = None
-    ahead = False
+    pipelined = False
     boundary_name = "plain"  # for the log
 
     def __init__(
@@ -133,7 +104,6 @@ class Run:
         on_device: bool | None = None,
     ):
         self.on_device = coupled.fluid.device.is_cuda if on_device is None else on_device
-        self._at_once: dict[int, DeviceSteps] = {}  # by how many times finer the steps are
         self.coupled, self.robot = coupled, load_robot(robot)
         for name, does in (("prescribed", prescribed), ("follow", follow)):
             if not (does is None or callable(does)):
@@ -144,11 +114,16 @@ class Run:
         if self.steps < 1 or abs(self.steps * dt - timing.bus_dt) > 1e-9:
             near = timing.bus_dt / max(1, round(timing.bus_dt / dt))
             raise ConfigError(f"run: the bus tick of {timing.bus_dt} s is no multiple of dt = {dt} s; nearest dt: {near:g} s")
+        levels = coupled.fluid.levels
+        if self.steps % RATIO ** (len(levels) - 1):
+            coarse, tick = levels[-1].lattice.dt, timing.bus_dt
+            raise ConfigError(
+                f"run: the bus tick of {tick} s is no multiple of the coarse dt = {coarse:g} s; take {tick / 5:g} s"
+            )
         late = timing.command_latency if latency is None else float(numbers("run: latency", latency, low=0.0))
         self.delay = round(late / dt)
         self.joints = self.robot.n_joints
-        self._refinement = Refinement(coupled)
-        self._audited = next(_RUNS) % AUDIT  # tanks side by side do not all wait for MuJoCo in the same tick
+        self._refinement, self._pipeline = Refinement(coupled), Pipeline()
         self.begin()
 
     def begin(self) -> None:
@@ -156,8 +131,8 @@ class Run:
 
         Raises ConfigError if the water is ahead.
         """
-        if self.coupled.ahead:
-            raise ConfigError("run: the water is ahead of the fish; begin before its first tick ahead")
+        if self.coupled.in_flight:
+            raise ConfigError("run: the water is ahead of the fish; begin before its first pipelined tick")
         self.ticks = 0
         self.commands = [self.angles()]  # on the bus; number 0 was there before t = 0
         self.start = self.coupled.time
@@ -165,7 +140,7 @@ class Run:
         self.pushed = self.pose[3:]
         self.rows: list[tuple] = []
         self.stopped = ""  # why the run ended early
-        self.watch = Watch()
+        self.watch = StabilityMonitor()
         self.fastest = 0.0  # marker in the last tick, m/s
         self.factor = 1  # of the last tick that was done: how many times finer its steps were
         self.refined = 0  # ticks that were done again with finer steps
@@ -203,128 +178,58 @@ class Run:
         """Advances one tick; yields when the device has work and the host could serve another tank (`ConcurrentRuns`)."""
         sent = self._send(command)
         began, done = self.time, None
-        begun = self.coupled.ahead  # with the device's own steps, whatever the tick before has shown
+        begun = self.coupled.in_flight  # with the grid's own steps, whatever the tick before has shown
         careful = not begun and (self.fastest > CAUTION * self.limit or self.ticks < self.alert)
         kept = checkpoint(self.coupled) if careful else None  # 164 bytes a cell: too much to copy before every tick
         try:
             if begun or self.fastest <= self.limit:  # else the tick before was too fast, and so will this one be
-                done = yield from self._steps(self.coupled, 1, give_up=kept is not None)
+                done = yield from self._run_tick(self.coupled, 1, stop_if_too_fast=kept is not None)
         except (SimDiverged, OracleUnstable):
             if kept is None:
                 raise
-        power, raw, whole = done or (yield from self._again(cast(TickState, kept)))  # a tick stops only where one was kept
+        power, raw, whole = done or (yield from self._redo_tick(cast(TickState, kept)))  # it stops only with a checkpoint
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
-    def _steps(self, coupled: FluidStructure, factor: int, give_up: bool = True) -> Generator[None, None, Tick | None]:
+    def _run_tick(
+        self, coupled: FluidStructure, factor: int, stop_if_too_fast: bool = True
+    ) -> Generator[None, None, Tick | None]:
         """Does the steps of one tick, `factor` times finer: servo power W, link wrenches raw and whole.
 
-        With `give_up` it returns None as soon as a marker is too fast for them.
+        With `stop_if_too_fast` it returns None as soon as a marker is too fast for them.
         """
-        at_once = self._device_steps(coupled, factor)
-        if at_once is not None:
-            return (yield from self._steps_at_once(at_once, factor, give_up))
-        if coupled.ahead:
-            raise ConfigError("run: the water is ahead of the fish, and the host cannot go on there; drive it as before")
-        count, corners = self.steps * factor, coupled.boundary.corners
-        driver, finished = self._driver(coupled, factor), False
-        self.fastest = 0.0
+        tick = self._device_tick(coupled, factor, stop_if_too_fast) or self._host_tick(coupled, factor)
+        fastest, finished = 0.0, False
         try:
-            for i in range(count):
-                coupled.place_markers()
-                coupled.assemble_response()
-                fixed, value = driver.actuate(i)  # only now: the device is at K while the host works out the servos
-                coupled.solve(fixed, value)
-                coupled.push_water()
-                driver.record()
-                yield  # between the launches and the wait: the host serves other tanks while this one's device works
-                coupled.advance()
-                driver.follow()
-                self.watch.end()  # the look begun after the step before: its copies lie behind the velocity just waited for
-                self.fastest = max(self.fastest, coupled.body.fastest(corners))
-                if give_up and self.fastest > factor * self.limit:
-                    return None  # before the wrong water is followed or looked at: the checkpoint is what counts
-                self._look(coupled)
-            finished = True
-        finally:
-            coupled.join_stream()
-            if not finished:
-                self.watch.pending = None  # it would judge water that the checkpoint throws away
-        self.factor = factor
-        return driver.power, *coupled.take_wrench(count * coupled.body.dt)
-
-    def _device_steps(self, coupled: FluidStructure, factor: int) -> DeviceSteps | None:
-        """Steps of a whole tick on the device, or of finer ones in `factor` parts; None if the host does the steps."""
-        led = self.prescribed or (self.tethered and (self.root is not None or self.coupled.ahead))
-        if not self.on_device or led or type(self)._driver is not Run._driver:
-            return None
-        if factor not in self._at_once:
-            try:
-                self._at_once[factor] = DeviceSteps(coupled, self.steps)
-            except ConfigError:  # a body or a coupling that the device does not compute
-                self.on_device = False
-        return self._at_once.get(factor)
-
-    def _steps_at_once(self, at_once: DeviceSteps, factor: int, give_up: bool) -> Generator[None, None, Tick | None]:
-        """Does the steps of one tick on the device; the host checks after every `1 / factor` of it. Results as `_steps`."""
-        coupled, finished, later, seen = at_once.coupled, False, None, []
-        audit = self.ticks == 0 or self.ticks % AUDIT == self._audited
-        fastest = 0.0
-        try:
-            for part in range(factor):
-                if not coupled.ahead:
-                    at_once.queue(self._targets(self.ticks, part, factor), self.prescribed_velocity(coupled.body.dt)[0])
-                if factor == 1 and not (audit or give_up) and self._goes_on(at_once):
-                    later = self._begin_next(at_once)
-                coupled.ahead = at_once.under_way > 1
-                for _ in range(PATIENCE):
-                    yield
-                    if at_once.ready():
-                        break
-                seen.append(at_once.finish(audit))
-                self.watch.end()  # the look begun before these steps: it lies ahead of what was just waited for
-                fastest = max(fastest, seen[-1].fastest)
-                self.watch.pending, self.fastest = later, fastest
-                if give_up and fastest > factor * self.limit:
-                    return None
-                self._look(coupled)
+            for turn in range(tick.turns):
+                fastest = self.fastest = max(fastest, (yield from tick.advance(turn)))
+                if stop_if_too_fast and fastest > factor * self.limit:
+                    return None  # before the wrong water is followed or surveyed: the checkpoint is what counts
+                self._sample_diagnostics(coupled)
             finished = True
         finally:
             if not finished:
-                self.watch.pending, coupled.ahead = None, False
-            if not coupled.ahead:
+                self.watch.pending, coupled.in_flight = None, False  # a survey would judge water that is thrown away
+            if not coupled.in_flight:
                 coupled.join_stream()
         self.factor = factor
-        torque, rate = (np.concatenate([getattr(part, name) for part in seen]) for name in ("torque", "rate"))
-        drawn = servo_power(torque, rate[:, -self.joints :], self.robot.servo.kb)
-        return drawn, *coupled.take_wrench(factor * self.steps * coupled.body.dt)
+        return tick.power, *coupled.take_wrench(factor * self.steps * coupled.body.dt)
 
-    def _targets(self, tick: int, part: int = 0, factor: int = 1) -> np.ndarray:
-        """Servo targets (S, J) rad in the steps of a tick, or in one of the `factor` parts of a finer tick."""
-        first = part * self.steps
-        return np.array([self.servo_target(tick * self.steps + (first + i) // factor) for i in range(self.steps)])
+    def _device_tick(self, coupled: FluidStructure, factor: int, stop_if_too_fast: bool) -> DeviceTick | None:
+        """The tick on the device; None if the host does the steps."""
+        led = self.prescribed or (self.tethered and (self.root is not None or self.coupled.in_flight))
+        if not self.on_device or led or type(self)._driver is not Run._driver:
+            return None
+        return self._pipeline.tick(self, coupled, factor, stop_if_too_fast)
 
-    def _goes_on(self, at_once: DeviceSteps) -> bool:
-        """Returns True if the next tick may start before the host reads this one."""
-        stays = self.follow is None or not getattr(self.follow, "moves_water", True)
-        known = self.delay >= self.steps
-        calm = self.fastest <= CAUTION * self.limit and self.ticks + 1 >= self.alert
-        seen = self.watch.pending is None or not self.watch.due(self.coupled.fluid, self.steps)  # one look at a time
-        return self.ahead and at_once.goes_on and stays and known and calm and seen and not self.tethered
+    def _host_tick(self, coupled: FluidStructure, factor: int) -> HostTick:
+        if coupled.in_flight:
+            raise ConfigError("run: the water is ahead of the fish, and the host cannot go on there; drive it as before")
+        return HostTick(coupled, self._driver(coupled, factor), self.watch, self.steps * factor)
 
-    def _begin_next(self, at_once: DeviceSteps) -> tuple | None:
-        """Queues the next tick behind the one under way; returns the survey between both, which is judged after it."""
-        fluid, looked = self.coupled.fluid, None
-        if self.watch.due(fluid, self.steps):
-            with self.coupled.behind_what_is_queued():
-                self.watch.begin(fluid)
-            looked, self.watch.pending = self.watch.pending, None
-        at_once.queue_next(self._targets(self.ticks + 1))
-        return looked
-
-    def _look(self, coupled: FluidStructure) -> None:
+    def _sample_diagnostics(self, coupled: FluidStructure) -> None:
         """Checks after a step, or after several in one: the watch surveys the water, a window follows its fish."""
-        if not coupled.ahead and self.watch.due(coupled.fluid, coupled.together):
+        if not coupled.in_flight and self.watch.due(coupled.fluid, coupled.steps_since_sync):
             with coupled.scope():
                 self.watch.begin(coupled.fluid)
         if self.follow is not None:
@@ -346,14 +251,14 @@ class Run:
         """Greatest speed of a marker, m/s, for the grid's own time step."""
         return MACH * self.coupled.fluid.lattice.sound
 
-    def _again(self, kept: TickState) -> Generator[None, None, Tick]:
+    def _redo_tick(self, kept: TickState) -> Generator[None, None, Tick]:
         """Repeats the tick from its checkpoint with finer steps; counted in `refined`.
 
         Raises:
             OracleUnstable: too fast for the finest steps too. SimDiverged: the time step was not the cause.
         """
-        self.coupled.wait_for_water()  # the look at the last tick's end is judged first
-        done = yield from self._refinement.redo(kept, self._factors(), self._steps)
+        self.coupled.wait_for_water()  # the survey at the last tick's end is judged first
+        done = yield from self._refinement.redo(kept, self._factors(), self._run_tick)
         if done is None:
             message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
             raise OracleUnstable(f"oracle: {message} {FACTORS[-1] * self.limit:.2f} m/s. Take a smaller dt", limit="mach")
@@ -404,52 +309,7 @@ class Run:
         Raises:
             LogError: nothing was recorded yet.
         """
-        if not self.rows:
-            raise LogError("oracle run: no tick was finished, nothing to write")
-        rows = plausible(self.rows) if self.stopped else self.rows
-        began, t, cmd, pose, joint, rate, power, raw, whole = (np.array(column) for column in zip(*rows, strict=True))
-        q, v = np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1)
-        before = np.concatenate([self.first[None], q[:-1]])  # at the start of each tick
-        flow = flow_at_links(self.coupled.fluid.flow, self.robot, before, self.start + began)
-        servo, planar = self.robot.servo, [0, 1, 5]
-        # with prescribed joints the servos' power is not known
-        drawn = None if self.prescribed else (servo.voltage, (power + servo.idle_power) / servo.voltage)
-        tables = log_tables(began, t, cmd, q, v, flow, whole[:, :, planar], raw[:, :, planar], drawn)
-        return Trial(about(self, tables), tables)
-
-
-def log_tables(began, t, command, q, v, flow, whole, raw, power: tuple | None = None) -> dict[str, dict[str, np.ndarray]]:
-    """Tables of the log's schema from T ticks of a fish with J joints and L links.
-
-    Args:
-        began, t: start and end of each tick, s. command: (T, J) rad. q, v: (T, 3 + J) at its end.
-        flow: (T, L, 2) m/s at its start. power: voltage V, and current A (T,), if servos drove the joints.
-        whole, raw: (T, L, 3) N, N, N m, means, with and without the interior water.
-    """
-    place, joint, rate = dict(zip(("x", "y", "yaw"), q[:, :3].T, strict=True)), q[:, 3:], v[:, 3:]
-    wrench: dict[str, np.ndarray] = {}
-    for names, values in ((("f#x", "f#y", "m#"), whole), (("r#x", "r#y", "n#"), raw)):
-        for name, column in zip(names, np.moveaxis(values, -1, 0), strict=True):
-            wrench |= numbered(name, column)
-    truth = place | dict(zip(("vx", "vy", "wz"), v[:, :3].T, strict=True)) | numbered("j#", joint) | numbered("k#", rate)
-    return {
-        "cmd": {"t": began, **numbered("c#", command)},
-        "joint": {"t": t, **numbered("j#", joint), **numbered("w#", rate)},
-        "pose": {"t": t, **place},
-        **({} if power is None else {"power": {"t": t, "V": np.full(len(t), power[0]), "I": power[1]}}),
-        "truth": {"t": t, **truth},
-        "flow": {"t": began, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},
-        "wrench": {"t": t, **wrench},
-    }
-
-
-def flow_at_links(flow: Flow, robot: Robot, q: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Undisturbed flow at the links' centres, (T, N, 2) m/s, for states q (T, 3 + J) at times t (T,) s."""
-    points = link_centres(robot, q)
-    if flow.rms == 0.0:
-        return np.broadcast_to(flow.mean[:2], points.shape).copy()
-    deep = np.concatenate([points, np.zeros((*points.shape[:2], 1))], -1)
-    return np.stack([flow.at(where, float(when))[:, :2] for where, when in zip(deep, t, strict=True)])
+        return trial_of(self)
 
 
 class ConcurrentRuns:
@@ -457,15 +317,15 @@ class ConcurrentRuns:
 
     The host serves one tank while the device works on another's water. Every tank has its own stream; `tick` visits all tanks,
     finishes one step of each and begins its next. Tanks share nothing, so results do not depend on their number or order.
-    `ahead`: no caller reads the water between two ticks (`Run.ahead`).
+    `pipelined`: no caller reads the water between two ticks (`Run.pipelined`).
     """
 
-    def __init__(self, runs: Sequence[Run], *, ahead: bool = False):
+    def __init__(self, runs: Sequence[Run], *, pipelined: bool = False):
         if not runs:
             raise ConfigError("tanks: no runs")
         self.runs = list(runs)
-        for run in self.runs if ahead else ():
-            run.ahead = True
+        for run in self.runs if pipelined else ():
+            run.pipelined = True
 
     @property
     def swimming(self) -> list[int]:

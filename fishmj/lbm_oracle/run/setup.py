@@ -19,7 +19,6 @@ from fishmj.lbm_oracle.refined.refined_fluid import RATIO, RefinedFluid, lowest
 from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import Domain, Follower, margin, preset
-from fishmj.lbm_oracle.run.refined_run import run_of
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.solver_water import boundary_name
 from fishmj.mjcf import Robot, load_robot
@@ -154,7 +153,7 @@ class SwimSetup:
     def run(self, **options) -> Run:
         """Run by bus ticks of this set-up; options are those of `Run`."""
         made, edge = self.coupled(), DomainWatch(self.domain, self.pose[2])
-        run = run_of(made, Run)(made, self.robot, follow=edge, **options)
+        run = Run(made, self.robot, follow=edge, **options)
         run.boundary_name = boundary_name(self.sharpness)
         return run
 
@@ -173,7 +172,7 @@ class DomainWatch:
 
     def __call__(self, coupled: FluidStructure) -> None:
         """Moves the water if needed. Raises LeftDomain if a marker is nearer to a face than the margin."""
-        looks = coupled.steps // self.every - (coupled.steps - coupled.together) // self.every
+        looks = coupled.steps // self.every - (coupled.steps - coupled.steps_since_sync) // self.every
         if not looks:
             return
         if self.moves_water:

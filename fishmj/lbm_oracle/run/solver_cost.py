@@ -6,7 +6,8 @@ from math import prod
 from fishmj.base import cost
 from fishmj.base.cores import usable_cores
 from fishmj.lbm_oracle.fluid.device import accelerator
-from fishmj.lbm_oracle.fluid.fluid import BYTES_PER_CELL, MOST
+from fishmj.lbm_oracle.fluid.fluid import BYTES_PER_CELL
+from fishmj.lbm_oracle.fluid.slabs import MOST
 from fishmj.lbm_oracle.run.domain import Domain
 
 RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/solver/results.md, Speed)

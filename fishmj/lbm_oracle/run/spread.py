@@ -42,12 +42,12 @@ GoOn = Callable[[float], bool]
 Work = Callable[[Waiting, str, GoOn], Iterator[Any]]  # asks `waiting` only where it has room for one more
 
 
-def always(done: float) -> bool:
+def never_stop(done: float) -> bool:
     """Returns True: a `go_on` that never ends the work."""
     return True
 
 
-def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn = always) -> Iterator[Any]:
+def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn = never_stop) -> Iterator[Any]:
     """Yields the results of `work` as they arrive.
 
     Args:
@@ -66,10 +66,10 @@ def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn 
     try:
         with processes.sigint_blocked():
             some = devices[: len(todo)]
-            side += (_begun(device, (number, len(some))) for number, device in enumerate(some))
+            side += (_start_process(device, (number, len(some))) for number, device in enumerate(some))
         for one in side:  # after all have begun: they import at the same time
             one.send(work)
-        yield from _served(side, todo, go_on)
+        yield from _serve_processes(side, todo, go_on)
     finally:
         for one in side:
             one.end()
@@ -106,19 +106,19 @@ class _Process:
         self.pipe.close()
 
 
-class _Said(NamedTuple):
+class _Message(NamedTuple):
     """Message of a process: want, made, done, failed, broken or end, with its value."""
 
     what: str
     value: Any = None
 
 
-def _begun(device: str, share: tuple[int, int]) -> _Process:
+def _start_process(device: str, share: tuple[int, int]) -> _Process:
     own = {kind: list(plugins.loaded(kind)) for kind in plugins.KINDS}
-    return _Process(*processes.spawn_worker(_serve, device, share, own, name=device), device)
+    return _Process(*processes.spawn_worker(_work, device, share, own, name=device), device)
 
 
-def _served(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:
+def _serve_processes(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:
     """Answers the processes until all have ended."""
     while busy := [one for one in side if not one.ended]:
         ready = wait([one.pipe for one in busy], timeout=LOOK)
@@ -126,7 +126,7 @@ def _served(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:
             try:
                 said = one.pipe.recv()
                 if said.what == "want":
-                    _give(one, side, todo)
+                    _send_key(one, side, todo)
             except (EOFError, OSError) as error:
                 raise one.died() from error
             if said.what == "made":
@@ -137,12 +137,12 @@ def _served(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator[Any]:
             elif said.what == "end":
                 one.ended = True
             elif said.what != "want":
-                raise _error(one.device, said)
+                raise _error_of(one.device, said)
         if not go_on(sum(one.done for one in side)):
             return
 
 
-def _give(one: _Process, side: list[_Process], todo: deque) -> None:
+def _send_key(one: _Process, side: list[_Process], todo: deque) -> None:
     """Sends a key, or no key if this process has its part of the rest: (True, key), or (False, ask again or not)."""
     part = ceil((len(todo) + sum(other.held for other in side)) / len(side))
     if todo and one.held < part:
@@ -152,7 +152,7 @@ def _give(one: _Process, side: list[_Process], todo: deque) -> None:
         one.pipe.send((False, bool(todo)))
 
 
-def _error(device: str, said: _Said) -> Exception:
+def _error_of(device: str, said: _Message) -> Exception:
     """Error of a process, of its original type if that is one of fishmj's."""
     if said.what == "broken":
         return RuntimeError(f"on device {device}:\n{said.value}")
@@ -167,7 +167,7 @@ def _error(device: str, said: _Said) -> Exception:
 # in the process -------------------------------------------------------------------------------------------------------
 
 
-class _Asked:
+class _KeyRequests:
     """`Waiting` in a process: asks for the next key; asks again after one was finished, or if none is in hand."""
 
     def __init__(self, pipe: Connection):
@@ -175,7 +175,7 @@ class _Asked:
 
     def __bool__(self) -> bool:
         if not self.found and self.more and not self.full:
-            self.pipe.send(_Said("want"))
+            self.pipe.send(_Message("want"))
             given, value = self.pipe.recv()
             if given:
                 self.found.append(value)
@@ -189,7 +189,7 @@ class _Asked:
         return self.found.popleft()
 
 
-def _serve(pipe: Connection, device: str, share: tuple[int, int], own: dict[str, list[str]]) -> None:
+def _work(pipe: Connection, device: str, share: tuple[int, int], own: dict[str, list[str]]) -> None:
     """Main function of the process of one device.
 
     own: the user's code that the parent loaded, by kind, which the work may need.
@@ -204,18 +204,18 @@ def _serve(pipe: Connection, device: str, share: tuple[int, int], own: dict[str,
         work = pipe.recv()
         if "warp" in sys.modules:  # all that computes has imported it by now
             device_of(device)  # before anything else begins Warp, which would greet the user
-        asked = _Asked(pipe)
-        for found in work(asked, device, _Told(pipe)):
+        asked = _KeyRequests(pipe)
+        for found in work(asked, device, _ProgressReports(pipe)):
             asked.full = False
-            pipe.send(_Said("made", found))
-        pipe.send(_Said("end"))
+            pipe.send(_Message("made", found))
+        pipe.send(_Message("end"))
     except FishmjError as error:
-        pipe.send(_Said("failed", (type(error).__name__, str(error))))
+        pipe.send(_Message("failed", (type(error).__name__, str(error))))
     except Exception:  # noqa: BLE001  whatever it is, the one that waits must hear of it
-        pipe.send(_Said("broken", traceback.format_exc()))
+        pipe.send(_Message("broken", traceback.format_exc()))
 
 
-class _Told:
+class _ProgressReports:
     """`go_on` in a process: reports from time to time; the parent ends the process."""
 
     def __init__(self, pipe: Connection, clock: Callable[[], float] = time.monotonic):
@@ -224,5 +224,5 @@ class _Told:
     def __call__(self, done: float) -> bool:
         if self.clock() - self.last > EVERY:
             self.last = self.clock()
-            self.pipe.send(_Said("done", done))
+            self.pipe.send(_Message("done", done))
         return True

@@ -24,7 +24,6 @@ from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.output.slices import STRONG, add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
-from fishmj.lbm_oracle.run.refined_run import OuterState, outer_states, restore_outer
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_option
@@ -58,7 +57,7 @@ def main(argv: list[str]) -> int:
     if args.preset in PREVIEWS:
         console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
     recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
-    with interrupt.finishing(lambda: _words(args, run)):
+    with interrupt.finishing(lambda: _interrupt_message(args, run)):
         wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
     found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
     if args.out:
@@ -86,15 +85,15 @@ def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder
         kept: keeps the last sound state.
     """
     start, ticks = time.perf_counter(), round(seconds / run.robot.timing.bus_dt)
-    with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar, _between_ticks() as asked:
+    with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar, _stop_requests() as asked:
         for n in range(ticks + 1):
             try:
                 if recorder:
-                    recorder.look(run)
+                    recorder.record(run)
                 if n < ticks:
                     run.tick(gait(run.time))
                     if kept:
-                        kept.look(run)
+                        kept.update(run)
             except LeftDomain as error:
                 run.stopped = f"{error}"
             except (SimDiverged, OracleUnstable) as error:
@@ -113,7 +112,7 @@ def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder
     return time.perf_counter() - start
 
 
-def _words(args, run: Run) -> str:
+def _interrupt_message(args, run: Run) -> str:
     """Text for an interrupt during a long tick; writes the trial of the ticks before it, in another thread."""
     if not args.out or not run.rows:
         return "nothing was kept" + ("" if args.out else ": with --out FOLDER the trial is")
@@ -121,7 +120,7 @@ def _words(args, run: Run) -> str:
 
 
 @contextmanager
-def _between_ticks() -> Iterator[list[int]]:
+def _stop_requests() -> Iterator[list[int]]:
     """Yields a list that fills on Ctrl-C or SIGTERM, so that no tick is left half done; a second Ctrl-C interrupts at once."""
     asked: list[int] = []
 
@@ -255,22 +254,20 @@ class LastGood:
     """
 
     def __init__(self) -> None:
-        self.good: tuple[TickState, tuple[OuterState, ...]] | None = None
-        self.candidate: tuple[TickState, tuple[OuterState, ...]] | None = None
+        self.good: TickState | None = None
+        self.candidate: TickState | None = None
         self.looks = 0
 
-    def look(self, run: Run) -> None:
+    def update(self, run: Run) -> None:
         """Updates the states; call it after every tick."""
         if run.watch.looks > self.looks or self.candidate is None:
             self.looks, self.good = run.watch.looks, self.candidate
-            self.candidate = checkpoint(run.coupled), outer_states(run.coupled)
+            self.candidate = checkpoint(run.coupled)
 
     def save(self, path: str | Path, run: Run) -> str:
         """Puts the run back to its last good state and writes it; returns "" if there is none: the water failed at once."""
         if self.good is None:
             return ""
-        body, outer = self.good
-        restore(run.coupled, body)
-        restore_outer(run.coupled, outer)
+        restore(run.coupled, self.good)
         notes = {"robot": run.robot.name, "stopped": run.stopped, "last_good": True}
         return str(snapshot.save(path, run.coupled, **notes))

@@ -4,7 +4,7 @@
 
 Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay unchanged. The non-equilibrium stress P is a rate of strain and scales
 like u if the collision relaxes fully (tau near 1/2, as in water). Mach numbers fall by r. The finer water has the same cells, and
-its memory is allocated at the first use.
+its memory is allocated at the first use. In refined water all levels are copied, repeated and handed over.
 """
 
 from collections.abc import Callable, Generator
@@ -20,6 +20,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Q, vec19
 from fishmj.lbm_oracle.fluid.storage import peek, peek3, poke, poke3
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 
 FACTORS = (2, 4)  # finer steps in one
 
@@ -55,6 +56,15 @@ def _rescale(dtype: type, velocity: type) -> wp.Kernel:
     return rescale
 
 
+class OuterState(NamedTuple):
+    """Water of one coarser level at the start of a tick, still on its device."""
+
+    f: wp.array
+    u: wp.array
+    origin_lu: np.ndarray
+    steps: int
+
+
 class TickState(NamedTuple):
     """State of a coupled fish at the start of a tick, the water still on its device."""
 
@@ -63,19 +73,23 @@ class TickState(NamedTuple):
     origin: wp.array
     origin_lu: np.ndarray
     steps: int
-    body: tuple  # qpos, qvel, ctrl, time, momentum, slide
+    outer: tuple[OuterState, ...]  # the coarser levels, the finer first
+    body: tuple  # qpos, qvel, ctrl, time, momentum, interior speed
     gain: np.ndarray
     wrench: wp.array
     done: int
 
 
 def checkpoint(coupled: FluidStructure) -> TickState:
-    """Copies everything on which the next step depends."""
+    """Copies everything on which the next step depends, on all levels of the water."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
     solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.interior_speed.copy()
     with coupled.scope():
         water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
-        return TickState(*water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
+        outer = tuple(
+            OuterState(wp.clone(level.f), wp.clone(level.u), level.origin_lu.copy(), level.steps) for level in fluid.levels[1:]
+        )
+        return TickState(*water, outer, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
 
 
 def restore(coupled: FluidStructure, kept: TickState) -> None:
@@ -87,15 +101,19 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
         wp.copy(fluid.u, kept.u)
         wp.copy(coupled.boundary.wrench, kept.wrench)
         _set_clock(fluid, kept.origin, kept.origin_lu, kept.steps)
-    qpos, qvel, data.ctrl[:], data.time, momentum_before, slide = kept.body
-    body.place(qpos, qvel, slide)
+        for level, water in zip(fluid.levels[1:], kept.outer, strict=True):
+            wp.copy(level.f, water.f)
+            wp.copy(level.u, water.u)
+            level._place(water.origin_lu.copy())
+            level.steps = water.steps
+            level.clock.fill_(water.steps)
+    qpos, qvel, data.ctrl[:], data.time, momentum_before, interior_speed = kept.body
+    body.place(qpos, qvel, interior_speed)
     body.momentum[:], coupled.gain, coupled.steps = momentum_before, kept.gain.copy(), kept.done
 
 
 class Refinement:
     """Repeats ticks of one coupled fish in waters with finer steps."""
-
-    structure: type[FluidStructure] = FluidStructure  # of the finer waters
 
     def __init__(self, coupled: FluidStructure):
         self.coupled = coupled
@@ -110,10 +128,10 @@ class Refinement:
             SimDiverged, OracleUnstable: the error of the finest steps.
         """
         for factor in factors:
-            self.restore(kept)
-            fine = self._fine(factor)
-            self.hand_over(self.coupled, fine)
-            fine.take_wrench(1.0)  # what an attempt that was given up had summed
+            restore(self.coupled, kept)
+            fine = self.finer(factor)
+            hand_over(self.coupled, fine)
+            fine.take_wrench(1.0)  # the sum of an attempt that was given up
             try:
                 done = yield from steps(fine, factor)
             except (SimDiverged, OracleUnstable):
@@ -121,31 +139,22 @@ class Refinement:
                     raise
                 continue
             if done is not None:
-                self.hand_over(fine, self.coupled)
+                hand_over(fine, self.coupled)
                 return done
         return None
 
-    def restore(self, kept: TickState) -> None:
-        """Goes back to the start of the tick."""
-        restore(self.coupled, kept)
+    def finer(self, factor: int) -> FluidStructure:
+        """The same body in water with steps shorter by `factor`; its state is not set.
 
-    def hand_over(self, giver: FluidStructure, taker: FluidStructure) -> None:
-        """Moves fish and water from one time step to the other."""
-        hand_over(giver, taker)
-
-    def finer_water(self, factor: int) -> Fluid:
-        """Water with steps shorter by `factor`."""
-        return self.coupled.fluid.finer(factor)
-
-    def _fine(self, factor: int) -> FluidStructure:
-        """The same body in finer water: made once, because its arrays are as large as the first ones; its state is not set."""
+        It is made once, because its arrays are as large as the first ones.
+        """
         if factor not in self._finer:
             old = self.coupled
-            water = self.finer_water(factor)
+            water = old.fluid.finer(factor)
             old.body.set_step(water.lattice.dt)
             same = {"slip": old.slip, "width": old.boundary.width, "passes": old.boundary.passes}
             same |= {"scheme": old.scheme, "interior": old.interior}
-            self._finer[factor] = self.structure(water, old.body, old.boundary.markers, **same)
+            self._finer[factor] = type(old)(water, old.body, old.boundary.markers, **same)
         return self._finer[factor]
 
 
@@ -153,12 +162,15 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     """Moves fish and water from one time step to the other; wrenches stay with the fish that summed them."""
     r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
     a, b = giver.fluid, taker.fluid
-    taker.come_behind(giver)
+    taker.wait_for_stream_of(giver)
     with taker.scope():
         inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
         wp.launch(_rescale(a.f.dtype, a.u.dtype), dim=a.cells, inputs=inputs, device=a.device)
         _set_clock(b, a.origin, a.origin_lu, round(a.steps / r))
-    giver.come_behind(taker)
+        if isinstance(a, RefinedFluid) and isinstance(b, RefinedFluid):
+            b.take_outer(a)
+            taker.steps = b.steps  # an attempt may be given up after any step: looks shall fall between two coarse steps
+    giver.wait_for_stream_of(taker)
     body = taker.body
     now = body.water_momentum()
     body.momentum[:] = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step

@@ -27,7 +27,6 @@ from fishmj.hydro_fit.campaign.data.run_segments import DOUBT
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.refined_run import in_levels
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, JointDriver, LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.spread import Waiting
@@ -144,11 +143,6 @@ class HiddenRun(Run):
 
     def _driver(self, coupled: FluidStructure, factor: int) -> JointDriver:
         return ElectronicsDriver(self.electronics, coupled, self.ticks)
-
-
-def hidden_run(job: Job, device: str) -> HiddenRun:
-    """The run of a job, with refined levels if its domain has some; raises as `HiddenRun`."""
-    return (HiddenRun if job.domain.fine is None else in_levels(HiddenRun))(job, device)
 
 
 class ElectronicsDriver:
@@ -271,7 +265,7 @@ def run_jobs(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int
     busy: list[HiddenRun] = []
     while busy or queue:
         while len(busy) < tanks and queue:
-            busy.append(hidden_run(queue.popleft(), device))
+            busy.append(HiddenRun(queue.popleft(), device))
         ConcurrentRuns(busy).tick([np.zeros(run.joints) for run in busy])
         for run in [run for run in busy if run.done]:
             busy.remove(run)

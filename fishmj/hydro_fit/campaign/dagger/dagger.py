@@ -42,7 +42,7 @@ from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_data
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
-from fishmj.lbm_oracle.run.run import flow_at_links
+from fishmj.lbm_oracle.run.run_log import flow_at_links
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task

@@ -23,11 +23,11 @@ from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.refined_run import run_of
-from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run, flow_at_links, log_tables
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.run_log import flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import boundary_entry
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, always
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop
 from fishmj.log import SCHEMA, Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
@@ -164,7 +164,7 @@ class SegmentRunner:
         }
 
 
-def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = always) -> Iterator[Finished]:
+def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = never_stop) -> Iterator[Finished]:
     """Runs the waiting segments, `tanks` at a time, each at its own pace; a free tank takes the next segment.
 
     Args:
@@ -222,7 +222,7 @@ def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
         joints = segment.joints or (0.0,) * robot.n_joints
         coupled.body.place(reference_qpos(coupled.body.model, pose, joints), segment.velocity)
     edge = DomainWatch(domain, yaw)
-    run = run_of(coupled, Run)(coupled, robot, follow=edge, tethered=moved.root is not None, prescribed=moved.joints)
+    run = Run(coupled, robot, follow=edge, tethered=moved.root is not None, prescribed=moved.joints)
     if moved.root is not None:
         path, off = moved.root, np.array([pose[0] - x, pose[1] - y, 0.0])
         run.root = lambda t: path(t) + off

@@ -12,10 +12,10 @@ from fishmj import lbm_oracle
 
 PHYSICS = (
     *("fluid/collide", "fluid/domain_faces", "fluid/fluid", "fluid/inflow", "fluid/lattice", "fluid/pairs", "fluid/rows"),
-    *("fluid/step", "fluid/storage", "immersed/articulated_body", "immersed/body", "immersed/boundary", "immersed/coupling"),
-    *("immersed/device_body", "immersed/device_steps", "immersed/early_water", "immersed/fsi_solve", "immersed/kernels"),
-    *("immersed/marker_warps", "immersed/markers", "refined/crossings", "refined/exchange", "refined/refined_fluid"),
-    *("refined/refined_structure", "run/refined_run", "run/time_refinement"),
+    *("fluid/slabs", "fluid/step", "fluid/storage", "immersed/articulated_body", "immersed/body", "immersed/boundary"),
+    *("immersed/coupling", "immersed/device_body", "immersed/device_steps", "immersed/early_water", "immersed/fsi_solve"),
+    *("immersed/kernels", "immersed/marker_warps", "immersed/markers", "refined/crossings", "refined/exchange"),
+    *("refined/refined_fluid", "refined/refined_structure", "run/time_refinement"),
 )
 # hashes of later code -> that of the code which made the shipped segments: all results are equal to the bit on a CPU, with two
 # exceptions. `SECTORS` in refined water: nodes have other numbers and markers their round-off, 1e-9. From `SHORT` on: the eddy
@@ -34,7 +34,9 @@ EDGED = "8d1566379f522052afc1869614e2bd3c600135bae1a091e6c0ef7b90241a1b46"  # an
 TREES = "a49ee31bb533b9700cbc0e882b344be74349a904f5cbd0fa116445696fbb3cc3"  # bodies of any shape, checks; a fish to the bit
 CHECKED = "3f5d5c786db440eda181170c089b18802b7fee14a50425a13bee6734b368ec5e"  # every object and number is checked; to the bit
 ROOMS = "e9e86576e9e2d74b532ae597dde80d9adbc213fc0e50627dc4d6cc974ec94984"  # imports of moved modules, no other line
-LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS)
+# one generator for a coupled step, one class of run for all levels, one subgrid model, plain names; to the bit on a CPU
+ONE_LOOP = "3fe611ac37e302d67b2ecb0e893490b86e9764493a8878f400bbcfcd5a9525ba"
+LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
 SAME = dict.fromkeys(LATER, SHIPPED)
 
 
