@@ -179,10 +179,6 @@ class Physics(dm_mujoco.Physics):
         pose = reference_pose(self.model.ptr, self.data.ptr)
         return np.array([pose[0], pose[1], self._unwrapped(pose[2])])
 
-    def reference_velocity(self) -> np.ndarray:
-        """(x', y', yaw') of the reference point, m/s, rad/s."""
-        return reference_pose(self.model.ptr, self.data.ptr)[3:]
-
     def joint_angles(self) -> np.ndarray:
         """Encoder readings, (J,) rad."""
         return self.data.qpos[-self.model.nu :] - self.swim.params.zero[0]
@@ -191,17 +187,9 @@ class Physics(dm_mujoco.Physics):
         """Joint rates (J,) rad/s."""
         return self.data.qvel[-self.model.nu :].copy()
 
-    def target_position(self) -> np.ndarray:
-        """Position of the target (2,) m."""
-        return self.data.mocap_pos[0, :2].copy()
-
     def place_target(self, position) -> None:
         """Moves the target to (2,) m."""
         self.data.mocap_pos[0, :2] = position
-
-    def water_velocity(self) -> np.ndarray:
-        """Mean flow (2,) m/s; for logs, never for a policy."""
-        return np.array(self.swim.current.mean[0])
 
     def trace(self) -> engines.Trace:
         """Trace of the bus ticks since the last `send`, one control step at most, as the engines' Trace with a batch of one."""

@@ -1,6 +1,6 @@
 """Decides the rows of a benchmark again with the gate that each robot's own healthy swims allow, without a search.
 
-    python -m fishmj.gap.bench.gates_again studies/gap_benchmark/rows/solver_21.jsonl studies/gap_benchmark/rows/solver_21_own.json
+    python -m studies.gap_benchmark.gates_again studies/gap_benchmark/rows/solver_21.jsonl studies/gap_benchmark/rows/solver_21_own.json
 
 A search does not depend on the gate of agreement, nor on that of the residual; only the decision does. A row holds the gates'
 inputs (`gates`, `steps`), so that `AGREES` and `UNEXPLAINED` follow from it. If the gates let a name pass, the later vetoes are
