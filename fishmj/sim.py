@@ -26,7 +26,7 @@ from fishmj.engines.recorder import Recorder, rescue
 from fishmj.engines.single import water_of
 from fishmj.log import Trial
 from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
-from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.mjcf.servos import arrived_of, on_the_bus
 from fishmj.water import choice
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Current, Flow, sample
@@ -167,7 +167,7 @@ class Sim:
 
         With the path "move_time" the servo moves linearly from one command to the next in one tick.
         """
-        return arrived(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
+        return arrived_of(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
 
     def links(self) -> np.ndarray:
         """World positions of the link centres, (N, 3) m."""

@@ -15,8 +15,8 @@ from fishmj import engines
 from fishmj.effects import get
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import batch, compiled, fast_math, numba_build, planar, residual_lanes
+from fishmj.engines.single import HookedWater, closed_form
 from fishmj.mjcf import load_robot
-from fishmj.tasks.dm_control import physics
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Flow, sample, stack
@@ -79,7 +79,7 @@ def test_with_effects_at_every_site_beside_it_too(turbulence):
 
 @pytest.mark.parametrize("robot", [ROBOT, with_effects()], ids=["alone", "effects"])
 def test_forces_are_those_of_numpy(robot):
-    engine, ch, rng = compiled.Engine(robot, threads=1), planar_chain.chain_of(robot), np.random.default_rng(2)
+    engine, rng = compiled.Engine(robot, threads=1), np.random.default_rng(2)
     state, _, params, _, _ = school(robot, "default")
     memory = state.memory.copy()
     memory[:, -18:] = rng.uniform(-0.5, 0.5, (FISH, 18))
@@ -90,9 +90,14 @@ def test_forces_are_those_of_numpy(robot):
     added = engines.Extensions.of(robot)
     for i in range(FISH):
         row = lambda a, i=i: a[i : i + 1]
-        fish = (row(q), row(v), row(state.attached), type(params)(*map(row, params)), *map(row, around), row(memory))
-        want = physics.in_numpy(ch, *fish, added=added)
-        assert far([row(part) for part in got], want) < 1e-9
+        fish = HookedWater(robot, added, planar_chain.nominal(robot))
+        fish.set_fish(type(params)(*map(row, params)))
+        fish.attached, fish.memory = float(state.attached[i]), memory[i].tolist()
+        target, *water = (part[i] for part in around)
+        fish.set_flow(*water)
+        want = fish.forces(q[i], v[i], target)
+        want = want[0], fish.attached, want[1], fish.memory
+        assert far([part[i] for part in got], [np.array(part) for part in want]) < 1e-9
     strips = compiled.Engine(engines.in_water(load_robot("fish"), "swift-base")) if not robot.effects else None
     if strips is not None:  # the residual is there: the strips alone do not make this force
         assert np.abs(strips.forces(q, v, state.attached, params, *around).force - got.force).max() > 1e-3
@@ -178,4 +183,4 @@ def test_mujocos_engines_take_the_compiled_evaluator(double):
     assert far(*alike) < 1e-9
     evaluate, _ = batch.evaluator_of(ROBOT, planar_chain.chain_of(ROBOT), None)
     assert evaluate.__self__.__class__ is compiled.Engine
-    assert physics.evaluator(ROBOT, planar_chain.chain_of(ROBOT)).__self__.__class__ is compiled.Engine
+    assert closed_form(ROBOT).engine.__class__ is compiled.Engine

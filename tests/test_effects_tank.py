@@ -346,7 +346,7 @@ def test_dm_control_solver_fish_has_described_and_drawn_effects(dry):
     env.step(np.array([0.5, 0.0, 0.0]))
     (run,), params = env.physics.engine.tanks.runs, env.task.scenario.params
     assert run.added.row == params.effects[0].tolist() and 0.02 <= params.effects[0, 1] <= 0.15
-    np.testing.assert_array_equal(env.physics.swim.memory[0], run.added.memory)
+    np.testing.assert_array_equal(env.physics.fish.memory[0], run.added.memory)
     assert run.added.memory[tank_run.CLOCK] == pytest.approx(0.2), "the held second before is not part of the session"
     with pytest.raises(ConfigError, match="wake_memory"):
         suite.load("fish", "station_hold", task_kwargs={**given, "effects": ("wake_memory",)})

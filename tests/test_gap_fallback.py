@@ -10,7 +10,6 @@ pytest.importorskip("numba")
 from test_gap_outdone import behind  # noqa: E402
 
 from fishmj.effects.sites import BodyMotion, Gear, LocalWater, Measured, ServoDrive
-from fishmj.gap.bench.free_terms import RIGHT
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
@@ -19,6 +18,7 @@ from fishmj.gap.terms.library import CURVES, library, model_with_terms, one_side
 from fishmj.gap.terms.select import terms_of
 from fishmj.gap.thresholds import thresholds
 from fishmj.mjcf.reading import load_robot
+from studies.gap_benchmark.free_terms import RIGHT
 
 RUNS = ("gait_fast", "turn_left", "tow_oblique")
 STILL = dict.fromkeys(BodyMotion._fields, 0.0)

@@ -13,7 +13,6 @@ from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.gap import __main__ as gap
-from fishmj.gap.bench import robots
 from fishmj.gap.bench.run import sizes, true_gap
 from fishmj.gap.commands.plant import with_lost_rows
 from fishmj.gap.laboratory.virtual_robot import generate
@@ -27,6 +26,7 @@ from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_dataset
 from fishmj.mjcf.reading import load_robot
+from studies.gap_benchmark import robots
 
 SOME = ("command_latency", "servo_gain", "viscous_friction", "joint_zero_offset", "camera_scale")
 

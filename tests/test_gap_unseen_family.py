@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.gap.bench import gates_again
 from fishmj.gap.bench.rows import read_rows
 from fishmj.gap.commands import find
 from fishmj.gap.laboratory.virtual_robot import generate
@@ -19,6 +18,7 @@ from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.thresholds import frozen
 from fishmj.mjcf.reading import load_robot
+from studies.gap_benchmark import gates_again
 from studies.structural_error.__main__ import Healthy
 from studies.structural_error.sample import SOLVER
 from studies.structural_error.unseen_family import level

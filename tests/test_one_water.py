@@ -17,6 +17,7 @@ from fishmj.engines import batch, mjx, planar
 from fishmj.engines.single import SingleFish
 from fishmj.log import stacked
 from fishmj.mjcf import load_robot
+from fishmj.mjcf.servos import on_the_bus
 from fishmj.sim import Sim
 from fishmj.tasks.dm_control.physics import Physics
 from fishmj.water.dynamics import planar_chain
@@ -49,9 +50,9 @@ def closed_form(water):
     """`planar_chain.step` in NumPy, with the bus and the flow of a `Sim` spelt out."""
     robot = in_water(water)
     ch, added = planar_chain.chain_of(robot), engines.Extensions.of(robot)
-    fish = SingleFish(ch, planar_chain.nominal(robot), lambda memory: added.hooks(np, [], memory), added.memory.tolist())
+    fish = SingleFish(ch, planar_chain.nominal(robot), added)
     q, v, rows = [*POSE, 0.0, 0.0, 0.0], [0.0] * 6, []
-    sent = [np.zeros(3), *planar.quantise(np, robot, COMMANDS)]  # number 0 was on the bus before t = 0
+    sent = [np.zeros(3), *on_the_bus(robot.servo, COMMANDS)]  # number 0 was on the bus before t = 0
     late = round(robot.timing.command_latency / ch.dt)
     for tick in range(TICKS):
         centres = planar.link_centres(np, ch, np.array([q]))
@@ -97,7 +98,7 @@ def in_suite(water, root="planar"):
         physics.step(5 * len(chunk))
         rows.append([np.asarray(a)[0] for a in physics.trace()])
     pose, joint, rate, _, power = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return Swum(pose, joint, rate, power, physics.swim.memory[0], float(physics.swim.attached[0]))
+    return Swum(pose, joint, rate, power, np.array(physics.water.memory), physics.water.attached)
 
 
 def compiled(water):

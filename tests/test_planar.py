@@ -11,6 +11,7 @@ from fishmj import engines, mjcf
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.engines import planar
 from fishmj.mjcf.model import reference_qpos
+from fishmj.mjcf.servos import on_the_bus, targets_of_tick
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Flow, stack
 
@@ -51,7 +52,7 @@ def test_commands_arrive_as_on_a_bus_with_a_delay(ramp, seed):
     buffer, rows = np.zeros((len(delays), engines.BUFFER, 2)), []
     for command in commands:
         buffer = np.concatenate([buffer[:, 1:], np.broadcast_to(command, (len(delays), 1, 2))], 1)
-        rows += planar.arrived(np, buffer, delays, STEPS, ramp)
+        rows += targets_of_tick(np, buffer, delays, STEPS, ramp)
     found = np.stack(rows, 1)
     for delay in delays:
         np.testing.assert_allclose(found[delay], sent_and_arrived(commands, delay, STEPS, ramp), atol=1e-12)
@@ -66,9 +67,9 @@ def test_the_buffer_serves_the_longest_randomised_latency():
 def test_a_timed_move_is_an_even_ramp_over_one_tick():
     buffer = np.zeros((1, engines.BUFFER, 1))
     buffer[:, -1] = 1.0
-    ramp = np.concatenate(planar.arrived(np, buffer, np.array([0]), STEPS, True))[:, 0]
+    ramp = np.concatenate(targets_of_tick(np, buffer, np.array([0]), STEPS, True))[:, 0]
     np.testing.assert_allclose(ramp, [0.2, 0.4, 0.6, 0.8, 1.0])
-    late = np.concatenate(planar.arrived(np, buffer, np.array([3]), STEPS, True))[:, 0]
+    late = np.concatenate(targets_of_tick(np, buffer, np.array([3]), STEPS, True))[:, 0]
     np.testing.assert_allclose(late, [0.0, 0.0, 0.0, 0.2, 0.4])
 
 
@@ -76,8 +77,8 @@ def test_jax_sees_the_same_arrivals():
     rng = np.random.default_rng(0)
     buffer, delays = rng.normal(size=(30, engines.BUFFER, 3)).astype(np.float32), np.arange(30)
     for ramp in (False, True):
-        here = planar.arrived(np, buffer, delays, STEPS, ramp)
-        there = planar.arrived(jnp, jnp.asarray(buffer), jnp.asarray(delays), STEPS, ramp)
+        here = targets_of_tick(np, buffer, delays, STEPS, ramp)
+        there = targets_of_tick(jnp, jnp.asarray(buffer), jnp.asarray(delays), STEPS, ramp)
         np.testing.assert_allclose(np.array(there), np.array(here), atol=1e-6)
 
 
@@ -139,7 +140,7 @@ def test_the_trace_ends_in_the_state(engine):
     np.testing.assert_array_equal(trace.velocity[:, -1], end.v[:, :3])
     np.testing.assert_array_equal(trace.rate[:, -1], end.v[:, 3:])
     np.testing.assert_allclose(trace.joint[:, -1], end.q[:, 3:] - params.zero, atol=1e-6)
-    np.testing.assert_allclose(end.buffer, planar.quantise(np, ROBOT, commands[:, -engines.BUFFER :]), atol=1e-6)
+    np.testing.assert_allclose(end.buffer, on_the_bus(ROBOT.servo, commands[:, -engines.BUFFER :]), atol=1e-6)
     assert trace.power.shape == (4, 2 * TICKS) and (np.asarray(trace.power) >= 0).all()
 
 
@@ -155,7 +156,7 @@ def test_a_command_moves_nothing_before_it_arrives(engine):
 
 def test_the_servo_clamps_and_rounds_what_it_is_sent():
     sent = np.array([[-9.0, 0.0, 9.0, 0.1]])
-    got = planar.quantise(np, ROBOT, sent)
+    got = on_the_bus(ROBOT.servo, sent)
     assert np.abs(got).max() <= ROBOT.servo.range + ROBOT.servo.resolution / 2
     np.testing.assert_allclose(got / ROBOT.servo.resolution, np.rint(got / ROBOT.servo.resolution), atol=1e-9)
     assert abs(got[0, 3] - 0.1) <= ROBOT.servo.resolution / 2

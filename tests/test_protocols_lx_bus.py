@@ -168,7 +168,7 @@ def test_a_known_frame():
 
 
 def test_a_move_frame_takes_less_than_a_millisecond():
-    assert len(encode(1, Code.MOVE_TIME_WRITE, 500, 20)) * lx_bus.BYTE_TIME == pytest.approx(0.87e-3, abs=0.01e-3)
+    assert len(encode(1, Code.MOVE_TIME_WRITE, 500, 20)) * 10 / lx_bus.BAUD == pytest.approx(0.87e-3, abs=0.01e-3)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ def test_the_ends_are_120_deg_from_the_middle():
     assert servo_counts.angle(0) == pytest.approx(math.radians(-120))
     assert servo_counts.angle(1000) == pytest.approx(math.radians(120))
     assert servo_counts.angle(500) == 0.0
-    assert servo_counts.offset_angle(125) == pytest.approx(math.radians(30))
 
 
 def test_a_servo_that_stands_at_510_when_straight_has_a_zero_of_2_4_deg():
@@ -39,11 +38,6 @@ def test_angles_beyond_the_servo_end_at_its_ends(angle):
     assert 0 <= servo_counts.counts(angle) <= 1000
 
 
-@given(st.integers(-125, 125))
-def test_each_offset_comes_back(offset):
-    assert servo_counts.offset_counts(servo_counts.offset_angle(offset)) == offset
-
-
 @given(st.integers(0, 65_535))
 def test_each_voltage_comes_back(millivolts):
     assert servo_counts.millivolts(servo_counts.volts(millivolts)) == millivolts
@@ -60,8 +54,6 @@ def test_a_move_takes_distance_over_speed():
     [
         lambda: servo_counts.counts(math.nan),
         lambda: servo_counts.counts(math.inf),
-        lambda: servo_counts.offset_counts(math.radians(31)),
-        lambda: servo_counts.offset_counts(math.nan),
         lambda: servo_counts.millivolts(-0.1),
         lambda: servo_counts.millivolts(70.0),
         lambda: servo_counts.move_time(0.1, 0.0),

@@ -18,7 +18,7 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.structural_error import strong, widths
-from fishmj.gap.null.variances import Sample, most_likely, score_variances
+from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.null.whitening import leftover
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import likelihood
@@ -27,6 +27,7 @@ from fishmj.gap.search.model_error import ModelResponse
 from fishmj.gap.thresholds import frozen
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
+from studies.structural_error.most_likely import most_likely
 
 NULL = SimulatedNull(runs=12)
 

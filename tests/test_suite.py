@@ -19,8 +19,10 @@ from dm_env import test_utils
 from fishmj import engines, suite
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.engines.lbm import Engine as LbmEngine
+from fishmj.engines.single import HookedWater
 from fishmj.tasks.dm_control import physics as fish_physics
 from fishmj.tasks.episode import Episodes
+from fishmj.water.dynamics import planar_chain
 
 ROOT = Path(__file__).resolve().parent.parent
 TASKS = pytest.mark.parametrize("name", [task for _, task in suite.ALL_TASKS])
@@ -222,8 +224,8 @@ def test_the_environment_swims_as_the_batched_engine_does(path):
 
 def test_the_water_without_numba_is_the_same_water(monkeypatch):
     fast = stacked(swim(load(seed=2), 5))
-    slow = lambda robot, ch: lambda *a: fish_physics.in_numpy(ch, *a, added=engines.Extensions.of(robot))
-    monkeypatch.setattr(fish_physics, "evaluator", slow)
+    slow = lambda robot: HookedWater(robot, engines.Extensions.of(robot), planar_chain.nominal(robot))
+    monkeypatch.setattr(fish_physics, "closed_form", slow)
     np.testing.assert_allclose(stacked(swim(load(seed=2), 5)), fast, rtol=0, atol=1e-9)
 
 
@@ -246,14 +248,14 @@ def test_learnt_water_swims_alike_on_free_and_planar_roots_and_in_copies():
     planar, free = load(seed=7, water="swift"), load(seed=7, water="swift", root="free")
     one, two = stacked(swim(planar, 15)), stacked(swim(free, 15))
     np.testing.assert_allclose(two[:, :2], one[:, :2], atol=0.03)  # twice as fast as in the strips' own coefficients
-    np.testing.assert_allclose(free.physics.swim.memory[:, :16], planar.physics.swim.memory[:, :16], atol=0.05)
-    assert np.abs(free.physics.swim.memory[0, :16]).max() > 0.1  # the wake
+    np.testing.assert_allclose(free.physics.water.memory[:16], planar.physics.water.memory[:16], atol=0.05)
+    assert np.abs(free.physics.water.memory[:16]).max() > 0.1  # the wake
     twin = free.physics.copy()
     for physics in (twin, free.physics):
         physics.set_control([0.4, -0.2, 0.3])
         physics.step(25)
     np.testing.assert_array_equal(twin.data.qpos, free.physics.data.qpos)
-    np.testing.assert_array_equal(twin.swim.memory, free.physics.swim.memory)
+    np.testing.assert_array_equal(twin.water.memory, free.physics.water.memory)
 
 
 def test_waters_that_are_not_there_are_refused():

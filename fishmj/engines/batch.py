@@ -18,9 +18,10 @@ from fishmj.base.cores import usable_cores
 from fishmj.base.errors import MissingExtra, SimDiverged
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
-from fishmj.engines.planar import arrived, link_centres, quantise
+from fishmj.engines.planar import link_centres
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
+from fishmj.mjcf.servos import on_the_bus, targets_of_tick
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Current, sample
 
@@ -69,7 +70,7 @@ class Engine(Copied):
         Raises:
             SimDiverged: MuJoCo warned of, or reset, a fish; names the first.
         """
-        commands = quantise(np, self.robot, np.asarray(commands, float))
+        commands = on_the_bus(self.robot.servo, np.asarray(commands, float))
         check_commands(commands, self.robot.n_joints)
         count = len(commands)
         used = max(1, min(len(self.shoals), count // SMALLEST))
@@ -126,7 +127,7 @@ class ThreadedBatch:
         for k in range(length):
             buffer = np.concatenate([buffer[:, 1:], commands[:, k : k + 1]], 1)
             flow, ambient = self.look(q, current, tick + k)
-            for target in arrived(np, buffer, params.delay, self.steps, self.ramp):
+            for target in targets_of_tick(np, buffer, params.delay, self.steps, self.ramp):
                 force, attached, power, memory = self.evaluate(q, v, attached, params, target, flow, ambient, memory)
                 ctrl[:], applied[:] = target, force
                 batch.step()

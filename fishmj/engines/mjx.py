@@ -15,9 +15,10 @@ from mujoco import mjx
 from fishmj import mjcf
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
-from fishmj.engines.planar import arrived, link_centres, quantise
+from fishmj.engines.planar import link_centres
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
+from fishmj.mjcf.servos import on_the_bus, targets_of_tick
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Current, sample
 
@@ -48,14 +49,14 @@ class Engine(Copied):
         """
         check_commands(commands, self.robot.n_joints)
         fields, sw = self.fields(params), swimmer(params)
-        commands = quantise(jnp, self.robot, commands)
+        commands = on_the_bus(self.robot.servo, commands, jnp)
         columns = lambda a: [a[:, i] for i in range(a.shape[1])]
 
         def one_tick(carry, command):
             q, v, attached, buffer, memory, tick = carry
             buffer = jnp.concatenate([buffer[:, 1:], command[:, None]], 1)
             flow, ambient = sample(jnp, current, link_centres(jnp, self.chain, q), tick)
-            targets = jnp.stack(arrived(jnp, buffer, params.delay, self.steps, self.ramp))
+            targets = jnp.stack(targets_of_tick(jnp, buffer, params.delay, self.steps, self.ramp))
             links, ambient = [columns(flow[:, i]) for i in range(self.chain.n)], columns(ambient)
 
             def one_step(inner, target):

@@ -16,6 +16,7 @@ from fishmj.engines.extensions import Extensions, stacked
 from fishmj.engines.planar_columns import begun, columns, pairs
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
+from fishmj.mjcf.servos import on_the_bus, targets_of_tick
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import centres
 from fishmj.water.flow import Current, sample
@@ -24,39 +25,10 @@ from fishmj.water.residual_step import takes_kernel
 kernel = True  # False: in a learnt water on an NVIDIA GPU the learnt force alone is a kernel, and not the physics of a tick
 
 
-def quantise(xp, robot: Robot, commands):
-    """Bus commands as the servo follows them: clamped to its range, rounded to its resolution [rad]."""
-    s = robot.servo
-    return xp.round(xp.minimum(xp.maximum(commands, -s.range), s.range) / s.resolution) * s.resolution
-
-
 def link_centres(xp, ch: planar_chain.Chain, q):
     """World positions of the link centres, (B, N, 2) m, from q (B, nv)."""
     columns = [q[..., i] for i in range(q.shape[-1])]
     return xp.stack([xp.stack(centre, -1) for centre in centres(xp, ch, columns)], -2)
-
-
-def arrived(xp, buffer, delay, steps: int, ramp: bool):
-    """Servo targets for each physics step of a tick: list of (B, J), given the newest command at buffer[:, -1].
-
-    A command sent at the start of a tick is active `delay` physics steps later. With `ramp` the servo moves linearly
-    from one command to the next in one tick (the firmware's timed move).
-    """
-    whole, part = delay // steps, delay % steps
-    rows = xp.arange(buffer.shape[0])
-    last = buffer.shape[1] - 1
-    at = lambda age: buffer[rows, xp.maximum(last - whole - age, 0)]
-    newest, previous, before = at(0), at(1), at(2) if ramp else None
-    out = []
-    for j in range(steps):
-        fresh = (j >= part)[:, None]
-        target = xp.where(fresh, newest, previous)
-        if ramp:
-            came_from = xp.where(fresh, previous, before)
-            share = (xp.where(j >= part, j - part, j - part + steps) + 1) / steps
-            target = came_from + share[:, None] * (target - came_from)
-        out.append(target)
-    return out
 
 
 class Engine(Copied):
@@ -80,14 +52,14 @@ class Engine(Copied):
             (FishState, Trace with T ticks).
         """
         check_commands(commands, self.robot.n_joints)
-        commands = quantise(jnp, self.robot, commands)
+        commands = on_the_bus(self.robot.servo, commands, jnp)
         physics = self._physics_of(state, params, current)
 
         def one_tick(carry, inputs):
             state, tick = carry
             buffer = jnp.concatenate([state.buffer[:, 1:], inputs[:, None]], 1)
             flow, ambient = sample(jnp, current, link_centres(jnp, self.chain, state.q), tick)
-            targets = jnp.stack(arrived(jnp, buffer, params.delay, self.steps, self.ramp))
+            targets = jnp.stack(targets_of_tick(jnp, buffer, params.delay, self.steps, self.ramp))
             state, power = physics(state._replace(buffer=()), params, targets, flow, ambient)
             q, v = state.q, state.v
             out = Trace(q[:, :3], q[:, 3:] - params.zero, v[:, 3:], v[:, :3], power / self.steps)

@@ -4,18 +4,22 @@ StripWater    strips and learnt residual through `mjcb_passive` (water.injection
 WrenchWater   the same as a wrench on every link through `xfrc_applied` (water.link_wrench), without a callback
 HookedWater   the closed form with all additions, effects included, through `qfrc_applied`; planar root:
               (M + h D) qacc = servo + applied     MuJoCo moves the fish by forces of the closed form, as in the engine `batch`
+CompiledWater the same by compiled code (extra `fast`), as in the engine `batch`
 MujocoWater   MuJoCo's own fluid, or air
 
-The first three hold `swimmer`, whose `water` may be replaced between steps, and the water's memory: `attached`, `memory`.
+All but the last hold `swimmer`, whose `water` may be replaced between steps, and the water's memory: `attached`, `memory`.
 """
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 
-from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, MissingExtra, UnknownName
+from fishmj.engines import FishParams, nominal_params
+from fishmj.engines import swimmer as swimmer_of
 from fishmj.engines.extensions import Extensions
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import planar_chain
@@ -116,20 +120,25 @@ class SingleFish:
     """One fish in the closed form, in NumPy, with its memory from step to step.
 
     Args:
-        make_hooks: memory -> the hooks of one `planar_chain.step`; None adds nothing.
+        added: effects and learnt residual. wet: 0 on a bench in air.
 
     Attributes:
-        attached: attachment state of the tail, 0..1. memory: flat list of the hooks' memory.
+        parameters: of the effects, flat. attached: attachment state of the tail, 0..1. memory: flat, of effects and residual.
     """
 
-    def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer, make_hooks: Callable | None = None, memory=()):
-        self.chain, self.swimmer, self.make_hooks = ch, swimmer, make_hooks
+    def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer, added: Extensions, wet: float = 1.0):
+        self.chain, self.swimmer, self.added, self.wet = ch, swimmer, added, wet
+        self.parameters = added.row.tolist()
+        self.start()
+
+    def start(self) -> None:
+        """Resets attachment and memory to those of a fish at rest."""
         self.attached: Any = 0.5
-        self.memory = list(memory)
+        self.memory: Any = self.added.memory.tolist()
 
     def advance(self, q, v, target, flow, ambient) -> planar_chain.Step:
         """Does one physics step from q and v; arguments as `planar_chain.step`. Attachment and memory advance."""
-        hooks = None if self.make_hooks is None else self.make_hooks(self.memory)
+        hooks = self.added.hooks(np, self.parameters, self.memory, wet=self.wet)
         s = planar_chain.step(np, self.chain, self.swimmer, q, v, self.attached, target, flow, ambient, hooks)
         self.attached, self.memory = s.attached, list(s.memory)
         return s
@@ -139,24 +148,61 @@ class HookedWater(SingleFish):
     """Water of one planar fish with all additions, wet or on a bench in air."""
 
     def __init__(self, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer, wet: bool = True):
-        ch, parameters = planar_chain.chain_of(robot), added.row.tolist()
+        ch = planar_chain.chain_of(robot)
         water = swimmer.water if wet else swimmer.water._replace(k=[0.0] * ch.n, cn=[0.0] * ch.n, **DRY)
-        make_hooks = lambda memory: added.hooks(np, parameters, memory, wet=float(wet))
-        super().__init__(ch, swimmer._replace(water=water), make_hooks, added.memory.tolist())
-        self.wet, self.power = wet, 0.0
+        super().__init__(ch, swimmer._replace(water=water), added, float(wet))
+        self.power = 0.0
         self.set_flow(np.zeros((ch.n, 2)), np.zeros(2))
+
+    def set_fish(self, params: FishParams) -> None:
+        """Sets the constants of this fish, water and effects included, from a batch of one."""
+        one = FishParams(*(np.asarray(a)[0] for a in params))
+        self.swimmer, self.parameters = swimmer_of(one), one.effects.tolist()
 
     def set_flow(self, flow, ambient) -> None:
         """Sets the water velocity at the links (N, 2) m/s and DU/Dt (2,) m/s2; zero in air."""
-        share = 1.0 if self.wet else 0.0
-        self.flow, self.ambient = (share * np.asarray(flow)).tolist(), (share * np.asarray(ambient)).tolist()
+        self.flow, self.ambient = self.wet * np.asarray(flow), self.wet * np.asarray(ambient)
 
     def step(self, data: mujoco.MjData) -> None:
         """Does one physics step with the forces of the closed form. Raises SimDiverged."""
-        s = self.advance(data.qpos.tolist(), data.qvel.tolist(), data.ctrl.tolist(), self.flow, self.ambient)
-        data.qfrc_applied[:] = s.applied
+        data.qfrc_applied[:], power = self.forces(data.qpos, data.qvel, data.ctrl)
         checked_step(data.model, data)
-        self.power = float(s.power)
+        self.power = power
+
+    def forces(self, q, v, target) -> tuple[Any, float]:
+        """Generalised force (nv,) on MuJoCo's fish, N and N m, and servo power, W. Attachment and memory advance."""
+        s = self.advance(q.tolist(), v.tolist(), target.tolist(), self.flow.tolist(), self.ambient.tolist())
+        return s.applied, float(s.power)
+
+    def __deepcopy__(self, memo: dict) -> "HookedWater":
+        """Twin that swims on by itself; all arrays are replaced in a step, never written to."""
+        return copy(self)
+
+
+class CompiledWater(HookedWater):
+    """The same water by compiled code, several times as fast. Raises MissingExtra without the extra `fast`."""
+
+    def __init__(self, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer):
+        from fishmj.engines.compiled import Engine
+
+        super().__init__(robot, added, swimmer)
+        self.engine = Engine(robot, threads=1)
+        self.set_fish(nominal_params(robot, 1))
+        self.forces(np.zeros(self.chain.n + 2), np.zeros(self.chain.n + 2), np.zeros(self.chain.n - 1))  # compiles now
+        self.start()
+
+    def set_fish(self, params: FishParams) -> None:
+        """Sets the constants of this fish, water and effects included, from a batch of one."""
+        super().set_fish(params)
+        self.params = params
+
+    def forces(self, q, v, target) -> tuple[Any, float]:
+        """Generalised force (nv,) on MuJoCo's fish, N and N m, and servo power, W. Attachment and memory advance."""
+        row = lambda a: np.asarray(a, float)[None]
+        state = q[None], v[None], row(self.attached), self.params
+        made = self.engine.forces(*state, target[None], self.flow[None], self.ambient[None], row(self.memory))
+        self.attached, self.memory = float(made.attached[0]), made.memory[0]
+        return made.force[0], float(made.power[0])
 
 
 def water_of(
@@ -198,6 +244,15 @@ def water_of(
         return MujocoWater(model, swimmer, wind=name == "ellipsoid")
     strips = {"planar": PlanarWater, "free": FreeWater}[root](robot, swimmer, learnt=added.learnt)
     return {"callback": StripWater, "xfrc": WrenchWater}[way](model, strips)
+
+
+def closed_form(robot: Robot) -> HookedWater:
+    """Closed form of one planar fish: compiled if the extra `fast` is installed, else in NumPy; the same numbers to round-off."""
+    given = robot, Extensions.of(robot), planar_chain.nominal(robot)
+    try:
+        return CompiledWater(*given)
+    except MissingExtra:
+        return HookedWater(*given)
 
 
 def drive_power(swimmer: planar_chain.Swimmer, rates, data: mujoco.MjData) -> float:

@@ -10,9 +10,10 @@ share of the torque that passes the gears. A data sheet does not describe the co
 error and kd is the motor's own kb, as in data/calib/paper.toml for the default fish.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil, floor, isfinite, log10, pi, radians
+from typing import Any
 
 import numpy as np
 
@@ -127,25 +128,43 @@ def _up(value: float, n: int) -> float:
     return float(f"{ceil(value / step - 1e-9) * step:.{n + 1}g}")
 
 
-# the command path of one fish, from the bus to the servos; the same in MuJoCo and in the flow solver
+# the command path from the bus to the servos; the same for one fish and for many, in every engine
 
 
-def on_the_bus(servo: Servo, command: np.ndarray) -> np.ndarray:
-    """Commands (J,) rad as the servos store them: clamped to the range, rounded to the resolution."""
-    clamped = np.minimum(np.maximum(command, -servo.range), servo.range)
-    return np.rint(clamped / servo.resolution) * servo.resolution
+def on_the_bus(servo: Servo, command, xp=np):
+    """Commands (..., J) rad as the servos store them: clamped to the range, rounded to the resolution."""
+    clamped = xp.minimum(xp.maximum(command, -servo.range), servo.range)
+    return xp.rint(clamped / servo.resolution) * servo.resolution
 
 
-def arrived(commands: Sequence[np.ndarray], step: int, delay: int, steps: int, ramp: bool) -> np.ndarray:
-    """Targets of the servos in physics step `step`, (J,) rad: the newest command that is `delay` steps old.
+def arrived(command: Callable[[Any], Any], step: int, delay, steps: int, ramp: bool):
+    """Targets of the servos in physics step `step`, rad: the newest command that is `delay` steps old.
 
     Args:
-        commands: all so far, one a bus tick of `steps` steps; number 0 was on the bus before t = 0.
+        command: number of a command -> its angles; number 1 is sent in step 0, each further one a bus tick of `steps` steps
+            later; number 0 and all below it are the command that was on the bus before.
+        delay: physics steps, int or an array that broadcasts against the angles.
         ramp: the servo moves evenly from one command to the next in one tick (the path "move_time").
     """
     whole, part = divmod(step - delay, steps)
-    newest = commands[max(whole + 1, 0)]
+    newest = command(whole + 1)
     if not ramp:
         return newest
-    before = commands[max(whole, 0)]
+    before = command(whole)
     return before + (part + 1) / steps * (newest - before)
+
+
+def arrived_of(commands: Sequence[np.ndarray], step: int, delay: int, steps: int, ramp: bool) -> np.ndarray:
+    """Targets `arrived`, (J,) rad, of one fish with all its commands so far."""
+    return arrived(lambda number: commands[max(number, 0)], step, delay, steps, ramp)
+
+
+def targets_of_tick(xp, buffer, delay, steps: int, ramp: bool) -> list:
+    """Targets `arrived` of many fish in each physics step of a bus tick: `steps` of (B, J) rad.
+
+    Args:
+        buffer: (B, R, J) rad, the last R commands; the newest is sent at the start of the tick. delay: (B,) physics steps.
+    """
+    fish, last = xp.arange(buffer.shape[0]), buffer.shape[1] - 1
+    command = lambda number: buffer[fish, xp.maximum(last + number - 1, 0)[:, 0]]
+    return [arrived(command, step, delay[:, None], steps, ramp) for step in range(steps)]

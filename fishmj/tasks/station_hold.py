@@ -21,7 +21,6 @@ from fishmj.mjcf.description import Robot
 from fishmj.tasks.sensing import Sensors, delayed, estimate
 from fishmj.water import family
 
-JOINTS = 3
 WEIGHTS = ("wG", "wD", "wS")  # of the reward, in the paper's symbols
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
 LEAST_CAMERA_TICKS = 5  # camera frames remembered at least; 100 ms at 50 Hz

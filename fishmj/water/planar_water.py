@@ -54,13 +54,12 @@ class PlanarWater:
         self,
         robot: Robot,
         swimmer: planar_chain.Swimmer | None = None,
-        attached: float = 0.5,
         learnt: "residual_hooks.Residual | None" = None,
     ):
         self.robot, self.learnt = robot, learnt
         self.chain = planar_chain.chain_of(robot)
         self.swimmer = planar_chain.nominal(robot) if swimmer is None else swimmer
-        self.attached: float = attached
+        self.attached = 0.5
         self.memory: list = self.at_rest()
         self.flow, self.ambient = np.zeros((self.chain.n, 3)), np.zeros(3)
         self._known: tuple[Any, Any, Any] = ((), (), None)  # inputs, constants and what came of them

@@ -49,10 +49,9 @@ class FreeWater(planar_water.PlanarWater):
         self,
         robot: Robot,
         swimmer: planar_chain.Swimmer | None = None,
-        attached: float = 0.5,
         learnt: "residual_hooks.Residual | None" = None,
     ):
-        super().__init__(robot, swimmer, attached, learnt)
+        super().__init__(robot, swimmer, learnt)
         self.geometry = g = geometry_of(robot)
         rho = robot.density_water
         self.plates = [

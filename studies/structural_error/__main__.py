@@ -29,7 +29,8 @@ from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.laboratory import generators
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.structural_error import StructuralErrorScales
-from fishmj.gap.null.variances import Sample, VarianceFit, VarianceScore, most_likely, score_variances
+from fishmj.gap.null.variances import Sample, VarianceScore, score_variances
+from studies.structural_error.most_likely import VarianceFit, most_likely
 from studies.structural_error.sample import (
     BEGIN,
     CHANNELS,

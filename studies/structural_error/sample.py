@@ -22,7 +22,6 @@ from fishmj.gap.null.variances import Sample
 from fishmj.gap.null.whitening import leftover, smooth
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of
-from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.fit import drop_effect, on_records
 from fishmj.gap.search.likelihood import Likelihood, relinearise
 from fishmj.gap.search.stepwise import is_absent, shortlist
@@ -126,7 +125,10 @@ def own_left(asked: tuple[BenchRobot, dict[str, StructuralErrorScales]], folder:
     if path.is_file():
         return read_json(path)
     believed, trials = calibrated_to(one)
-    left = healthy_swims.left_by(SwimmingFish(believed), trials, SimulatedNull(), tables)
+    model = SwimmingFish(believed)
+    records = [record_of(trial, model.dt) for trial in trials]
+    runs = SimulatedNull().residuals(model, records, ResidualLayout(records))
+    left = {name: Likelihood(model, records, runs, widths=given).gap(model.null)[0] for name, given in tables.items()}
     write_json(path, row := {"robot": one.id, "family": one.family, "own": left})
     return row
 

@@ -97,18 +97,14 @@ class Link(Protocol):
         """Reason for the silence of the robot, "" if no other is known."""
 
 
-class Fishmj1Link:
-    """Protocol `fishmj-1`: sequence numbers, echo, the robot's clock, a watchdog of its own."""
+class TransportLink:
+    """Common part of the links whose transport carries whole packets."""
 
-    name, watched, greets = "fishmj-1", True, True
-    lacks: tuple[str, ...] = ()
+    robot_clock: RobotClock | None = None
 
     def __init__(self, transport: Transport):
-        self.transport, self.seq = transport, 0
+        self.transport = transport
         self.counts = {"packets": 0, "bad": 0, "old": 0}
-        self.robot_clock: RobotClock | None = None  # of the quickest answer since `forget`
-        self._gate = SequenceGate()
-        self._asked: list[float] = []  # s, of the questions that wait for their answer
 
     def open(self) -> None:
         """Opens the transport."""
@@ -121,6 +117,20 @@ class Fishmj1Link:
     def silence(self) -> str:
         """Returns "": this protocol gives no reason for silence."""
         return ""
+
+
+class Fishmj1Link(TransportLink):
+    """Protocol `fishmj-1`: sequence numbers, echo, the robot's clock, a watchdog of its own."""
+
+    name, watched, greets = "fishmj-1", True, True
+    lacks: tuple[str, ...] = ()
+
+    def __init__(self, transport: Transport):
+        super().__init__(transport)
+        self.seq = 0
+        self.robot_clock = None  # of the quickest answer since `forget`
+        self._gate = SequenceGate()
+        self._asked: list[float] = []  # s, of the questions that wait for their answer
 
     def forget(self) -> None:
         """Accepts any next sequence number, since the robot may have restarted."""
@@ -179,7 +189,7 @@ class Fishmj1Link:
         return self.seq
 
 
-class MishLink:
+class MishLink(TransportLink):
     """The open robot's own layout: six numbers down, twelve up; no sequence number, clock, watchdog or arming message.
 
     Args:
@@ -187,25 +197,12 @@ class MishLink:
     """
 
     watched, greets = False, False
-    robot_clock: RobotClock | None = None
 
     def __init__(self, transport: Transport, firmware: "mish.Firmware" = "fixed"):
-        self.transport, self.firmware = transport, firmware
+        super().__init__(transport)
+        self.firmware = firmware
         self.lacks: tuple[str, ...] = (*mish.LACKS, "letting go", *(("joint angles",) if firmware == "mish-0.1.0" else ()))
         self.name = f"mish-{firmware.removeprefix('mish-')}"
-        self.counts = {"packets": 0, "bad": 0, "old": 0}
-
-    def open(self) -> None:
-        """Opens the transport."""
-        self.transport.open()
-
-    def close(self) -> None:
-        """Closes the transport."""
-        self.transport.close()
-
-    def silence(self) -> str:
-        """Returns "": this protocol gives no reason for silence."""
-        return ""
 
     def forget(self) -> None:
         """Does nothing: this link keeps no memory."""

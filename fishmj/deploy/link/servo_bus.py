@@ -22,7 +22,6 @@ ANSWER = (
     0.003  # s that a servo has: USB adapters hold bytes back for 1 to 2 ms (an FTDI chip only with its latency timer at 1 ms)
 )
 SHARE = 0.6  # of a tick for questions; what is left is the policy's
-BUDGET = SHARE * 0.02  # s of a tick of 20 ms
 FORGOTTEN = 3.0  # s after which a voltage or temperature that was not read again counts as none; each is read every 0.12 s
 STALE = 0.1  # s after which a servo that nobody had time to ask counts as lost
 

@@ -19,7 +19,6 @@ from fishmj.deploy.protocols.servo_counts import MOST_OFFSET, MOST_TIME, SPAN, V
 from fishmj.mjcf.servo_buses import BUSES
 
 BAUD, MOST_ID = BUSES["lx"].baud, BUSES["lx"].most_id
-BYTE_TIME = 10 / BAUD  # s: a start bit, eight bits, a stop bit
 HEADER = b"\x55\x55"
 BROADCAST = 254
 MOST_BYTES = 10  # of a frame

@@ -142,7 +142,7 @@ X_TABLE = ControlTable(
 AX_TABLE = ControlTable(
     identity=(0, 10), torque=(24, "B"), goal=(30, "H"), state=(36, 8), position=(36, "H"), volts=(42, "B"), degrees=(43, "B")
 )
-ALERT, POSITION_MODE = 0x80, 3
+POSITION_MODE = 3
 X_MODELS, X_OTHERS, AX_MODELS = range(1000, 2000), (30, 311, 321), (12, 18, 300)  # others: MX with protocol 2.0
 
 

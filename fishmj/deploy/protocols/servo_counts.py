@@ -38,18 +38,6 @@ def angle(position: int, zero: float = 0.0, scale: Scale = LX) -> float:
     return (position - scale.centre) * scale.step - zero
 
 
-def offset_counts(trim: float) -> int:
-    """The servo's own offset nearest to `trim`, rad. Raises ProtocolError beyond +- 30 deg."""
-    if not abs(trim) <= (MOST_OFFSET + 0.5) * RAD_PER_COUNT:
-        raise ProtocolError(f"offset {trim} rad; expected at most {MOST_OFFSET * RAD_PER_COUNT:.4f}, 30 deg, either way")
-    return max(-MOST_OFFSET, min(MOST_OFFSET, round(trim / RAD_PER_COUNT)))
-
-
-def offset_angle(offset: int) -> float:
-    """Angle of a servo's own offset in counts, rad."""
-    return offset * RAD_PER_COUNT
-
-
 def volts(millivolts: int) -> float:
     """Voltage in V of a value in mV."""
     return millivolts / 1000

@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.base.least_squares import Problem, damped_steps
 from fishmj.water.dynamics import strip_forces
 from fishmj.water.prior import unflat
 
@@ -141,27 +142,30 @@ class _Fit(NamedTuple):
 
 def _fitted(start: np.ndarray, free: list, belief: np.ndarray, first: np.ndarray, of: Callable) -> _Fit:
     """Gauss-Newton fit of the free unknowns from `start`, with the misses `first` there."""
-    held, x, last, nudge = belief[np.ix_(free, free)], start, first, NUDGE[free]
-    jacobian = np.zeros((len(first), len(free)))
+    held = belief[np.ix_(free, free)]
+
+    def residual(rows: np.ndarray) -> np.ndarray:
+        unknowns = np.repeat(start[:, None], len(rows), 1)
+        unknowns[free] = rows.T
+        return of(unknowns).T
+
+    problem = Problem(residual, NUDGE[free], start[free], held, *LIMITS[:, free, 0])
+    x, last, now = start[free], first, float(first @ first)
+    jacobian = np.zeros((len(free), len(first)))
     for _ in range(ROUNDS):
-        tries = np.repeat(x[:, None], len(free), 1)
-        tries[free, np.arange(len(free))] += nudge
-        jacobian, off = (of(tries) - last[:, None]) / nudge, (x - start)[free]
-        if not np.isfinite(jacobian).all():
+        _, jacobian = problem.linear(x, last)
+        if not np.isfinite(jacobian).all():  # a fish that a step too far has lost
+            jacobian = 0.0 * np.nan_to_num(jacobian)
             break
-        normal, slope = jacobian.T @ jacobian + held, jacobian.T @ last + held @ off
-        tries = np.repeat(x[:, None], len(DAMPING), 1)
-        tries[free] -= np.stack([np.linalg.solve(normal + d * np.diag(np.diag(normal)), slope) for d in DAMPING], 1)
-        tries = np.clip(tries, *LIMITS)
-        r, far = of(tries), (tries - start[:, None])[free]
-        costs = (r**2).sum(0) + np.einsum("ib,ij,jb->b", far, held, far)
-        costs = np.where(np.isfinite(costs), costs, np.inf)  # a fish that a step too far has lost
-        best, now = int(np.argmin(costs)), float(last @ last + off @ held @ off)
-        if not costs[best] < now:  # nan, too
+        best = problem.best(x, damped_steps(*problem.quadratic(x, last, jacobian), DAMPING))
+        if not best.cost < now:
             break
-        x, last = tries[:, best], r[:, best]
-        if costs[best] > (1 - LEAST) * now:
+        enough = best.cost > (1 - LEAST) * now
+        x, last, now, _ = best
+        if enough:
             break
-    off, normal = (x - start)[free], jacobian.T @ jacobian if np.isfinite(jacobian).all() else np.zeros_like(held)
+    slopes = jacobian / NUDGE[free][:, None]
+    off, normal, found = x - start[free], slopes @ slopes.T, start.copy()
+    found[free] = x
     chance = np.linalg.slogdet(held + normal)[1] - np.linalg.slogdet(held)[1]  # ln det(1 + J P J^T)
-    return _Fit(free, x, normal, float(first @ first - last @ last - off @ held @ off - chance))
+    return _Fit(free, found, normal, float(first @ first - last @ last - off @ held @ off - chance))

@@ -85,24 +85,23 @@ def print_score(rows: list[dict], args, strict: bool) -> int:
     if any(row.get("times") for row in rows):
         return print_power(rows, args, strict)
     result = family_score.score(rows)
-    if args.out:
-        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
-    console.say(*family_score.report_lines(result))
-    if args.json:
-        console.emit_json(result)
-    missed = [aim["aim"] for aim in result["aims"] if aim["met"] is False]
-    return console.FAILED_CHECK if strict and missed else console.OK
+    _print_result(result, family_score.report_lines(result), args)
+    return console.FAILED_CHECK if strict and any(aim["met"] is False for aim in result["aims"]) else console.OK
 
 
 def print_power(rows: list[dict], args, strict: bool) -> int:
     """Prints the table of power. Returns the exit code: 1 if `strict` and an aim is missed."""
     result = power.score(rows)
+    _print_result(result, power.report_lines(result), args)
+    return console.FAILED_CHECK if strict and False in result["met"].values() else console.OK
+
+
+def _print_result(result: dict, lines: list[str], args) -> None:
     if args.out:
         write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
-    console.say(*power.report_lines(result))
+    console.say(*lines)
     if args.json:
         console.emit_json(result)
-    return console.FAILED_CHECK if strict and False in result["met"].values() else console.OK
 
 
 def together(folders: list[Path], args) -> int:

@@ -24,11 +24,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base.calib import read_toml, resolve
+from fishmj.base.least_squares import Problem, damped_steps, jackknife
 
 PASSES, ROUNDS = 3, 15
 DAMPINGS = (1e-6, 1e-2, 1e-1, 1.0, 10.0)
 NORMAL = 1.645  # standard deviations of a 90 % interval
 FIELDS = ("low", "high", "start", "step", "sigma")
+RIDGE = 1e-12  # per difference step, for a parameter without effect and without prior
 ENOUGH = 1e-5  # of the cost: less is no progress
 FEW = 3  # groups, below which no jackknife is taken
 AT_BOUND = 1e-3  # of a parameter's range
@@ -110,9 +112,15 @@ def fit(
         theta, more = _descend(parameters, residual, theta, weight, tick, done)
         rounds, after = rounds + more, residual(theta[None])[0]
         weight = _weights(after, blocks)
-    r, jac = _linear(parameters, residual, theta, weight)
-    spreads = _spreads(parameters, theta, r, jac, blocks)
+    problem = problem_of(parameters, residual, weight)
+    spreads = _spreads(problem, theta, *problem.linear(theta), blocks)
     return LeastSquaresFit(theta, _estimates(parameters, theta, spreads), before, after, rounds, spreads)
+
+
+def problem_of(parameters: list[FreeParameter], residual: Residual, weight: np.ndarray) -> Problem:
+    """The weighted fit of some parameters."""
+    low, high, start, step, sigma = (np.array([getattr(p, key) for p in parameters]) for key in FIELDS)
+    return Problem(lambda thetas: residual(thetas) * weight, step, start, np.diag(1.0 / sigma**2), low, high)
 
 
 class Minimum(NamedTuple):
@@ -134,31 +142,23 @@ def minimum(
     Args:
         begin: (K,). rounds: at most. enough: two successive rounds that lower the cost by a smaller share end the descent.
     """
-    low, high, start, step, sigma = (np.array([getattr(p, key) for p in parameters]) for key in FIELDS)
-    theta, small = np.array(begin, float), 0
-    cost = lambda values, points: np.sum(values**2, 1) + np.sum(((points - start) / sigma) ** 2, 1)
+    problem, theta, small = problem_of(parameters, residual, weight), np.array(begin, float), 0
     for done in range(rounds + 1):
-        r, jac = _linear(parameters, residual, theta, weight)
-        slope, curve = _prior(parameters, theta)
-        push = jac.T @ r + slope
-        held = ((theta <= low) & (push > 0)) | ((theta >= high) & (push < 0))
-        now, free = cost(r[None], theta[None])[0], ~held
+        r, jac = problem.linear(theta)
+        now = problem.cost(r[None], theta[None])[0]
+        normal, push = problem.quadratic(theta, r, jac)
+        held = ((theta <= problem.low) & (push > 0)) | ((theta >= problem.high) & (push < 0))
         if done == rounds or small == 2:
             break
-        normal = (jac.T @ jac + curve)[np.ix_(free, free)]
-        scale, changes = np.diag(np.diag(normal)), np.zeros((len(DAMPINGS) + 1, len(theta)))
-        for change, damping in zip(changes, DAMPINGS, strict=False):
-            change[free] = -np.linalg.solve(normal + damping * scale, push[free])
+        free, changes = ~held, np.zeros((len(DAMPINGS) + 1, len(theta)))
+        changes[:-1, free] = damped_steps(normal[np.ix_(free, free)], push[free], DAMPINGS)
         changes[-1] = 0.5 * changes[0]
-        tried = np.clip(theta + changes * step, low, high)
-        costs = cost(residual(tried) * weight, tried)
-        best = int(np.argmin(costs))
-        small = small + 1 if not costs[best] < now * (1 - enough) else 0
-        if costs[best] < now:
-            theta = tried[best]
-        else:
+        best = problem.best(theta, changes)
+        small = small + 1 if not best.cost < now * (1 - enough) else 0
+        if not best.cost < now:
             break
-    return Minimum(theta, float(now), r, jac, held, done)
+        theta = best.x
+    return Minimum(theta, float(now), r, jac.T, held, done)
 
 
 def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
@@ -177,67 +177,32 @@ def _weights(r: np.ndarray, blocks: list[Block]) -> np.ndarray:
     return out
 
 
-def _linear(parameters: list[FreeParameter], residual: Residual, theta: np.ndarray, weight: np.ndarray):
-    """Weighted residual (m,) and its slopes (m, K) per step size."""
-    rows = [theta]
-    for k, p in enumerate(parameters):
-        row = theta.copy()
-        row[k] += p.step if row[k] + p.step <= p.high else -p.step
-        rows.append(row)
-    values = residual(np.array(rows)) * weight
-    moved = np.array([row[k] - theta[k] for k, row in enumerate(rows[1:])])
-    steps = np.array([p.step for p in parameters])
-    return values[0], ((values[1:] - values[0]) / moved[:, None] * steps[:, None]).T
-
-
-def _prior(parameters: list[FreeParameter], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slope and curvature of the priors per step size."""
-    step = np.array([p.step for p in parameters])
-    sigma = np.array([p.sigma for p in parameters]) / step
-    off = (theta - np.array([p.start for p in parameters])) / step
-    return off / sigma**2, np.diag(1.0 / sigma**2)
-
-
 def _descend(parameters: list[FreeParameter], residual: Residual, theta, weight, tick: Tick, done: int) -> tuple[np.ndarray, int]:
     """Descends by Levenberg and Marquardt, after `done` passes; tries all dampings of a round in one batch."""
-    low, high = np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
-    start, step = np.array([p.start for p in parameters]), np.array([p.step for p in parameters])
-    sigma = np.array([p.sigma for p in parameters])
-
-    def cost(values, points):
-        return np.sum(values**2, 1) + np.sum(((points - start) / sigma) ** 2, 1)
-
+    problem = problem_of(parameters, residual, weight)
     for rounds in range(1, ROUNDS + 1):
-        r, jac = _linear(parameters, residual, theta, weight)
-        slope, curve = _prior(parameters, theta)
-        normal, push = jac.T @ jac + curve, jac.T @ r + slope
-        scale = np.diag(np.diag(normal) + 1e-12)
-        changes = [-np.linalg.solve(normal + damping * scale, push) for damping in DAMPINGS]
-        tried = np.clip(theta + np.array(changes) * step, low, high)
-        costs = cost(residual(tried) * weight, tried)
-        best, now = int(np.argmin(costs)), cost(r[None], theta[None])[0]
+        r, jac = problem.linear(theta)
+        best = problem.best(theta, damped_steps(*problem.quadratic(theta, r, jac), DAMPINGS, RIDGE))
         tick((done + rounds / ROUNDS) / PASSES)
-        if not costs[best] < now * (1 - ENOUGH):
+        if not best.cost < problem.cost(r[None], theta[None])[0] * (1 - ENOUGH):
             return theta, rounds
-        theta = tried[best]
+        theta = best.x
     return theta, ROUNDS
 
 
-def _spreads(parameters, theta, r, jac, blocks) -> dict[str, Spread]:
+def _spreads(problem: Problem, theta, r, jac, blocks) -> dict[str, Spread]:
     """Curvature, and the jackknifes over trials and groups."""
     from scipy.stats import t as student
 
-    step = np.array([p.step for p in parameters])
-    curve = _prior(parameters, theta)[1]
-    normal = jac.T @ jac + curve
+    normal, _ = problem.quadratic(theta, r, jac)
     floor = 1e-9 * np.diag(np.diag(normal) + 1e-12)
-    scaled = lambda covariance: covariance * np.outer(step, step)
+    scaled = lambda covariance: covariance * np.outer(problem.step, problem.step)
     found = {"curvature": Spread(scaled(np.linalg.inv(normal + floor)), NORMAL)}
     for kind, key in (("trials", lambda b: b.trial), ("signals", lambda b: b.group)):
         groups = sorted({key(b) for b in blocks})
         if len(groups) >= FEW:
             quantile = float(student.ppf(0.95, len(groups) - 1))
-            found[kind] = Spread(scaled(_jackknife(r, jac, blocks, curve, key, groups)), quantile)
+            found[kind] = Spread(scaled(_jackknife(r, jac, blocks, normal + floor, key, groups)), quantile)
     return found
 
 
@@ -259,21 +224,16 @@ def bound_of(parameter: FreeParameter, value: float) -> str:
     return "lower" if value <= parameter.low + near else "upper" if value >= parameter.high - near else ""
 
 
-def _jackknife(r, jac, blocks, curve, key, groups) -> np.ndarray:
+def _jackknife(r, jac, blocks, normal, key, groups) -> np.ndarray:
     """(K, K) covariance per step size from leaving out one group after another."""
-    normal, slope = jac.T @ jac + curve, jac.T @ r
-    steps = []
+    slope, steps = jac @ r, []
     for group in groups:
         rows = np.concatenate([np.arange(b.where.start, b.where.stop) for b in blocks if key(b) == group])
-        part = jac[rows]
+        part = jac[:, rows]
         # at a bound, theta* need not be a root of the slope: the change is relative to it
-        rest, push = normal - part.T @ part, slope - part.T @ r[rows]
-        steps.append(
-            -np.linalg.solve(rest + 1e-9 * np.diag(np.diag(normal) + 1e-12), push - slope * (len(groups) - 1) / len(groups))
-        )
-    off = np.array(steps) - np.mean(steps, 0)
-    n = len(groups)
-    return (n - 1) / n * off.T @ off
+        push = slope - part @ r[rows] - slope * (len(groups) - 1) / len(groups)
+        steps.append(-np.linalg.solve(normal - part @ part.T, push))
+    return jackknife(np.array(steps))
 
 
 def correlation_length(r: np.ndarray) -> float:

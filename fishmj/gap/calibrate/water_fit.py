@@ -24,6 +24,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import t as student
 
 from fishmj.base.errors import LogError
+from fishmj.base.least_squares import jackknife_sd
 from fishmj.gap.calibrate.calibration_logs import QUIET, Logs
 from fishmj.gap.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, bound_of, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, WaterPlant
@@ -244,8 +245,7 @@ def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[di
     def estimate(name: str, unit: str, values: np.ndarray, low: float = -np.inf, high: float = np.inf) -> ParameterEstimate:
         value, slope, left_out = values[0], (values[1 : 1 + len(step)] - values[0]) / step, values[1 + len(step) :]
         curved = NORMAL * float(np.sqrt(slope @ noise @ slope))
-        n = len(left_out)
-        apart = quantile * float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
+        apart = quantile * float(jackknife_sd(left_out))
         half = float(np.hypot(curved, apart))
         widest = "curvature" if curved > apart else "kinds of swim"
         return ParameterEstimate(

@@ -13,6 +13,7 @@ s, its square f^2 becomes 1 / (1/f^2 + 1/s^2), and the jackknife over records le
 
 import numpy as np
 
+from fishmj.base.least_squares import jackknife_sd
 from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.fit import Candidate, bounds, difference_rows
@@ -29,16 +30,15 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     search = e.subset()
     low, high, _ = bounds(e.model)
     places = list(c.places)
-    rows = np.concatenate([c.row[None], difference_rows(e.model, c)])
-    moved = np.array([rows[1 + k, place] - c.row[place] for k, place in enumerate(places)])
-    residual = e.layout.residuals(e.model.predict(e.records, rows))
+    rows, moved = difference_rows(e.model, c)
+    residual = e.layout.residuals(e.model.predict(e.records, np.concatenate([c.row[None], rows])))
     jacobian = (residual[1:] - residual[0]) / moved[:, None]
     white = search.whiten(jacobian)
     spurious = null_estimates(e, jacobian)
     weighed = e.layout.channel == mass_properties.CHANNEL
     # The larger of two, since neither is right alone: the curvature assumes S is exact, the jackknife needs many records.
     by_curvature = np.sqrt(np.diag(np.linalg.inv(_regularised(white @ white.T))))
-    by_jackknife = jackknife_sd(white, search.whiten(residual[0]), np.where(weighed, -1, e.layout.record))
+    by_jackknife = sd_over_records(white, search.whiten(residual[0]), np.where(weighed, -1, e.layout.record))
     if len(e.records) < limits.jackknife_records:
         by_jackknife = np.minimum(by_jackknife, limits.jackknife_cap * by_curvature)
     sampling = np.maximum(by_curvature, by_jackknife)
@@ -71,14 +71,14 @@ def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
     return out
 
 
-def jackknife_sd(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """(K,) standard deviations over records; record (m,) is the record of each value, -1 none."""
+def sd_over_records(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.ndarray:
+    """(K,) standard deviations by the jackknife; record (m,) is the record of each value, -1 none."""
     n = int(record.max()) + 1
     steps = np.empty((n, len(white)))
     for k in range(n):
         rest = record != k
         steps[k] = -np.linalg.solve(_regularised(white[:, rest] @ white[:, rest].T), white[:, rest] @ z[rest])
-    return np.sqrt((n - 1) / n * np.sum((steps - steps.mean(0)) ** 2, 0))
+    return jackknife_sd(steps)
 
 
 def _regularised(normal: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ class Localisation:
     without data. locked: by channel, joint and heading.
     thirds: channel -> (3,) mean square over the floor in the first, middle and last third of a record. session: channel -> its
     slope over the session [1/s], relative to its mean, NaN if all records are of one time.
-    bias: (J,) mean residual of each joint, rad. residual_rms: channel -> RMS before, after (SI).
+    bias: (J,) mean residual of each joint, rad.
     """
 
     gap: float
@@ -45,7 +45,6 @@ class Localisation:
     session: dict[str, float]
     rates: BeatRates | None
     bias: np.ndarray
-    residual_rms: dict[str, tuple[float, float]]
 
     @property
     def text(self) -> str:
@@ -61,17 +60,10 @@ def localise(c: Comparison, allowed: float) -> Localisation:
     found = stretches(c)
     gaps = [float(np.mean(ratio)) for ratio in c.ratio]
     locked = {name: got for name in ("joint", "heading") if (got := beat(c, name)) is not None}
-    rms = {name: _rms(c, name) for name in channels}
     return Localisation(
         *(gaps[0], gaps[1], allowed, channels, KINDS, share, level, time, lags(c), locked, frame(found), side(found)),
-        *(thirds(c), over_session(c), by_rate(c), bias(c), rms),
+        *(thirds(c), over_session(c), by_rate(c), bias(c)),
     )
-
-
-def _rms(c: Comparison, channel: str) -> tuple[float, float]:
-    some = c.layout.channel == channel
-    before, after = np.sqrt(np.mean(c.residuals[:, some] ** 2, 1))
-    return float(before), float(after)
 
 
 def thirds(c: Comparison) -> dict[str, np.ndarray]:

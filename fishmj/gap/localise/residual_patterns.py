@@ -217,7 +217,7 @@ BEATS = 0.03  # rad, standard deviation of a command that moves
 class Frame(NamedTuple):
     """Residual of the velocity over ground. world, body: (2,) m/s with sd; *_share: of its weighted mean square, each alone.
 
-    octant: (8, 2) weighted mean residual ahead and to the left, m/s, by heading (0 = along +x); stretches: (8,) how many.
+    octant: (8, 2) weighted mean residual ahead and to the left, m/s, by heading (0 = along +x).
     """
 
     world: np.ndarray
@@ -227,7 +227,6 @@ class Frame(NamedTuple):
     world_share: float
     body_share: float
     octant: np.ndarray
-    stretches: np.ndarray
 
     @property
     def points(self) -> str:
@@ -307,11 +306,10 @@ def frame(found: list[Interval]) -> Frame | None:
     by_world, by_body = (_explained(part, drift, weight) for part in (world, body))
     seen = np.stack([co * drift[:, 0] + si * drift[:, 1], co * drift[:, 1] - si * drift[:, 0]], 1)
     octant = np.round(heading / (2 * np.pi / OCTANTS)).astype(int) % OCTANTS
-    count = np.bincount(octant, minlength=OCTANTS)
     sums = np.stack([np.bincount(octant, weight * seen[:, k], OCTANTS) for k in (0, 1)], 1)
     mean = sums / np.maximum(np.bincount(octant, weight, OCTANTS), 1e-12)[:, None]
     mean[np.bincount(octant, weight, OCTANTS) < 0.01 * weight.sum()] = np.nan
-    return Frame(value[:2], sd[:2], value[2:], sd[2:], by_world, by_body, mean, count)
+    return Frame(value[:2], sd[:2], value[2:], sd[2:], by_world, by_body, mean)
 
 
 def side(found: list[Interval]) -> Side | None:

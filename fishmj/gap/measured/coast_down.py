@@ -15,7 +15,7 @@ from fishmj.effects.effect import Effect
 from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody
 from fishmj.gap.measured.study_logs import Log
 from fishmj.gap.measured.study_schema import StudyInput
-from fishmj.gap.models.swimming_fish import Constant
+from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import Sensor
 
 STARTS = 28  # speeds at the start that are tried
@@ -35,7 +35,7 @@ class Coast(NamedTuple):
     power: None = None
 
 
-class CoastDown:
+class CoastDown(ParameterRow):
     """Model of a coasting body.
 
     Args: hull: nominal mass and drag. constants: fitted factors. catalogue: effects. speeds: of starts.
@@ -47,15 +47,6 @@ class CoastDown:
         self.body = PlanarBody(hull, constants, catalogue, dt)
         self.constants, self.active, self.dt = constants, self.body.active, dt
         self.starts = np.geomspace(*speeds, STARTS)
-
-    @property
-    def null(self) -> np.ndarray:
-        """(P,) row of the nominal body."""
-        return self.body.null
-
-    def index(self, effect: str, parameter: str) -> int:
-        """Place of an effect's parameter in a row."""
-        return self.body.index(effect, parameter)
 
     def predict(self, records: Sequence[Coast], rows) -> list[dict]:
         """Speed at the stamps of every coast, for every parameter row (R, P): {"pose": (R, K, 1)}."""

@@ -24,7 +24,7 @@ from fishmj.effects import sites
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import Constants, FlowAt, Measured
 from fishmj.gap.models.kernel import Kernel
-from fishmj.gap.models.swimming_fish import Constant
+from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import Sensor
 
 SITES = {"body", "flow", "fish", "measure"}
@@ -95,7 +95,7 @@ class Transfer(NamedTuple):
     mass: list
 
 
-class PlanarBody:
+class PlanarBody(ParameterRow):
     """Model of a planar body. Args: hull: nominal. constants: fitted factors.
 
     catalogue: effects; default, those that act here. drive: of `DRIVES`.
@@ -107,15 +107,6 @@ class PlanarBody:
         self.hull, self.constants, self.dt, self.drive = hull, constants, dt, DRIVES[drive]
         chosen = acting() if catalogue is None else list(catalogue)
         self.active = effects.EffectStack(chosen, joints=1)
-
-    @property
-    def null(self) -> np.ndarray:
-        """(P,) row of the nominal hull."""
-        return np.array([1.0] * len(self.constants) + self.active.null)
-
-    def index(self, effect: str, parameter: str) -> int:
-        """Place of an effect's parameter in a row."""
-        return len(self.constants) + self.active.index(effect, parameter)
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -20,7 +20,7 @@ from fishmj.base.units import G
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import Gear, Measured, ServoDrive
 from fishmj.gap.models.kernel import Kernel, hermite
-from fishmj.gap.models.swimming_fish import Constant
+from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import Sensor
 
 DT = 0.002  # s
@@ -72,7 +72,7 @@ def measured_rail(xp, p, s, memory, h):
     return s._replace(kp=share * s.kp, kv=share * s.kv, limit=share * s.limit), memory
 
 
-class OneServo:
+class OneServo(ParameterRow):
     """Model of one servo. Args: motor: nominal. rig: load and supply. constants: fitted factors.
 
     catalogue: effects; default, all that apply to a servo on a bench. dt: s, the step. centred: a command that changes at a step
@@ -92,15 +92,6 @@ class OneServo:
         self.motor, self.rig, self.dt, self.lag = motor, rig, dt, 0.5 * centred
         self.constants = tuple(Constant(n, 0.3) for n in ServoMotor._fields) if constants is None else constants
         self.active = effects.EffectStack(on_bench(acting() if catalogue is None else catalogue), joints=1)
-
-    @property
-    def null(self) -> np.ndarray:
-        """(P,) row of the nominal servo."""
-        return np.array([1.0] * len(self.constants) + self.active.null)
-
-    def index(self, effect: str, parameter: str) -> int:
-        """Place of an effect's parameter in a row."""
-        return len(self.constants) + self.active.index(effect, parameter)
 
     @cached_property
     def kernel(self) -> Kernel:

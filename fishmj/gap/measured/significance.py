@@ -7,6 +7,8 @@ follow the weaker of the two.
 import numpy as np
 from scipy import stats
 
+from fishmj.base.least_squares import jackknife_sd
+
 LEAST_GROUPS = 5  # the smallest p of n groups is 1/2^n: with fewer, none below LEVEL
 LEVEL = 0.05
 DRAWS = 2**14  # all label swaps of up to 14 groups; of more, so many drawn ones
@@ -39,8 +41,7 @@ def jackknife(values: np.ndarray, whole: float) -> tuple[float, float]:
     k = len(values)
     if k < 2:
         return -np.inf, np.inf
-    error = float(np.sqrt((k - 1) / k * np.sum((values - np.mean(values)) ** 2)))
-    wide = float(stats.t.ppf(0.5 + 0.5 * COVERS, k - 1)) * error
+    wide = float(stats.t.ppf(0.5 + 0.5 * COVERS, k - 1)) * float(jackknife_sd(values))
     return whole - wide, whole + wide
 
 

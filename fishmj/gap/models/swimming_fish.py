@@ -54,7 +54,28 @@ CONSTANTS = (
 )
 
 
-class SwimmingFish:
+class ParameterRow:
+    """Layout of a model's parameter rows: factors on its constants, then the parameters of its effects."""
+
+    constants: tuple[Constant, ...]
+    active: effects.EffectStack
+
+    @property
+    def nothing(self) -> np.ndarray:
+        """(P,) row of the nominal model without any effect."""
+        return np.array([1.0] * len(self.constants) + self.active.null)
+
+    @property
+    def null(self) -> np.ndarray:
+        """(P,) row of the present model."""
+        return self.nothing
+
+    def index(self, effect: str, parameter: str) -> int:
+        """Place of an effect's parameter in a row."""
+        return len(self.constants) + self.active.index(effect, parameter)
+
+
+class SwimmingFish(ParameterRow):
     """The swimming fish.
 
     Args: robot: description, path or name. catalogue: effects; default, all that change the mean of a log.
@@ -66,17 +87,12 @@ class SwimmingFish:
         self.joints = self.robot.n_joints
         chosen = effects.catalogue().values() if catalogue is None else catalogue
         self.active = effects.EffectStack([e for e in chosen if not e.stochastic], self.joints)
-        self.constants: tuple[Constant, ...] = CONSTANTS
+        self.constants = CONSTANTS
         self.chain = planar_chain.chain_of(self.robot)
         self.nominal = planar_chain.nominal(self.robot)
         self.latency = self.robot.timing.command_latency
         self.camera = self.robot.timing.camera_latency
         self.states = 2 * (self.joints + 3) + 2 + len(self.active.memory)  # q, v, attachment, energy, memory
-
-    @property
-    def nothing(self) -> np.ndarray:
-        """(P,) row of the fish without any effect."""
-        return np.array([1.0] * len(self.constants) + self.active.null)
 
     @property
     def null(self) -> np.ndarray:
@@ -90,10 +106,6 @@ class SwimmingFish:
             for name, interval in fitted.parameters.items() if fitted.name in mine else ():
                 row[self.index(fitted.name, name)] = interval.value
         return row
-
-    def index(self, effect: str, parameter: str) -> int:
-        """Place of an effect's parameter in a row."""
-        return len(self.constants) + self.active.index(effect, parameter)
 
     @cached_property
     def fingerprint(self) -> str:

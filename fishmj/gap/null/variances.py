@@ -4,15 +4,14 @@
         = F_i^T F_i + sum_j u_j f_ij f_ij^T + C_i,    C_i: parts within one record each, block by block
     -2 log L = sum_i r_i^T S_i^-1 r_i + log det S_i
 
-By the MM algorithm of Zhou, Hu, Zhou & Lange (2019): each variance is multiplied by the square root of observed over expected
-sums of its part,
+`score_variances` gives the sums for a step of the MM algorithm of Zhou, Hu, Zhou & Lange (2019), which multiplies each variance
+by the square root of observed over expected sums of its part:
 
     u_g <- u_g (sum_ik (a_ik^T S_i^-1 r_i)^2 / sum_ik a_ik^T S_i^-1 a_ik)^1/2
 
-which never lowers the likelihood and keeps every variance positive.
+It never lowers the likelihood and keeps every variance positive.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -85,26 +84,3 @@ def score_variances(sample: Sample, u: np.ndarray, p: np.ndarray) -> VarianceSco
     squared = float(sample.residual @ residual)
     both = np.append(seen, of_channel(residual**2)), np.append(expected, of_channel(white))
     return VarianceScore(squared + logdet, squared / len(d), *both)
-
-
-class VarianceFit(NamedTuple):
-    """Variances u (G,), p (C,); loss: -2 log L over all robots; adequacy: |z|^2 / m of each."""
-
-    u: np.ndarray
-    p: np.ndarray
-    loss: float
-    adequacy: list[float]
-
-
-def most_likely(
-    ask: Callable[..., list[VarianceScore]], u: np.ndarray, p: np.ndarray, rounds: int, tick=lambda done: None
-) -> VarianceFit:
-    """Most likely variances, from a start point. ask(u, p) -> [Asked] of every robot; rounds: of the algorithm."""
-    for done in range(rounds):
-        told = ask(u, p)
-        seen, expected = (np.sum([getattr(one, key) for one in told], 0) for key in ("seen", "expected"))
-        factor = np.sqrt(seen / np.maximum(expected, TINY))
-        u, p = u * factor[: len(u)], p * factor[len(u) :]
-        tick(done + 1)
-    told = ask(u, p)
-    return VarianceFit(u, p, sum(one.loss for one in told), [one.adequacy for one in told])

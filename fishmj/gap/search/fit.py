@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fishmj.base.least_squares import damped_steps, differences, slopes
 from fishmj.effects import Effect
 from fishmj.gap.thresholds import thresholds
 
@@ -135,18 +136,16 @@ class EffectFitter:
         best = list(candidates)
         damping = [1e-2] * len(best)
         for _ in range(thresholds().fit.iterations if iterations is None else iterations):
-            # All candidates share each call of `z`, since the compiled rollouts are vectorised over rows. The optimisers of
-            # SciPy cannot batch problems: each candidate would roll out alone.
+            # All candidates share each call of `z`: the compiled rollouts are vectorised over rows.
             steps = [difference_rows(self.model, c) for c in best]
-            z = self.z(np.concatenate(steps))
+            z = self.z(np.concatenate([rows for rows, _ in steps]))
             trials: list[np.ndarray] = []
             owner: list[int] = []
             first = 0
-            for i, (c, rows) in enumerate(zip(best, steps, strict=True)):
+            for i, (c, (rows, moved)) in enumerate(zip(best, steps, strict=True)):
                 places = list(c.places)
-                moved = rows[np.arange(len(places)), places] - c.row[places]
                 # Per typical size: effects have units from rad to N s2/m2, and both the damping and the prior need one scale.
-                jac = (z[first : first + len(rows)] - c.z) / moved[:, None] * size[places][:, None]
+                jac = slopes(z[first : first + len(rows)], c.z, moved, size[places])
                 first += len(rows)
                 away = (c.row - self.model.null)[places] / size[places]
                 # The prior is in the normal matrix, not only in the cost: a parameter that these records do not determine has
@@ -154,8 +153,7 @@ class EffectFitter:
                 normal = jac @ jac.T + np.eye(len(away)) / prior**2
                 slope = jac @ c.z + away / prior**2
                 # Two dampings at once instead of one and a retry: rows of a batch are cheap, further batches are not.
-                for m in (damping[i], damping[i] * 30):
-                    change = -np.linalg.solve(normal + m * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(slope)), slope)
+                for change in damped_steps(normal, slope, (damping[i], damping[i] * 30), 1e-9):
                     row = c.row.copy()
                     row[places] = np.clip(row[places] + change * size[places], low[places], high[places])
                     trials.append(row)
@@ -194,14 +192,13 @@ def drop_effect(search: EffectFitter, c: Candidate, name: str) -> Candidate:
     return search.at(row, tuple(n for n in c.names if n != name), tuple(p for p in c.places if p not in gone))
 
 
-def difference_rows(model, c: Candidate) -> np.ndarray:
-    """(K, P) the candidate's row with one parameter changed in each, for finite differences: up, or down at the upper bound."""
+def difference_rows(model, c: Candidate) -> tuple[np.ndarray, np.ndarray]:
+    """(K, P) the candidate's row with one parameter changed in each, for finite differences, and the changes (K,)."""
     _, high, size = bounds(model)
-    rows = np.tile(c.row, (len(c.places), 1))
-    for row, place in zip(rows, c.places, strict=True):
-        step = thresholds().fit.difference_step * size[place]
-        row[place] += step if row[place] + step <= high[place] else -step
-    return rows
+    places = list(c.places)
+    rows = np.tile(c.row, (len(places), 1))
+    rows[:, places], moved = differences(c.row[places], thresholds().fit.difference_step * size[places], high[places])
+    return rows, moved
 
 
 def probes(effect: Effect, fine: tuple[float, ...] = ()) -> list[tuple[int, float]]:

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 from fishmj.base.errors import LogError
 from fishmj.gap.null.null_runs import SimulatedNull
-from fishmj.gap.null.structural_error import StructuralErrorScales, applies
+from fishmj.gap.null.structural_error import applies
 from fishmj.gap.progress import Bars, silent_bar
-from fishmj.gap.records.records import ResidualLayout, record_of
+from fishmj.gap.records.records import record_of
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.log import Trial
 
@@ -44,10 +44,3 @@ def read_healthy_swims(model, trials: Sequence[Trial], null: SimulatedNull, bars
     # A repeated experiment has other noise: only the fish is common to both.
     e = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], replace(null, session=1), bars)
     return HealthySwims(e.gap(model.null)[0], e.with_own_widths())
-
-
-def left_by(model, trials: Sequence[Trial], null: SimulatedNull, tables: dict[str, StructuralErrorScales]) -> dict[str, float]:
-    """|z|^2 / m of the model on healthy swims with each of several sets of scales, by name."""
-    records = [record_of(trial, model.dt) for trial in trials]
-    runs = null.residuals(model, records, ResidualLayout(records))
-    return {name: Likelihood(model, records, runs, widths=given).gap(model.null)[0] for name, given in tables.items()}

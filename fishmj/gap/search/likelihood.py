@@ -272,10 +272,9 @@ class Likelihood:
     def jacobian(self, c: Candidate) -> np.ndarray:
         """(K, m) change of the residual by a typical size of each parameter of a candidate, about its values."""
         size = bounds(self.model)[2]
-        rows = np.concatenate([c.row[None], difference_rows(self.model, c)])
-        residuals = self._residuals(rows)
-        moves = np.array([(row[p] - c.row[p]) / size[p] for row, p in zip(rows[1:], c.places, strict=True)])
-        return (residuals[1:] - residuals[0]) / moves.reshape(-1, 1)
+        rows, moved = difference_rows(self.model, c)
+        residuals = self._residuals(np.concatenate([c.row[None], rows]))
+        return (residuals[1:] - residuals[0]) / (moved / size[list(c.places)])[:, None]
 
     def change(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """(m,) change of the residual from one parameter row to another."""

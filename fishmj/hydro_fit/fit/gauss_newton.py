@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.base.least_squares import Problem, damped_steps
 from fishmj.hydro_fit.fit import training_windows
 from fishmj.hydro_fit.fit.identifiability import Identified, identify
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, attachment, base_force
@@ -173,40 +174,32 @@ def fit_rollout(
     limits, start = prior_of(robot), flat(water)
     names = tuple(groups(ch.n))
     size = len(names)
-    jacobian, loop = np.zeros((0, size)), loop or Loop()
-    at = lambda values: np.stack([scaled(start, value, ch.n, limits) for value in values])
-    cost = lambda r, x: float(0.5 * r @ r + 0.5 * x @ x / SPREAD**2)
-    # ten factors cost eleven swims, forwards only, in one batch: no gradient through thousands of steps is needed
-    with_differences = lambda x: match.residuals(at([x] + [x + STEP * e for e in np.eye(size)]))
-    begun, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
+    loop = loop or Loop()
+    # Ten factors cost eleven swims, forwards only, in one batch: no gradient through thousands of steps is needed. The prior
+    # keeps factors that the swims do not determine at the value from the forces.
+    residual = lambda rows: match.residuals(np.stack([scaled(start, row, ch.n, limits) for row in rows]))
+    problem = Problem(residual, np.full(size, STEP), np.zeros(size), np.eye(size) / SPREAD**2)
+    done, kept = loop.begin((np.zeros(size), np.float64(1e-2), np.float64(np.nan), np.float64(np.nan)))
     x, damping, best, first = kept
-    residuals = with_differences(x)
-    if not begun:
-        first = best = np.float64(cost(residuals[0], x))
-    done = begun
-    for done in range(begun + 1, rounds + 1):
-        jacobian = ((residuals[1:] - residuals[0]) / STEP).T
-        # the prior is one more residual for each factor, x / SPREAD: factors that the swims do not determine keep the forces'
-        # value
-        normal = jacobian.T @ jacobian + np.eye(size) / SPREAD**2
-        gradient = jacobian.T @ residuals[0] + x / SPREAD**2
-        # all dampings in one batch: a failing step costs no round
+    r, jacobian = problem.linear(x)
+    if not done:
+        first = best = 0.5 * problem.cost(r[None], x[None])[0]
+    while done < rounds:
+        done += 1
         dampings = [damping * share for share in DAMPING]
-        steps = [x - np.linalg.solve(normal + d * np.diag(np.diag(normal)), gradient) for d in dampings]
-        tried = match.residuals(at(steps))
-        costs = [cost(r, s) for r, s in zip(tried, steps, strict=True)]
-        pick = int(np.argmin(costs))
-        decrease = best - costs[pick]
+        tried = problem.best(x, damped_steps(*problem.quadratic(x, r, jacobian), dampings))
+        decrease = best - 0.5 * tried.cost
         # even the most damped step was no better, so `x` stays: the fit never ends worse than it began
         if decrease <= 0:
             break
-        x, best, damping = steps[pick], costs[pick], dampings[pick]
+        x, best, damping = tried.x, np.float64(0.5 * tried.cost), dampings[tried.place]
         if report is not None:
-            report(done, rounds, best)
+            report(done, rounds, float(best))
         if decrease < LEAST * best or done == rounds:
             break
-        loop.after(done, (x, np.float64(damping), np.float64(best), first))
-        residuals = with_differences(x)
+        loop.after(done, (x, np.float64(damping), best, first))
+        r, jacobian = problem.linear(x)
+    jacobian = jacobian.T / STEP
     prior = Prior(names, np.ones(size), np.full(size, SPREAD), np.full(size, np.exp(-1.5)), np.full(size, np.exp(1.5)))
     result = scaled(start, x, ch.n, limits)
     # the Jacobian of the last round, one step before `x`: one at `x` would cost another round of swims

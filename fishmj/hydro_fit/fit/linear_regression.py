@@ -158,14 +158,18 @@ def _solve(prior: Prior, links: list[_Sums], noise):
 
 def bounded(prior: Prior, normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     """argmin of the quadratic plus prior within the bounds."""
-    from scipy.optimize import lsq_linear
-
     scaled = normal * np.outer(prior.sd, prior.sd) + np.eye(len(prior.mean))
     wanted = prior.sd * (right - normal @ prior.mean)
-    root = np.linalg.cholesky(scaled).T
     low, high = (prior.low - prior.mean) / prior.sd, (prior.high - prior.mean) / prior.sd
-    step = lsq_linear(root, np.linalg.solve(root.T, wanted), (low, high), method="bvls").x
-    return prior.mean + prior.sd * step
+    return prior.mean + prior.sd * bounded_minimum(scaled, wanted, low, high)
+
+
+def bounded_minimum(normal: np.ndarray, right: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """argmin of x.normal.x / 2 - right.x within the bounds."""
+    from scipy.optimize import lsq_linear
+
+    root = np.linalg.cholesky(normal).T
+    return lsq_linear(root, np.linalg.solve(root.T, right), (low, high), method="bvls").x
 
 
 def _coefficients(c: strip_forces.Coefficients, theta: np.ndarray, links: int) -> strip_forces.Coefficients:

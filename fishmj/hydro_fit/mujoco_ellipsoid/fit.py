@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fishmj.base.least_squares import Problem
 from fishmj.hydro_fit.fit import gauss_newton, linear_regression, pipeline, rollout
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, mean3, rows_of
 from fishmj.hydro_fit.mujoco_ellipsoid import force
@@ -148,29 +149,31 @@ class Fit(pipeline.FitPipeline):
 
     def _descend(self, match: Match, flat: np.ndarray) -> tuple[np.ndarray, float]:
         """Damped Gauss-Newton within the bounds; never ends worse than it began."""
-        at, unit, damping = self.free, self.unit, 1e-2
-        nudges = np.zeros((len(at), len(flat)))
-        nudges[np.arange(len(at)), at] = STEP * unit[at] * np.where(flat[at] > self.high[at] - STEP * unit[at], -1.0, 1.0)
-        best = self._cost(match.residuals(flat[None])[0], flat)
+        at, damping = self.free, 1e-2
+        unit, low, high = self.unit[at], self.low[at], self.high[at]
+
+        def residual(rows: np.ndarray) -> np.ndarray:
+            waters = np.tile(self.unit, (len(rows), 1))
+            waters[:, at] = rows
+            return match.residuals(waters)
+
+        problem, x = Problem(residual, STEP * unit, unit, np.diag(1.0 / unit**2), low, high), flat[at]
+        best = 2.0 * self._cost(match.residuals(flat[None])[0], flat)
         for _ in range(ROUNDS):
-            near = match.residuals(np.concatenate([flat[None], flat + nudges]))
-            jacobian = np.zeros((near.shape[1], len(flat)))
-            jacobian[:, at] = ((near[1:] - near[0]) / nudges[np.arange(len(at)), at][:, None]).T
-            normal, slope = jacobian.T @ jacobian, jacobian.T @ near[0]
-            tries = damping * 10.0 ** np.arange(-1, len(at))
-            steps = []
-            for d in tries:
-                damped = normal + d * np.diag(np.diag(normal) + 1.0 / unit**2)
-                steps.append(self._bounded(damped, damped @ flat - slope, unit))
-            found = [self._cost(r, s) for r, s in zip(match.residuals(np.stack(steps)), steps, strict=True)]
-            pick = int(np.argmin(found))
-            fall = best - found[pick]
+            normal, slope = problem.quadratic(x, *problem.linear(x))
+            dampings = damping * 10.0 ** np.arange(-1, len(at))
+            room = (low - x) / problem.step, (high - x) / problem.step
+            damped = (normal + d * np.diag(np.diag(normal)) for d in dampings)
+            tried = problem.best(x, np.array([linear_regression.bounded_minimum(a, -slope, *room) for a in damped]))
+            fall = best - tried.cost
             if fall <= 0:
                 break
-            flat, best, damping = steps[pick], found[pick], float(tries[pick])
+            x, best, damping = tried.x, tried.cost, float(dampings[tried.place])
             if fall < LEAST * best:
                 break
-        return flat, best
+        fitted = self.unit.copy()
+        fitted[at] = x
+        return fitted, 0.5 * best
 
 
 def columns(e: force.Ellipsoids, i: int, rows: RegressionRows, inertia: bool, tick: float) -> dict[str, np.ndarray]:

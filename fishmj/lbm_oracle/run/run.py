@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, Tic
 from fishmj.log import Trial
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.model import reference_pose
-from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.mjcf.servos import arrived_of, on_the_bus
 
 ALERT = 50  # ticks after a repeated one that keep a checkpoint: the wake is still fast
 
@@ -284,7 +284,7 @@ class Run:
 
     def servo_target(self, step: int) -> np.ndarray:
         """Servo targets (J,) rad in step `step`: the newest command that is old enough."""
-        return arrived(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
+        return arrived_of(self.commands, step, self.delay, self.steps, self.robot.timing.command_path == "move_time")
 
     def prescribed_velocity(self, dt: float) -> tuple:
         """Prescribed velocities of this step, `fixed` and `value` (n,) of `FluidStructure.solve`, or None for both."""

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from fishmj.engines import FishParams, FishState
 from fishmj.tasks.dm_control.physics import Physics
 from fishmj.tasks.episode import TaskSpec
@@ -37,7 +39,9 @@ class HybridPhysics(Physics):
         self.hybrid.reset()
 
     def _next_tick(self) -> None:
-        s, data = self.swim, self.data
-        fish = FishState(data.qpos[None].copy(), data.qvel[None].copy(), s.attached, s.buffer, s.memory)
+        s, data, water = self.swim, self.data, self.water
+        batch = lambda values: np.array([values], float)
+        fish = FishState(batch(data.qpos), batch(data.qvel), batch(water.attached), s.buffer, batch(water.memory))
         s.params, s.current = self.hybrid.tick(fish, *self._given, s.step // s.steps)
+        water.set_fish(s.params)
         super()._next_tick()

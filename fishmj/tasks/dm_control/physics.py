@@ -1,7 +1,7 @@
 """The fish in its water as a dm_control `Physics`: bus commands in, poses out.
 
-    planar root   Q_water - M_a a goes into qfrc_applied before each mj_step
-    free root     the water's wrench on every link goes into xfrc_applied (`water.link_wrench`)
+    planar root   Q_water - M_a a goes into qfrc_applied before each mj_step      (`engines.single.closed_form`)
+    free root     the water's wrench on every link goes into xfrc_applied         (`engines.single.WrenchWater`)
 
 Both equal the callback's step to round-off and share nothing in the process: any number of environments and threads may run side
 by side.
@@ -12,7 +12,6 @@ include all of it; `get_state` and `set_state` cover MuJoCo's part only.
 
 import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import mujoco
@@ -23,14 +22,14 @@ from dm_control.rl import control
 
 from fishmj import engines
 from fishmj.base.calib import constant
-from fishmj.base.errors import ConfigError, MissingExtra, SimDiverged
+from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.engines import FishParams
-from fishmj.engines.planar import arrived, link_centres, quantise
-from fishmj.engines.single import WrenchWater
+from fishmj.engines.planar import link_centres
+from fishmj.engines.single import WrenchWater, closed_form
 from fishmj.mjcf import passive_slot
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import build_spec, personalise, reference_pose, reference_qpos
-from fishmj.water.dynamics import planar_chain as chain
+from fishmj.mjcf.servos import arrived_of, on_the_bus
 from fishmj.water.flow import Current, Flow, sample
 from fishmj.water.spatial_water import FreeWater
 
@@ -92,60 +91,53 @@ PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm",
 
 @dataclass
 class Swim:
-    """Constants and memory of a fish beyond MuJoCo's data, batch axis of 1. Arrays are replaced, never written to."""
+    """Commands, flow and trace of a fish beyond MuJoCo's data and its water. Arrays are replaced, never written to."""
 
     robot: Robot
-    chain: chain.Chain
-    evaluate: Any  # None with a free root
-    params: FishParams
+    params: FishParams  # batch of one
     current: Current
-    attached: np.ndarray  # (1,)
     buffer: np.ndarray  # (1, BUFFER, J) bus commands
-    memory: np.ndarray  # (1, M) of effects and a learnt water
     pending: np.ndarray  # (T, J) bus commands not yet sent
     steps: int  # physics steps in a bus tick
     keep: int  # bus ticks in a control step
     step: int = 0  # physics steps since the start
-    targets: list | tuple = ()  # servo targets of this tick, one (1, J) a physics step
-    water: Any = None  # (flow (1, N, 2), ambient (1, 2)) of this tick
     yaw: float = 0.0  # unwrapped
     power: float = 0.0  # sum over this tick's steps so far, W
     rows: tuple = ()  # (pose, joint, rate, velocity, power) of the last bus ticks
 
 
 class Physics(dm_mujoco.Physics):
-    """A fish in water; make one with `Physics.of`."""
+    """A fish in water; make one with `Physics.of`.
+
+    Attributes:
+        water: the water with its memory, a `HookedWater`, or the strips of a free root; None where a solver moves the fish.
+    """
 
     swim: Swim
-    free_water: FreeWater | None
+    water: Any
     alone: str = ""  # why it cannot be copied
 
     @classmethod
     def of(cls, robot: Robot, root: str = "planar") -> "Physics":
         """Straight fish at rest in still water. Raises UnknownName for a root that does not exist."""
         physics = cls.from_model(wrapper.MjModel(passive_slot.compiled(build_scene(robot, root))))
-        ch = chain.chain_of(robot)
-        free = root == "free"
-        if free and robot.effects:
+        if root == "free" and robot.effects:
             raise ConfigError(
                 "suite: effects act on a fish with a planar root; choose root = 'planar', or a robot without [[effect]]"
             )
-        physics.free_water = FreeWater(robot, learnt=engines.Extensions.of(robot).learnt) if free else None
+        physics.water = physics._water_of(robot, root)
         model = physics.model
         physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
         rest, (steps, keep) = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.ticks_per(robot)
         physics.swim = Swim(
-            robot=robot, chain=ch, evaluate=None if free else cls._evaluator(robot, ch), params=engines.nominal_params(robot, 1),
-            current=Flow().current(), attached=rest.attached, buffer=rest.buffer, memory=rest.memory,
-            pending=np.zeros((0, robot.n_joints)),
-            steps=steps, keep=keep,
+            robot=robot, params=engines.nominal_params(robot, 1), current=Flow().current(), buffer=rest.buffer,
+            pending=np.zeros((0, robot.n_joints)), steps=steps, keep=keep,
         )  # fmt: skip
         return physics
 
-    @classmethod
-    def _evaluator(cls, robot: Robot, ch: chain.Chain):
-        """Function for the water's forces in a physics step."""
-        return evaluator(robot, ch)
+    def _water_of(self, robot: Robot, root: str) -> Any:
+        """The water around the fish at rest."""
+        return FreeWater(robot, learnt=engines.Extensions.of(robot).learnt) if root == "free" else closed_form(robot)
 
     # ---- methods for a task ----
 
@@ -156,9 +148,10 @@ class Physics(dm_mujoco.Physics):
         self.data.qvel[:] = 0.0
         rest = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
         self.swim = replace(  # a new one: copies made before keep theirs
-            self.swim, params=params, current=current, attached=rest.attached, buffer=rest.buffer, memory=rest.memory,
-            pending=self.swim.pending[:0], step=0, targets=(), water=None, yaw=float(pose[2]), power=0.0, rows=(),
+            self.swim, params=params, current=current, buffer=rest.buffer, pending=self.swim.pending[:0],
+            step=0, yaw=float(pose[2]), power=0.0, rows=(),
         )  # fmt: skip
+        self._start_water(params)
 
     def send(self, commands) -> None:
         """Queues bus commands (T, J) [rad], one a bus tick; the last one holds when they run out."""
@@ -175,7 +168,7 @@ class Physics(dm_mujoco.Physics):
         """Advances by physics steps. Raises dm_control's PhysicsError if the state of the fish is not finite."""
         with self.check_invalid_state():
             for _ in range(n_sub_steps):
-                self._step_planar() if self.free_water is None else self._step_free(self.free_water)
+                self._advance()
             if self.legacy_step:
                 mujoco.mj_step1(self.model.ptr, self.data.ptr)
 
@@ -186,10 +179,6 @@ class Physics(dm_mujoco.Physics):
         pose = reference_pose(self.model.ptr, self.data.ptr)
         return np.array([pose[0], pose[1], self._unwrapped(pose[2])])
 
-    def reference_velocity(self) -> np.ndarray:
-        """(x', y', yaw') of the reference point, m/s, rad/s."""
-        return reference_pose(self.model.ptr, self.data.ptr)[3:]
-
     def joint_angles(self) -> np.ndarray:
         """Encoder readings, (J,) rad."""
         return self.data.qpos[-self.model.nu :] - self.swim.params.zero[0]
@@ -198,17 +187,9 @@ class Physics(dm_mujoco.Physics):
         """Joint rates (J,) rad/s."""
         return self.data.qvel[-self.model.nu :].copy()
 
-    def target_position(self) -> np.ndarray:
-        """Position of the target (2,) m."""
-        return self.data.mocap_pos[0, :2].copy()
-
     def place_target(self, position) -> None:
         """Moves the target to (2,) m."""
         self.data.mocap_pos[0, :2] = position
-
-    def water_velocity(self) -> np.ndarray:
-        """Mean flow (2,) m/s; for logs, never for a policy."""
-        return np.array(self.swim.current.mean[0])
 
     def trace(self) -> engines.Trace:
         """Trace of the bus ticks since the last `send`, one control step at most, as the engines' Trace with a batch of one."""
@@ -222,53 +203,38 @@ class Physics(dm_mujoco.Physics):
     def _next_tick(self) -> None:
         """Takes the next command from the queue and looks up the flow, both constant over the tick."""
         s = self.swim
-        sent = quantise(np, s.robot, s.pending[:1]) if len(s.pending) else s.buffer[0, -1:]
+        sent = on_the_bus(s.robot.servo, s.pending[:1]) if len(s.pending) else s.buffer[0, -1:]
         s.buffer = np.concatenate([s.buffer[:, 1:], sent[None]], 1)
         s.pending = s.pending[1:]
         s.power = 0.0
-        if self.free_water is None:
-            centres = link_centres(np, s.chain, self.data.qpos[None])
-        else:
+        if isinstance(self.water, FreeWater):
             mujoco.mj_kinematics(self.model.ptr, self.data.ptr)
             centres = np.array([[self.data.ptr.site(f"{link.name}_centre").xpos[:2] for link in s.robot.links]])
-        s.water = sample(np, s.current, centres, np.array([s.step // s.steps]))
-        s.targets = arrived(np, s.buffer, s.params.delay, s.steps, s.robot.timing.command_path == "move_time")
+        else:
+            centres = link_centres(np, self.water.chain, self.data.qpos[None])
+        flow, ambient = sample(np, s.current, centres, np.array([s.step // s.steps]))
+        self.water.set_flow(flow[0], ambient[0])
 
-    def _command(self) -> np.ndarray:
-        """Servo targets (1, J) of the next physics step."""
-        part = self.swim.step % self.swim.steps
+    def _target(self, part: int) -> np.ndarray:
+        """Servo targets (J,) rad in one physics step of the running bus tick."""
+        s = self.swim
+        sent, ramp = s.buffer[0], s.robot.timing.command_path == "move_time"
+        return arrived_of(sent, (len(sent) - 2) * s.steps + part, int(s.params.delay[0]), s.steps, ramp)
+
+    def _advance(self) -> None:
+        """Does one physics step; the first of a bus tick takes the next command and looks up the flow."""
+        s, data = self.swim, self.data.ptr
+        part = s.step % s.steps
         if part == 0:
             self._next_tick()
-        return self.swim.targets[part]
-
-    def _step_planar(self) -> None:
-        target = self._command()
-        s = self.swim
-        data = self.data.ptr
-        state = (data.qpos[None], data.qvel[None], s.attached, s.params)
-        force, attached, power, s.memory = s.evaluate(*state, target, *s.water, s.memory)
-        data.ctrl[:], data.qfrc_applied[:] = target[0], force[0]
-        mujoco.mj_step(self.model.ptr, data)
-        self._remember(attached, float(power[0]))
-
-    def _step_free(self, strips: FreeWater) -> None:
-        water = WrenchWater(self.model.ptr, strips)
-        s, data = self.swim, self.data.ptr
-        data.ctrl[:] = self._command()[0]
-        flow, ambient = s.water
-        water.set_flow(flow[0], ambient[0])
-        water.attached, water.memory = float(s.attached[0]), s.memory[0].tolist()
+        data.ctrl[:] = self._target(part)
+        # bound to the model anew: a copy of this physics has its own
+        water = WrenchWater(self.model.ptr, self.water) if isinstance(self.water, FreeWater) else self.water
         try:
             water.step(data)
         except SimDiverged as error:
             raise control.PhysicsError(str(error)) from error
-        s.memory = np.array([water.memory], float)
-        self._remember(np.array([water.attached]), water.power)
-
-    def _remember(self, attached, power: float) -> None:
-        s = self.swim
-        s.attached = attached
-        s.power = s.power + power
+        s.power = s.power + water.power
         s.step = s.step + 1
         if s.step % s.steps == 0:
             pose = reference_pose(self.model.ptr, self.data.ptr)
@@ -288,24 +254,32 @@ class Physics(dm_mujoco.Physics):
         others = model.nbody - 1 - len(self.swim.robot.links)  # tank and target
         own = {name: getattr(params, name)[0] for name in ("kp", "kv", "kb", "zero")}
         personalise(model, mass=[*params.mass[0], *[1.0] * others], **own)
-        if self.free_water is not None:
-            self.free_water.swimmer = engines.swimmer(FishParams(*(a[0] for a in params)))
+
+    def _start_water(self, params: FishParams) -> None:
+        """Puts the water at rest around a fish with these constants, a batch of one."""
+        water = self.water
+        if isinstance(water, FreeWater):
+            water.swimmer = engines.swimmer(FishParams(*(a[0] for a in params)))
             nominal = FreeWater(self.swim.robot).geometry
             # a robot is trimmed after it is built: the buoyancy of each link follows its own weight
-            self.free_water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])
+            water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])
+            water.attached, water.memory = 0.5, water.at_rest()
+        else:
+            water.set_fish(params)
+            water.start()
 
     def copy(self, share_model: bool = False) -> "Physics":
         """Independent copy. Raises ConfigError for a fish in a water that allows only one swim."""
         own = self._own()
         new = super().copy(share_model)
-        vars(new).update(own, swim=copy.copy(self.swim), free_water=copy.deepcopy(self.free_water))
+        vars(new).update(own, swim=copy.copy(self.swim), water=copy.deepcopy(self.water))
         return new
 
     def _own(self) -> dict[str, Any]:
         """Attributes that this class adds to dm_control's. Raises ConfigError as `copy`."""
         if self.alone:
             raise ConfigError(f"suite: a fish in {self.alone} cannot be copied; load another environment with the same seed")
-        return {name: getattr(self, name) for name in ("swim", "free_water", "_nominal", "legacy_step")}
+        return {name: getattr(self, name) for name in ("swim", "water", "_nominal", "legacy_step")}
 
     def __getstate__(self) -> tuple:
         return super().__getstate__(), self._own()
@@ -316,30 +290,4 @@ class Physics(dm_mujoco.Physics):
         self.__dict__.update(own)
 
 
-def evaluator(robot: Robot, ch: chain.Chain):
-    """Function for the water of one fish: compiled (extra `fast`), else in NumPy; the same numbers."""
-    rest, params = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.nominal_params(robot, 1)
-    still = np.zeros((1, robot.n_joints)), np.zeros((1, ch.n, 2)), np.zeros((1, 2))
-    added = engines.Extensions.of(robot)
-    try:
-        from fishmj.engines.compiled import Engine as Compiled
-
-        compiled = Compiled(robot, threads=1)
-        compiled.forces(rest.q, rest.v, rest.attached, params, *still, rest.memory)  # compiles now, not in the first step
-        return compiled.forces
-    except MissingExtra:
-        return partial(in_numpy, ch, added=added)
-
-
-def in_numpy(
-    ch: chain.Chain, q, v, attached, params, target, flow, ambient, memory, *, added: "engines.Extensions | None" = None
-):
-    """(applied (1, nv), attached (1,), power (1,), memory (1, M)) of one fish, batch axis of 1 on every argument."""
-    one = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
-    line = lambda a: [float(x) for x in a[0]]
-    hooks = None if added is None else added.hooks(np, line(params.effects), line(memory))
-    s = chain.step(np, ch, one, line(q), line(v), float(attached[0]), line(target), flow[0].tolist(), line(ambient), hooks)
-    return np.array([s.applied]), np.array([s.attached]), np.array([s.power]), np.array([s.memory], float).reshape(1, -1)
-
-
-__all__ = ["TARGET", "Physics", "Swim", "evaluator", "in_numpy"]
+__all__ = ["TARGET", "Physics", "Swim"]

@@ -17,7 +17,6 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.tasks.dm_control.physics import Physics
 from fishmj.tasks.episode import TaskSpec
-from fishmj.water.dynamics.planar_chain import Chain
 from fishmj.water.flow import BOXES, Current, DrawnFlow, Flow
 
 
@@ -40,9 +39,11 @@ class SolverPhysics(Physics):
         physics.begin(np.zeros(3), physics.swim.params, physics.swim.current)
         return physics
 
-    @classmethod
-    def _evaluator(cls, robot: Robot, ch: Chain) -> None:
+    def _water_of(self, robot: Robot, root: str) -> None:
         """Returns None: the solver computes the forces."""
+
+    def _start_water(self, params: FishParams) -> None:
+        """Does nothing: the tank of `begin` is the water."""
 
     def begin(self, pose, params: FishParams, current: Current) -> None:
         """Fills a tank with this flow, with this fish at rest at pose (3,) [m, rad]. Call inside `reset_context`."""
@@ -67,7 +68,6 @@ class SolverPhysics(Physics):
         last = s.pending[-1:] if len(s.pending) else s.buffer[0, -1:]
         commands = np.concatenate([s.pending, np.repeat(last, ticks, 0)])[:ticks]
         self.fish, trace = self.engine.advance(self.fish, commands[None], s.params, s.current, np.array([s.step // s.steps]))
-        s.memory = self.fish.memory
         if stopped := self.engine.stopped[0]:
             raise control.PhysicsError(f"the flow solver stopped: {stopped}")
         s.pending, s.step = s.pending[ticks:], s.step + n_sub_steps

@@ -20,6 +20,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
+from fishmj.base.least_squares import jackknife_sd
 
 APART = 5.0  # integral times in a group, at least
 GROUPS = 20  # of the jackknife at most
@@ -221,7 +222,7 @@ def jackknifed(whole: float, without: Sequence[float], positive: bool = False) -
         values, middle = np.log(without), log(whole)
     else:
         values, middle = np.asarray(without, float), whole
-    error = t * sqrt((n - 1) / n * float(np.sum((values - values.mean()) ** 2)))
+    error = t * float(jackknife_sd(values))
     if positive:
         return Measured(whole, exp(middle - error), exp(middle + error))
     return Measured(whole, middle - error, middle + error)

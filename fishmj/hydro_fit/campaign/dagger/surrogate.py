@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.servos import arrived, on_the_bus
+from fishmj.mjcf.servos import arrived_of, on_the_bus
 from fishmj.water import residual_hooks
 from fishmj.water.dynamics import planar_chain, strip_forces
 
@@ -19,8 +20,8 @@ class Surrogate(SingleFish):
     def __init__(
         self, robot: Robot, ch: planar_chain.Chain, water: strip_forces.Coefficients, *, learnt=None, pose=(0.0, 0.0, 0.0)
     ):
-        hooks = None if learnt is None else (lambda memory: residual_hooks.LearnedResidual(np, ch, learnt, memory))
-        super().__init__(ch, planar_chain.nominal(robot)._replace(water=water), hooks, residual_hooks.at_rest())
+        added = Extensions(None, np.zeros(0), np.array(residual_hooks.at_rest() if learnt is not None else []), learnt, ch)
+        super().__init__(ch, planar_chain.nominal(robot)._replace(water=water), added)
         self.robot, self.steps = robot, round(robot.timing.bus_dt / ch.dt)
         self.delay = round(robot.timing.command_latency / ch.dt)
         self.q, self.v = np.array([*pose, *np.zeros(ch.n - 1)], float), np.zeros(ch.n + 2)
@@ -32,7 +33,7 @@ class Surrogate(SingleFish):
         self.commands.append(on_the_bus(self.robot.servo, np.asarray(command, float)))
         ramp = self.robot.timing.command_path == "move_time"
         for i in range(self.steps):
-            target = arrived(self.commands, self.ticks * self.steps + i, self.delay, self.steps, ramp)
+            target = arrived_of(self.commands, self.ticks * self.steps + i, self.delay, self.steps, ramp)
             s = self.advance(list(self.q), list(self.v), list(target), stream, (0.0, 0.0))
             self.q, self.v = np.array(s.q), np.array(s.v)
         self.ticks += 1

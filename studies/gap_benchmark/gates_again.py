@@ -1,7 +1,7 @@
 """Decides the rows of a benchmark again with the gate that each robot's own healthy swims allow, without a search.
 
-    cd studies/gap_benchmark/rows
-    python -m fishmj.gap.bench.gates_again solver_21.jsonl solver_21_own.json
+    R=studies/gap_benchmark/rows
+    python -m studies.gap_benchmark.gates_again $R/solver_21.jsonl $R/solver_21_own.json
 
 A search does not depend on the gate of agreement, nor on that of the residual; only the decision does. A row holds the gates'
 inputs (`gates`, `steps`), so that `AGREES` and `UNEXPLAINED` follow from it. If the gates let a name pass, the later vetoes are

@@ -1,6 +1,6 @@
 """Measures how often the right term is among the first two, on families that no catalogue holds.
 
-python -m fishmj.gap.bench.free_terms --cases 70 --seed 51 --out runs/fallback
+python -m studies.gap_benchmark.free_terms --cases 70 --seed 51 --out runs/fallback
 
 RIGHT lists the terms that count for each family; it is fixed before a seed is run. Families whose cause is no term of the library
 (a draw of the current, a clock, a camera, ballast that slides, one tooth, a neighbour's drive) have none and are left out.
@@ -45,7 +45,7 @@ FIRST = 2
 
 def main(argv: list[str]) -> int:
     """Runs the cases and prints the shares. Returns the exit code."""
-    parser = console.parser("gap.fallback.measure", __doc__)
+    parser = console.parser("studies.gap_benchmark.free_terms", __doc__)
     parser.add_argument("--cases", type=int, default=70, help="drawn over all families outside the catalogue")
     parser.add_argument("--seed", type=int, default=51)
     parser.add_argument("--out", type=Path, required=True, help="folder for rows.jsonl; continues where it stopped")

@@ -1,7 +1,7 @@
 """The search on other robots than the shipped fish, and on logs of other sensors than the second robot's own.
 
-python -m fishmj.gap.bench.robots pike.toml tendon_fish --seeds 3 --out runs/robots
-python -m fishmj.gap.bench.robots fish --sensors --seeds 10 --out runs/sensors
+python -m studies.gap_benchmark.robots pike.toml tendon_fish --seeds 3 --out runs/robots
+python -m studies.gap_benchmark.robots fish --sensors --seeds 10 --out runs/sensors
 
 Each seed is a robot of the model's kind, made by the second robot, in a session of four experiments. Without --sensors nothing is
 hidden in one set and 50 ms of latency in another. With it nothing is hidden, and the sensors differ from the usual, as the logs
