@@ -10,12 +10,12 @@ the fish for a second first, until the stream has found its way round it. Everyt
 import numpy as np
 
 from fishmj import engines, evaluate
-from fishmj.engines.lbm import Engine
+from fishmj.engines.lbm import LbmEngine
 from fishmj.mjcf import load_robot
 
 fish = load_robot("fish")
 trial = evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, turbulence="none", duration=2.0)  # the target lies upstream
-solver = Engine(fish, trial.flows(), domain="laptop", device="cpu")
+solver = LbmEngine(fish, trial.flows(), domain="laptop", device="cpu")
 waters = {
     "strips": (engines.in_water(fish, "structured"), "batch"),
     "fitted water": (engines.in_water(fish), "planar"),

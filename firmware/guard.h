@@ -1,4 +1,4 @@
-/* What is wrong with servos and battery, as fault bits. Equal to fishmj/deploy/protocols/guard.py, which explains it.
+/* What is wrong with servos and battery, as fault bits. Equal to fishmj/deploy/protocols/firmware_guard.py, which explains it.
  *
  *     FJ_STUCK     a joint under torque has been further than `far` from its target for `stuck` and moved less than `still`
  *     FJ_HOT       a servo is at `hot` or above

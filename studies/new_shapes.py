@@ -29,7 +29,7 @@ from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.swim import INTERRUPTED, drive, figures
 from fishmj.mjcf import Robot, load_robot
-from fishmj.mjcf.new.fish_toml import SIDE_SPAN, Fish, robot_of
+from fishmj.mjcf.new.fish_toml import SIDE_SPAN, FishAnswers, robot_of
 from fishmj.mjcf.new.shape import joints_of, typical
 from fishmj.mjcf.servos import SHELF
 from fishmj.sim import Sim
@@ -107,7 +107,7 @@ def robot_named(name: str) -> Robot:
     outline = typical(shape.length, shape.height, shape.width, shape.tail)
     joints, span = joints_of(shape.length, shape.links, shape.head), round(SIDE_SPAN * shape.length, 3)
     mass = round(outline.displaced, 2) if shape.mass is None else shape.mass
-    fish = Fish(name=name, outline=outline, mass=mass, joints=joints, sheet=SHELF["lx-824"], side_span=span, origin={})
+    fish = FishAnswers(name=name, outline=outline, mass=mass, joints=joints, sheet=SHELF["lx-824"], side_span=span, origin={})
     return robot_of(fish)
 
 

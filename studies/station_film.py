@@ -16,9 +16,9 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.store import write_bytes
 from fishmj.engines import Trace
-from fishmj.engines.lbm import Engine
+from fishmj.engines.lbm import LbmEngine
 from fishmj.evaluate import protocol, run_trials
-from fishmj.evaluate.report import trial_of
+from fishmj.evaluate.trial_report import trial_of
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE
 from fishmj.lbm_oracle.output.record_fields import FieldRecorder
 from fishmj.lbm_oracle.run import solver_cost
@@ -37,7 +37,7 @@ STRONG = 5.0  # 1/s at the ends of the colour scale
 INK = (250, 244, 236)  # BGR
 
 
-class Filmed(Engine):
+class Filmed(LbmEngine):
     """The flow solver with one tank and a slice of its vorticity every `EVERY` s, into `folder`."""
 
     def __init__(self, robot, flows, folder: Path, device: str):
@@ -46,14 +46,14 @@ class Filmed(Engine):
         self.recorder: FieldRecorder | None = None
 
     def _fill(self, state, params):
-        """Fills the tanks as `Engine`, without pipelining, because the recorder reads the water between two ticks."""
+        """Fills the tanks as `LbmEngine`, without pipelining, because the recorder reads the water between two ticks."""
         tanks = yield from super()._fill(state, params)
         for run in tanks.runs:
             run.pipelined = False
         return tanks
 
     def advancing(self, state, commands, params, current, tick):
-        """Advances as `Engine.advancing`, one bus tick at a time, and records the water after each."""
+        """Advances as `LbmEngine.advancing`, one bus tick at a time, and records the water after each."""
         traces = []
         for k in range(commands.shape[1]):
             state, trace = yield from super().advancing(state, commands[:, k : k + 1], params, current, tick)

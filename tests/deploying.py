@@ -10,7 +10,7 @@ from fishmj.deploy.link.links import Received, Sent
 from fishmj.deploy.loop.arming import Refusal, examine
 from fishmj.deploy.loop.pilot import PolicyPilot
 from fishmj.deploy.loop.supervisor import NONE
-from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.deploy.tracker.fix import Fix
@@ -134,7 +134,7 @@ class Bench:
             robot=self.description, link=self.robot, localiser=self.eyes, clock=self.clock,
             examine=lambda info: examine(self.robot, info, self.description, self.controller, at_the_tank),
         )  # fmt: skip
-        self.plan = Plan(seconds=seconds, **(plan or {}))
+        self.plan = SwimPlan(seconds=seconds, **(plan or {}))
         self.agenda: list[tuple[float, object]] = []
         self.stopped = False
 
@@ -144,7 +144,7 @@ class Bench:
     def swim(self, **options):
         with TrialLog(self.folder, {"origin": "synthetic", "robot": "fish"}, 3, every=1e6) as log:
             self.log = log
-            self.made = Swim(self.rig, self.pilot, self.plan, log, stop=self._stop, **options)
+            self.made = SwimLoop(self.rig, self.pilot, self.plan, log, stop=self._stop, **options)
             return self.made.run()
 
     def _stop(self) -> bool:

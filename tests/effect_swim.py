@@ -3,7 +3,7 @@
 import numpy as np
 
 from fishmj.effects import EffectStack
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.effects.stack import delivered
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
@@ -42,11 +42,11 @@ def swim(active: EffectStack, rows, sent, start=(0.0,) * 6, push=(0.0,) * 6, flo
     return out[..., :6], out[..., 6:12], out[..., 12]
 
 
-def sense(active: EffectStack, rows, q, power) -> Measured:
+def sense(active: EffectStack, rows, q, power) -> SensorReadings:
     """What the sensors report of a swim, every physics step."""
     rows, t = np.asarray(rows, float), (1 + np.arange(q.shape[1])) * H
     late = lambda clock: np.asarray(active.delay(np, list(rows.T[:, :, None]), clock, t)) * np.ones((len(rows), len(t)))
     at = lambda values, delay: np.array([np.interp(t - d, t, x) for x, d in zip(values, delay, strict=True)])
     x, y, yaw = (at(q[..., i], late("pose")) for i in range(3))
     joint = np.stack([at(q[..., 3 + j], late("joint")) for j in range(JOINTS)], -1)
-    return active.measure(np, list(rows.T[:, :, None]), Measured(t, x, y, yaw, joint, at(power, late("power"))))
+    return active.measure(np, list(rows.T[:, :, None]), SensorReadings(t, x, y, yaw, joint, at(power, late("power"))))

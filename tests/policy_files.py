@@ -9,7 +9,7 @@ from fishmj.base.store.arrays import _digest
 from fishmj.control.policy import SCHEMA, structure_sha256
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
-from fishmj.water.identity import water_identity
+from fishmj.water.water_identity import water_identity
 
 ROBOT = load_robot("fish")
 SHORT = ["--water", "structured", "--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]

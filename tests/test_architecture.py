@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +15,7 @@ CODE = [path for folder in ("fishmj", "studies", "tests", "examples") for path i
 
 LIMIT = 500  # lines; one story stays in one file, and is split by story, never by length
 LONGER: dict[str, str] = {}  # file -> why it may be longer
+TWICE = {"flow", "policy"}  # files of one name: what users import, `fishmj/flow.py`, re-exports the room's own, `water/flow.py`
 FORBIDDEN = {"utils", "util", "common", "core", "manager", "managers", "helpers", "misc"}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
 FILES = {"sim": "engines", "policy": "control", "flow": "water"}  # file beside the rooms -> the room above which it stands
@@ -156,9 +158,9 @@ def test_an_upward_import_is_found():
     solver, blind = PACKAGE / "lbm_oracle" / "x.py", PACKAGE / "gap" / "laboratory" / "generators" / "x.py"
     assert wrong_way(solver, "from fishmj.water import prior") and not wrong_way(solver, "from fishmj.water.flow import Flow")
     assert wrong_way(blind, "from fishmj.engines import make") and not wrong_way(blind, "from fishmj.mjcf import load_robot")
-    assert wrong_way(LABORATORY / "session.py", "from fishmj.gap.laboratory.generators import swim")
-    assert wrong_way(LABORATORY / "weighing.py", "from fishmj.gap.laboratory import virtual_robot")
-    assert wrong_way(PACKAGE / "deploy" / "loop" / "x.py", "from fishmj.deploy.loopback import server")
+    assert wrong_way(LABORATORY / "session.py", "from fishmj.gap.laboratory.generators import mujoco_robot")
+    assert wrong_way(LABORATORY / "weighing_readings.py", "from fishmj.gap.laboratory import virtual_robot")
+    assert wrong_way(PACKAGE / "deploy" / "loop" / "x.py", "from fishmj.deploy.loopback import loopback_server")
 
 
 def gap_levels() -> dict[str, int]:
@@ -227,6 +229,34 @@ def test_listed_long_files_still_are_long():
         assert len((ROOT / name).read_text(encoding="utf-8").splitlines()) > LIMIT, f"{name} is small now: take it off the list"
 
 
+def doubled(places: list[tuple[str, str]]) -> dict[str, list[str]]:
+    """Names that stand in more than one place."""
+    found = defaultdict(list)
+    for name, place in places:
+        found[name].append(place)
+    return {name: where for name, where in found.items() if len(where) > 1}
+
+
+def test_every_file_has_its_own_name():
+    files = doubled([(path.stem, str(path.relative_to(ROOT))) for path in SOURCES if not path.stem.startswith("__")])
+    assert files.keys() == TWICE, "\n".join(["name each by its part in its room", *map(str, files.items())])
+
+
+def test_every_class_has_its_own_name():
+    places = [
+        (node.name, f"{path.relative_to(ROOT)}:{node.lineno}")
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert not (classes := doubled(places)), "\n".join(f"{name}: {', '.join(where)}" for name, where in classes.items())
+
+
+def test_a_doubled_name_is_found():
+    """The rule itself is awake."""
+    assert doubled([("Swim", "a.py:1"), ("Plan", "b.py:1"), ("Swim", "b.py:9")]) == {"Swim": ["a.py:1", "b.py:9"]}
+
+
 def test_no_room_is_called_utils():
     names = {part.removesuffix(".py") for path in SOURCES for part in path.relative_to(PACKAGE).parts}
     assert names & FORBIDDEN == set()
@@ -266,6 +296,7 @@ def test_the_command_line_starts_without_the_heavy_packages():
 
 def test_the_blind_benchmark_of_kept_data_is_read_without_numba():
     code = (
-        "import sys; sys.modules['numba'] = None; import fishmj.gap.bench.command, fishmj.gap.laboratory.generators.detectability"
+        "import sys; sys.modules['numba'] = None; "
+        "import fishmj.gap.bench.bench_command, fishmj.gap.laboratory.generators.detectability"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -6,7 +6,7 @@ import pytest
 
 from fishmj.base import console
 from fishmj.evaluate import bench
-from fishmj.evaluate.bench import Benchmark, NotHere, Work, measure
+from fishmj.evaluate.bench import Benchmark, BenchmarkWork, NotHere, measure
 from fishmj.evaluate.bench import __main__ as command
 
 
@@ -19,14 +19,14 @@ class Clock:
     def __call__(self) -> float:
         return self.now
 
-    def work(self, name: str, seconds: list[float]) -> Work:
+    def work(self, name: str, seconds: list[float]) -> BenchmarkWork:
         left = iter(seconds)
 
         def run():
             self.order.append(name)
             self.now += next(left)
 
-        return Work(run, 10.0)
+        return BenchmarkWork(run, 10.0)
 
 
 def test_a_figure_is_the_median_beside_its_baseline():
@@ -85,10 +85,13 @@ def test_every_benchmark_runs_quickly_or_says_why_not(name, capsys):
 @pytest.mark.slow
 def test_ways_of_the_learnt_force_are_timed_and_compared(monkeypatch, capsys):
     """On a CPU there is one way, whose single precision is 0.1 mm off after a second at most; an unknown one fails alone."""
-    from fishmj.evaluate.bench import residual, surrogate
+    from fishmj.evaluate.bench import residual, surrogate_speed
 
-    for name, value in (("FISH_CPU", surrogate.FISH_QUICK), ("CHUNKS", 1)):  # the programs of `surrogate --quick`, compiled once
-        monkeypatch.setattr(surrogate, name, value)
+    for name, value in (
+        ("FISH_CPU", surrogate_speed.FISH_QUICK),
+        ("CHUNKS", 1),
+    ):  # the programs of `surrogate --quick`, compiled once
+        monkeypatch.setattr(surrogate_speed, name, value)
     monkeypatch.setattr(residual, "SECONDS", 1.0)
     monkeypatch.setattr(residual, "SWUM", 3)
     monkeypatch.setattr(

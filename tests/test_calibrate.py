@@ -18,7 +18,7 @@ from fishmj.base.store import Manifest, read_json, sha256, write_json, write_tex
 from fishmj.gap.calibrate import __main__ as command
 from fishmj.gap.calibrate import calibrated_model, calibration_logs, commands, mass, servo_fit
 from fishmj.gap.calibrate.calibration_logs import Logs
-from fishmj.gap.calibrate.least_squares import (
+from fishmj.gap.calibrate.parameter_fit import (
     Block,
     FreeParameter,
     LeastSquaresFit,
@@ -28,7 +28,7 @@ from fishmj.gap.calibrate.least_squares import (
     widened,
 )
 from fishmj.gap.laboratory import random_streams
-from fishmj.gap.laboratory.hidden_lbm import calibration_trials, score
+from fishmj.gap.laboratory.hidden_lbm import calibration_trials, sealed_score
 from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.records.records import Sensor
 from fishmj.log import measurements, read_trial, write_trial
@@ -343,11 +343,11 @@ def test_shipped_trials_are_whole_synthetic_and_sealed():
 def test_another_robot_takes_the_place_of_the_first(tmp_path: Path):
     make = ["--out", str(tmp_path / "t"), "--water", "second", "--seconds", "6", "--seed"]
     assert calibration_trials.main([*make, "3"]) == 0
-    first = score.opened(tmp_path / "t")
+    first = sealed_score.opened(tmp_path / "t")
     assert len(list((tmp_path / "t").glob("*/meta.toml"))) == 27 and "slip" not in first
     assert calibration_trials.main([*make, "4", "--repeats-swims", "1", "--overwrite"]) == 0
     assert len(list((tmp_path / "t").glob("*/meta.toml"))) == 21
-    assert score.opened(tmp_path / "t")["kp"] != first["kp"]
+    assert sealed_score.opened(tmp_path / "t")["kp"] != first["kp"]
     Manifest.read(tmp_path / "t").verify(tmp_path / "t")
 
 
@@ -355,7 +355,7 @@ def test_a_broken_seal_is_noticed(tmp_path: Path):
     write_json(tmp_path / calibration_trials.SEALED, {"values": {"kp": 8.0}})
     Manifest({}, {"sealed": {"file": calibration_trials.SEALED, "sha256": "0" * 64}}).write(tmp_path)
     with pytest.raises(StoreError, match="seal"):
-        score.opened(tmp_path)
+        sealed_score.opened(tmp_path)
 
 
 def test_what_fits_never_names_the_seal():
@@ -397,7 +397,7 @@ def test_score_compares_fitted_with_sealed(tmp_path: Path):
     out = tmp_path / "fish.toml"
     e = ParameterEstimate("kp", "N m/rad", 8.4, 8.1, 8.7, 0.1, "trials")
     calibrated_model.write(out, calibrated_model.start(out, "fish"), "servo", {"kp": e}, {}, "here")
-    (row,) = score.score(folder, str(out))
+    (row,) = sealed_score.score(folder, str(out))
     assert row["error %"] == pytest.approx(5.0) and row["inside"] == "no"
     assert read_json(folder / "sealed.json")["values"]["kp"] == 8.0
 

@@ -16,7 +16,7 @@ from fishmj.gap.bench.water_families import SWIMS as GUIDE
 from fishmj.gap.calibrate import __main__ as command
 from fishmj.gap.calibrate import calibrated_model, water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs
-from fishmj.gap.calibrate.least_squares import FreeParameter, Minimum, minimum
+from fishmj.gap.calibrate.parameter_fit import FreeParameter, Minimum, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, carried_thrust, physical
 from fishmj.gap.models.swimming_fish import ServoStand, SwimmingFish
 from fishmj.log import SCHEMA, Trial, excitation, numbered, write_trial

@@ -47,7 +47,7 @@ class Toys:
 def some(number=6):
     """A small plan of one-second segments, the last of them a test."""
     segments = tuple(replace(s, seconds=1.0, settle=0.0) for s in FULL.segments if s.block == "gait")[:number]
-    return plan.Plan(label="small", robot=FISH, seed=0, segments=segments)
+    return plan.CampaignPlan(label="small", robot=FISH, seed=0, segments=segments)
 
 
 def test_a_policy_that_has_changed_since_is_refused():

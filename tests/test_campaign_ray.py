@@ -11,7 +11,7 @@ from ray_toys import toy
 
 from fishmj.base.errors import ConfigError, MissingExtra
 from fishmj.hydro_fit.campaign.data.collect import Local, collect
-from fishmj.hydro_fit.campaign.data.plan import Plan
+from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.ray_pool import ATTEMPTS, RayPool
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
@@ -73,7 +73,7 @@ def test_without_ray_the_message_has_the_install_line(monkeypatch):
 
 @pytest.mark.ray
 def test_two_ray_workers_run_each_segment_once_and_match_one_process(tmp_path, local):
-    plan = Plan(label="toy", robot=load_robot("fish"), seed=0, segments=segments(tmp_path / "diary"))
+    plan = CampaignPlan(label="toy", robot=load_robot("fish"), seed=0, segments=segments(tmp_path / "diary"))
     found = collect(plan, tmp_path / "ray", SETUP, pool=local, quiet=True)
     assert found.complete and found.run == 6 and local.deaths == 0
     assert begun(tmp_path / "diary") == {f"e{i}": 1 for i in range(6)}
@@ -91,7 +91,7 @@ def test_two_ray_workers_run_each_segment_once_and_match_one_process(tmp_path, l
 
 @pytest.mark.ray
 def test_a_worker_that_is_killed_loses_only_its_segment(tmp_path, two, capsys):
-    plan = Plan(label="toy", robot=load_robot("fish"), seed=0, segments=segments(tmp_path / "diary", e2=1, e4=ATTEMPTS))
+    plan = CampaignPlan(label="toy", robot=load_robot("fish"), seed=0, segments=segments(tmp_path / "diary", e2=1, e4=ATTEMPTS))
     found = collect(plan, tmp_path / "data", SETUP, pool=two, quiet=True)
     assert found.run == 5 and found.missing == 1 and not found.complete
     assert begun(tmp_path / "diary") == {"e0": 1, "e1": 1, "e2": 2, "e3": 1, "e4": ATTEMPTS, "e5": 1}

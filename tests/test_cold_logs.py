@@ -19,7 +19,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import read_npz, write_npz
 from fishmj.gap.calibrate import calibrated_model
-from fishmj.gap.calibrate.least_squares import ParameterEstimate
+from fishmj.gap.calibrate.parameter_fit import ParameterEstimate
 from fishmj.log.timebase import lag_between
 
 CASES = {**BAD, **HOSTILE}

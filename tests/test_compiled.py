@@ -33,13 +33,13 @@ RAMPED = replace(ROBOT, timing=replace(ROBOT.timing, command_path="move_time"))
 @pytest.fixture(scope="module")
 def engine():
     """float32, two threads."""
-    return compiled.Engine(ROBOT, threads=2)
+    return compiled.CompiledEngine(ROBOT, threads=2)
 
 
 @pytest.fixture(scope="module")
 def double():
     """float64 with the servo's timed moves."""
-    return compiled.Engine(RAMPED, threads=2, dtype="float64")
+    return compiled.CompiledEngine(RAMPED, threads=2, dtype="float64")
 
 
 def varied(batch, turbulence="default", seed=0, dtype=np.float64):
@@ -90,12 +90,12 @@ def swum_apart(fast, reference, turbulence, chunks, dtype):
 
 @pytest.mark.parametrize("turbulence", ["default", "gust"])
 def test_twenty_control_steps_equal_the_jax_engine(engine, turbulence):
-    assert swum_apart(engine, planar.Engine(ROBOT), turbulence, 20, np.float32) < 5e-5
+    assert swum_apart(engine, planar.PlanarEngine(ROBOT), turbulence, 20, np.float32) < 5e-5
 
 
 def test_in_double_precision_the_difference_is_round_off(double):
     with jax.enable_x64(True):
-        assert swum_apart(double, planar.Engine(RAMPED), "default", 5, np.float64) < 1e-10
+        assert swum_apart(double, planar.PlanarEngine(RAMPED), "default", 5, np.float64) < 1e-10
 
 
 def test_applied_force_attachment_and_power_are_those_of_chain_step(engine):
@@ -118,7 +118,7 @@ def test_a_fish_swims_the_same_in_any_batch_and_with_any_threads(engine):
     state, params, current = varied(600, dtype=np.float32)
     commands, tick = commands_of(600, 1), np.arange(600)
     whole = engine.advance(state, commands, params, current, tick)
-    single = compiled.Engine(ROBOT, threads=1)
+    single = compiled.CompiledEngine(ROBOT, threads=1)
     single.__dict__["_advance"] = engine._advance
     assert worst(whole, single.advance(state, commands, params, current, tick)) == 0.0
     pick = lambda tree: jax.tree_util.tree_map(lambda a: a[401:404] if np.ndim(a) and len(a) == 600 else a, tree)
@@ -188,7 +188,7 @@ def test_the_physics_runs_in_vector_registers(monkeypatch):
     monkeypatch.setenv("FISHMJ_CACHE", __file__)
     for name in [n for n in sys.modules if n.startswith("fishmj_")]:
         monkeypatch.delitem(sys.modules, name)
-    text = next(iter(compiled.Engine(ROBOT)._advance.inspect_asm().values()))
+    text = next(iter(compiled.CompiledEngine(ROBOT)._advance.inspect_asm().values()))
     physics = re.search(r"^(\w*7physics\w*):(.*?)\.size\s+\1", text, re.S | re.M)[2]
     vector, scalar = (len(re.findall(rf"\sv?(?:mul|f[n]?m(?:add|sub)\d+){kind}\s", physics)) for kind in ("ps", "ss"))
     assert vector > 400 and scalar == 0 and "sqrtps" in physics
@@ -237,6 +237,6 @@ def test_what_fails_on_the_host_is_one_error_of_the_program():
 
     given = dict(zip(("state", "params", "current"), varied(8), strict=True))
     current = given["current"]._replace(row=np.full(8, 10**6))
-    program = jax.jit(compiled.Engine(ROBOT).advance)
+    program = jax.jit(compiled.CompiledEngine(ROBOT).advance)
     with pytest.raises(Exception, match="ConfigError: current.row: got .* expected slices 0 to"):
         jax.block_until_ready(program(given["state"], commands_of(8, 0), given["params"], current, np.zeros(8, int)))

@@ -35,7 +35,7 @@ def with_effects():
 @pytest.fixture(scope="module")
 def double():
     """float64, two threads."""
-    return compiled.Engine(ROBOT, threads=2, dtype="float64")
+    return compiled.CompiledEngine(ROBOT, threads=2, dtype="float64")
 
 
 def school(robot, turbulence: str, fish: int = FISH):
@@ -61,7 +61,7 @@ def swum_apart(engine, turbulence: str) -> float:
     """How far a swim of 2 s is from the closed form in JAX."""
     given = school(engine.robot, turbulence)
     with jax.enable_x64(True):
-        expected = planar.Engine(engine.robot).advance(*given)
+        expected = planar.PlanarEngine(engine.robot).advance(*given)
     assert np.abs(np.asarray(expected[0].memory)[:, -18:-2]).max() > 0.05  # a wake was left
     return far(engine.advance(*given), expected)
 
@@ -74,12 +74,12 @@ def test_two_seconds_equal_the_closed_form_in_jax(double, turbulence):
 @pytest.mark.slow
 @pytest.mark.parametrize("turbulence", ["default", "gust"])
 def test_with_effects_at_every_site_beside_it_too(turbulence):
-    assert swum_apart(compiled.Engine(with_effects(), dtype="float64"), turbulence) < 1e-9
+    assert swum_apart(compiled.CompiledEngine(with_effects(), dtype="float64"), turbulence) < 1e-9
 
 
 @pytest.mark.parametrize("robot", [ROBOT, with_effects()], ids=["alone", "effects"])
 def test_forces_are_those_of_numpy(robot):
-    engine, rng = compiled.Engine(robot, threads=1), np.random.default_rng(2)
+    engine, rng = compiled.CompiledEngine(robot, threads=1), np.random.default_rng(2)
     state, _, params, _, _ = school(robot, "default")
     memory = state.memory.copy()
     memory[:, -18:] = rng.uniform(-0.5, 0.5, (FISH, 18))
@@ -98,7 +98,7 @@ def test_forces_are_those_of_numpy(robot):
         want = fish.forces(q[i], v[i], target)
         want = want[0], fish.attached, want[1], fish.memory
         assert far([part[i] for part in got], [np.array(part) for part in want]) < 1e-9
-    strips = compiled.Engine(engines.in_water(load_robot("fish"), "swift-base")) if not robot.effects else None
+    strips = compiled.CompiledEngine(engines.in_water(load_robot("fish"), "swift-base")) if not robot.effects else None
     if strips is not None:  # the residual is there: the strips alone do not make this force
         assert np.abs(strips.forces(q, v, state.attached, params, *around).force - got.force).max() > 1e-3
 
@@ -107,7 +107,7 @@ def test_compiled_swim_is_identical_for_any_batch_threads_and_jit(double):
     given = school(ROBOT, "default", 300)
     given = (given[0], given[1][:, :20], *given[2:])
     whole = double.advance(*given)
-    single = compiled.Engine(ROBOT, threads=1, dtype="float64")
+    single = compiled.CompiledEngine(ROBOT, threads=1, dtype="float64")
     assert far(single.advance(*given), whole) == 0.0
     few = jax.tree.map(lambda a: a[201:204] if np.ndim(a) and len(a) == 300 else a, given)
     few = (
@@ -123,12 +123,12 @@ def test_compiled_swim_is_identical_for_any_batch_threads_and_jit(double):
 def test_one_machine_code_serves_every_member_and_gives_its_own_force(double):
     learnt = double.added.learnt
     one = replace(double.added, learnt=residual_hooks.member(learnt, 2))
-    own = compiled.Engine(ROBOT, threads=1, dtype="float64")
+    own = compiled.CompiledEngine(ROBOT, threads=1, dtype="float64")
     own.added = one
     shape = residual_lanes.Shape.of(learnt)
     assert shape == residual_lanes.Shape.of(one.learnt) and own._advance is double._advance
     given = school(ROBOT, "default", 3)
-    expected = planar.Engine(ROBOT)
+    expected = planar.PlanarEngine(ROBOT)
     expected.added = one
     with jax.enable_x64(True):
         want = expected.advance(*given)
@@ -158,7 +158,7 @@ def test_the_network_is_that_of_numpy_for_any_shape(links, members, hidden):
     work[rows["feature0"] : rows["feature0"] + len(x)], work[rows["memory0"] : rows["memory0"] + len(z)] = x, z
     work[rows["pace"]] = speed
     numba_build.compiled(text).network(work.reshape(-1), residual_lanes.flat_weights(learnt, dt, np.dtype(float)))
-    m = residual_network.Motion(list(x), speed, [], [], [])
+    m = residual_network.MotionFeatures(list(x), speed, [], [], [])
     hooks = residual_hooks.LearnedResidual(np, planar_chain.chain_of(ROBOT), learnt, residual_hooks.at_rest())
     mean, spread, wake = hooks.network(m, list(z), dt)
     take = lambda name, count: work[rows[name] : rows[name] + count]
@@ -169,7 +169,7 @@ def test_the_network_is_that_of_numpy_for_any_shape(links, members, hidden):
 
 @pytest.mark.parametrize("turbulence", ["default", "gust", "none"])
 def test_the_flow_at_the_links_is_that_of_numpy(turbulence):
-    engine, (state, _, _, current, tick) = compiled.Engine(ROBOT, threads=1), school(ROBOT, turbulence)
+    engine, (state, _, _, current, tick) = compiled.CompiledEngine(ROBOT, threads=1), school(ROBOT, turbulence)
     q = state.q + np.random.default_rng(1).normal(size=state.q.shape)
     centres = planar.link_centres(np, planar_chain.chain_of(ROBOT), q)
     for got, want in zip(engine.look(q, current, tick + 7), sample(np, current, centres, tick + 7), strict=True):
@@ -179,8 +179,8 @@ def test_the_flow_at_the_links_is_that_of_numpy(turbulence):
 def test_mujocos_engines_take_the_compiled_evaluator(double):
     given = school(ROBOT, "default", 2)
     given = (given[0], given[1][:, :10], *given[2:])
-    alike = [batch.Engine(ROBOT, threads=1, evaluator=name).advance(*given) for name in (None, "jax")]
+    alike = [batch.BatchEngine(ROBOT, threads=1, evaluator=name).advance(*given) for name in (None, "jax")]
     assert far(*alike) < 1e-9
     evaluate, _ = batch.evaluator_of(ROBOT, planar_chain.chain_of(ROBOT), None)
-    assert evaluate.__self__.__class__ is compiled.Engine
-    assert closed_form(ROBOT).engine.__class__ is compiled.Engine
+    assert evaluate.__self__.__class__ is compiled.CompiledEngine
+    assert closed_form(ROBOT).engine.__class__ is compiled.CompiledEngine

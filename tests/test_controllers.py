@@ -9,7 +9,7 @@ import pytest
 from fishmj import control, engines, evaluate
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.control import gains_of, gait_table
-from fishmj.control.adrc import Observer
+from fishmj.control.adrc import ExtendedStateObserver
 from fishmj.control.cpg import Cpg, Rates
 from fishmj.control.estimator import StateEstimator, hermite, turned
 from fishmj.control.policy import FOLDER, Policy
@@ -145,7 +145,7 @@ def test_the_throttle_gives_the_speed_that_was_asked():
 def test_the_observer_of_adrc_finds_a_constant_disturbance():
     """psi'' = f + b u with f = 0.7, u = 0.3: z must become (psi, psi', f)."""
     dt, gain = 0.2, -2.0
-    observer = Observer(3, 8.0, gain, dt)
+    observer = ExtendedStateObserver(3, 8.0, gain, dt)
     observer.start(np.zeros(1))
     a = 0.7 + gain * 0.3
     for k in range(1, 40):

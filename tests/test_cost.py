@@ -11,7 +11,7 @@ from bad_commands import HOPELESS, prepare
 from fishmj import cli
 from fishmj.base import console, cost
 from fishmj.base.errors import TooMuch
-from fishmj.gap.bench import command as bench
+from fishmj.gap.bench import bench_command as bench
 from fishmj.lbm_oracle.run import solver_cost as solver
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.train import training_cost as training

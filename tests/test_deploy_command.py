@@ -20,20 +20,20 @@ from fishmj.deploy.commands.swim_command import options, target_warnings
 from fishmj.deploy.link import ros
 from fishmj.deploy.link.links import Fishmj1Link, MishLink
 from fishmj.deploy.link.ros import TOPICS, RosPublisher, battery, placed, stamp
-from fishmj.deploy.link.servo_bus import ServoBusLink
+from fishmj.deploy.link.servo_bus_link import ServoBusLink
 from fishmj.deploy.loop import wiring
 from fishmj.deploy.loop.clock import MonotonicClock
-from fishmj.deploy.loop.experiment import Gait
-from fishmj.deploy.loop.supervisor import State
+from fishmj.deploy.loop.open_loop_experiment import SineGait
+from fishmj.deploy.loop.supervisor import SwimState
 from fishmj.deploy.loopback import lockstep_wiring
 from fishmj.deploy.loopback.camera_frames import FishLook
-from fishmj.deploy.tracker.calibration import overhead
+from fishmj.deploy.tracker.camera_calibration import overhead
 from fishmj.deploy.tracker.colour import PAPER_FISH
 from fishmj.log import read_trial
 from fishmj.log.excitation import LEAD
 from fishmj.log.export import _KIND
 from fishmj.log.foxglove import SCHEMAS
-from fishmj.log.importers.messages import KEPT
+from fishmj.log.importers.message_recordings import KEPT
 from fishmj.mjcf.description import RigSpec
 from fishmj.mjcf.reading import load_robot
 from studies.tracker import cases
@@ -256,7 +256,7 @@ def test_a_gait_swims_without_a_policy_and_meta_says_its_numbers(tmp_path, capsy
     assert swim_command.main(words, lockstep_wiring.wired) == console.OK
     trial = read_trial(tmp_path / "swim")
     cmd = trial.tables["cmd"]
-    beating = cmd["state"] == int(State.SWIMMING)
+    beating = cmd["state"] == int(SwimState.SWIMMING)
     t, sent = cmd["t"][beating], np.stack([cmd[f"c{k + 1}"][beating] for k in range(3)], 1)
     phase = 2 * np.pi * (t - t[0] - LEAD)
     wanted = np.radians(15) * np.sin(phase[:, None] - np.radians(60) * np.arange(3)) + np.radians(-5)
@@ -294,11 +294,11 @@ def test_a_gait_that_cannot_be_is_refused_in_one_line(words, told, tmp_path, cap
 def test_a_gait_beats_each_joint_of_any_fish_at_its_own_ticks():
     robot = load_robot("tendon_fish")
     robot = replace(robot, timing=replace(robot.timing, bus_dt=0.01))
-    commands = Gait(1.0, 10.0, 90.0).commands(robot, 3.0)
+    commands = SineGait(1.0, 10.0, 90.0).commands(robot, 3.0)
     assert commands.shape == (360, robot.n_joints)
     np.testing.assert_allclose(commands[60 + 225], np.radians([10.0, 0.0]), atol=1e-9)  # 2.25 s: a quarter of a beat
     with pytest.raises(ConfigError, match="finite numbers"):
-        Gait(1.0, float("nan"), 60.0).commands(robot, 3.0)
+        SineGait(1.0, float("nan"), 60.0).commands(robot, 3.0)
 
 
 def test_the_page_on_ros_lists_each_topic_and_type_both_ways():

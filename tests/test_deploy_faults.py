@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.loop.limits import RATE
-from fishmj.deploy.loop.supervisor import Condition, State
+from fishmj.deploy.loop.command_limits import RATE
+from fishmj.deploy.loop.supervisor import Condition, SwimState
 from fishmj.deploy.protocols.messages import RobotState, ServoFault
 from fishmj.log import read_trial
 from tests.deploying import Bench
@@ -13,7 +13,7 @@ from tests.deploying import Bench
 
 def ended(bench, outcome, cause, latest):
     """The swim ended in NEUTRAL for this cause by `latest` s, the robot was let go, the log is closed and whole."""
-    assert bench.rig.supervisor.state is State.NEUTRAL
+    assert bench.rig.supervisor.state is SwimState.NEUTRAL
     assert cause in outcome.cause
     assert bench.to_neutral() <= latest + 1e-6
     assert bench.robot.disarmed > 0

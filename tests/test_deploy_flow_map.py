@@ -15,8 +15,8 @@ from fishmj.log import Trial, write_trial
 from fishmj.water.flow import Flow
 from fishmj.water.flow_map.drifters import turbulence_of_drifts
 from fishmj.water.flow_map.flow_map import FlowMap, Setting, preset_for
-from fishmj.water.flow_map.records import read_probe
-from fishmj.water.flow_map.turbulence import Measured, integral_time, noise_variance, turbulence_of
+from fishmj.water.flow_map.probe_records import read_probe
+from fishmj.water.flow_map.turbulence_statistics import ValueInterval, integral_time, noise_variance, turbulence_of
 
 DT = 0.1
 
@@ -190,7 +190,7 @@ def test_a_gap_parts_a_record_and_single_spikes_and_rows_are_mended(tmp_path):
 
 # -------------------------------------------------------------------------------------------------------------------- map
 def setting(pump, speed, intensity=0.06, length=0.3, direction=0.0):
-    measured = lambda x: Measured(x, round(0.9 * x, 5), round(1.1 * x, 5))
+    measured = lambda x: ValueInterval(x, round(0.9 * x, 5), round(1.1 * x, 5))
     scale = None if length is None else measured(length)
     return Setting(pump, measured(speed), measured(intensity), scale, direction, "probe", 600.0, 200.0, 0.001, ("a.csv",))
 

@@ -8,7 +8,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.link.links import Fishmj1Link, MishLink
-from fishmj.deploy.link.servo_bus import ANSWER, SHARE, ServoBusLink
+from fishmj.deploy.link.servo_bus_link import ANSWER, SHARE, ServoBusLink
 from fishmj.deploy.link.transports import UdpTransport, open_serial
 from fishmj.deploy.loop.clock import MonotonicClock
 from fishmj.deploy.protocols import fishmj1, lx_bus, mish, servo_counts
@@ -171,7 +171,7 @@ class Servos:
         self.mute, self.drop, self.asked, self.closed = set(), 0, [], False
         self.loaded = dict.fromkeys(ids, 0)
         self._line = b""
-        self.reader = lx_bus.Reader()
+        self.reader = lx_bus.LxFrameReader()
 
     @property
     def in_waiting(self):

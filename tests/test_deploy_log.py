@@ -15,10 +15,10 @@ from fishmj.base.errors import LogError, StoreError
 from fishmj.deploy.__main__ import main
 from fishmj.deploy.link.mcap_out import write
 from fishmj.deploy.loop.journal import Journal
-from fishmj.deploy.loop.observer import Pose
+from fishmj.deploy.loop.observation import Pose
 from fishmj.deploy.loop.pilot import PlayedPilot
 from fishmj.deploy.loop.supervisor import Condition
-from fishmj.deploy.loop.trial_log import FIRST, Rows, TrialLog, recovered
+from fishmj.deploy.loop.trial_log import FIRST, RowBuffer, TrialLog, recovered
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.log import read_trial
 from fishmj.mjcf.reading import load_robot
@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def test_rows_that_wait_grow_past_their_first_room_and_leave_in_order():
-    rows = Rows(["t", "x"])
+    rows = RowBuffer(["t", "x"])
     for k in range(2 * FIRST + 5):
         rows.add(k, 2 * k)
     np.testing.assert_array_equal(rows.waiting()[:, 1], 2 * np.arange(2 * FIRST + 5))

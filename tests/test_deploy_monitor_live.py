@@ -16,10 +16,10 @@ from fishmj.deploy.commands import swim_command
 from fishmj.deploy.link.links import Fishmj1Link
 from fishmj.deploy.loop import arming
 from fishmj.deploy.loop.pilot import PolicyPilot
-from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.deploy.loopback.settings import Settings, make_robot
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, make_robot
 from fishmj.deploy.monitor import process
 from fishmj.deploy.monitor.live import LiveMonitor, MonitorProcess, Watched, watched_of
 from fishmj.deploy.monitor.monitor import Alarm
@@ -60,7 +60,7 @@ def beside(tmp_path, script, **options):
     bench.at(0.0, lambda: made[0].__enter__())
     with TrialLog(bench.folder, {"origin": "synthetic", "robot": "fish"}, 3, every=1e6) as log:
         bench.log = log
-        bench.made = Swim(bench.rig, bench.pilot, bench.plan, log, stop=bench._stop)
+        bench.made = SwimLoop(bench.rig, bench.pilot, bench.plan, log, stop=bench._stop)
         outcome = bench.made.run()
         made[0].__exit__(None, None, None)
     assert outcome.complete
@@ -189,7 +189,7 @@ class Struck(LockstepClock):
 
 def in_lockstep(folder: Path, seconds: float, clock_of, watched=None):
     """A swim of loopback robot 7 through the host: (alarms, trial)."""
-    fish = make_robot(Settings(seed=7, flow=Flow(speed=FLOW[0], direction=FLOW[1]), start=(0.4, 0.2, 0.0)))
+    fish = make_robot(LoopbackSettings(seed=7, flow=Flow(speed=FLOW[0], direction=FLOW[1]), start=(0.4, 0.2, 0.0)))
     clock, described = clock_of(fish), load_robot("fish")
     link, controller = Fishmj1Link(LockstepTransport(clock)), LearnedController(described, "station")
     rig = Rig(
@@ -203,7 +203,7 @@ def in_lockstep(folder: Path, seconds: float, clock_of, watched=None):
         monitor = LiveMonitor(watched, log, say=alarms.append) if watched else None
         if monitor:
             monitor.__enter__()
-        outcome = Swim(rig, PolicyPilot(controller), Plan(seconds=seconds), log).run()
+        outcome = SwimLoop(rig, PolicyPilot(controller), SwimPlan(seconds=seconds), log).run()
         if monitor:
             monitor.__exit__(None, None, None)
             assert not monitor.failed

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fishmj.deploy.loop.limits import Limiter, towards_zero
-from fishmj.deploy.loop.observer import RATE_WINDOW, Observer
+from fishmj.deploy.loop.command_limits import Limiter, towards_zero
+from fishmj.deploy.loop.observation import RATE_WINDOW, ObservationBuilder
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.deploy.tracker.fix import Fix
 from fishmj.mjcf.reading import load_robot
@@ -20,7 +20,7 @@ def fix(t, x=0.0, y=0.0, yaw=0.0):
 
 def seen(poses, start=5.0, step=DT):
     """An observer that got these poses (T, 3), and four equal readings."""
-    one = Observer(ROBOT, TARGET)
+    one = ObservationBuilder(ROBOT, TARGET)
     for k in range(4):
         one.telemetry(5.0 + k * DT, Telemetry((0.1, 0.2, 0.3)))
     for k, pose in enumerate(poses):
@@ -36,7 +36,7 @@ def swimming(t):
 def test_the_vector_is_what_training_observes_of_the_same_data():
     rng, window = np.random.default_rng(0), ROBOT.timing.velocity_window
     poses = swimming(np.arange(20) * DT)
-    one = Observer(ROBOT, TARGET)
+    one = ObservationBuilder(ROBOT, TARGET)
     joint = rng.uniform(-1, 1, (20, 3)).cumsum(0) * 0.02
     for k in range(20):
         wrapped = (poses[k, 2] + np.pi) % (2 * np.pi) - np.pi
@@ -65,7 +65,7 @@ def test_the_vector_is_absent_until_poses_and_joints_reach_back_far_enough():
     assert seen(swimming(t)).vector() is None
     t = np.arange(ROBOT.timing.velocity_window) * DT
     assert seen(swimming(t)).vector() is not None
-    one = Observer(ROBOT, TARGET)
+    one = ObservationBuilder(ROBOT, TARGET)
     for k, pose in enumerate(swimming(t)):
         one.fix(fix(k * DT, *pose), k * DT)
     assert one.vector() is None
@@ -90,7 +90,7 @@ def test_a_fix_that_is_no_number_is_refused(bad):
 
 
 def test_the_first_fix_must_be_finite_too():
-    one = Observer(ROBOT, TARGET)
+    one = ObservationBuilder(ROBOT, TARGET)
     assert one.fix(fix(1.0, np.nan), 1.0) is None and one.pose is None
 
 
@@ -104,7 +104,7 @@ def test_a_robot_that_began_anew_gives_no_rates_across_its_restart():
 
 
 def test_rates_come_from_the_robots_stamps_where_it_has_a_clock():
-    one = Observer(ROBOT, TARGET)
+    one = ObservationBuilder(ROBOT, TARGET)
     for k, late in enumerate((0.0, 0.013, 0.002)):
         one.telemetry(7.0 + k * DT + late, Telemetry((0.4 * k,) * 3, time=k * DT))
     np.testing.assert_allclose(one.joints()[1], 0.4 / DT)

@@ -18,12 +18,12 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.camera.localiser import InStep
 from fishmj.deploy.link.links import Fishmj1Link
-from fishmj.deploy.loop import experiment, wiring
+from fishmj.deploy.loop import open_loop_experiment, wiring
 from fishmj.deploy.loop.supervisor import Condition
-from fishmj.deploy.loop.swim import Rig
+from fishmj.deploy.loop.swim_loop import Rig
 from fishmj.deploy.loopback import faults
 from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.deploy.loopback.settings import Settings, make_robot
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, make_robot
 from fishmj.deploy.rig import rig_experiment, rig_prompt
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.gap.__main__ import main as gap
@@ -38,20 +38,22 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def lockstep_rig(start=(0.0, 0.0, 0.0), seed=3, **settings):
     robot = load_robot("fish")
-    fish = make_robot(Settings(seed=seed, start=start, **settings))
+    fish = make_robot(LoopbackSettings(seed=seed, start=start, **settings))
     clock = LockstepClock(fish)
     link = Fishmj1Link(LockstepTransport(clock))
     localiser = InStep(LockstepCamera(clock), PoseTracker(seed=seed))
     localiser.open()
-    return Rig(robot=robot, link=link, localiser=localiser, clock=clock, examine=experiment.unpoliced(link, robot, False))
+    return Rig(
+        robot=robot, link=link, localiser=localiser, clock=clock, examine=open_loop_experiment.unpoliced(link, robot, False)
+    )
 
 
 def played(tmp_path, names, repeats=1, **settings):
     trials = {}
-    for run in experiment.runs(names, repeats, 3):
+    for run in open_loop_experiment.runs(names, repeats, 3):
         rig = lockstep_rig(run.what.start, **settings)
-        meta = experiment.meta_of(rig.robot, (0.0, 0.0), True)
-        outcome, trial = experiment.play(rig, run, tmp_path / "host" / run.name, meta)
+        meta = open_loop_experiment.meta_of(rig.robot, (0.0, 0.0), True)
+        outcome, trial = open_loop_experiment.play(rig, run, tmp_path / "host" / run.name, meta)
         assert outcome.complete, outcome.words
         trials[run.name] = trial
     write_dataset(tmp_path / "trials", trials)
@@ -97,43 +99,47 @@ def test_calibration_and_search_read_it(bench):
 
 
 def test_repeats_come_one_round_after_the_other_and_name_their_first():
-    order = [(run.name, run.first) for run in experiment.runs(["calibrate"], 2, 3)]
+    order = [(run.name, run.first) for run in open_loop_experiment.runs(["calibrate"], 2, 3)]
     assert order[:4] == [("sine_1", ""), ("square_1", ""), ("impulse_1", ""), ("sine_2", "sine_1")]
 
 
 def test_an_experiment_that_needs_a_carriage_or_does_not_exist_is_refused():
     with pytest.raises(ConfigError, match="tow_ahead: needs a tow carriage"):
-        experiment.runs(["tow_ahead", "gait"], 3, 3)
+        open_loop_experiment.runs(["tow_ahead", "gait"], 3, 3)
     with pytest.raises(UnknownName):
-        experiment.runs(["gate"], 3, 3)
+        open_loop_experiment.runs(["gate"], 3, 3)
 
 
 def test_a_swim_that_does_not_end_by_itself_gives_no_trial(tmp_path):
-    (run,) = experiment.runs(["idle"], 1, 3)
+    (run,) = open_loop_experiment.runs(["idle"], 1, 3)
     rig = lockstep_rig()
     begun = rig.clock.now()
     stop = lambda: rig.clock.now() > begun + 2.0
-    outcome, trial = experiment.play(rig, run, tmp_path / "a", experiment.meta_of(rig.robot, None, True), stop=stop)
+    outcome, trial = open_loop_experiment.play(
+        rig, run, tmp_path / "a", open_loop_experiment.meta_of(rig.robot, None, True), stop=stop
+    )
     assert trial is None and "OPERATOR_STOP" in outcome.words
     assert (tmp_path / "a" / "meta.toml").is_file()  # the host's log stays
 
 
 @pytest.mark.parametrize("name", ["chirp", "steps"])
 def test_a_jammed_joint_ends_an_experiment_and_a_healthy_one_does_not(tmp_path, name):
-    (run,) = experiment.runs([name], 1, 3)
+    (run,) = open_loop_experiment.runs([name], 1, 3)
     ends = []
     for bad in ((), faults.parse(["stuck_servo=2@0"])):
         rig = lockstep_rig(run.what.start, faults=bad)
-        meta = experiment.meta_of(rig.robot, None, True)
-        ends.append(experiment.play(rig, run, tmp_path / f"{len(ends)}", meta)[0])
+        meta = open_loop_experiment.meta_of(rig.robot, None, True)
+        ends.append(open_loop_experiment.play(rig, run, tmp_path / f"{len(ends)}", meta)[0])
     assert ends[0].complete
     assert ends[1].cause & Condition.SERVO_STUCK and ends[1].swum < 0.7 * run.what.seconds
 
 
 def test_a_run_ends_before_the_wall_that_was_named(tmp_path):
-    (run,) = experiment.runs(["chirp"], 1, 3)
+    (run,) = open_loop_experiment.runs(["chirp"], 1, 3)
     rig = lockstep_rig()
-    outcome, trial = experiment.play(rig, run, tmp_path / "a", experiment.meta_of(rig.robot, None, True), bound=0.1)
+    outcome, trial = open_loop_experiment.play(
+        rig, run, tmp_path / "a", open_loop_experiment.meta_of(rig.robot, None, True), bound=0.1
+    )
     assert trial is None and outcome.cause & Condition.LEFT_TANK
     assert np.abs(read_trial(tmp_path / "a").tables["pose"]["x"]).max() < 0.3
 
@@ -211,7 +217,7 @@ def test_noise_at_rest_is_that_of_the_channel():
     t = np.arange(0, 5, 0.001)
     tables = {"pose": {"t": t, "x": 0.01 * t + 0.003 * rng.standard_normal(len(t)), "y": t * 0, "yaw": t * 0}}
     counts = np.round((0.001 * rng.standard_normal(len(t)) + np.where(t > 1, 0.3, 0.0)) / 0.0042) * 0.0042
-    found = experiment.noise_at_rest({**tables, "joint": {"t": t, "j1": counts}})
+    found = open_loop_experiment.noise_at_rest({**tables, "joint": {"t": t, "j1": counts}})
     assert found["x"] == pytest.approx(0.003, rel=0.1) and "y" not in found
     assert found["j1"] == pytest.approx(0.0042 / np.sqrt(12), rel=0.05)
 

@@ -17,11 +17,11 @@ from fishmj.deploy.link.links import Fishmj1Link
 from fishmj.deploy.loop import arming
 from fishmj.deploy.loop.pilot import PlayedPilot, PolicyPilot
 from fishmj.deploy.loop.supervisor import Condition
-from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loopback import faults
 from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.deploy.loopback.settings import Settings, make_robot
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, make_robot
 from fishmj.log import excitation, read_trial
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow
@@ -32,7 +32,7 @@ SWIM = [sys.executable, "-m", "fishmj.deploy", "swim", "--policy", "station", "-
 
 def lockstep(folder, seconds, *, policy="station", pilot=None, target=(0.0, 0.0), **settings):
     """A swim of a loopback robot in this process: (outcome, trial, robot)."""
-    robot = make_robot(Settings(**settings))
+    robot = make_robot(LoopbackSettings(**settings))
     clock, description = LockstepClock(robot), load_robot("fish")
     link, controller = Fishmj1Link(LockstepTransport(clock)), LearnedController(description, policy)
     rig = Rig(
@@ -41,7 +41,7 @@ def lockstep(folder, seconds, *, policy="station", pilot=None, target=(0.0, 0.0)
     )  # fmt: skip
     rig.localiser.open()
     with TrialLog(folder, {"origin": "synthetic", "robot": "fish"}, 3, every=1e6) as log:
-        outcome = Swim(rig, pilot or PolicyPilot(controller), Plan(seconds=seconds, target=target), log).run()
+        outcome = SwimLoop(rig, pilot or PolicyPilot(controller), SwimPlan(seconds=seconds, target=target), log).run()
     return outcome, read_trial(folder), robot
 
 

@@ -13,8 +13,8 @@ from fishmj.deploy.link.links import MishLink
 from fishmj.deploy.loop.arming import why_not_armed
 from fishmj.deploy.loop.graceful_stop import GRACE, TIMES, graceful_stop
 from fishmj.deploy.loop.status import StatusLine
-from fishmj.deploy.loop.supervisor import Condition, State
-from fishmj.deploy.loop.swim import HOME, LET_GO, Outcome
+from fishmj.deploy.loop.supervisor import Condition, SwimState
+from fishmj.deploy.loop.swim_loop import HOME, LET_GO, SwimOutcome
 from fishmj.deploy.protocols.messages import RobotState, ServoFault, Telemetry
 from fishmj.deploy.protocols.watchdog import Watchdog
 from fishmj.log import read_trial
@@ -58,7 +58,7 @@ def test_a_robot_that_cannot_say_or_cannot_let_go_has_words_for_it(tmp_path):
     outcome = bench.swim()
     assert outcome.released is None and "cannot confirm" in outcome.words
     assert "letting go" in MishLink(None).lacks
-    outcome = Outcome(cause=Condition.FINISHED, refused=(), swum=1.0, figures={}, released=None, lets_go=False)
+    outcome = SwimOutcome(cause=Condition.FINISHED, refused=(), swum=1.0, figures={}, released=None, lets_go=False)
     assert outcome.words.endswith("keeps its torque: use the switch")
 
 
@@ -89,7 +89,7 @@ def on_the_way_to_zero(bench, then):
     """A swim that is over after 1 s; 0.1 s later, on the way to zero, `then` happens. s that NEUTRAL took."""
     bench.robot.stuck.clear()
     step = bench.swim
-    begun = lambda: next((e.t for e in bench.events if e.after is State.NEUTRAL), None)
+    begun = lambda: next((e.t for e in bench.events if e.after is SwimState.NEUTRAL), None)
     listen = bench.eyes.fixes
 
     def fixes(now):

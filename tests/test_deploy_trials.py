@@ -18,13 +18,13 @@ from fishmj.base.errors import ConfigError, LogError, StoreError
 from fishmj.deploy import __main__ as deploy
 from fishmj.deploy.commands import trials_command
 from fishmj.deploy.loop import wiring
-from fishmj.deploy.loop.supervisor import NONE, Condition, State
-from fishmj.deploy.loop.swim import Outcome
+from fishmj.deploy.loop.supervisor import NONE, Condition, SwimState
+from fishmj.deploy.loop.swim_loop import SwimOutcome
 from fishmj.deploy.rig import rig_prompt
 from fishmj.deploy.trials import trials_tables
-from fishmj.deploy.trials.trials import Session, counts, cut, name_of, order, stream_direction, waters_of
+from fishmj.deploy.trials.schedule import Session, counts, cut, name_of, order, stream_direction, waters_of
 from fishmj.evaluate import metrics, protocol
-from fishmj.evaluate.report import trials_csv
+from fishmj.evaluate.trial_report import trials_csv
 from fishmj.log import Trial, read_trial, write_trial
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow_map.flow_map import FlowMap
@@ -33,7 +33,7 @@ from tests.test_deploy_flow_map import MAP
 
 ROOT = Path(__file__).resolve().parent.parent
 ROBOT = load_robot("fish")
-SWUM = Outcome(cause=Condition.FINISHED, refused=(), swum=60.0, figures={}, released=True)
+SWUM = SwimOutcome(cause=Condition.FINISHED, refused=(), swum=60.0, figures={}, released=True)
 
 
 # ------------------------------------------------------------------------------------------------------------------- plan
@@ -64,7 +64,7 @@ def test_the_pump_and_the_direction_come_from_the_flow_map():
 
 
 def test_what_ends_a_swim_decides_whether_it_is_a_trial():
-    made = lambda **change: Outcome(**{**vars(SWUM), **change})
+    made = lambda **change: SwimOutcome(**{**vars(SWUM), **change})
     assert counts(SWUM) and counts(made(cause=Condition.LEFT_TANK, swum=12.0))
     assert not counts(made(cause=Condition.LINK_SILENT, swum=12.0)) and not counts(made(cause=NONE, refused=("no",), swum=0.0))
 
@@ -77,7 +77,7 @@ def log_of(place, *, seconds=62.0, power=True, zero=3.25, drift=0.0, left=None):
     (x, y, yaw), (there_x, there_y) = place.start, place.target
     path = {"x": x + way * (there_x - x) + drift * np.clip(t - zero, 0, None), "y": y + way * (there_y - y)}
     pose = {"t": t + 0.06, **path, "yaw": np.full(len(t), yaw), "quality": np.ones(len(t)), "t_taken": t, "t_rx": t + 0.06}
-    state = np.where(t < zero, int(State.ARMED), int(State.SWIMMING)).astype(float)
+    state = np.where(t < zero, int(SwimState.ARMED), int(SwimState.SWIMMING)).astype(float)
     zeros = lambda letter, n: {f"{letter}{k + 1}": np.zeros(len(t)) for k in range(n)}
     tables = {
         "cmd": {"t": t, **zeros("c", 3), **zeros("asked", 3), "seq": np.arange(len(t)) * 1.0, "state": state},
@@ -105,12 +105,12 @@ def test_a_log_is_cut_to_where_the_policy_steered_with_its_clocks():
     place = order(protocol.trials())[0]
     taken = cut(log_of(place), place.name, 60.0)
     cmd, pose = taken.tables["cmd"], taken.tables["pose"]
-    assert cmd["t"][0] == pytest.approx(0.0, abs=0.021) and cmd["t"][-1] <= 60.5 and (cmd["state"] == State.SWIMMING).all()
+    assert cmd["t"][0] == pytest.approx(0.0, abs=0.021) and cmd["t"][-1] <= 60.5 and (cmd["state"] == SwimState.SWIMMING).all()
     assert pose["t"][0] < -0.9 and pose["t"][-1] == pytest.approx(60.5, abs=0.03)
     np.testing.assert_allclose(pose["t"] - pose["t_taken"], 0.06)
     assert taken.tables["target"]["t"].tolist() == [0.0] and taken.meta["swum_s"] == pytest.approx(60.0)
     idle = log_of(place)
-    idle.tables["cmd"]["state"][:] = int(State.ARMED)
+    idle.tables["cmd"]["state"][:] = int(SwimState.ARMED)
     with pytest.raises(ConfigError, match="no command of the policy"):
         cut(idle, place.name, 60.0)
 
@@ -240,7 +240,7 @@ class Tank:
         self.swum, self.outcomes = [], list(outcomes)
         monkeypatch.setattr(rig_prompt.sys, "stdin", io.StringIO("".join(f"{answer}\n" for answer in answers)))
         monkeypatch.setattr(wiring, "wire", lambda *_: wiring.Wired(FakeRobot(clock), FakeEyes(clock), clock, False))
-        monkeypatch.setattr(trials_command, "Swim", self.swim)
+        monkeypatch.setattr(trials_command, "SwimLoop", self.swim)
         monkeypatch.setattr(
             trials_command.Session, "accept", lambda session, name, *_: self.accept(session.folder / "trials" / name)
         )
@@ -302,8 +302,8 @@ def test_a_person_is_led_through_and_the_same_command_goes_on_the_next_day(tmp_p
 
 
 def test_swim_ended_by_a_fault_cannot_be_accepted_but_left_tank_can(tmp_path, monkeypatch):
-    silent = Outcome(**{**vars(SWUM), "cause": Condition.LINK_SILENT, "swum": 5.0})
-    left = Outcome(**{**vars(SWUM), "cause": Condition.LEFT_TANK, "swum": 5.0})
+    silent = SwimOutcome(**{**vars(SWUM), "cause": Condition.LINK_SILENT, "swum": 5.0})
+    left = SwimOutcome(**{**vars(SWUM), "cause": Condition.LEFT_TANK, "swum": 5.0})
     # pump, place, Enter (repeats); place, Enter (accepts); then q
     names, known, _ = walked(tmp_path, monkeypatch, ["", "", "", "", "", "q"], [silent, left])
     assert names == ["u0.1_los000_r0"] * 2 and known["skipped"] == {}

@@ -418,7 +418,7 @@ def test_a_robot_in_a_fitted_water_is_sound(water):
 
 def test_what_calibrate_writes_reads(tmp_path):
     from fishmj.gap.calibrate import calibrated_model as model
-    from fishmj.gap.calibrate.least_squares import ParameterEstimate
+    from fishmj.gap.calibrate.parameter_fit import ParameterEstimate
 
     found = {"kp": ParameterEstimate("kp", "N m/rad", 8.1, 8.0, 8.2, 0.05, "repeats")}
     friction = {"coulomb_friction.torque": ParameterEstimate("torque", "N m", 0.08, 0.07, 0.09, 0.005, "repeats")}

@@ -8,12 +8,12 @@ import sys
 import pytest
 
 from fishmj.base import console, doctor
-from fishmj.base.doctor import Finding, browser, requirements, verdicts, version
+from fishmj.base.doctor import DoctorFinding, browser, requirements, verdicts, version
 
 DECIDED = {"mujoco", "numpy", "scipy", "matplotlib", "safetensors", "pydantic", "jinja2", "packaging"}
 
 
-def one(findings: list[Finding], name: str) -> Finding:
+def one(findings: list[DoctorFinding], name: str) -> DoctorFinding:
     return next(f for f in findings if f.name == name)
 
 
@@ -126,13 +126,13 @@ def test_a_later_mujoco_is_named_as_a_trap(monkeypatch):
 
 
 def test_a_broken_core_means_that_nothing_works():
-    findings = [Finding("core", "numpy", "bad", "missing")]
+    findings = [DoctorFinding("core", "numpy", "bad", "missing")]
     assert {f.state for f in verdicts(findings)} == {"no"}
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("no", 0), ("note", 0), ("bad", 1)])
 def test_only_what_must_be_mended_fails_the_check(state, code, monkeypatch, capsys):
-    monkeypatch.setattr(doctor, "examine", lambda: [Finding("core", "thing", state, "text")])
+    monkeypatch.setattr(doctor, "examine", lambda: [DoctorFinding("core", "thing", state, "text")])
     assert console.run(doctor.main, ["--json"]) == code
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert answer == {"healthy": code == 0, "findings": [{"section": "core", "name": "thing", "state": state, "text": "text"}]}

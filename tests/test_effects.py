@@ -19,7 +19,7 @@ from fishmj.effects import __main__ as verb
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.effects.randomise import draw
-from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
+from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
 from fishmj.effects.stack import arrivals, delivered, gusts, noise
 from fishmj.log import excitation
 from fishmj.mjcf.reading import load_robot
@@ -73,7 +73,7 @@ def test_commands_delays_sensors_and_draws_are_untouched_at_the_null():
     rng, active = np.random.default_rng(3), EffectStack(EVERY, 3)
     sent = rng.normal(size=(40, 3))
     np.testing.assert_array_equal(delivered(np, active, active.null, sent, 0.004), sent)
-    seen = Measured(np.arange(40) * 0.02, *rng.normal(size=(3, 40)), rng.normal(size=(40, 3)), rng.normal(size=40))
+    seen = SensorReadings(np.arange(40) * 0.02, *rng.normal(size=(3, 40)), rng.normal(size=(40, 3)), rng.normal(size=40))
     for a, b in zip(active.measure(np, active.null, seen), seen, strict=True):
         np.testing.assert_array_equal(a, b)
     assert all(np.all(active.delay(np, active.null, clock, seen.t) == 0.0) for clock in effects.effect.CLOCKS)
@@ -81,7 +81,7 @@ def test_commands_delays_sensors_and_draws_are_untouched_at_the_null():
     np.testing.assert_array_equal(t, seen.t)
     np.testing.assert_array_equal(commands, sent)
     assert not gusts(active, active.null, seen.t, rng).any()
-    sigma = Measured(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
+    sigma = SensorReadings(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
     np.testing.assert_array_equal(noise(active, active.null, seen, sigma, rng).joint, seen.joint)
 
 
@@ -136,7 +136,7 @@ def test_the_code_generator_writes_a_step_with_the_whole_catalogue():
         np.testing.assert_allclose(scope[name], expected, rtol=1e-9, atol=1e-9)
 
 
-FIELDS = {"servo": ServoDrive, "gear": Gear, "body": BodyMotion, "water": LocalWater, "flow": FlowAt, "measure": Measured}
+FIELDS = {"servo": ServoDrive, "gear": Gear, "body": BodyMotion, "water": LocalWater, "flow": FlowAt, "measure": SensorReadings}
 
 
 def at_site(xp, effect: Effect, site: str, parameters, given: dict):

@@ -52,7 +52,7 @@ def test_a_school_in_training_differs_in_its_drawn_effects_and_swims(school):
         state = env.step(state, np.full((4, 3), 0.3, np.float32))
     assert np.isfinite(np.asarray(state.obs)).all() and not np.asarray(state.diverged).any()
     with pytest.raises(ConfigError, match="servo_gain"):
-        StationHold(PLAIN, planar.Engine(PLAIN), Options(effects=("servo_gain",)))
+        StationHold(PLAIN, planar.PlanarEngine(PLAIN), Options(effects=("servo_gain",)))
 
 
 def test_both_environments_see_the_same_through_late_crooked_sensors(school):

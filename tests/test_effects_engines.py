@@ -11,7 +11,7 @@ import pytest
 from fishmj import effects, engines
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects.calibration import FittedEffect, Interval, write
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.engines import batch, extensions, mjx, planar
 from fishmj.engines.recorder import cubic
 from fishmj.log import stacked
@@ -63,7 +63,7 @@ def swim():
     sites = {site for name in EVERY_SITE for site in effects.get(name).sites}
     assert sites == {"servo", "gear", "fish", "flow", "body", "water", "command", "measure"}
     with jax.enable_x64(True):
-        return robot, advance(planar.Engine(robot), robot)
+        return robot, advance(planar.PlanarEngine(robot), robot)
 
 
 def same(one, two, atol):
@@ -76,12 +76,12 @@ def test_compiled_engine_with_effects_matches_the_closed_form_engine(swim):
     from fishmj.engines import compiled
 
     robot, expected = swim
-    same(advance(compiled.Engine(robot, dtype="float64"), robot), expected, 1e-11)
+    same(advance(compiled.CompiledEngine(robot, dtype="float64"), robot), expected, 1e-11)
 
 
 def test_mujoco_in_c_swims_with_effects_at_every_site_as_the_closed_form(swim):
     robot, expected = swim
-    same(advance(batch.Engine(robot, threads=1, evaluator="jax"), robot), expected, 1e-11)
+    same(advance(batch.BatchEngine(robot, threads=1, evaluator="jax"), robot), expected, 1e-11)
 
 
 def test_mjx_swims_with_effects_as_one_fish_in_mujoco():
@@ -89,7 +89,7 @@ def test_mjx_swims_with_effects_as_one_fish_in_mujoco():
     sim = Sim(robot, water="structured", flow=FLOW, pose=POSE)
     truth = sim.run(beat(), TICKS / 50).table("truth")
     with jax.enable_x64(True):
-        state, trace = advance(mjx.Engine(robot), robot, 1)
+        state, trace = advance(mjx.MjxEngine(robot), robot, 1)
     np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
     np.testing.assert_allclose(state.memory[0], sim.water.memory, rtol=0, atol=1e-8)
 
@@ -116,7 +116,7 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
     at = truth["t"][20:] - late("joint_sensor_delay")
     np.testing.assert_allclose(joint["j2"][20:], np.interp(at, truth["t"], truth["j2"]) - offset, rtol=0, atol=5e-3)
     more = effects.get("power_offset").parameter("power").probe
-    sag, drawn = effects.get("voltage_sag"), Measured(*[0.0] * 5, power=trace.power[0] + robot.servo.idle_power)
+    sag, drawn = effects.get("voltage_sag"), SensorReadings(*[0.0] * 5, power=trace.power[0] + robot.servo.idle_power)
     left = sag.measure(np, SimpleNamespace(resistance=sag.parameter("resistance").probe), drawn).power
     np.testing.assert_allclose(power["V"] * power["I"], left + more, rtol=0, atol=1e-6)
 
@@ -241,7 +241,7 @@ def test_a_fitted_water_and_effects_act_together_in_every_simulator(fitted_water
     assert alone.water["ke"] == 0.4 and engines.at_rest(alone, np.zeros((1, 3))).memory.shape == (1, 18)
     sim = Sim(robot_with("coulomb_friction", "command_gain_error"), water=str(fitted_water), flow=FLOW, pose=POSE)
     truth = sim.run(beat(), TICKS / 50).table("truth")
-    state, trace = advance(batch.Engine(robot, threads=1, evaluator="jax"), robot, 1)
+    state, trace = advance(batch.BatchEngine(robot, threads=1, evaluator="jax"), robot, 1)
     np.testing.assert_allclose(trace.joint[0], stacked(truth, "j#"), rtol=0, atol=1e-8)
     np.testing.assert_allclose(state.memory[0], sim.water.memory, rtol=0, atol=1e-8)
     assert state.memory.shape == (1, 26) and np.abs(state.memory[0, 8:24]).max() > 1e-3  # time, current, friction, wake, ...

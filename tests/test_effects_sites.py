@@ -9,7 +9,7 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 from fishmj import effects
 from fishmj.effects import EffectStack
 from fishmj.effects.dry_friction import AT_REST, GIVE
-from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, Measured, ServoDrive
+from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
 from fishmj.effects.stack import arrivals, delivered, gusts, noise
 from fishmj.water.dynamics.hooks import Effects
 
@@ -223,7 +223,7 @@ def test_body_mass_is_spread_by_weight_and_coasts_like_added_mass():
 
 
 def test_sensors_turn_stretch_and_shift_what_they_see():
-    seen = Measured(np.zeros(1), *(np.array([v]) for v in (1.0, 0.5, 0.2)), np.zeros((1, 3)), np.array([4.0]))
+    seen = SensorReadings(np.zeros(1), *(np.array([v]) for v in (1.0, 0.5, 0.2)), np.zeros((1, 3)), np.array([4.0]))
     look = lambda name, **values: effects.get(name).measure(np, SimpleNamespace(**values), seen)
     turned = look("camera_yaw", angle=np.pi / 2)
     assert np.allclose((turned.x, turned.y, turned.yaw), ([-0.5], [1.0], [0.2 + np.pi / 2]))
@@ -253,8 +253,8 @@ def test_stochastic_effects_have_the_scatter_that_they_claim():
     wind = gusts(active, active.flat({"turbulence": {"sigma": 0.02, "time": 0.5}}), t, rng)
     assert np.allclose(wind.std(0), 0.02, rtol=0.15)
     assert np.isclose(np.corrcoef(wind[:-25, 0], wind[25:, 0])[0, 1], np.exp(-1.0), atol=0.06)  # half a second apart
-    still = Measured(t, *np.zeros((3, len(t))), np.zeros((len(t), 3)), np.zeros(len(t)))
-    sigma = Measured(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
+    still = SensorReadings(t, *np.zeros((3, len(t))), np.zeros((len(t), 3)), np.zeros(len(t)))
+    sigma = SensorReadings(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
     extra = noise(active, active.flat({"noise_level": {"factor": 2.0}}), still, sigma, rng)
     assert np.isclose(extra.x.std(), 0.002 * np.sqrt(3), rtol=0.05) and np.isclose(
         extra.joint.std(), 0.004 * np.sqrt(3), rtol=0.05
@@ -291,6 +291,6 @@ def test_the_motors_ask_for_a_duty_and_the_supply_gives_what_is_left():
     stalled = count * CHAIN.torque / CHAIN.motor  # A at 7.4 V and full duty
     volts = (7.4 - resistance * boards) / (1.0 + resistance * stalled / 7.4)
     assert np.isclose(memory[0], stalled * volts / 7.4) and np.isclose(drive[0], CHAIN.torque * volts / 7.4)
-    seen = fields(Measured, power=volts * memory[0] + 7.4 * boards)
+    seen = fields(SensorReadings, power=volts * memory[0] + 7.4 * boards)
     metered = effects.get("voltage_sag").measure(np, SimpleNamespace(resistance=resistance), seen).power
     assert np.isclose(metered, volts * (memory[0] + boards))

@@ -9,7 +9,7 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 from fishmj import effects
 from fishmj.effects import EffectStack
 from fishmj.effects.dry_friction import GIVE
-from fishmj.effects.sites import BodyMotion, Gear, Measured
+from fishmj.effects.sites import BodyMotion, Gear, SensorReadings
 from fishmj.effects.stack import delivered
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
@@ -38,7 +38,7 @@ def swims():
     rows = [row(name or "nothing", TIMES.get(times, 1.0)) for name, times in keys]
     q, v, power = swim(ACTIVE, rows, gait(10, 2.0, 30, 5), start=(1.0, 0.5, 2.5, 0, 0, 0), push=(-0.2, 0.1, 0, 0, 0, 0))
     seen = sense(ACTIVE, rows, q, power)
-    one = lambda i: Measured(seen.t, *(part[i] for part in seen[1:]))
+    one = lambda i: SensorReadings(seen.t, *(part[i] for part in seen[1:]))
     return {key: (one(i), q[i], v[i]) for i, key in enumerate(keys)}
 
 

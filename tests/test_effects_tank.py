@@ -129,7 +129,7 @@ def in_air(robot, swimmer):
 
 def in_dry_tank(robot, params):
     """State and trace of the same fish in a tank without water."""
-    engine, state = lbm.Engine(robot, [Flow()]), engines.at_rest(robot, POSE[None])
+    engine, state = lbm.LbmEngine(robot, [Flow()]), engines.at_rest(robot, POSE[None])
     state.q[:, 3:] = params.zero
     return engine.advance(state, beat()[None], params, None, np.zeros(1, int))
 
@@ -220,7 +220,7 @@ def test_sensors_and_late_clocks_report_of_a_tank_what_they_report_of_sim(dry, n
     swimmer, params = drawn_fish(robot)
     camera = task.draw_fish(np, robot, np.full((1, task.n_fish(robot)), 0.5), 0.0)[1]
     seen = []
-    for engine in (lbm.Engine(robot, [Flow()]), Replayed(in_air(robot, swimmer)[0], swimmer.zero)):
+    for engine in (lbm.LbmEngine(robot, [Flow()]), Replayed(in_air(robot, swimmer)[0], swimmer.zero)):
         loop = ControlLoop(robot, engine)
         loop.start(POSE[None], Scenario(params, camera, Flow().current()))
         for part in np.split(beat(), TICKS // loop.ticks):
@@ -231,7 +231,7 @@ def test_sensors_and_late_clocks_report_of_a_tank_what_they_report_of_sim(dry, n
 
 def test_a_second_attempt_at_a_tick_remembers_what_the_first_did(dry):
     robot = robot_with("gear_backlash", "skin_hysteresis")
-    engine, params = lbm.Engine(robot, [Flow()]), engines.nominal_params(robot, 1)
+    engine, params = lbm.LbmEngine(robot, [Flow()]), engines.nominal_params(robot, 1)
     state, _ = engine.advance(engines.at_rest(robot, POSE[None]), beat()[None], params, None, np.zeros(1, int))
     (run,) = engine.tanks.runs
     found = []
@@ -246,7 +246,7 @@ def test_a_second_attempt_at_a_tick_remembers_what_the_first_did(dry):
 def test_a_steady_current_joins_the_stream_of_the_tank(tiny):
     robot = robot_with("steady_current", x=0.05, y=-0.02)
     flow = Flow(speed=0.2, direction=1.0, turbulence="shear", intensity=0.1, seed=3)
-    engine, params = lbm.Engine(robot, [flow] * 2), engines.nominal_params(robot, 2)
+    engine, params = lbm.LbmEngine(robot, [flow] * 2), engines.nominal_params(robot, 2)
     params.effects[1] = 0.0  # each fish has its own parameters
     runs = [engine.tank(i, np.zeros(6), params, np.zeros(2)) for i in range(2)]
     more, same = (run.coupled.fluid.flow for run in runs)
@@ -270,7 +270,7 @@ def test_solver_tank_applies_tether_and_friction_and_ignores_null_effects(tiny):
     commands = np.tile(0.4 * beat(ticks), (2, 1, 1))
     traces = []
     for robot, many in ((null, 2), (PLAIN, 1)):
-        engine = lbm.Engine(robot, [Flow()] * many, domain="laptop", device="cpu")
+        engine = lbm.LbmEngine(robot, [Flow()] * many, domain="laptop", device="cpu")
         params = engines.nominal_params(robot, many)
         state = engines.at_rest(robot, np.zeros((many, 3)))
         params = params._replace(effects=rows if many == 2 else params.effects)
@@ -287,7 +287,7 @@ def test_solver_tank_applies_tether_and_friction_and_ignores_null_effects(tiny):
 def test_in_water_a_steady_current_is_a_stream_of_that_speed(tiny):
     drift = []
     for robot, flow in ((robot_with("steady_current", x=0.1, y=0.0), Flow()), (PLAIN, Flow(speed=0.1))):
-        engine, params = lbm.Engine(robot, [flow], domain="laptop", device="cpu"), engines.nominal_params(robot, 1)
+        engine, params = lbm.LbmEngine(robot, [flow], domain="laptop", device="cpu"), engines.nominal_params(robot, 1)
         state = engines.at_rest(robot, np.zeros((1, 3)))
         drift.append(engine.advance(state, np.zeros((1, 10, 3)), params, None, np.zeros(1, int))[1].pose[0])
     np.testing.assert_allclose(drift[0], drift[1], atol=1e-6)
@@ -298,7 +298,7 @@ def test_what_is_the_waters_is_refused_by_name_and_can_be_left_out():
     robot = robot_with("wake_memory", "coulomb_friction", "swirl")
     assert list(refused(robot)) == ["wake_memory", "swirl"]
     with pytest.raises(ConfigError, match=r"wake_memory: .*the solver is the water; swirl: .*--leave-out wake_memory,swirl"):
-        lbm.Engine(robot, [Flow()])
+        lbm.LbmEngine(robot, [Flow()])
     assert [fitted.name for fitted in without(robot, ["swirl", "wake_memory"]).effects] == ["coulomb_friction"]
     with pytest.raises(UnknownName, match="wake_memory"):
         without(robot, ["wake_memry"])

@@ -11,7 +11,7 @@ import pytest
 from fishmj import engines, suite
 from fishmj.base import errors
 from fishmj.base.errors import ConfigError, SimDiverged, UnknownName
-from fishmj.engines.lbm import Engine as LbmEngine
+from fishmj.engines.lbm import LbmEngine as LbmEngine
 from fishmj.mjcf.reading import load_robot
 from fishmj.tasks.dm_control.solver_physics import SolverPhysics
 from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv

@@ -13,7 +13,7 @@ import pytest
 from fishmj import engines, evaluate
 from fishmj.base import console
 from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import metrics, report
+from fishmj.evaluate import metrics, trial_report
 from fishmj.log import read_trial, stacked
 from fishmj.mjcf.reading import load_robot
 from fishmj.view.replay import write_html
@@ -29,7 +29,7 @@ def engine():
 def test_a_judged_trial_can_be_read_back(tmp_path, engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[45], repeats=1, duration=4)
     r = evaluate.run("dob", ROBOT, trials, engine)
-    (folder,) = report.write_logs(r, tmp_path)
+    (folder,) = trial_report.write_logs(r, tmp_path)
     trial = read_trial(folder)
     assert folder.name == "dob_u0.2_los045_r0"
     assert trial.value("flow.seed") == trials.flows()[0].seed and trial.value("origin") == "synthetic"
@@ -114,7 +114,7 @@ def test_a_part_that_cannot_be_written_takes_no_other_with_it(capsys, tmp_path, 
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(report, "write_logs", full)
+    monkeypatch.setattr(trial_report, "write_logs", full)
     code, out, err = run_command(capsys, "drift", *SHORT, "--out", str(tmp_path / "o"), "--log")
     assert code == 2 and "Not written: logs of drift: [Errno 28] No space left on device" in err
     last = err.splitlines()[-1]
@@ -133,15 +133,17 @@ def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, en
     trials = evaluate.trials(speeds=[0.2], los_deg=[0, 180], repeats=2, duration=30)
     pd, drift = (evaluate.run(name, ROBOT, trials, engine) for name in ("pd", "drift"))
     found = {"condition": "c", "results": [summary(r) for r in (pd, drift)], "paired": []}
-    text = report.write(tmp_path, [pd, drift], found, logs=True, replay=write_html, again="again").read_text(encoding="utf-8")
+    text = trial_report.write(tmp_path, [pd, drift], found, logs=True, replay=write_html, again="again").read_text(
+        encoding="utf-8"
+    )
     after = metrics.figures(pd)["rmse_after_arrival"]
     held = int(np.sum((metrics.figures(pd)["arrival"] > 0) & (after <= 0.1)))
     lead = re.search("<h1[^>]*>(.*?)</h1>", lead_of(text))[1]
     assert f"of 4 trials and holds station in {held} (" in lead and f"{after.mean():.3f} m RMS" in lead and "drift" in lead
     i = int(np.argmax(after))
-    assert text.count("<a href=") == 1 and '<a href="worst.html">' in text and report.name_of(pd, i) in text
+    assert text.count("<a href=") == 1 and '<a href="worst.html">' in text and trial_report.name_of(pd, i) in text
     assert "<code>" not in text
-    assert f"worst of 4 trials: {report.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
+    assert f"worst of 4 trials: {trial_report.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
 
 
 def test_report_without_replay_names_worst_trial_and_command_to_show_it(capsys, tmp_path):
@@ -160,25 +162,25 @@ def test_the_headline_has_one_baseline_no_control_where_that_was_judged(engine):
     pd, drift = (evaluate.run(name, ROBOT, trials, engine) for name in ("pd", "drift"))
     far = pd._replace(controller="far", distance=pd.distance + 0.3)
     means = [metrics.figures(r)["rmse_after_arrival"].mean() for r in (pd, drift, far)]
-    said = report.headline([pd, far, drift])
+    said = trial_report.headline([pd, far, drift])
     nearer = f"{means[1] - means[0]:.3f} m nearer to the target than drift (no control, {means[1]:.3f} m)."
     assert said.endswith(f"at {means[0]:.3f} m RMS on average; {nearer}")
     found = {"condition": "c", "results": [evaluate.summary(r) for r in (pd, far, drift)], "paired": []}
-    head = lead_of(report.page([pd, far, drift], found, []))
+    head = lead_of(trial_report.page([pd, far, drift], found, []))
     assert f"Against far: {means[2] - means[0]:.3f} m nearer to the target than far ({means[2]:.3f} m)." in head
-    alone = lead_of(report.page([pd], found | {"results": found["results"][:1]}, []))
+    alone = lead_of(trial_report.page([pd], found | {"results": found["results"][:1]}, []))
     assert "Judged alone. Name drift (no control)" in alone and "Against" not in alone
 
 
 def test_headline_reports_inconclusive_comparisons_and_too_short_trials(engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[0, 60, 120, 180, 240, 300], repeats=1, duration=30)
     pd = evaluate.run("pd", ROBOT, trials, engine)
-    assert "these trials do not tell it from twin" in report.headline([pd, pd._replace(controller="twin")])
+    assert "these trials do not tell it from twin" in trial_report.headline([pd, pd._replace(controller="twin")])
     far = pd._replace(controller="far", distance=pd.distance + 0.3)
-    assert "m farther from the target than pd" in report.headline([far, pd])
-    assert "of 6 trials and holds station in 0 (" in report.headline([far])
+    assert "m farther from the target than pd" in trial_report.headline([far, pd])
+    assert "of 6 trials and holds station in 0 (" in trial_report.headline([far])
     short = evaluate.run("pd", ROBOT, evaluate.trials(speeds=[0.2], los_deg=[0], repeats=1, duration=2), engine)
-    assert "too short to judge" in report.headline([short])
+    assert "too short to judge" in trial_report.headline([short])
 
 
 def test_a_controller_that_fails_leaves_what_was_judged_before_it(capsys, tmp_path, monkeypatch):

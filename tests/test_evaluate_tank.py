@@ -27,7 +27,7 @@ def test_a_trial_in_the_solver_is_kept_and_not_run_again(tmp_path, monkeypatch):
     assert first.water == "lbm" and first.pose.shape == (1, 51, 3) and np.isfinite(first.pose).all()
     drifted = first.pose[0, -1, 0] - first.pose[0, 0, 0]
     assert 0.005 < drifted < 0.1, "a fish at rest over ground is carried along by the stream of 0.2 m/s within a second"
-    monkeypatch.setattr(lbm, "Engine", None)  # a second simulation would fail
+    monkeypatch.setattr(lbm, "LbmEngine", None)  # a second simulation would fail
     again = judge()
     for name in ("pose", "joint", "power", "distance", "left"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
@@ -49,7 +49,7 @@ def test_what_would_change_a_trial_changes_its_file_name():
 
 
 def test_as_many_fish_as_flows():
-    engine = lbm.Engine(ROBOT, plan().flows(), domain="laptop", device="cpu")
+    engine = lbm.LbmEngine(ROBOT, plan().flows(), domain="laptop", device="cpu")
     state, params = engines.at_rest(ROBOT, np.zeros((2, 3))), engines.nominal_params(ROBOT, 2)
     with pytest.raises(ConfigError, match="2 fish for 1 flows"):
         engine.advance(state, np.zeros((2, 10, 3)), params, None, np.zeros(2, int))
@@ -58,7 +58,7 @@ def test_as_many_fish_as_flows():
 @pytest.mark.slow
 def test_a_trial_in_a_stream_begins_at_rest_in_water_that_flows_past():
     """Let go in water that was never stopped by it, a fish has the stream's speed after two ticks."""
-    engine = lbm.Engine(ROBOT, [Flow(speed=0.2)], domain="laptop", device="cpu")
+    engine = lbm.LbmEngine(ROBOT, [Flow(speed=0.2)], domain="laptop", device="cpu")
     state, params = engines.at_rest(ROBOT, np.zeros((1, 3))), engines.nominal_params(ROBOT, 1)
     _, trace = engine.advance(state, np.zeros((1, 5, 3)), params, None, np.zeros(1, int))
     assert engine.ticks == [5] and engine.tanks.runs[0].coupled.fluid.time == pytest.approx(0.1)

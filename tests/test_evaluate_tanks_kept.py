@@ -47,7 +47,7 @@ class Pond:
 
 @pytest.fixture(autouse=True)
 def ponds(monkeypatch):
-    monkeypatch.setattr(lbm, "Engine", Pond)
+    monkeypatch.setattr(lbm, "LbmEngine", Pond)
     monkeypatch.setattr(Pond, "made", [])
     return Pond.made
 

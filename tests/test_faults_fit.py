@@ -35,7 +35,7 @@ def folder(tmp_path):
         if segment.slip == plan.DEFAULT_SLIP and wanted[segment.split] and not segment.replicate_of:
             wanted[segment.split] -= 1
             segments.append(replace(segment, seconds=1.0))
-    small = plan.Plan(label="small", robot=FISH, seed=0, segments=tuple(segments))
+    small = plan.CampaignPlan(label="small", robot=FISH, seed=0, segments=tuple(segments))
     collect(small, tmp_path / "data", SETUP, pool=Toys(), quiet=True)
     return tmp_path / "data"
 

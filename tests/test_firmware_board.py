@@ -58,9 +58,9 @@ class Board:
         self.silent, self.dead, self.echoes = set(), False, True
         self.arriving: deque[bytes] = deque()
         self.told: list[tuple[int, bytes]] = []
-        self.frames: list[lx_bus.Frame] = []
+        self.frames: list[lx_bus.LxFrame] = []
         self.words: dict[int, int] = {}
-        self._line, self._reader, self._moved = bytearray(), lx_bus.Reader(), self.us
+        self._line, self._reader, self._moved = bytearray(), lx_bus.LxFrameReader(), self.us
         calls = (self.now, self.receive, self.send, self.write, self.read, self.put, self.get)
         self.hal = Hal(None, *[kind(call) for (_, kind), call in zip(Hal._fields_[1:], calls, strict=True)])
         floats = lambda values: (c_float * 8)(*values)

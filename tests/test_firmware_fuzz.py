@@ -11,10 +11,10 @@ from firmware_library import FIRMWARE, SOURCES, CRobot, Info, c_info, c_telemetr
 from protocol_values import damaged
 
 from fishmj.deploy.protocols import fishmj1
-from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.firmware_guard import Guard
 from fishmj.deploy.protocols.fishmj1 import Kind
-from fishmj.deploy.protocols.guard import Guard
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.sequence import SequenceGate
 from fishmj.deploy.protocols.watchdog import Watchdog
 

@@ -9,7 +9,7 @@ from firmware_library import CBounds, CGuard, firmware, floats, microseconds, ne
 
 from fishmj.base.errors import FishmjError
 from fishmj.deploy.protocols import servo_counts
-from fishmj.deploy.protocols.guard import Bounds, Guard
+from fishmj.deploy.protocols.firmware_guard import Bounds, Guard
 from fishmj.deploy.protocols.messages import ServoFault
 
 __all__ = ["firmware"]  # a fixture

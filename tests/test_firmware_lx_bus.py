@@ -7,24 +7,24 @@ import pytest
 from firmware_library import CFrame, CReader, firmware, needs_compiler
 
 from fishmj.deploy.protocols import lx_bus
-from fishmj.deploy.protocols.errors import ProtocolError
-from fishmj.deploy.protocols.lx_bus import TABLE, Code, Frame, Reader
+from fishmj.deploy.protocols.lx_bus import TABLE, Code, LxFrame, LxFrameReader
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 __all__ = ["firmware"]  # a fixture
 pytestmark = needs_compiler
 
 
-def python_frame(it: CFrame) -> Frame:
-    return Frame(it.servo, Code(it.code), tuple(it.value[: it.count]), it.reply)
+def python_frame(it: CFrame) -> LxFrame:
+    return LxFrame(it.servo, Code(it.code), tuple(it.value[: it.count]), it.reply)
 
 
-def c_bytes(firmware, frame: Frame) -> bytes:
+def c_bytes(firmware, frame: LxFrame) -> bytes:
     out = (ctypes.c_uint8 * lx_bus.MOST_BYTES)()
     it = CFrame(frame.servo, frame.code, len(frame.values), frame.reply, (ctypes.c_int32 * 3)(*frame.values))
     return bytes(out[: firmware.lx_encode(ctypes.byref(it), out)])
 
 
-def python_bytes(frame: Frame) -> bytes:
+def python_bytes(frame: LxFrame) -> bytes:
     """b"" where the frame cannot be."""
     try:
         return (lx_bus.encode_reply if frame.reply else lx_bus.encode)(frame.servo, frame.code, *frame.values)
@@ -32,14 +32,14 @@ def python_bytes(frame: Frame) -> bytes:
         return b""
 
 
-def frames(rng: random.Random, count: int) -> list[Frame]:
+def frames(rng: random.Random, count: int) -> list[LxFrame]:
     """Frames of the table, at the ends of their ranges and just beyond as well."""
     found = []
     for _ in range(count):
         code, reply = rng.choice(list(Code)), rng.random() < 0.5
         fields = TABLE[code].replies if reply else TABLE[code].asks
         near = lambda f: rng.choice([f.least, f.most, f.least - 1, f.most + 1, *[rng.randint(f.least, f.most)] * 6])
-        found.append(Frame(rng.choice([0, 1, 253, 254, 255, rng.randrange(256)]), code, tuple(near(f) for f in fields), reply))
+        found.append(LxFrame(rng.choice([0, 1, 253, 254, 255, rng.randrange(256)]), code, tuple(near(f) for f in fields), reply))
     return found
 
 
@@ -78,7 +78,7 @@ def disagreements(firmware, seed: int, count: int) -> tuple[int, int]:
     """(streams in which C and Python find other frames, frames found)."""
     rng, differ, total = random.Random(seed), 0, 0
     for stream in streams(rng, count):
-        reader, held, frame, found = Reader(), CReader(), CFrame(), []
+        reader, held, frame, found = LxFrameReader(), CReader(), CFrame(), []
         ours = reader.frames(stream)
         for byte in stream:
             if firmware.lx_reader_push(ctypes.byref(held), byte, ctypes.byref(frame)):

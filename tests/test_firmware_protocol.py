@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from protocol_values import SEQ, TIME, commands, datagrams, fuzzed, infos, telemetries, watches
 
 from fishmj.deploy.protocols import fishmj1
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.fishmj1 import Kind
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.sequence import SequenceGate
 
 __all__ = ["firmware"]  # a fixture

@@ -9,8 +9,8 @@ pytest.importorskip("numba")
 from fishmj import effects
 from fishmj.base.errors import MissingExtra
 from fishmj.gap.bench import baselines
-from fishmj.gap.bench.baselines import delta_bic, e_sindy, everything_free, judged, noise, residual_correlation
-from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.baselines import baseline_scores, delta_bic, e_sindy, everything_free, noise, residual_correlation
+from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import record_of
 
@@ -55,7 +55,7 @@ def test_sparse_regression_finds_the_term_that_is_there():
 
 
 def test_an_absent_library_is_said_so(plant, monkeypatch):
-    monkeypatch.setattr(judged, "find_spec", lambda package: None)
+    monkeypatch.setattr(baseline_scores, "find_spec", lambda package: None)
     assert "pip install 'fishmj[bench]'" in baselines.reason_absent("e_sindy")
     assert baselines.reason_absent("delta_bic") == ""
     absent(monkeypatch, "pysindy")
@@ -72,7 +72,7 @@ def test_autocorrelation_makes_samples_fewer():
 
 
 def test_rows_are_scored_like_the_search(plant):
-    case = Case("t", "single", {"command_latency": {"delay": 0.05}}, 1.0, ("gait_fast",), 11)
+    case = BenchCase("t", "single", {"command_latency": {"delay": 0.05}}, 1.0, ("gait_fast",), 11)
     row = baselines.rows_of(plant, case, {"true_gap": 100.0, "beyond_gap": 100.0}, ("residual_correlation",))[
         "residual_correlation"
     ]

@@ -8,7 +8,7 @@ import pytest
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, UsageError
-from fishmj.gap.bench import cases, command, rows, solver
+from fishmj.gap.bench import bench_command, bench_rows, cases, solver
 from fishmj.gap.bench.score import score
 from fishmj.gap.bench.workers import ask_all
 
@@ -54,16 +54,16 @@ def test_a_process_has_a_core_and_a_thread_of_its_own():
 def test_cases_that_hide_some_effects_are_those_that_were_dealt():
     dealt = [solver.SolverCase(case, None, None) for case in cases.draw(60, 3, small=True)]
     asked = ("tether", "command_latency")
-    some = command.hiding_any(dealt, asked)
+    some = bench_command.hiding_any(dealt, asked)
     assert some and some == [one for one in dealt if set(asked) & set(one.case.effects)] and len(some) < len(dealt)
-    assert command.hiding_any(dealt, None) == dealt
+    assert bench_command.hiding_any(dealt, None) == dealt
 
 
 def test_an_effect_that_there_is_none_of_and_measured_sets_are_refused():
     with pytest.raises(UsageError, match="tethre.*Did you mean 'tether'"):
-        command.main(["--effects", "tethre"])
+        bench_command.main(["--effects", "tethre"])
     with pytest.raises(ConfigError, match="--effects goes with"):
-        command.main(["--effects", "tether", "--generator", "log"])
+        bench_command.main(["--effects", "tether", "--generator", "log"])
 
 
 class Asked:
@@ -80,6 +80,6 @@ def test_rows_are_kept_and_not_made_again(tmp_path):
 
     todo = [Asked("a"), Asked("b"), Asked("c")]
     (tmp_path / "rows.jsonl").write_text(json.dumps({"id": "b", "kept": True}) + "\n" + '{"id": "c", "ke')
-    assert command.judge_cases(todo, tmp_path, ask) == [{"id": "a"}, {"id": "b", "kept": True}, {"id": "c"}]
+    assert bench_command.judge_cases(todo, tmp_path, ask) == [{"id": "a"}, {"id": "b", "kept": True}, {"id": "c"}]
     assert made == ["a", "c"]
-    assert [row["id"] for row in rows.read_rows(tmp_path / "rows.jsonl")] == ["b", "a", "c"]  # the cut line took none along
+    assert [row["id"] for row in bench_rows.read_rows(tmp_path / "rows.jsonl")] == ["b", "a", "c"]  # the cut line took none along

@@ -9,7 +9,7 @@ pytest.importorskip("numba")
 
 from test_gap_outdone import behind  # noqa: E402
 
-from fishmj.effects.sites import BodyMotion, Gear, LocalWater, Measured, ServoDrive
+from fishmj.effects.sites import BodyMotion, Gear, LocalWater, SensorReadings, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
@@ -110,7 +110,7 @@ def test_slack_of_an_encoder_is_play_at_every_turn():
     gap = thresholds().library.slack
     late = behind(angle, gap)
     slack = next(x for x in sensor_terms() if "turn" in x.formula)
-    seen = Measured(t=None, x=None, y=None, yaw=None, joint=angle[None], power=None)
+    seen = SensorReadings(t=None, x=None, y=None, yaw=None, joint=angle[None], power=None)
     read = lambda c: slack.measure(np, SimpleNamespace(coefficient=np.array([[c]])), seen).joint[0]
     assert np.allclose(read(gap), late, atol=1e-12) and np.array_equal(read(0.0), angle)
     assert np.allclose(read(2 * gap) - angle, 2 * (late - angle), atol=1e-12)

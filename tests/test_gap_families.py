@@ -11,10 +11,10 @@ import pytest
 from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, SimDiverged, UsageError
-from fishmj.gap.bench import calibrated, command, drawn_robots, families, family_command, family_rows, family_score
-from fishmj.gap.bench.cases import KINDS, Case
+from fishmj.gap.bench import bench_command, calibrated, drawn_robots, families, family_command, family_rows, family_score
+from fishmj.gap.bench.bench_rows import keep
+from fishmj.gap.bench.cases import KINDS, BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
-from fishmj.gap.bench.rows import keep
 from fishmj.gap.laboratory.generators import detectability
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.log import excitation
@@ -268,27 +268,27 @@ def kept(folder, rows):
 def test_rows_of_several_machines_are_scored_together(tmp_path, capsys):
     rows = many()
     one, two = kept(tmp_path / "a", rows[:150]), kept(tmp_path / "b", rows[100:])
-    assert command.main(["--score", one, two, "--json", "--out", str(tmp_path / "sum")]) == console.OK
+    assert bench_command.main(["--score", one, two, "--json", "--out", str(tmp_path / "sum")]) == console.OK
     result = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert result["pooled"]["n"] == len(rows)  # a case that two machines did counts once
     assert json.loads((tmp_path / "sum" / "score.json").read_text())["pooled"] == result["pooled"]
     bad = kept(tmp_path / "c", many(none=["NAMED"] * 9))
-    assert command.main(["--score", bad]) == console.FAILED_CHECK
-    assert command.main(["--score", bad, "--small"]) == console.OK
-    assert command.main(["--score", bad, "--small", "--strict"]) == console.FAILED_CHECK
+    assert bench_command.main(["--score", bad]) == console.FAILED_CHECK
+    assert bench_command.main(["--score", bad, "--small"]) == console.OK
+    assert bench_command.main(["--score", bad, "--small", "--strict"]) == console.FAILED_CHECK
 
 
 def test_scores_of_nothing_of_another_benchmark_and_of_two_are_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="no rows.jsonl"):
-        command.main(["--score", str(tmp_path / "empty")])
+        bench_command.main(["--score", str(tmp_path / "empty")])
     old = kept(tmp_path / "old", [{"id": "3-0001", "kind": "none", "answer": "AGREES"}])
     with pytest.raises(ConfigError, match="row 3-0001 is of another benchmark"):
-        command.main(["--score", old])
+        bench_command.main(["--score", old])
     first = row("none", "AGREES")
     one, two = kept(tmp_path / "one", [first]), kept(tmp_path / "two", [first | {"experiments": ["gait"]}])
     with pytest.raises(ConfigError, match="another case elsewhere"):
-        command.main(["--score", one, two])
+        bench_command.main(["--score", one, two])
 
 
 @pytest.mark.parametrize(
@@ -305,12 +305,12 @@ def test_scores_of_nothing_of_another_benchmark_and_of_two_are_refused(tmp_path)
 )
 def test_what_does_not_go_together_is_refused(argv, words):
     with pytest.raises(ConfigError, match=words):
-        command.main(argv)
+        bench_command.main(argv)
 
 
 def test_a_family_that_there_is_none_of_is_refused():
     with pytest.raises(UsageError, match="'morrison'.*Did you mean 'morison'"):
-        command.main(["--generator", "morrison"])
+        bench_command.main(["--generator", "morrison"])
 
 
 def test_families_stand_for_all_of_them():
@@ -379,7 +379,7 @@ def test_a_robot_that_cannot_be_calibrated_says_so_in_every_row(tmp_path, monkey
 def test_a_case_is_the_same_twice_and_its_calibration_is_kept(tmp_path, monkeypatch):
     monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
     monkeypatch.setattr(calibrated, "SWIMS", ("gait_small", "turn_right", "tow_ahead", "tow_sideways"))
-    late = Case("morison-0-0000-0", "single", {"command_latency": {"delay": 0.06}}, 1.0, ("gait_fast", "tow_oblique"), 8)
+    late = BenchCase("morison-0-0000-0", "single", {"command_latency": {"delay": 0.06}}, 1.0, ("gait_fast", "tow_oblique"), 8)
     one = family_rows.RobotQuery(BenchRobot("morison-0-0000", "morison", False, 8, (late,)))
     (first,), (second,) = family_rows.rows(one), family_rows.rows(one)
     still = lambda row: {key: value for key, value in row.items() if "seconds" not in key}

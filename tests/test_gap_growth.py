@@ -27,7 +27,7 @@ def wave(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_cut_starts_where_the_robot_was_not_where_the_camera_saw_it():
-    t, late = np.arange(0, 6, 0.02), error_growth.Latencies(0.06, 0.01, 0.065)
+    t, late = np.arange(0, 6, 0.02), error_growth.StampAges(0.06, 0.01, 0.065)
     pose, joint = wave(t - late.pose)[0], wave(t - late.joint)[1]
     blank = dict(excitation="", replicate_of="", power=None, flow=(0.0, 0.0), medium="water", session=5.0)
     blank |= dict(place=pose[0], start=pose[0], push=np.zeros(3), joints=joint[0])

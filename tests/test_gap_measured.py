@@ -11,10 +11,10 @@ from fishmj.base import console
 from fishmj.gap.__main__ import main
 from fishmj.gap.bench import logs
 from fishmj.gap.bench.score import score
-from fishmj.gap.measured import command, tendon_fish, usv_coastdown
-from fishmj.gap.measured.answer import answer, report
+from fishmj.gap.measured import boat_drag, measured_command, tendon_fish
 from fishmj.gap.measured.folder import trials
 from fishmj.gap.measured.study import investigate
+from fishmj.gap.measured.study_answer import answer, report
 from fishmj.gap.measured.study_build import built, deleted, shipped
 
 measured = pytest.mark.skipif(not os.environ.get("FISHMJ_MEASURED"), reason="set FISHMJ_MEASURED to the folder of measured data")
@@ -29,9 +29,9 @@ def test_without_the_folder_the_command_says_how_to_get_it(monkeypatch, capsys):
 
 def test_a_set_that_is_not_there_or_not_known_is_one_clear_error(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("FISHMJ_MEASURED", str(tmp_path))
-    assert console.run(command.main, ["servo_xl330"]) == console.BAD_INPUT
+    assert console.run(measured_command.main, ["servo_xl330"]) == console.BAD_INPUT
     assert "no such folder" in capsys.readouterr().err
-    assert console.run(command.main, ["tailfish"]) == console.BAD_INPUT
+    assert console.run(measured_command.main, ["tailfish"]) == console.BAD_INPUT
     assert "Did you mean 'tail_fish'" in capsys.readouterr().err
 
 
@@ -61,7 +61,7 @@ PARTS = {
 def test_a_part_of_a_set_that_cannot_be_judged_is_one_clear_error(name, keep, change, words, tmp_path, monkeypatch, capsys):
     part_of(name, tmp_path, keep, change)
     monkeypatch.setenv("FISHMJ_MEASURED", str(tmp_path))
-    assert console.run(command.main, [name.removesuffix("_markers")]) == console.BAD_INPUT
+    assert console.run(measured_command.main, [name.removesuffix("_markers")]) == console.BAD_INPUT
     err = capsys.readouterr().err
     assert words in err and "Traceback" not in err and len(err.strip().splitlines()) == 1, err
 
@@ -106,7 +106,7 @@ def test_the_servo_is_predicted_at_the_stamps_of_the_log():
 
 @measured
 def test_the_boats_runs_do_not_tell_linear_from_quadratic_drag():
-    said, figures = usv_coastdown.run(lambda text: None)
+    said, figures = boat_drag.run(lambda text: None)
     assert figures["runs"] >= 4 and figures["speeds"] >= 40
     assert figures["answer"].startswith("CLASS") and max(figures["p_better"].values()) < 0.95, said
 

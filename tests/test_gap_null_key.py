@@ -18,7 +18,7 @@ MODEL = {
     *("gap.models.kernel", "gap.models.swimming_fish", "gap.records.records"),
 }
 SIMULATOR = {
-    *(f"gap.laboratory.virtual_robot.{name}" for name in ("water", "servo", "numba_entry")),
+    *(f"gap.laboratory.virtual_robot.{name}" for name in ("water", "servo", "loop_compiler")),
     *(f"gap.laboratory.{name}" for name in ("session", "instruments", "random_streams", "numba_entry")),
     *("log.excitation", "mjcf.description"),
 }

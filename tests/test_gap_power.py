@@ -10,15 +10,15 @@ import pytest
 
 from fishmj.base import console
 from fishmj.base.errors import SimDiverged
-from fishmj.gap.bench import command, families, family_command, family_rows, power
-from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench import bench_command, families, family_command, family_rows, power
+from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import every, number_of
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate
 from fishmj.mjcf.reading import load_robot
 
-DRAG = Case("x", "single", {"quadratic_drag": {"coefficient": 0.5}}, 1.0, ("gait",), 7, 20.0)
+DRAG = BenchCase("x", "single", {"quadratic_drag": {"coefficient": 0.5}}, 1.0, ("gait",), 7, 20.0)
 
 
 # ------------------------------------------------------------ what is dealt
@@ -133,11 +133,11 @@ def test_rows_of_power_are_kept_resumed_and_scored(tmp_path, monkeypatch, capsys
     monkeypatch.setattr(family_command, "precompile", lambda names: None)
     argv = ["--generator", "foil", "--power", "--effects", "quadratic_drag", "--cases", "10", "--strict", "--json"]
     argv += ["--out", str(tmp_path)]
-    assert command.main(argv) == console.FAILED_CHECK  # a robot with nothing hidden is named here
-    assert len(made) == 10 and command.main(argv) == console.FAILED_CHECK and len(made) == 10
+    assert bench_command.main(argv) == console.FAILED_CHECK  # a robot with nothing hidden is named here
+    assert len(made) == 10 and bench_command.main(argv) == console.FAILED_CHECK and len(made) == 10
     told = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert told["times"]["20"]["named"]["hits"] == 2 and told["healthy"]["hits"] == 0
-    assert command.main(["--score", str(tmp_path)]) == console.FAILED_CHECK
+    assert bench_command.main(["--score", str(tmp_path)]) == console.FAILED_CHECK
     assert "in its class" in "".join(capsys.readouterr())
 
 

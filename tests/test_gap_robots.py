@@ -13,7 +13,7 @@ from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.gap import __main__ as gap
-from fishmj.gap.bench.run import sizes, true_gap
+from fishmj.gap.bench.run_case import sizes, true_gap
 from fishmj.gap.commands.plant import with_lost_rows
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
@@ -188,10 +188,10 @@ def test_the_rates_are_of_the_second_robot_alone(tmp_path, capsys):
 
 def test_the_benchmark_sizes_effects_on_the_robot_of_the_model(fish_of):
     """How large an effect is hangs on the robot: the small tendon tail turns with a servo that is hardly late."""
-    from fishmj.gap.bench.cases import Case
+    from fishmj.gap.bench.cases import BenchCase
 
     hidden = {"command_latency": {"delay": 0.05}}
-    case = Case("a", "single", hidden, 1.0, ("gait",), 3)
+    case = BenchCase("a", "single", hidden, 1.0, ("gait",), 3)
     found = [sizes(true_gap, SwimmingFish(model, [effects.get("command_latency")]), case)[0] for model in ("fish", fish_of(2))]
     assert min(found) > 5.0 and abs(found[0] / found[1] - 1.0) > 0.05
 

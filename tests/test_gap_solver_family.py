@@ -12,12 +12,12 @@ pytest.importorskip("numba")
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, StoreError
-from fishmj.gap.bench import calibrated, command, families, family_command, family_score, solver_sets
+from fishmj.gap.bench import bench_command, calibrated, families, family_command, family_score, solver_sets
+from fishmj.gap.bench.bench_rows import read_rows
 from fishmj.gap.bench.cases import KINDS
-from fishmj.gap.bench.rows import read_rows
 from fishmj.gap.bench.solver_family import __main__ as verb
-from fishmj.gap.bench.solver_family import detectability, launches, plan, swims
-from fishmj.gap.bench.solver_family.plan import PlanSettings
+from fishmj.gap.bench.solver_family import family_plan, launches, solver_detectability, swims
+from fishmj.gap.bench.solver_family.family_plan import PlanSettings
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.hydro_fit.record import KICK
@@ -36,41 +36,41 @@ def seen_by_all(monkeypatch):
 # ------------------------------------------------------------ what is planned
 def test_a_plan_is_its_seed_and_its_folder(tmp_path, seen_by_all):
     asked = PlanSettings({"fish": "fish", "tendon_fish": "tendon_fish"}, robots=3, seed=4)
-    made = plan.planned(asked)
-    assert plan.planned(asked).robots == made.robots
-    assert plan.planned(replace(asked, seed=5)).robots[0].cases[1].effects != made.robots[0].cases[1].effects
-    plan.write(made, tmp_path)
-    assert plan.read(tmp_path).robots == made.robots and set(plan.read(tmp_path).descriptions) == set(asked.models)
+    made = family_plan.planned(asked)
+    assert family_plan.planned(asked).robots == made.robots
+    assert family_plan.planned(replace(asked, seed=5)).robots[0].cases[1].effects != made.robots[0].cases[1].effects
+    family_plan.write(made, tmp_path)
+    assert family_plan.read(tmp_path).robots == made.robots and set(family_plan.read(tmp_path).descriptions) == set(asked.models)
     assert len({one.seed for one in made.robots}) == 6 and len({case.id for one in made.robots for case in one.cases}) == 20
     kinds = [[case.kind for case in one.cases] for one in made.robots if one.model == "fish"]
     assert kinds == [["none", "single", "single"], ["none", "single", "single", "off"], ["none", "single", "single"]]
 
 
 def test_half_of_the_healthy_robots_swim_each_experiment(seen_by_all):
-    made = plan.planned(PlanSettings({"fish": "fish"}, robots=8)).robots
+    made = family_plan.planned(PlanSettings({"fish": "fish"}, robots=8)).robots
     swum = [name for one in made for name in one.experiments]
     assert {swum.count(name) for name in excitation.DESIGNED} == {4} and all(len(one.experiments) == 6 for one in made)
     assert made[0].experiments == made[2].experiments and not set(made[0].experiments) & set(made[1].experiments)
 
 
 def test_what_nobody_could_see_is_drawn_again(monkeypatch):
-    told = iter([0.1, plan.LIKELY - 0.1, 7.0, 0.2] + [0.3] * 20)
+    told = iter([0.1, family_plan.LIKELY - 0.1, 7.0, 0.2] + [0.3] * 20)
     monkeypatch.setattr(families, "detectable", lambda *given: {"all": next(told)})
-    one = plan.planned(PlanSettings({"fish": "fish"}, robots=1)).robots[0]
-    assert one.forecasts[:2] == (None, 7.0) and one.forecasts[2] < plan.LIKELY  # after `DRAWS` of them it stays as it is
-    assert len(list(told)) == 24 - 3 - plan.DRAWS
+    one = family_plan.planned(PlanSettings({"fish": "fish"}, robots=1)).robots[0]
+    assert one.forecasts[:2] == (None, 7.0) and one.forecasts[2] < family_plan.LIKELY  # after `DRAWS` of them it stays as it is
+    assert len(list(told)) == 24 - 3 - family_plan.DRAWS
 
 
 def test_a_description_that_is_a_file_goes_with_the_plan(tmp_path, seen_by_all):
     own = tmp_path / "mine.toml"
     own.write_text((calib_folder() / "tendon_fish.toml").read_text())
-    plan.write(plan.planned(PlanSettings({"mine": str(own)}, robots=1)), tmp_path / "out")
+    family_plan.write(family_plan.planned(PlanSettings({"mine": str(own)}, robots=1)), tmp_path / "out")
     own.unlink()
-    assert plan.read(tmp_path / "out").descriptions["mine"].n_joints == load_robot("tendon_fish").n_joints
+    assert family_plan.read(tmp_path / "out").descriptions["mine"].n_joints == load_robot("tendon_fish").n_joints
     (tmp_path / "none").mkdir()
-    (tmp_path / "none" / plan.FILE).write_text("{}")
+    (tmp_path / "none" / family_plan.FILE).write_text("{}")
     with pytest.raises(StoreError, match="expected 'fishmj.solver_family/1'"):
-        plan.read(tmp_path / "none")
+        family_plan.read(tmp_path / "none")
 
 
 # ------------------------------------------------------------ what is swum
@@ -79,7 +79,7 @@ def small():
     """Two robots of one model, a single each, and a fault outside the catalogue in the second."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(families, "detectable", lambda *given: {"all": 9.0})
-        return plan.planned(
+        return family_plan.planned(
             PlanSettings({"fish": "fish"}, robots=5, singles=1, seed=2, seconds=1.5, calibration=3.0, domain="laptop")
         )
 
@@ -128,7 +128,7 @@ def emptied(waiting):
 def sets(small, tmp_path_factory):
     """Folder of its data sets, as the second robot swam them; one swim of the last robot is missing."""
     folder = tmp_path_factory.mktemp("solver")
-    plan.write(small, folder)
+    family_plan.write(small, folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(swims, "run_jobs", lambda waiting, device, tanks: map(Done, emptied(waiting)))
         seen = lambda run, noise=1.0, draw=0: run.trial(noise, draw)
@@ -225,7 +225,7 @@ SIGMA = {"j1": 0.002, "x": 0.002, "y": 0.002, "yaw": 0.01, "V": 0.01, "I": 0.02}
 
 def shown(hidden, plain, healthy) -> dict:
     drag = {"quadratic_drag": {"coefficient": 1.0}}
-    return detectability.detectable(drag, {"gait": hidden}, {"gait": plain}, {"gait": healthy}, SIGMA)
+    return solver_detectability.detectable(drag, {"gait": hidden}, {"gait": plain}, {"gait": healthy}, SIGMA)
 
 
 def test_an_effect_shows_beyond_noise_and_what_healthy_robots_differ_by():
@@ -246,8 +246,8 @@ def test_what_a_swim_did_after_the_other_had_ended_does_not_count():
 
 
 def test_nothing_hidden_and_nothing_swum_show_nothing():
-    assert detectability.detectable({}, {}, {}, {}, SIGMA)["all"] == 0.0
-    assert detectability.detectable({"swirl": {"rate": 0.1}}, {"gait": seen(1.0)}, {}, {}, SIGMA)["all"] == 0.0
+    assert solver_detectability.detectable({}, {}, {}, {}, SIGMA)["all"] == 0.0
+    assert solver_detectability.detectable({"swirl": {"rate": 0.1}}, {"gait": seen(1.0)}, {}, {}, SIGMA)["all"] == 0.0
 
 
 # ------------------------------------------------------------ the score
@@ -272,7 +272,7 @@ def test_solver_models_use_own_calibration_swims_and_null_without_solver(sets, t
     monkeypatch.setattr(family_rows, "investigate", search)
     monkeypatch.setattr(family_command, "precompile", lambda names: None)
     argv = ["--generator", "solver", "--sets", str(sets), "--kinds", "none,off", "--out", str(tmp_path / "rows")]
-    command.main(argv)
+    bench_command.main(argv)
     rows = read_rows(tmp_path / "rows" / "rows.jsonl")
     assert [row["kind"] for row in rows] == ["none", "none", "off", "none", "none", "off"]
     assert {row["answer"] for row in rows} == {"REFUSED"} and {row["family"] for row in rows} == {"solver"}
@@ -280,7 +280,7 @@ def test_solver_models_use_own_calibration_swims_and_null_without_solver(sets, t
     assert {one[3] for one in asked} == {(len(calibrated.SWIMS), "solver")}  # what it leaves of the swims of its calibration
     assert len({path for path, _, _ in fitted}) == 4 and all(len(names) == len(calibrated.SWIMS) for _, _, names in fitted)
     assert rows[0]["calibrated"]["value"] == 0.02 and rows[0]["described"] == "fish" and rows[0]["domain"] == "laptop"
-    command.main([*argv, "--shard", "0/2"])
+    bench_command.main([*argv, "--shard", "0/2"])
     assert len(asked) == 6  # what is done is not done again
     result = family_command.family_score.score(rows)
     assert result["families"]["solver"]["agrees"]["n"] == 4
@@ -298,7 +298,7 @@ def test_solver_models_use_own_calibration_swims_and_null_without_solver(sets, t
 )
 def test_what_does_not_go_with_the_solver_is_refused(argv, words):
     with pytest.raises(ConfigError, match=words):
-        command.main(argv)
+        bench_command.main(argv)
 
 
 def test_a_plan_is_drawn_once_and_says_its_cost(tmp_path, capsys, seen_by_all):
@@ -312,15 +312,15 @@ def test_a_plan_is_drawn_once_and_says_its_cost(tmp_path, capsys, seen_by_all):
     with pytest.raises(ConfigError, match="two of one name"):
         verb.main(["--plan", "--models", "fish", "a/fish.toml", "--out", str(tmp_path / "b")])
     with pytest.raises(ConfigError, match="no data set is complete"):
-        swims.finished(plan.read(tmp_path), tmp_path)
+        swims.finished(family_plan.read(tmp_path), tmp_path)
         solver_sets.robots(tmp_path, KINDS)
 
 
 def test_a_cut_experiment_keeps_its_beginning():
     whole = excitation.get("gait")
-    part = plan.cut(whole, 3.0)
+    part = family_plan.cut(whole, 3.0)
     assert isinstance(part, Excitation) and part.seconds == 3.0 and np.array_equal(part.commands, whole.commands[:150])
-    assert plan.cut(whole, 100.0).seconds == whole.seconds
+    assert family_plan.cut(whole, 100.0).seconds == whole.seconds
 
 
 def test_the_page_says_what_the_shipped_rows_say():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.gap.bench.rows import read_rows
+from fishmj.gap.bench.bench_rows import read_rows
 from fishmj.gap.commands import find
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.models.swimming_fish import SwimmingFish

@@ -8,11 +8,11 @@ import pytest
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.gap.laboratory import generators
-from fishmj.gap.laboratory.generators import families
+from fishmj.gap.laboratory.generators import water_forms
 from fishmj.gap.laboratory.generators.ellipsoid import hull, lamb
 from fishmj.gap.laboratory.generators.family import drawn
-from fishmj.gap.laboratory.generators.swim import Run
-from fishmj.gap.laboratory.generators.trials import record, robot_of
+from fishmj.gap.laboratory.generators.generator_trials import record, robot_of
+from fishmj.gap.laboratory.generators.mujoco_robot import RobotSimulation
 from fishmj.log import excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Link, Robot
@@ -36,7 +36,7 @@ def loaded(name: str):
     """(family, law, its compiled forces) of the shipped fish."""
     from importlib import import_module
 
-    family = families.get(name)
+    family = water_forms.get(name)
     water = family.build(load_robot(), {k: c.value for k, c in family.coefficients.items()})
     return family, water, import_module(f"fishmj.gap.laboratory.generators.{name}").forces
 
@@ -112,7 +112,7 @@ def test_lamb_ellipsoid_has_the_known_limits():
     assert a0 == pytest.approx(closed, rel=1e-6) and g0 == pytest.approx(1 - closed / 2, rel=1e-6)
 
 
-def energy(run: Run) -> float:
+def energy(run: RobotSimulation) -> float:
     """Kinetic energy of the fish and of the water that it carries, J."""
     m = np.zeros((run.model.nv, run.model.nv))
     for value, row, column in zip(run.data.M, run.chain.rows, run.chain.columns, strict=True):
@@ -129,7 +129,7 @@ def limp(name: str, *, ideal: bool, step: float = 0.001) -> np.ndarray:
     if ideal:
         dead = {"cross_round", "cross_flat", "swimming", "shed_body", "shed_edge"}
         fish.coefficients |= dict.fromkeys(dead & set(fish.coefficients), 0.0)
-    run = Run(fish, step)
+    run = RobotSimulation(fish, step)
     run.place((0.0, 0.0, 0.3), (0.3, 0.1, 1.0), np.array([0.3, -0.2, 0.4]))
     run.data.qvel[3:] = 2.0, -3.0, 4.0
     out = []
@@ -211,7 +211,7 @@ def test_the_experiments_fit_any_chain():
 
 @pytest.mark.parametrize("name", generators.NAMES)
 def test_one_seed_is_one_robot_and_another_is_another(name):
-    family = families.get(name)
+    family = water_forms.get(name)
     a, b, c = (robot_of(name, {}, seed).coefficients for seed in (4, 4, 5))
     assert a == b and a != c
     for key, known in family.coefficients.items():

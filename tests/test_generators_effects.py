@@ -10,12 +10,12 @@ from fishmj import effects
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.cli import main
 from fishmj.gap.laboratory import generators
-from fishmj.gap.laboratory.generators import catalogue
+from fishmj.gap.laboratory.generators import effect_catalogue
 from fishmj.gap.laboratory.generators.detectability import SensedChannels, at, channels, shares, spreads, tolerance
-from fishmj.gap.laboratory.generators.sensors import sigmas
-from fishmj.gap.laboratory.generators.swim import Run
-from fishmj.gap.laboratory.generators.trials import robot_of
-from fishmj.gap.laboratory.generators.weighing import weight
+from fishmj.gap.laboratory.generators.generator_trials import robot_of
+from fishmj.gap.laboratory.generators.generator_weighing import weight
+from fishmj.gap.laboratory.generators.lab_sensors import sigmas
+from fishmj.gap.laboratory.generators.mujoco_robot import RobotSimulation
 from fishmj.log import excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.geometry import geometry_of
@@ -24,7 +24,7 @@ from fishmj.mjcf.reading import load_robot
 BEAT = Excitation(
     id="beat", start=(0.4, -0.3, 0.2), commands=excitation.get("turn_left").commands[:230], about="4.6 s of a turning beat"
 )
-NAMES = sorted(catalogue.hidden())
+NAMES = sorted(effect_catalogue.hidden())
 SECOND = (  # planted alike in both robots: mostly the same in the named channel; a correlation, whatever the water
     *(("coulomb_friction", "joint"), ("viscous_friction", "joint"), ("servo_gain", "joint"), ("torque_saturation", "joint")),
     *(("skin_stiffness", "joint"), ("servo_deadband", "joint"), ("command_gain_error", "joint"), ("rate_limit", "joint")),
@@ -43,7 +43,7 @@ SET = {
 
 def values_of(name: str) -> dict[str, float]:
     """Values of typical size."""
-    hidden = catalogue.hidden()[name]
+    hidden = effect_catalogue.hidden()[name]
     far = lambda p: max(p.typical, key=lambda size: abs(size - p.null))
     return SET.get(name) or {p.name: p.null if p.shape else far(p) for p in hidden.parameters}
 
@@ -60,7 +60,7 @@ def plain() -> list[SensedChannels]:
 
 
 def test_there_are_enough_of_both_kinds():
-    hidden = catalogue.hidden().values()
+    hidden = effect_catalogue.hidden().values()
     assert sum(h.catalogued for h in hidden) >= 12 and sum(not h.catalogued for h in hidden) >= 8
     assert all(set(h.nulls) == {p.name for p in effects.get(h.name).parameters} for h in hidden if h.catalogued)
     assert {h.name for h in hidden if not h.catalogued}.isdisjoint(effects.catalogue())
@@ -68,7 +68,7 @@ def test_there_are_enough_of_both_kinds():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_at_its_null_it_is_not_there_to_the_last_bit(name, plain):
-    nulls = catalogue.hidden()[name].nulls
+    nulls = effect_catalogue.hidden()[name].nulls
     for a, b in zip(seen("morison", {name: nulls}), plain, strict=True):
         assert np.array_equal(a.values, b.values) and np.array_equal(a.t, b.t)
 
@@ -114,7 +114,7 @@ def test_a_text_is_understood():
     found = generators.parse(["coulomb_friction=0.1", "steady_current:x=0.02,y=0.01", "random_odd"], 5, "foil")
     assert found["coulomb_friction"] == {"torque": 0.1} and found["steady_current"] == {"x": 0.02, "y": 0.01}
     odd = next(name for name in found if name not in ("coulomb_friction", "steady_current"))
-    assert not catalogue.hidden()[odd].catalogued
+    assert not effect_catalogue.hidden()[odd].catalogued
     assert generators.parse(["random"], 5, "foil") == generators.parse(["random"], 5, "foil")
 
 
@@ -140,7 +140,7 @@ def test_the_same_effect_twice_is_refused():
 
 
 def test_drawn_sizes_are_typical_and_of_either_sign():
-    rng, hidden = np.random.default_rng(0), catalogue.hidden()
+    rng, hidden = np.random.default_rng(0), effect_catalogue.hidden()
     drawn = [hidden["camera_scale"].draw(rng)["scale"] for _ in range(200)]
     assert min(np.abs(drawn)) >= 0.01 and max(np.abs(drawn)) <= 0.04 and -0.2 < np.mean(np.sign(drawn)) < 0.2
     limits = [hidden["torque_saturation"].draw(rng)["limit"] for _ in range(100)]
@@ -174,7 +174,7 @@ def test_what_healthy_robots_differ_by_is_made_once(tmp_path, monkeypatch):
     monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
     first = tolerance("foil", BEAT, load_robot(), 0.1, 3)
     assert len(list((tmp_path / "generators").glob("*.npz"))) == 1 and [d.shape[1] for d in first] == [3, 3, 1]
-    monkeypatch.setattr("fishmj.gap.laboratory.generators.trials.generate", None)
+    monkeypatch.setattr("fishmj.gap.laboratory.generators.generator_trials.generate", None)
     assert all(np.array_equal(a, b) for a, b in zip(first, tolerance("foil", BEAT, load_robot(), 0.1, 3), strict=True))
     late = len(first[1]) // 2
     assert first[1][late:].mean() > 10 * first[1][: late // 4].mean()  # paths of robots that differ drift apart
@@ -203,7 +203,7 @@ def test_gap_plant_writes_a_set_and_its_truth(tmp_path, capsys):
 def test_a_weighing_says_what_the_robot_is(name):
     """Total, balance point and inertia of the description, and what an effect of mass does to them."""
     fish = load_robot()
-    plain, found = (weight(Run(robot_of("foil", hidden, 0))) for hidden in ({}, {name: values_of(name)}))
+    plain, found = (weight(RobotSimulation(robot_of("foil", hidden, 0))) for hidden in ({}, {name: values_of(name)}))
     assert plain.links.sum() == pytest.approx(fish.mass) and plain.balance == pytest.approx(geometry_of(fish).reference)
     more = {"body_mass": 0.3}.get(name, 0.0)
     assert found.links.sum() == pytest.approx(fish.mass + more)
@@ -220,7 +220,7 @@ def test_instruments_err_by_what_they_state_and_keep_their_seed():
     heads = np.array([p["scales"]["head"] for p in pages])
     assert heads.mean() == pytest.approx(0.744, abs=0.0005) and 0.0004 < heads.std() < 0.0015
     swings = np.array([p["pendulum"]["period"] for p in pages])
-    true = weight(Run(robot_of("foil", {}, 0)))
+    true = weight(RobotSimulation(robot_of("foil", {}, 0)))
     inertia = swings.mean() ** 2 * true.links.sum() * 9.81 * 0.25**2 / (16 * np.pi**2 * 1.0)
     assert inertia == pytest.approx(true.inertia, rel=0.003)
 

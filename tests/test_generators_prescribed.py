@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fishmj.gap.laboratory import generators
-from fishmj.gap.laboratory.generators import families, prescribed
-from fishmj.gap.laboratory.generators.swim import Run
-from fishmj.gap.laboratory.generators.trials import robot_of
+from fishmj.gap.laboratory.generators import prescribed, water_forms
+from fishmj.gap.laboratory.generators.generator_trials import robot_of
+from fishmj.gap.laboratory.generators.mujoco_robot import RobotSimulation
 
 
 @pytest.mark.parametrize("name", generators.NAMES)
@@ -21,7 +21,7 @@ def test_every_figure_of_a_robot_is_there_and_has_its_sign(name):
 @pytest.mark.parametrize("name", generators.NAMES)
 def test_added_mass_is_that_of_the_water(name):
     fish = robot_of(name, {}, 3)
-    run, found = Run(fish), prescribed.of_fish(fish)
+    run, found = RobotSimulation(fish), prescribed.of_fish(fish)
     added, x = run.chain.added, np.concatenate([[0.0], np.cumsum(run.chain.hinge[:-1])])
     assert found["sway_mass"] == pytest.approx(added[:, 1, 1].sum())
     assert found["surge_mass"] == pytest.approx(added[:, 0, 0].sum(), abs=1e-12)
@@ -31,7 +31,7 @@ def test_added_mass_is_that_of_the_water(name):
 
 def test_drag_of_the_ellipsoid_is_its_law():
     fish = robot_of("ellipsoid", {}, 0, nuisance=0.0)
-    law = families.get("ellipsoid").build(fish.robot, fish.coefficients).law
+    law = water_forms.get("ellipsoid").build(fish.robot, fish.coefficients).law
     u = prescribed.SPEED
     fin = law.fin * 0.02 * u**2  # FRICTION_FIN at no angle of attack
     assert prescribed.of_fish(fish)["drag"] == pytest.approx(float((law.laminar + law.form * u).sum() * u + fin))
@@ -46,7 +46,7 @@ def test_drag_of_a_hidden_effect_comes_on_top():
 
 def test_a_water_that_remembers_has_forgotten_its_start():
     fish = robot_of("foil", {}, 2)
-    run, rate = Run(fish), np.array([prescribed.SPEED, 0.1, *[0.0] * 4])
+    run, rate = RobotSimulation(fish), np.array([prescribed.SPEED, 0.1, *[0.0] * 4])
     first = prescribed.water_at(run, np.zeros(6), rate).copy()
     late = prescribed.steady(fish, {0: prescribed.SPEED, 1: 0.1})
     for _ in range(3 * prescribed.SETTLE):

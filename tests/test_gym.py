@@ -19,7 +19,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.tasks import env as functional
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import Draws
-from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv, Picture
+from fishmj.tasks.gym.fish_env import FishEnv, FishRenderer, FishVectorEnv
 
 ROOT = Path(__file__).resolve().parent.parent
 IDS = sorted(fishmj.tasks.gym.IDS)
@@ -303,7 +303,7 @@ def test_a_running_episode_is_drawn_as_a_film_of_it_is():
 
     from fishmj.view.replay.video import TopView
 
-    film, drawn = TopView([swim(2.0)]), Picture(mjcf.load_robot("fish"))
+    film, drawn = TopView([swim(2.0)]), FishRenderer(mjcf.load_robot("fish"))
     film.view, film.still = drawn.view, drawn.view.water()
     for extra in ("_trail", "_wind", "_chart", "_words"):
         setattr(film, extra, lambda *_: None)

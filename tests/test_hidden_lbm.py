@@ -11,8 +11,8 @@ pytest.importorskip("numba")
 
 from fishmj.base.errors import ConfigError
 from fishmj.gap.bench import drawn_robots
-from fishmj.gap.laboratory.hidden_lbm import command as hidden_command
 from fishmj.gap.laboratory.hidden_lbm import hidden
+from fishmj.gap.laboratory.hidden_lbm import hidden_lbm_command as hidden_command
 from fishmj.gap.laboratory.hidden_lbm.hidden import HiddenRun, carriage
 from fishmj.gap.laboratory.hidden_lbm.hidden_body import Electronics, HiddenBody, HiddenDifference, Queue
 from fishmj.gap.laboratory.virtual_robot import network

@@ -14,10 +14,10 @@ from synthetic import swim
 
 from fishmj import engines, evaluate, log
 from fishmj.base import console, pages
-from fishmj.evaluate import plots, report
+from fishmj.evaluate import plots, trial_report
 from fishmj.evaluate.rank_waters.plot import picture as draw_rank
 from fishmj.gap.calibrate import fit_plots
-from fishmj.hydro_fit import report as water
+from fishmj.hydro_fit import fit_report as water
 from fishmj.log import __main__ as command
 from fishmj.mjcf import load_robot
 from fishmj.view.replay import write_html, write_png
@@ -54,7 +54,7 @@ def replay_of(trial, folder):
 def judgement_of(judged, folder):
     picture = folder / "p.png"
     picture.write_bytes(b"\x89PNG")
-    text = report.page([judged, judged], found_of([judged, judged]), [(picture, EVIL)])
+    text = trial_report.page([judged, judged], found_of([judged, judged]), [(picture, EVIL)])
     (folder / "report.html").write_text(text, encoding="utf-8")
     return folder / "report.html"
 
@@ -180,7 +180,7 @@ def test_tables_and_progress_hold_no_control_characters():
 
 def test_a_table_of_trials_opens_in_a_spreadsheet_without_a_formula(judged):
     for name in ("=cmd|' /C calc'!A0", "+1", "-1", "@SUM(A1)"):
-        rows = list(csv.reader(report.trials_csv([judged._replace(controller=name)]).splitlines()))
+        rows = list(csv.reader(trial_report.trials_csv([judged._replace(controller=name)]).splitlines()))
         assert {row[0] for row in rows[1:]} == {f"'{name}"}
 
 

@@ -11,11 +11,11 @@ from fishmj import control, engines, suite
 from fishmj.base.errors import ConfigError, MissingExtra
 from fishmj.engines.hybrid import HybridOptions, online_correction
 from fishmj.engines.hybrid import tanks as tanks_of_the_solver
-from fishmj.engines.hybrid.engine import Engine
-from fishmj.engines.hybrid.segment import Replay, Swum
+from fishmj.engines.hybrid.engine import HybridEngine
+from fishmj.engines.hybrid.hybrid_segment import FreeSwim, Replay
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol, run_trials
-from fishmj.evaluate.hybrid_trials import command
+from fishmj.evaluate.hybrid_trials import hybrid_trials_command
 from fishmj.log import read_dataset, read_trial, write_trial
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
@@ -46,7 +46,7 @@ class Better:
 
     def swim(self, segments):
         self.asked += [(s.fish, len(s.q), len(s.commands)) for s in segments]
-        return [Swum(*(a[0] for a in self.replay.swim(s, *self.water))) for s in segments]
+        return [FreeSwim(*(a[0] for a in self.replay.swim(s, *self.water))) for s in segments]
 
 
 def wave(k: int) -> np.ndarray:
@@ -65,7 +65,7 @@ def swum(engine, seconds=3.0, flows=(GUSTY,), commands=wave):
 
 
 def corrected(replay, oracle, options=QUICK, **more):
-    engine = Engine(STRIPS, GUSTY, options, oracle=oracle, replay=replay)
+    engine = HybridEngine(STRIPS, GUSTY, options, oracle=oracle, replay=replay)
     return engine.hybrid, swum(engine, **more)
 
 
@@ -178,7 +178,7 @@ def test_mujoco_does_not_wait(replay, plain, capsys):
 
     go: list = []
     options = HybridOptions(first=0.2, every=2.4, lead=0.2, span=2.0, own=0.5)
-    engine = Engine(STRIPS, GUSTY, options, oracle=Slow(replay, stream=MORE), replay=replay)
+    engine = HybridEngine(STRIPS, GUSTY, options, oracle=Slow(replay, stream=MORE), replay=replay)
     np.testing.assert_array_equal(swum(engine), plain)
     hybrid = engine.hybrid
     go.append(1)
@@ -189,7 +189,7 @@ def test_mujoco_does_not_wait(replay, plain, capsys):
 
 def test_an_answer_that_comes_too_late_is_dropped(replay, capsys):
     options = HybridOptions(first=0.2, every=5.0, lead=0.2, span=2.0, patience=0.0)
-    engine = Engine(STRIPS, GUSTY, options, oracle=Better(replay, stream=MORE), replay=replay)
+    engine = HybridEngine(STRIPS, GUSTY, options, oracle=Better(replay, stream=MORE), replay=replay)
     swum(engine)
     engine.hybrid.close()
     assert not engine.hybrid.rows[0] and not engine.hybrid.states[0].unknowns.any()
@@ -213,11 +213,11 @@ def test_the_tank_has_mujocos_eddies_on_its_own_mean():
 
 
 def _segment_at(tick: int):
-    from fishmj.engines.hybrid.segment import Segment
+    from fishmj.engines.hybrid.hybrid_segment import HybridSegment
 
     still = np.zeros((6, 6))
     start, params = engines.at_rest(STRIPS, np.zeros((1, 3))), engines.nominal_params(STRIPS, 1)
-    return Segment(0, tick, still, still, start, np.zeros((5, 3)), params, GUSTY.current(), GUSTY)
+    return HybridSegment(0, tick, still, still, start, np.zeros((5, 3)), params, GUSTY.current(), GUSTY)
 
 
 # ---- where users meet it ----
@@ -281,7 +281,7 @@ def test_evaluate_swims_corrected_and_says_what_was(made_up, tmp_path, capsys):
 @pytest.mark.slow
 def test_play_swims_corrected(made_up):
     robot = choice.in_water(load_robot("fish"))
-    engine = Engine(robot, GUSTY, HybridOptions(first=1.0, lead=0.2, span=2.0, wait=True))
+    engine = HybridEngine(robot, GUSTY, HybridOptions(first=1.0, lead=0.2, span=2.0, wait=True))
     session = LiveSession("drift", robot, GUSTY, engine)
     for _ in range(20):
         session.step()
@@ -308,8 +308,8 @@ def test_the_flow_solver_agrees_with_the_water_that_was_fitted_to_it():
 
 
 def arguments(*more):
-    args = command.options().parse_args(["--device", "cpu", "--tanks", "1", *more])
-    return args, {name: command.condition(name, args) for name in command.WRONG}
+    args = hybrid_trials_command.options().parse_args(["--device", "cpu", "--tanks", "1", *more])
+    return args, {name: hybrid_trials_command.condition(name, args) for name in hybrid_trials_command.WRONG}
 
 
 def test_what_is_wrong_is_wrong_about_the_water_or_the_tank_alone():
@@ -338,9 +338,12 @@ def test_a_shorter_tail_swims_slower():
 
 def test_the_trials_go_round_before_they_repeat():
     args, _ = arguments("--episodes", "12")
-    items = command.trials_of(args).items
+    items = hybrid_trials_command.trials_of(args).items
     assert len({item.los for item in items[:8]}) == 8 and [item.repeat for item in items] == [0] * 8 + [1] * 4
-    told, tank = command.trials_of(args), command.TankTrials(**vars(command.trials_of(args)), faster=0.05)
+    told, tank = (
+        hybrid_trials_command.trials_of(args),
+        hybrid_trials_command.TankTrials(**vars(hybrid_trials_command.trials_of(args)), faster=0.05),
+    )
     points = np.random.default_rng(2).normal(size=(20, 3))
     for slow, fast in zip(told.flows(), tank.flows(), strict=True):
         np.testing.assert_allclose(fast.at(points, 0.0) - slow.at(points, 0.0), np.tile([0.05, 0, 0], (20, 1)), atol=1e-9)
@@ -357,10 +360,10 @@ def test_hybrid_verdict_needs_half_of_a_clear_error_else_no_worse_error(alone, h
     if not first:
         rows["alone"]["rmse"] = rows["solver"]["rmse"][::-1]
         rows["hybrid"]["rmse"] = 1.04 * rows["alone"]["rmse"]
-    found = command.verdict(rows)
+    found = hybrid_trials_command.verdict(rows)
     assert (found["first_kind"], found["ok"]) == (first, ok)
     rows["hybrid"]["place"] = 0.53 + np.zeros(12)
-    assert command.verdict(rows)["ok"] is (ok and first)
+    assert hybrid_trials_command.verdict(rows)["ok"] is (ok and first)
 
 
 @pytest.mark.slow
@@ -372,16 +375,16 @@ def test_the_verb_swims_three_times_and_goes_on_where_it_was(made_up, tmp_path, 
         swum_before.append(water)
         return run_trials.run(brain, robot, trials, engines.make("batch", robot))
 
-    monkeypatch.setattr(command.run_trials, "judge_in_solver", solved)
+    monkeypatch.setattr(hybrid_trials_command.run_trials, "judge_in_solver", solved)
     asked = "--wrong stream --episodes 2 --seconds 35 --own 0.5 --device cpu --json --out".split()
-    code = command.main([*asked, str(tmp_path)])
+    code = hybrid_trials_command.main([*asked, str(tmp_path)])
     found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert swum_before[0]["domain"] == "window_coarse" and made_up[0]["stream"].speed == pytest.approx(0.25)
     assert code == (0 if found["ok"] else 1) and found["solver_share"] == pytest.approx(0.1, rel=0.01)
     assert all(report["segments"][0]["moved"] and report["stream"][0] > 0.03 for report in found["reports"])
     place = found["same"][1]
     assert place["hybrid"] < place["alone"]
-    assert command.main([*asked, str(tmp_path)]) == code and len(swum_before) == 1
+    assert hybrid_trials_command.main([*asked, str(tmp_path)]) == code and len(swum_before) == 1
 
 
 def test_a_free_root_is_refused():
@@ -393,7 +396,7 @@ def test_a_policy_holds_station_for_more_than_a_minute_in_turbulence(replay):
     """The judge's own loop, a learned policy, a stream 0.05 m/s faster than told: it is found and kept."""
     options = HybridOptions(wait=True)
     trials = protocol.trials(speeds=(0.2,), los_deg=(120,), repeats=1, turbulence="default", duration=70)
-    engine = Engine(STRIPS, trials.flows()[0], options, oracle=Better(replay, stream=MORE), replay=replay)
+    engine = HybridEngine(STRIPS, trials.flows()[0], options, oracle=Better(replay, stream=MORE), replay=replay)
     result = run_trials.run(control.chosen("pilot", STRIPS), STRIPS, trials, engine)
     assert result.engine.startswith("hybrid") and result.water == "hybrid" and np.isfinite(result.distance).all()
     told = engine.hybrid.report()

@@ -17,10 +17,10 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import rollout
-from fishmj.hydro_fit.fit.pipeline import FitSettings
+from fishmj.hydro_fit.fit.fit_pipeline import FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
-from fishmj.hydro_fit.mujoco_ellipsoid import fit, force, judged
-from fishmj.hydro_fit.mujoco_ellipsoid.swim import Hooks
+from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_check, ellipsoid_fit, force
+from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import Hooks
 from fishmj.hydro_fit.water_ablation import ablation, ablation_table
 from fishmj.hydro_fit.water_ablation.ablation_fit import Variant
 from fishmj.water.dynamics import planar_chain
@@ -152,12 +152,12 @@ def test_with_its_inertia_the_added_mass_only_moves_energy_about():
 
 @pytest.mark.parametrize("inertia", [False, True])
 def test_forces_of_ellipsoids_give_their_coefficients_back(records, inertia):
-    one = fit.Fit(ROBOT, records["train"], records["val"], dataset={}, settings=QUICK, inertia=inertia)
+    one = ellipsoid_fit.Fit(ROBOT, records["train"], records["val"], dataset={}, settings=QUICK, inertia=inertia)
     true = np.random.default_rng(8).uniform(0.3, 3.0, 12) * one.unit
     if not inertia:
         true[[5, 11]] = 1.0
     rows = rows_of(CHAIN, records["train"])
-    rows = rows._replace(force=fit.forces(E, rows, true, inertia, hidden.TICK))
+    rows = rows._replace(force=ellipsoid_fit.forces(E, rows, true, inertia, hidden.TICK))
     np.testing.assert_allclose(one.by_forces(rows)[one.free], true[one.free], rtol=0.02)
 
 
@@ -165,10 +165,10 @@ def test_forces_of_ellipsoids_give_their_coefficients_back(records, inertia):
 def fitted(records):
     """(the fit, MuJoCo's fluid fitted to the hidden water) from few draws."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit, "DRAWN", 6)
-        patch.setattr(fit, "FEW", 8)
-        patch.setattr(fit, "BEST", 1)
-        one = fit.Fit(ROBOT, records["train"], records["val"], dataset={}, settings=QUICK, inertia=False)
+        patch.setattr(ellipsoid_fit, "DRAWN", 6)
+        patch.setattr(ellipsoid_fit, "FEW", 8)
+        patch.setattr(ellipsoid_fit, "BEST", 1)
+        one = ellipsoid_fit.Fit(ROBOT, records["train"], records["val"], dataset={}, settings=QUICK, inertia=False)
         return one, one.solve()
 
 
@@ -185,7 +185,7 @@ def test_swims_bring_ellipsoids_closer_within_their_bounds(fitted):
 def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
     """All free swims, whole; free runs of the gaits to the end, as for any records of 5 s; a perfect water has no error."""
     water, test = fitted[1], records["test"]
-    swum = judged.Swum(water, ROBOT, test)
+    swum = ellipsoid_check.EllipsoidFreeSwims(water, ROBOT, test)
     whole = rollout.fish_batch_of(CHAIN, ROBOT, test, seconds=1e6)
     for a, b in zip(swum.fleet[:-1], whole[:-1], strict=True):
         np.testing.assert_array_equal(a, b)
@@ -196,7 +196,7 @@ def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
     np.testing.assert_array_equal(swum.track.q, water.swim(ROBOT).run(whole, water.flat).q)  # by its own coefficients
     perfect, _ = free_swims.errors(swum, swum.seen)
     assert perfect["speed_error_max"] == perfect["power_error_mean"] == 0.0
-    found = judged.judge(water, ROBOT, test)
+    found = ellipsoid_check.judge(water, ROBOT, test)
     assert set(ablation_table.SHOWN) <= set(found["figures"]) and found["n"]["thrust_error"] > 0
     assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(5.0 - free_swims.SHORTEST)
 

@@ -17,7 +17,7 @@ from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit.campaign.data import default_dataset, plan
 from fishmj.hydro_fit.campaign.data.collect import collect
 from fishmj.hydro_fit.campaign.data.run_segments import Finished
-from fishmj.hydro_fit.fit import gauss_newton, pipeline
+from fishmj.hydro_fit.fit import fit_pipeline, gauss_newton
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
 from fishmj.lbm_oracle.run import domain, solver_cost
 from fishmj.lbm_oracle.run.domain import preset
@@ -120,7 +120,7 @@ def test_a_preview_that_is_interrupted_goes_on_where_it_was(home, tenth, monkeyp
     assert kept | set(Toys.seen[-1][1]) == set(data.about) and not kept & set(Toys.seen[-1][1]) and not data.meta["missing"]
 
 
-def planned(data) -> plan.Plan:
+def planned(data) -> plan.CampaignPlan:
     row = read_json(data.folder / SPLIT)["plans"][-1]
     return plan.planned(row["label"], FISH, row["seed"])
 
@@ -240,7 +240,7 @@ class Recorded:
 def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys):
     """Preview solved, fitted, marked, checked and reported; the shipped water, fitted to a whole plan, stays."""
     monkeypatch.setattr(default_dataset, "Local", lambda tanks, devices: Recorded(swims))
-    monkeypatch.setattr(pipeline, "FitSettings", partial(pipeline.FitSettings, members=2))
+    monkeypatch.setattr(fit_pipeline, "FitSettings", partial(fit_pipeline.FitSettings, members=2))
     monkeypatch.setattr(gauss_newton, "fit_rollout", partial(gauss_newton.fit_rollout, rounds=2))
     assert console.run(verb.main, ["--budget", "400", "--base", "--swims", "0", "--json"]) == console.OK
     out = capsys.readouterr().out
@@ -274,7 +274,7 @@ class Fitted:
 
 
 def test_preview_never_replaces_a_whole_model_and_a_whole_replaces_preview(home, swims, monkeypatch, capsys):
-    monkeypatch.setattr("fishmj.hydro_fit.fit.pipeline.FitPipeline", Fitted)
+    monkeypatch.setattr("fishmj.hydro_fit.fit.fit_pipeline.FitPipeline", Fitted)
     data = hidden.write_dataset(home / "set", swims)
 
     def fitted(missing, out, name) -> dict:

@@ -26,8 +26,8 @@ from fishmj.hydro_fit.fit import (
     training_loop,
     training_windows,
 )
+from fishmj.hydro_fit.fit.fit_pipeline import STAGES, FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.incremental import Refit
-from fishmj.hydro_fit.fit.pipeline import STAGES, FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.fit.training_loop import Loop

@@ -12,8 +12,8 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import UsageError
 from fishmj.engines import lbm
 from fishmj.evaluate import figures, metrics, trials
-from fishmj.evaluate.rank_waters import command as rank_command
 from fishmj.evaluate.rank_waters import compare_waters, rank
+from fishmj.evaluate.rank_waters import rank_waters_command as rank_command
 from fishmj.hydro_fit.__main__ import main
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
@@ -152,7 +152,7 @@ class MadeUp:
 @pytest.fixture
 def solver(monkeypatch):
     made = type("Fresh", (MadeUp,), {})
-    monkeypatch.setattr(lbm, "Engine", made)
+    monkeypatch.setattr(lbm, "LbmEngine", made)
     return made
 
 

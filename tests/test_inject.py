@@ -158,7 +158,7 @@ def randomised(robot, count):
 
 def reference(robot, case):
     with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, planar.Engine(robot).advance(*case))
+        return jax.tree.map(np.asarray, planar.PlanarEngine(robot).advance(*case))
 
 
 def assert_same(result, expected, atol):
@@ -180,7 +180,7 @@ def test_batched_c_equals_closed_form(swim, evaluator):
     """Two control steps of unequal fish: the same to 1e-11 in pose, joints, rates, power and memory."""
     robot, case, expected = swim
     try:
-        engine = batch.Engine(robot, threads=2, evaluator=evaluator)
+        engine = batch.BatchEngine(robot, threads=2, evaluator=evaluator)
     except MissingExtra as missing:
         pytest.skip(str(missing))
     assert_same(engine.advance(*case), expected, 1e-11)
@@ -190,14 +190,14 @@ def test_batched_c_equals_closed_form(swim, evaluator):
 def test_batched_c_takes_any_number_of_links():
     robot = mjcf.load_robot("tendon_fish")
     case = randomised(robot, 3)
-    assert_same(batch.Engine(robot, evaluator="jax").advance(*case), reference(robot, case), 1e-11)
+    assert_same(batch.BatchEngine(robot, evaluator="jax").advance(*case), reference(robot, case), 1e-11)
 
 
 def test_batched_c_shares_fish_between_threads_alike():
     """Unequal fish on one thread and on three: the same to 1e-12 (JAX vectorises blocks of other sizes differently)."""
     robot = mjcf.load_robot("fish")
     case = randomised(robot, 50)
-    one, three = (batch.Engine(robot, threads=n, evaluator="jax").advance(*case) for n in (1, 3))
+    one, three = (batch.BatchEngine(robot, threads=n, evaluator="jax").advance(*case) for n in (1, 3))
     assert_same(one, three, 1e-12)
     assert len(set(one[0].q[:, 0])) == 50
 
@@ -205,7 +205,7 @@ def test_batched_c_shares_fish_between_threads_alike():
 def test_batch_follows_new_parameters(swim):
     """The same engine, then other fish: masses and gains of the first call are gone."""
     robot, case, expected = swim
-    engine = batch.Engine(robot, evaluator="jax")
+    engine = batch.BatchEngine(robot, evaluator="jax")
     engine.advance(case[0], case[1], engines.nominal_params(robot, 5), *case[3:])
     assert_same(engine.advance(*case), expected, 1e-11)
 
@@ -213,7 +213,7 @@ def test_batch_follows_new_parameters(swim):
 def test_mjx_equals_closed_form_in_double(swim):
     robot, case, expected = swim
     with jax.enable_x64(True):
-        result = jax.tree.map(np.asarray, mjx.Engine(robot).advance(*case))
+        result = jax.tree.map(np.asarray, mjx.MjxEngine(robot).advance(*case))
     assert_same(result, expected, 1e-11)
 
 
@@ -221,7 +221,7 @@ def test_mjx_equals_closed_form_in_single(swim):
     """float32 rounding over 100 physics steps: 2e-4 in the fastest quantity (rates up to 10 rad/s)."""
     robot, case, expected = swim
     single = jax.tree.map(lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a, case)
-    assert_same(mjx.Engine(robot).advance(*single), expected, 2e-4)
+    assert_same(mjx.MjxEngine(robot).advance(*single), expected, 2e-4)
 
 
 WING = {"edge_place": 0.6, "tail_held": 0.7, "linear_drag": 0.4}

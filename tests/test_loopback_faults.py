@@ -7,7 +7,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.loopback.faults import FAULTS, RADIO, described, parse
-from fishmj.deploy.loopback.network_faults import HELD, Radio
+from fishmj.deploy.loopback.network_faults import HELD, RadioChannel
 
 COUNT, PERIOD = 400, 0.02
 PACKETS = [bytes([k % 256, k // 256, *range(30)]) for k in range(COUNT)]
@@ -15,7 +15,7 @@ PACKETS = [bytes([k % 256, k // 256, *range(30)]) for k in range(COUNT)]
 
 def sent(*texts, direction="down", seed=3, delay=0.005, spread=0.0):
     """(number of the packet, s under way, bytes) of what arrives, in order of arrival."""
-    radio = Radio(direction, seed, parse(texts), delay, spread)
+    radio = RadioChannel(direction, seed, parse(texts), delay, spread)
     found = []
     for k, data in enumerate(PACKETS):
         found += [(arrival.t, k, arrival.data) for arrival in radio.send(k * PERIOD, data)]

@@ -10,13 +10,13 @@ from fishmj.deploy.loopback import bodies
 from fishmj.deploy.loopback.camera import CameraTiming
 from fishmj.deploy.loopback.faults import parse
 from fishmj.deploy.loopback.robot import LoopbackRobot
-from fishmj.deploy.loopback.shared_frames import FrameReader, FrameWriter
+from fishmj.deploy.loopback.shared_frames import FrameWriter, SharedFrameReader
 
 
 @pytest.fixture
 def ring():
     writer = FrameWriter(32, 24, 50.0, slots=3)
-    reader = FrameReader(writer.name)
+    reader = SharedFrameReader(writer.name)
     yield writer, reader
     reader.close()
     writer.close()
@@ -69,7 +69,7 @@ def test_a_frame_that_changes_while_it_is_copied_is_never_given(ring):
 def test_no_torn_frame_under_a_fast_writer():
     """Each frame is of one colour; a torn one would have two."""
     writer = FrameWriter(320, 240, 50.0, slots=2)
-    reader, done, seen = FrameReader(writer.name), threading.Event(), []
+    reader, done, seen = SharedFrameReader(writer.name), threading.Event(), []
 
     def write():
         for k in range(400):
@@ -90,12 +90,12 @@ def test_no_torn_frame_under_a_fast_writer():
 
 def test_shared_memory_is_removed_when_the_writer_closes_not_a_reader(ring):
     writer, reader = ring
-    FrameReader(writer.name).close()
-    FrameReader(writer.name).close()
+    SharedFrameReader(writer.name).close()
+    SharedFrameReader(writer.name).close()
     name = writer.name
     writer.close()
     with pytest.raises(StoreError, match="no shared memory"):
-        FrameReader(name)
+        SharedFrameReader(name)
     writer.close()
 
 
@@ -105,7 +105,7 @@ def test_what_is_no_ring_is_refused():
     other = SharedMemory(create=True, size=200)
     try:
         with pytest.raises(StoreError, match="no ring"):
-            FrameReader(other.name)
+            SharedFrameReader(other.name)
     finally:
         other.close()
         other.unlink()

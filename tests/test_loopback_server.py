@@ -15,19 +15,22 @@ import pytest
 
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import ConfigError, StoreError, UnknownName, UsageError
-from fishmj.deploy.loopback import bodies, command, server
+from fishmj.deploy.loopback import bodies, loopback_command, loopback_server
 from fishmj.deploy.loopback.faults import FAULTS, parse
 from fishmj.deploy.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
-from fishmj.deploy.loopback.server import ServeOptions, Server
-from fishmj.deploy.loopback.settings import Settings, artist_of, calibration_of, make_robot
-from fishmj.deploy.loopback.shared_frames import FrameReader
+from fishmj.deploy.loopback.loopback_server import LoopbackServer, ServeOptions
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, artist_of, calibration_of, make_robot
+from fishmj.deploy.loopback.shared_frames import SharedFrameReader
 from fishmj.deploy.protocols import fishmj1, mish
 from fishmj.deploy.protocols.messages import RobotInfo
 from studies.tracker.cases import GATES
 from studies.tracker.error_statistics import autocovariance
 
 ROOT = Path(__file__).resolve().parents[1]
-TELLING = "from fishmj.base import console; from fishmj.deploy.loopback.command import main; raise SystemExit(console.run(main))"
+TELLING = (
+    "from fishmj.base import console; from fishmj.deploy.loopback.loopback_command import main; "
+    "raise SystemExit(console.run(main))"
+)
 
 
 class FakeClock:
@@ -50,7 +53,7 @@ def host():
 
 
 def made_server(clock, **options):
-    return Server(ServeOptions(camera=False, port=0, **options), clock)
+    return LoopbackServer(ServeOptions(camera=False, port=0, **options), clock)
 
 
 def heard(host):
@@ -75,12 +78,12 @@ def test_its_socket_is_bound_to_that_address(host):
 
 def test_a_body_that_is_slower_than_real_time_is_refused():
     with pytest.raises(ConfigError, match="lockstep only"):
-        ServeOptions(settings=Settings(body="lbm"))
+        ServeOptions(settings=LoopbackSettings(body="lbm"))
 
 
 def test_a_port_that_is_taken_is_said(host):
     with pytest.raises(ConfigError, match="does another robot run"):
-        Server(ServeOptions(camera=False, port=host.getsockname()[1]))
+        LoopbackServer(ServeOptions(camera=False, port=host.getsockname()[1]))
 
 
 def test_it_answers_whoever_spoke_last_and_keeps_with_the_clock(host):
@@ -100,7 +103,7 @@ def test_it_answers_whoever_spoke_last_and_keeps_with_the_clock(host):
 
 
 def test_the_open_robot_speaks_unasked_to_the_hosts_port(host):
-    made = made_server(FakeClock(), settings=Settings(protocol="mish-fixed"), host_port=host.getsockname()[1])
+    made = made_server(FakeClock(), settings=LoopbackSettings(protocol="mish-fixed"), host_port=host.getsockname()[1])
     for k in range(5):
         made.turn(0.02 * k + 0.01)
     found = [mish.decode_telemetry(data) for data in heard(host)]
@@ -119,10 +122,10 @@ def test_a_machine_that_slept_does_not_make_the_robot_catch_up(host):
 
 def test_frames_reach_shared_memory_when_they_are_due(monkeypatch):
     clock = FakeClock()
-    made = Server(ServeOptions(port=0, settings=Settings(camera_latency=0.05)), clock)
+    made = LoopbackServer(ServeOptions(port=0, settings=LoopbackSettings(camera_latency=0.05)), clock)
     made.start = clock.t
-    monkeypatch.setattr(server.time, "sleep", lambda seconds: setattr(clock, "t", clock.t + seconds))
-    reader = FrameReader(made.ring.name)
+    monkeypatch.setattr(loopback_server.time, "sleep", lambda seconds: setattr(clock, "t", clock.t + seconds))
+    reader = SharedFrameReader(made.ring.name)
     made.turn(0.0235)
     while not made._jobs.empty():
         made._show(made._jobs.get())
@@ -133,25 +136,27 @@ def test_frames_reach_shared_memory_when_they_are_due(monkeypatch):
     reader.close()
     made.close()
     with pytest.raises(StoreError):
-        FrameReader(name)
+        SharedFrameReader(name)
 
 
 def test_the_command_reads_all_its_options_and_refuses_what_cannot_be(tmp_path):
     text = (
         "--fault loss=0.1 --fault brown_out@30 --effect command_latency:delay=0.15 --flow 0.2,3.14 --turbulence gust --marks tag"
     )
-    made = command.served(command.options().parse_args([*text.split(), "--start=-0.5,0.2,1.0", "--camera-latency", "0.03"]))
+    made = loopback_command.served(
+        loopback_command.options().parse_args([*text.split(), "--start=-0.5,0.2,1.0", "--camera-latency", "0.03"])
+    )
     settings = made.settings
     assert [fault.name for fault in settings.faults] == ["loss", "brown_out"] and settings.start == (-0.5, 0.2, 1.0)
     assert settings.effects == {"command_latency": {"delay": 0.15}} and settings.flow.rms > 0 and settings.marks == "tag"
     for bad in ("--flow 0.2", "--flow 9,0", "--address 0.0.0.0", "--start 0,0"):
         with pytest.raises(UsageError):
-            command.options().parse_args(bad.split())
+            loopback_command.options().parse_args(bad.split())
     with pytest.raises(UnknownName):
-        command.served(command.options().parse_args(["--effect", "nonsense"]))
+        loopback_command.served(loopback_command.options().parse_args(["--effect", "nonsense"]))
     with pytest.raises(ConfigError, match="virtual"):
-        command.served(command.options().parse_args(["--effect", "gear_backlash", "--body", "fitted"]))
-    assert all(f"  {name} " in command.options().format_help() for name in FAULTS)
+        loopback_command.served(loopback_command.options().parse_args(["--effect", "gear_backlash", "--body", "fitted"]))
+    assert all(f"  {name} " in loopback_command.options().format_help() for name in FAULTS)
 
 
 def test_as_a_child_it_says_where_it_is_serves_and_ends_with_its_parent(tmp_path, host):
@@ -165,7 +170,7 @@ def test_as_a_child_it_says_where_it_is_serves_and_ends_with_its_parent(tmp_path
     process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True, cwd=ROOT)
     told = json.loads(process.stdout.readline())
     assert told["protocol"] == "fishmj-1" and told["size"] == [1280, 720] and camera.is_file()
-    reader = FrameReader(told["frames"])
+    reader = SharedFrameReader(told["frames"])
     host.settimeout(600.0)
     host.sendto(fishmj1.encode_hello(1, 0.0), ("127.0.0.1", told["robot_port"]))
     kinds = {fishmj1.decode(host.recv(2048)).kind for _ in range(4)}
@@ -182,7 +187,7 @@ def test_as_a_child_it_says_where_it_is_serves_and_ends_with_its_parent(tmp_path
     assert not _alive(told["pid"])
     reader.close()
     with pytest.raises(StoreError):
-        FrameReader(told["frames"])
+        SharedFrameReader(told["frames"])
     process.stdout.close()
 
 
@@ -205,7 +210,7 @@ def _alive(pid):
 
 
 def lockstep(*faults, artist=None, **settings):
-    robot = make_robot(Settings(faults=parse(faults), **settings))
+    robot = make_robot(LoopbackSettings(faults=parse(faults), **settings))
     clock = LockstepClock(robot, origin=70.0)
     transport, camera = LockstepTransport(clock), LockstepCamera(clock, artist)
     transport.open()
@@ -238,7 +243,7 @@ def test_in_lockstep_the_camera_gives_each_frame_once_when_it_is_readable():
 
 
 def test_lockstep_frames_show_the_fish_and_camera_freeze_repeats_one():
-    settings = Settings()
+    settings = LoopbackSettings()
     clock, _, camera = lockstep("camera_freeze@0.1-1", artist=artist_of(settings), start=(0.3, 0.1, 0.5))
     clock.sleep_until(70.3)
     images = [image for _, image in camera.read(clock.now())]

@@ -69,11 +69,11 @@ def test_folder_set_in_jax_config_stays(tmp_path):
 SWIM = """
 import jax, numpy as np
 from fishmj import engines
-from fishmj.engines.compiled import Engine
+from fishmj.engines.compiled import CompiledEngine
 from fishmj.water.flow import Current
 events = []
 jax.monitoring.register_event_listener(lambda event, **_: events.append(event.rpartition("/")[2]))
-engine, rest = Engine("fish", threads=1), np.zeros((2, 2), np.float32)
+engine, rest = CompiledEngine("fish", threads=1), np.zeros((2, 2), np.float32)
 lean = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32), tree)
 state, params = lean(engines.at_rest(engine.robot, np.zeros((2, 3)))), lean(engines.nominal_params(engine.robot, 2))
 params = params._replace(delay=np.zeros(2, int))

@@ -20,7 +20,7 @@ from fishmj.base.errors import ConfigError, DescriptionError, FishmjError
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.new import __main__ as verb
 from fishmj.mjcf.new.answers import QUESTIONS
-from fishmj.mjcf.new.fish_toml import Fish, toml_of
+from fishmj.mjcf.new.fish_toml import FishAnswers, toml_of
 from fishmj.mjcf.new.shape import cut, joints_of, read_sections, typical
 from fishmj.mjcf.priors import water_prior
 from fishmj.mjcf.reading import robot_from_dict
@@ -257,7 +257,7 @@ def test_whatever_a_table_holds_is_a_description_or_one_error(tmp_path_factory, 
     try:
         outline = read_sections(folder / "t.csv")
         made = cut(outline, [a + shift for a in joints_of(outline.length, links)])
-        fish = Fish(
+        fish = FishAnswers(
             name="pike", outline=outline, mass=1.0, joints=[0.1] * (links - 1), sheet=SHELF["lx-824"], side_span=0.0, origin={}
         )
         text = toml_of(replace(load_robot("fish"), links=made, fins=(), water=water_prior(made)), fish)

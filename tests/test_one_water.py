@@ -74,9 +74,9 @@ def batched(engine, robot):
     return Swum(*one)
 
 
-def in_jax(module, water):
+def in_jax(engine, water):
     with jax.enable_x64(True):
-        return batched(module.Engine(in_water(water)), in_water(water))
+        return batched(engine(in_water(water)), in_water(water))
 
 
 def in_sim(water, **options):
@@ -107,10 +107,10 @@ def compiled(water):
 
 
 PATHS = {
-    "planar": lambda water: in_jax(planar, water),
+    "planar": lambda water: in_jax(planar.PlanarEngine, water),
     "compiled": compiled,
-    "batch": lambda water: batched(batch.Engine(in_water(water), threads=1), in_water(water)),
-    "mjx": lambda water: in_jax(mjx, water),
+    "batch": lambda water: batched(batch.BatchEngine(in_water(water), threads=1), in_water(water)),
+    "mjx": lambda water: in_jax(mjx.MjxEngine, water),
     "callback": in_sim,
     "xfrc": lambda water: in_sim(water, injection="xfrc"),
     "qfrc": lambda water: in_sim(water, injection="qfrc"),

@@ -14,7 +14,7 @@ from fishmj.lbm_oracle.cases import coupled_fish, cylinder, duct, maps, oscillat
 from fishmj.lbm_oracle.cases.cylinder import cylinder as held_cylinder
 from fishmj.lbm_oracle.fluid.domain_faces import Boundaries
 from fishmj.lbm_oracle.grid_studies import converge_fish
-from fishmj.lbm_oracle.grid_studies.converge_fish import Key, Result, ResultTable
+from fishmj.lbm_oracle.grid_studies.converge_fish import ConvergenceResult, ConvergenceTable, Key
 
 
 def strip(**options):
@@ -122,14 +122,14 @@ def test_a_study_takes_time_steps_that_divide_the_tick():
 
 
 def test_a_study_continues_what_is_there_and_refuses_another_setup(tmp_path):
-    key, found = Key("drag", 0.02, 0.004, 1.0), Result(0.1, 0.01, 20.0, "ok")
-    ResultTable(tmp_path, {"beats": 8.0}).add(key, found, 1.0)
-    assert ResultTable(tmp_path, {"beats": 8.0}).rows[key]["value"] == 0.1
+    key, found = Key("drag", 0.02, 0.004, 1.0), ConvergenceResult(0.1, 0.01, 20.0, "ok")
+    ConvergenceTable(tmp_path, {"beats": 8.0}).add(key, found, 1.0)
+    assert ConvergenceTable(tmp_path, {"beats": 8.0}).rows[key]["value"] == 0.1
     with pytest.raises(ConfigError, match=r"beats = 8.0 \(now 2.0\)"):
-        ResultTable(tmp_path, {"beats": 2.0})
+        ConvergenceTable(tmp_path, {"beats": 2.0})
     (tmp_path / "converge.csv").write_text("what,dx\ndrag,x\n")
     with pytest.raises(StoreError, match="converge.csv:2"):
-        ResultTable(tmp_path, {"beats": 8.0})
+        ConvergenceTable(tmp_path, {"beats": 8.0})
 
 
 def test_the_bias_of_the_coarsest_grid_is_against_the_finest():

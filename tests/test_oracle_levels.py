@@ -111,7 +111,7 @@ def test_finer_water_has_all_levels_at_their_present_place():
 def test_the_judge_fills_a_tank_with_a_finer_box(monkeypatch):
     monkeypatch.setattr(lbm, "preset", lambda name: replace(POOL, dt=0.005))
     monkeypatch.setattr(lbm, "HELD", 0.04)
-    engine = lbm.Engine(FISH, [Flow(speed=0.2, turbulence="default", intensity=0.1)], domain="x", slip=0.98, device="cpu")
+    engine = lbm.LbmEngine(FISH, [Flow(speed=0.2, turbulence="default", intensity=0.1)], domain="x", slip=0.98, device="cpu")
     state, params = engines.at_rest(FISH, np.zeros((1, 3))), engines.nominal_params(FISH, 1)
     after, trace = engine.advance(state, np.zeros((1, 1, 3)), params, None, 0)
     (run,) = engine.tanks.runs

@@ -11,13 +11,13 @@ from fishmj.lbm_oracle.cases.maps import average
 from fishmj.lbm_oracle.drifters import drift, tracers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.force_maps import forcemap
-from fishmj.lbm_oracle.force_maps.force_points import Plan, Point, Table, loads, measure
+from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, Table, loads, measure
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.water.flow import Flow
 
 TINY = Domain(name="tiny", shape=(56, 44, 16), dx=0.02, dt=0.004, sponge=4)
-PLAN = Plan(settle=0.4, seconds=0.6, length=0.5)
+PLAN = AveragingTimes(settle=0.4, seconds=0.6, length=0.5)
 
 
 def held(point):

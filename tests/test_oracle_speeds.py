@@ -22,7 +22,7 @@ def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, m
     assert speeds.main([*call, "--slips", "0.98", "1"]) == console.OK
     assert swum == [(30, 2.0, 1.0), (30, 2.0, 0.98)]
     assert (tmp_path / "speeds.png").stat().st_size > 1000
-    rows = speeds.ResultTable(tmp_path, {"domain": "laptop", "dx": 0.02, "dt": 0.004, "beats": 0.6}).rows
+    rows = speeds.SpeedTable(tmp_path, {"domain": "laptop", "dx": 0.02, "dt": 0.004, "beats": 0.6}).rows
     assert all(row["status"] == "ok" and row["speed_m_s"] > 0 for row in rows.values())
     with pytest.raises(ConfigError, match="Take another --out"):
         speeds.main(["0.4" if word == "0.6" else word for word in call])
@@ -71,7 +71,7 @@ def test_study_swims_another_robot_and_keeps_its_rows_apart(name, minnow, tmp_pa
         sent.append(work)
         for key in keys:
             if name == "converge fish":
-                yield key, converge_fish.Result(0.1, 0.01, 1.0, "ok"), 1.0
+                yield key, converge_fish.ConvergenceResult(0.1, 0.01, 1.0, "ok"), 1.0
             else:
                 swim, *slip = key if name == "real_fish" else (key,)
                 yield (swim.beat, *slip) if slip else key, ROWS[name]
@@ -94,7 +94,7 @@ def test_parts_of_a_study_drive_all_joints_of_their_robot(minnow):
     assert row["status"] == "ok" and row["power_W"] > 0
     options = {"robot": minnow, "slip": 1.0, "device": "cpu", "sharpness": PLAIN}
     assert converge_fish.cruise(box, 0.1, options).status == "ok"
-    plan = converge_fish.Plan(settle=0.04, seconds=0.2, length=0.5)
+    plan = converge_fish.AveragingTimes(settle=0.04, seconds=0.2, length=0.5)
     assert converge_fish.force_when_held("yaw", box, plan, options).value != 0
 
 

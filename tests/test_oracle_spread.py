@@ -27,15 +27,15 @@ from fishmj.evaluate.bench import devices
 from fishmj.evaluate.run_trials import judge_in_solver
 from fishmj.gap.bench.solver_family import swims
 from fishmj.gap.calibrate import slip
-from fishmj.gap.laboratory.hidden_lbm import command as hidden_command
 from fishmj.gap.laboratory.hidden_lbm import hidden
+from fishmj.gap.laboratory.hidden_lbm import hidden_lbm_command as hidden_command
 from fishmj.hydro_fit.campaign.data import collect
 from fishmj.hydro_fit.campaign.data.collect import Local, ray_device
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.lbm_oracle.fluid.device import device_of, devices_of
 from fishmj.lbm_oracle.force_maps import forcemap
-from fishmj.lbm_oracle.force_maps.force_points import Plan, Point
+from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point
 from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
@@ -252,7 +252,7 @@ def test_segments_on_two_devices_are_those_of_one_to_the_bit():
 def test_points_of_a_map_on_two_devices_are_those_of_one_to_the_bit():
     domain = Domain(name="tiny", shape=(56, 44, 16), dx=0.02, dt=0.004, sponge=4)
     options = {"robot": "fish", "slip": 1.0, "sharpness": BOUNDARIES["plain"]}
-    whole = {"domain": domain, "plan": Plan(settle=0.1, seconds=0.2, length=0.5), "tanks": 1, "options": options}
+    whole = {"domain": domain, "plan": AveragingTimes(settle=0.1, seconds=0.2, length=0.5), "tanks": 1, "options": options}
     work = partial(forcemap.on_device, **whole, pictured={"points": []})
     points = [Point("joint", angle, 0.0, 0.3) for angle in (0.0, 30.0)]
     one, two = (dict(spread(work, points, devices)) for devices in (("cpu",), TWO))
@@ -307,7 +307,7 @@ def test_hidden_sets_and_robots_of_a_plan_are_spread_too(tmp_path, monkeypatch):
     for module in (hidden_command, swims):
         monkeypatch.setattr(module, "spread", noted)
     job = hidden.jobs({}, ["gait"], 3)[0]
-    monkeypatch.setattr(swims, "all_swims", lambda plan, shard: [swims.Swim("a", job, 1)])
+    monkeypatch.setattr(swims, "all_swims", lambda plan, shard: [swims.PlannedSwim("a", job, 1)])
     for call in (
         lambda: hidden_command.collect(tmp_path, {"set_000": [job]}, "cpu,cpu"),
         lambda: swims.swum_all(None, tmp_path, "cpu,cpu"),

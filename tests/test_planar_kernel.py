@@ -17,12 +17,12 @@ from fishmj.water.flow import Flow, stack
 FISH = 5  # neither a block nor half of one
 
 
-def swimming(name: str) -> planar.Engine:
+def swimming(name: str) -> planar.PlanarEngine:
     """An engine in the fitted water of this robot."""
     return engines.make("planar", engines.in_water(load_robot(name), "fitted"))
 
 
-def engine_of(name: str, seed: int = 0) -> planar.Engine:
+def engine_of(name: str, seed: int = 0) -> planar.PlanarEngine:
     """An engine whose residual has random weights: two members with six units each, and a range that some fish leave."""
     engine, rng = swimming(name), np.random.default_rng(seed)
     net = residual_network.blank(engine.chain.n, 2, 6, seed=seed)
@@ -32,8 +32,8 @@ def engine_of(name: str, seed: int = 0) -> planar.Engine:
     return engine
 
 
-def given_to(engine: planar.Engine, count: int = FISH, seed: int = 1):
-    """What `Engine.physics` is given: `count` fish that swim, all different."""
+def given_to(engine: planar.PlanarEngine, count: int = FISH, seed: int = 1):
+    """What `PlanarEngine.physics` is given: `count` fish that swim, all different."""
     rng, joints = np.random.default_rng(seed), engine.robot.n_joints
     state = engines.at_rest(engine.robot, rng.uniform(-2, 2, (count, 3)))
     memory = np.concatenate([rng.uniform(-1, 1, (count, residual_network.WAKES)), rng.uniform(0, 0.2, (count, 2))], 1)
@@ -74,7 +74,7 @@ def graphics_card(monkeypatch):
     monkeypatch.setattr(residual_step, "FEWEST", FISH)
 
 
-def taken(engine: planar.Engine, *given) -> bool:
+def taken(engine: planar.PlanarEngine, *given) -> bool:
     """Whether the engine takes the kernel for these."""
     return engine._physics_of(*given) != engine.physics
 
@@ -103,8 +103,8 @@ def test_tick_kernel_needs_many_fish_float32_learnt_water_and_a_gpu(graphics_car
             assert not taken(engine, *given)
 
 
-def advanced(engine: planar.Engine) -> tuple:
-    """What `Engine.advance` is given for two ticks in still water."""
+def advanced(engine: planar.PlanarEngine) -> tuple:
+    """What `PlanarEngine.advance` is given for two ticks in still water."""
     state, params, *_ = given_to(engine)
     state = state._replace(buffer=jnp.zeros((FISH, engines.rows_of(engine.robot), engine.robot.n_joints)))
     current = jax.tree.map(lambda a: jnp.asarray(np.repeat(a, FISH, 0)) if np.shape(a)[:1] == (1,) else a, stack([Flow()]))

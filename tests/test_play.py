@@ -24,7 +24,7 @@ from fishmj.mjcf.skin import posed, skin
 from fishmj.view.play import LiveSession
 from fishmj.view.play.__main__ import main, swim
 from fishmj.view.play.live_session import Keyboard, press
-from fishmj.view.replay.live_view import LiveView, Server, arrow, ring, slices_of
+from fishmj.view.replay.live_view import LiveView, SceneServer, arrow, ring, slices_of
 from fishmj.water.flow import Flow
 
 
@@ -232,7 +232,7 @@ def listening(process: int) -> set[tuple[str, int]]:
 
 @pytest.fixture(scope="module")
 def server():
-    made = Server()
+    made = SceneServer()
     yield made
     made.close()
 
@@ -265,7 +265,7 @@ def test_a_page_that_came_by_a_foreign_name_is_refused(server):
 
 
 def test_the_server_ends_when_its_parent_does():
-    made = Server()
+    made = SceneServer()
     made.process.stdin.close()  # what the system does when the parent dies
     assert made.process.wait(600) == 0
     made.process.stdout.close()

@@ -23,7 +23,7 @@ from fishmj.log import read_trial
 from fishmj.mjcf.identity import constants_sha256
 from fishmj.view.play.__main__ import main as play
 from fishmj.view.play.__main__ import options as play_options
-from fishmj.water.identity import water_identity
+from fishmj.water.water_identity import water_identity
 
 LACKING = {"pilot": "water, training command", "station-sac": "training command"}  # what is documented nowhere
 

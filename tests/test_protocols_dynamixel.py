@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fishmj.deploy.protocols.dynamixel import MOST_BYTES, Instruction, Packet, Protocol1, Protocol2, Reader, crc16
-from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.dynamixel import MOST_BYTES, Instruction, Packet, PacketReader, Protocol1, Protocol2, crc16
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 try:
     import dynamixel_sdk as sdk
@@ -88,7 +88,7 @@ def test_packets_are_found_in_noise_however_the_stream_is_cut(parts, data, proto
     clean = lambda noise: bytes(b for b in noise if b != 0xFF)
     sent = [Packet(3, I.STATUS, d + (b"\x00" if len(d) == 2 else b"")) for _, d in parts]
     stream = b"".join(clean(noise) + protocol.encode(*packet) for (noise, _), packet in zip(parts, sent, strict=True))
-    reader, found = Reader(protocol), []
+    reader, found = PacketReader(protocol), []
     while stream:
         count = data.draw(st.integers(1, len(stream)))
         found += reader.feed(stream[:count])
@@ -101,14 +101,14 @@ def test_a_damaged_packet_is_dropped_and_the_next_is_found():
     for _ in range(2_000):
         bad = bytearray(TWO.encode(1, I.STATUS, rng.randbytes(15)))
         bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
-        reader = Reader(TWO)
+        reader = PacketReader(TWO)
         found = reader.feed(bytes(bad) + good) + reader.silence()
         assert [packet.servo for packet in found] == [2]
 
 
 def test_echoes_are_no_answers():
     for protocol in (TWO, ONE):
-        reader = Reader(protocol)
+        reader = PacketReader(protocol)
         told = protocol.read((1,), 36, 8) + protocol.sync_write(30, {1: b"\x01\x02", 2: b"\x03\x04"})
         answer = protocol.encode(1, I.STATUS, bytes(8))
         assert reader.feed(told + answer) == [protocol.decode(answer)] and reader.echoes == 2

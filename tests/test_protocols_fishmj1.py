@@ -13,9 +13,9 @@ from protocol_values import DIGEST, NAME, SEQ, TIME, commands, datagrams, fuzzed
 
 from fishmj.base.errors import FishmjError
 from fishmj.deploy.protocols import fishmj1
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.fishmj1 import Kind
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 FULL = Telemetry(
     joint=(0.5, -0.25, 0.125),

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.protocols.guard import Bounds, Guard
+from fishmj.deploy.protocols.firmware_guard import Bounds, Guard
 from fishmj.deploy.protocols.messages import ServoFault
 
 AWAY, STRAIGHT = (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fishmj.deploy.protocols import lx_bus
-from fishmj.deploy.protocols.errors import ProtocolError
-from fishmj.deploy.protocols.lx_bus import TABLE, Code, Frame, Reader, answers, decode, encode, encode_reply
+from fishmj.deploy.protocols.lx_bus import TABLE, Code, LxFrame, LxFrameReader, answers, decode, encode, encode_reply
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 try:
     import lewansoul_lx16a as lewansoul
@@ -59,10 +59,10 @@ def values_of(code: Code, reply: bool) -> st.SearchStrategy[tuple[int, ...]]:
 
 FRAMES = st.sampled_from(
     [(code, reply) for code, row in TABLE.items() for reply in (False, True) if not reply or row.replies]
-).flatmap(lambda kind: st.builds(Frame, st.integers(0, 253), st.just(kind[0]), values_of(*kind), st.just(kind[1])))
+).flatmap(lambda kind: st.builds(LxFrame, st.integers(0, 253), st.just(kind[0]), values_of(*kind), st.just(kind[1])))
 
 
-def bytes_of(frame: Frame) -> bytes:
+def bytes_of(frame: LxFrame) -> bytes:
     return (encode_reply if frame.reply else encode)(frame.servo, frame.code, *frame.values)
 
 
@@ -151,7 +151,7 @@ def test_another_library_reads_our_answers(code):
         question, value = asked(lambda c: call(c, servo), answer)
         assert question == encode(servo, code)
         assert value == made(values)
-        assert decode(answer) == Frame(servo, code, values, True)
+        assert decode(answer) == LxFrame(servo, code, values, True)
 
     check()
 
@@ -207,7 +207,7 @@ def test_answers_are_told_from_those_of_others():
 @settings(max_examples=40)
 @given(st.lists(FRAMES, max_size=6), st.data())
 def test_a_stream_gives_its_frames_however_it_is_cut(frames, data):
-    stream, reader, found = b"".join(bytes_of(f) for f in frames), Reader(), []
+    stream, reader, found = b"".join(bytes_of(f) for f in frames), LxFrameReader(), []
     while stream:
         count = data.draw(st.integers(1, len(stream)))
         found += reader.frames(stream[:count])
@@ -222,27 +222,27 @@ NOISE = st.binary(max_size=12).filter(lambda b: 0x55 not in b)
 @settings(max_examples=50)
 @given(st.lists(st.tuples(NOISE, FRAMES), max_size=6))
 def test_frames_are_found_after_noise(parts):
-    reader = Reader()
+    reader = LxFrameReader()
     assert reader.frames(b"".join(noise + bytes_of(f) for noise, f in parts)) == [f for _, f in parts]
     assert reader.skipped == sum(len(noise) for noise, _ in parts)
 
 
 def test_the_hosts_own_frames_are_no_answers():
-    reader = Reader()
+    reader = LxFrameReader()
     question, answer = encode(3, Code.POS_READ), encode_reply(3, Code.POS_READ, -4)
-    assert reader.feed(question + answer) == [Frame(3, Code.POS_READ, (-4,), True)] and reader.echoes == 1
+    assert reader.feed(question + answer) == [LxFrame(3, Code.POS_READ, (-4,), True)] and reader.echoes == 1
 
 
 @pytest.mark.parametrize("cut", range(1, 8))
 def test_a_truncated_answer_does_not_swallow_the_next(cut):
-    answer, reader = encode_reply(3, Code.POS_READ, 500), Reader()
+    answer, reader = encode_reply(3, Code.POS_READ, 500), LxFrameReader()
     assert reader.feed(answer[:cut]) == []
     assert reader.feed(answer + answer)[-1:] == [decode(answer)]
     assert reader.silence() == [] and len(reader) == 0
 
 
 def test_silence_ends_a_truncated_frame():
-    answer, reader = encode_reply(3, Code.POS_READ, 500), Reader()
+    answer, reader = encode_reply(3, Code.POS_READ, 500), LxFrameReader()
     assert reader.feed(answer[:7]) == [] and len(reader) == 7
     assert reader.silence() == [] and reader.skipped == 7
     assert reader.feed(answer) == [decode(answer)]
@@ -251,12 +251,12 @@ def test_silence_ends_a_truncated_frame():
 def test_a_frame_inside_a_damaged_one_is_found():
     """The header and length of a frame whose rest was lost claim the bytes of the next."""
     begun, answer = encode(1, Code.MOVE_TIME_WRITE, 500, 1000)[:5], encode_reply(2, Code.VIN_READ, 7400)
-    reader = Reader()
+    reader = LxFrameReader()
     assert reader.feed(begun + answer + answer) == [decode(answer)] * 2 and reader.damaged == 1
 
 
 def test_the_reader_keeps_nine_bytes_at_most():
-    reader, rng = Reader(), random.Random(0)
+    reader, rng = LxFrameReader(), random.Random(0)
     for _ in range(2_000):
         reader.frames(bytes(rng.choice([0x55, 1, 3, 7, rng.randrange(256)]) for _ in range(rng.randint(1, 30))))
         assert len(reader) < lx_bus.MOST_BYTES
@@ -272,7 +272,7 @@ def all_frames(rng: random.Random) -> list[bytes]:
             values = [rng.randint(field.least, field.most) for field in fields]
             values = sorted(values) if "LIMIT" in code.name and len(values) == 2 else values
             if len(set(values)) == len(values) or "LIMIT" not in code.name:
-                found.append(bytes_of(Frame(rng.randint(0, 253), code, tuple(values), reply)))
+                found.append(bytes_of(LxFrame(rng.randint(0, 253), code, tuple(values), reply)))
     return found
 
 
@@ -314,7 +314,7 @@ def fuzz(seed: int, count: int) -> dict[str, Tally]:
     rng, tally = random.Random(seed), dict.fromkeys(SORTS, Tally())
     valid = all_frames(rng)
     for number in range(count):
-        sort, sent, sound, reader = SORTS[number % len(SORTS)], rng.choice(valid), rng.choice(valid), Reader()
+        sort, sent, sound, reader = SORTS[number % len(SORTS)], rng.choice(valid), rng.choice(valid), LxFrameReader()
         data = spoiled(rng, sent, sort)
         if data == sent:
             continue

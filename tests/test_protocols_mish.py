@@ -13,8 +13,8 @@ from protocol_values import ANGLE, damaged, floats, mish_datagrams
 from fishmj.base.calib import constant
 from fishmj.base.errors import UnknownName
 from fishmj.deploy.protocols import mish
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.messages import Telemetry
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 ROW = st.tuples(ANGLE, ANGLE, ANGLE)
 IDS = st.tuples(*[st.integers(0, 253)] * 3)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from fishmj.deploy.protocols import fishmj1, lx_bus, mish
+from fishmj.deploy.protocols.firmware_guard import Bounds
 from fishmj.deploy.protocols.fishmj1 import FieldFlags, Kind
-from fishmj.deploy.protocols.guard import Bounds
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
 from fishmj.deploy.protocols.watchdog import LATE, LONGEST, Limits
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fishmj.deploy.protocols import servo_counts
-from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 ZERO = st.floats(-0.2, 0.2)
 

@@ -15,12 +15,12 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.control.policy import structure_sha256
 from fishmj.deploy.commands import swim_command
-from fishmj.deploy.link.servo_bus import ServoBusLink
+from fishmj.deploy.link.servo_bus_link import ServoBusLink
 from fishmj.deploy.loopback import lockstep_wiring
+from fishmj.deploy.loopback.loopback_server import LoopbackServer, ServeOptions
+from fishmj.deploy.loopback.loopback_servos import LoopbackServos
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings
 from fishmj.deploy.loopback.readings import Readings
-from fishmj.deploy.loopback.server import ServeOptions, Server
-from fishmj.deploy.loopback.servos import Servos
-from fishmj.deploy.loopback.settings import Settings
 from fishmj.deploy.protocols import dynamixel, servo_counts
 from fishmj.deploy.protocols.dynamixel import Instruction
 from fishmj.deploy.protocols.messages import ServoFault
@@ -33,7 +33,7 @@ from fishmj.mjcf.new import __main__ as new
 from fishmj.mjcf.new.answers import sheet_file
 from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.servos import SHELF
-from fishmj.water.identity import water_identity
+from fishmj.water.water_identity import water_identity
 from tests.deploying import FakeClock
 
 RIG = RigSpec(servo_ids=(4, 7, 9), signs=(1, -1, 1), zeros=(0.1, 0.0, -0.2))
@@ -50,7 +50,7 @@ class Line:
     def __init__(self, clock, bus):
         self.clock, self.unplugged, self.written = clock, set(), b""
         self.robot = replace(load_robot("fish"), rig=replace(RIG, bus=bus))
-        self.servos, self._line, self.change, self.stall = Servos(self.robot), b"", lambda data: data, 0.0
+        self.servos, self._line, self.change, self.stall = LoopbackServos(self.robot), b"", lambda data: data, 0.0
         self.see((0.0, 0.0, 0.0))
 
     def see(self, joint, degrees=31.0):
@@ -119,7 +119,7 @@ def test_an_x_series_is_asked_by_one_sync_read_and_told_by_sync_writes():
     port.written = b""
     ticks(clock, link, 1)
     link.send(np.zeros(3), clock.t)
-    packets = dynamixel.Reader(dynamixel.Protocol2()).frames(port.written)
+    packets = dynamixel.PacketReader(dynamixel.Protocol2()).frames(port.written)
     assert [p.instruction for p in packets] == [Instruction.SYNC_READ, Instruction.READ, Instruction.SYNC_WRITE]
     assert packets[0].data == struct.pack("<HH", 132, 15) + bytes(RIG.servo_ids)
     assert packets[2].data[:4] == struct.pack("<HH", 116, 4) and link.counts["asked_again"] == 0
@@ -337,8 +337,8 @@ def test_a_servo_of_another_number_is_named_before_arming(two, tmp_path, capsys)
 def test_servos_answer_on_a_pseudo_terminal(two):
     """The loopback robot's own server, moved by hand: bytes of a question in, bytes of the answer out."""
     clock = [0.0]
-    settings = Settings(robot=str(two[0]), body="structured", protocol="servo-bus")
-    server = Server(ServeOptions(settings=settings, camera=False), lambda: clock[0])
+    settings = LoopbackSettings(robot=str(two[0]), body="structured", protocol="servo-bus")
+    server = LoopbackServer(ServeOptions(settings=settings, camera=False), lambda: clock[0])
     bus = BUSES["dynamixel-x"]
     try:
         assert server.told()["robot_port"] is None

@@ -47,7 +47,7 @@ def test_sim_equals_the_closed_form_engine_over_100_ticks(turbulence, path):
     sim = Sim(robot, water="structured", flow=flow, swimmer=swimmer, latency=13 * 0.004, pose=(0.1, -0.2, 0.5))
     sim.run(commands, 2.0)
     with jax.enable_x64(True):
-        state, trace = planar.Engine(robot).advance(
+        state, trace = planar.PlanarEngine(robot).advance(
             engines.at_rest(robot, [[0.1, -0.2, 0.5]]), commands[None], params, stack([flow]), np.array([0])
         )
         expected = np.asarray(trace.pose[0]), np.asarray(trace.joint[0]), np.asarray(trace.power[0])

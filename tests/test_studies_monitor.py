@@ -7,8 +7,8 @@ import pytest
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_json
-from fishmj.deploy.monitor.rows import as_heard
 from fishmj.deploy.monitor.statistics import Reference, learn
+from fishmj.deploy.monitor.tick_interpolation import as_heard
 from studies.monitor import __main__ as study
 from studies.monitor import loopback_swims, results
 from studies.monitor.loopback_swims import swim

@@ -9,8 +9,8 @@ import pytest
 
 from fishmj.base import console
 from fishmj.gap.measured import significance, term_sizes
-from fishmj.gap.measured.command import TEMPLATES, main
 from fishmj.gap.measured.decoy_terms import RIVALS
+from fishmj.gap.measured.measured_command import TEMPLATES, main
 from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody
 from fishmj.gap.measured.study_build import built
 from fishmj.gap.measured.study_logs import logs_of

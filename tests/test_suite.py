@@ -18,7 +18,7 @@ from dm_env import test_utils
 
 from fishmj import engines, suite
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.engines.lbm import Engine as LbmEngine
+from fishmj.engines.lbm import LbmEngine as LbmEngine
 from fishmj.engines.single import HookedWater
 from fishmj.tasks.dm_control import physics as fish_physics
 from fishmj.tasks.episode import Episodes

@@ -10,9 +10,9 @@ pytest.importorskip("numba")
 from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.gap.laboratory.virtual_robot import ClosedLoopRobot, generate, plant
 from fishmj.gap.laboratory.virtual_robot.chain import assemble
-from fishmj.gap.laboratory.virtual_robot.figures import coast, steady
 from fishmj.gap.laboratory.virtual_robot.servo import stick_slip
 from fishmj.gap.laboratory.virtual_robot.simulate import at_rest, run, workspace
+from fishmj.gap.laboratory.virtual_robot.virtual_robot_figures import coast, steady
 from fishmj.gap.laboratory.virtual_robot.water import crossflow, trailing_edge
 from fishmj.log import excitation
 

@@ -6,7 +6,7 @@ import pytest
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.camera.localiser import InStep
 from fishmj.deploy.loopback.lockstep import FixNoise, LockstepClock, PoseTracker
-from fishmj.deploy.loopback.settings import Settings, make_robot
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, make_robot
 from fishmj.evaluate import protocol
 from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold
@@ -50,7 +50,9 @@ def test_the_direct_simulation_gets_the_noise_that_was_measured():
 
 
 def test_fixes_are_compared_with_the_pose_that_their_frame_shows():
-    clock = LockstepClock(make_robot(Settings(seed=4, flow=protocol.trials(speeds=(0.3,), seed=1, turbulence="gust").flows()[0])))
+    clock = LockstepClock(
+        make_robot(LoopbackSettings(seed=4, flow=protocol.trials(speeds=(0.3,), seed=1, turbulence="gust").flows()[0]))
+    )
     camera = Remembering(clock)
     compared = Compared(PoseTracker(FixNoise(0.004, 0.03, missed=0.1), seed=5), camera)
     eyes = InStep(camera, compared)

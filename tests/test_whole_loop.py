@@ -14,7 +14,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import read_json, write_json
 from fishmj.deploy.commands import swim_command
-from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.rig import rig_experiment
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import command_latency, nominal_params
@@ -84,7 +84,9 @@ def test_the_host_knows_the_latency_of_a_patched_description():
     assert command_latency(robot) == pytest.approx(0.06) and command_latency(patched) == pytest.approx(0.21)
     assert nominal_params(patched, 1).delay[0] == round(0.21 / robot.timing.physics_dt)
     link = SimpleNamespace(greets=True)
-    reach = [Swim(rig_of(r, link), None, Plan(), None).limiter(np.full(3, 1.0), np.zeros(3), 0.0)[0] for r in (robot, patched)]
+    reach = [
+        SwimLoop(rig_of(r, link), None, SwimPlan(), None).limiter(np.full(3, 1.0), np.zeros(3), 0.0)[0] for r in (robot, patched)
+    ]
     assert reach == pytest.approx([5.2 * 0.08, 1.0])  # as far as a servo turns until the command acts
 
 

@@ -48,7 +48,7 @@ print(json.dumps({"build": torch.version.cuda, "usable": torch.cuda.is_available
 """
 
 
-class Finding(NamedTuple):
+class DoctorFinding(NamedTuple):
     """One line of the report. `state`: ok, note (works, know this), no (an option that is absent), bad (must be mended)."""
 
     section: str
@@ -75,13 +75,13 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if bad else console.OK
 
 
-def examine() -> list[Finding]:
+def examine() -> list[DoctorFinding]:
     """All findings, in the order of the report."""
     findings = [*machine(), *packages(), *devices(), *surroundings(), *known_issues()]
     return [*findings, *verdicts(findings)]
 
 
-def verdicts(findings: list[Finding]) -> list[Finding]:
+def verdicts(findings: list[DoctorFinding]) -> list[DoctorFinding]:
     """Derives from the findings which parts of fishmj work here and which do not."""
     state = {(f.section, f.name): f.state for f in findings}
     core = all(f.state == "ok" for f in findings if f.section == "core")
@@ -104,7 +104,9 @@ def verdicts(findings: list[Finding]) -> list[Finding]:
             "no browser here; open the file elsewhere",
         ),
     )
-    return [Finding("works", name, "ok" if good else "no", text if good else otherwise) for name, good, text, otherwise in rows]
+    return [
+        DoctorFinding("works", name, "ok" if good else "no", text if good else otherwise) for name, good, text, otherwise in rows
+    ]
 
 
 # packages
@@ -122,7 +124,7 @@ def requirements() -> list[str]:
     return metadata.requires("fishmj") or []
 
 
-def packages(lines: list[str] | None = None) -> list[Finding]:
+def packages(lines: list[str] | None = None) -> list[DoctorFinding]:
     """Core packages and extras against what is installed."""
     lines = requirements() if lines is None else lines
     if importlib.util.find_spec("packaging") is None:
@@ -141,11 +143,11 @@ def packages(lines: list[str] | None = None) -> list[Finding]:
             extras.setdefault(extra, []).extend(_lacking(wanted, extra))
     for extra, missing in extras.items():
         text = f'{", ".join(missing)}: pip install "fishmj[{extra}]"' if missing else "installed"
-        out.append(Finding("extras", extra, "no" if missing else "ok", text))
+        out.append(DoctorFinding("extras", extra, "no" if missing else "ok", text))
     return out
 
 
-def _presence(lines: list[str]) -> list[Finding]:
+def _presence(lines: list[str]) -> list[DoctorFinding]:
     """Checks only that the core packages are present: without `packaging` no version can be compared."""
     out = []
     for line in lines:
@@ -153,7 +155,7 @@ def _presence(lines: list[str]) -> list[Finding]:
             name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
             found = version(name)
             text = f"{found}, not compared" if found else f'missing: pip install "{line}"'
-            out.append(Finding("core", name, "note" if found else "bad", text))
+            out.append(DoctorFinding("core", name, "note" if found else "bad", text))
     return out
 
 
@@ -177,11 +179,11 @@ def _extra(line: str) -> str | None:
     return condition.split("extra ==")[1].strip().strip("\"'()") if "extra ==" in condition else None
 
 
-def _core(name: str, wanted: str, found: str | None, fits: bool) -> Finding:
+def _core(name: str, wanted: str, found: str | None, fits: bool) -> DoctorFinding:
     if fits:
-        return Finding("core", name, "ok", str(found))
+        return DoctorFinding("core", name, "ok", str(found))
     got = f"found {found}" if found else "missing"
-    return Finding("core", name, "bad", f'{got}, needs {wanted}: pip install "{name}{wanted}"')
+    return DoctorFinding("core", name, "bad", f'{got}, needs {wanted}: pip install "{name}{wanted}"')
 
 
 def version(name: str) -> str | None:
@@ -195,14 +197,14 @@ def version(name: str) -> str | None:
 # machine
 
 
-def machine() -> list[Finding]:
+def machine() -> list[DoctorFinding]:
     """Findings on Python, the system and the cores."""
     fits, python = (3, 11) <= sys.version_info[:2] < (3, 13), f"{platform.python_version()} at {sys.executable}"
     system = ("bad", "not supported: run it inside WSL") if platform.system() == "Windows" else ("ok", platform.platform())
     return [
-        Finding("machine", "python", "ok" if fits else "bad", python if fits else f"{python}; fishmj needs 3.11 or 3.12"),
-        Finding("machine", "system", *system),
-        Finding("machine", "cores", "ok", f"{usable_cores()} usable of {os.cpu_count()}, {processor()}"),
+        DoctorFinding("machine", "python", "ok" if fits else "bad", python if fits else f"{python}; fishmj needs 3.11 or 3.12"),
+        DoctorFinding("machine", "system", *system),
+        DoctorFinding("machine", "cores", "ok", f"{usable_cores()} usable of {os.cpu_count()}, {processor()}"),
     ]
 
 
@@ -222,17 +224,17 @@ def browser() -> str | None:
     return shutil.which(named) if named else next((p for name in BROWSERS if (p := shutil.which(name))), None)
 
 
-def surroundings() -> list[Finding]:
+def surroundings() -> list[DoctorFinding]:
     """Findings on the browser, writable folders and the shipped files."""
     found = browser()
     missing = "none of " + ", ".join(BROWSERS) + ": replays are written and open in any browser, their test is skipped"
-    out = [Finding("files", "browser", "ok" if found else "no", found or missing)]
+    out = [DoctorFinding("files", "browser", "ok" if found else "no", found or missing)]
     for name, folder in (("here", Path.cwd()), ("temporary", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free / 2**30
         writable = os.access(folder, os.W_OK)
         text = f"{folder}, {free:.1f} GiB free" if writable else f"{folder} cannot be written: run from another folder"
-        out.append(Finding("files", name, "note" if not writable or free < 1 else "ok", text))
-    return [*out, Finding("files", "calibration", *_calibration())]
+        out.append(DoctorFinding("files", name, "note" if not writable or free < 1 else "ok", text))
+    return [*out, DoctorFinding("files", "calibration", *_calibration())]
 
 
 def _calibration() -> tuple[str, str]:
@@ -275,7 +277,7 @@ def probe(code: str, needs: str) -> dict | str:
         return "gave no answer that can be read"
 
 
-def devices() -> list[Finding]:
+def devices() -> list[DoctorFinding]:
     """Findings on the GPUs as the driver, jax, warp and torch report them."""
     driver, told = _nvidia()
     card = driver == "ok"
@@ -298,7 +300,7 @@ def devices() -> list[Finding]:
     else:
         of_torch = "ok", f"built for {torch['build'] or 'CPU'}"
     rows = {"nvidia": (driver, told), "jax": of_jax, "warp": of_warp, "torch": of_torch}
-    return [Finding("devices", name, *found) for name, found in rows.items()]
+    return [DoctorFinding("devices", name, *found) for name, found in rows.items()]
 
 
 def _nvidia() -> tuple[str, str]:
@@ -319,9 +321,9 @@ def _nvidia() -> tuple[str, str]:
 # known issues of the packages below
 
 
-def known_issues() -> list[Finding]:
+def known_issues() -> list[DoctorFinding]:
     """Known faults of the packages below; each is reported only on a machine that it affects."""
-    return [Finding("traps", *found) for found in _traps()]
+    return [DoctorFinding("traps", *found) for found in _traps()]
 
 
 def _traps() -> Iterator[tuple[str, str, str]]:

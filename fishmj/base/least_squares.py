@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Trial(NamedTuple):
+class DampedStep(NamedTuple):
     """The best step of a round. x (K,), its residual (m,) and cost, and the damping's place in the list."""
 
     x: np.ndarray
@@ -50,13 +50,13 @@ class Problem(NamedTuple):
         prior = self.precision * np.outer(self.step, self.step)
         return jacobian @ jacobian.T + prior, jacobian @ residual + prior @ ((x - self.mean) / self.step)
 
-    def best(self, x: np.ndarray, changes: np.ndarray) -> Trial:
+    def best(self, x: np.ndarray, changes: np.ndarray) -> DampedStep:
         """The best of the steps (D, K), in difference steps from x."""
         tried = np.clip(x + changes * self.step, self.low, self.high)
         residual = self.residual(tried)
         costs = self.cost(residual, tried)
         place = int(np.argmin(costs))
-        return Trial(tried[place], residual[place], float(costs[place]), place)
+        return DampedStep(tried[place], residual[place], float(costs[place]), place)
 
 
 def differences(x: np.ndarray, step: np.ndarray, high) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from fishmj.control.gait_table import SpeedToGait, throttle_of
 from fishmj.mjcf.description import Robot
 
 
-class Observer:
+class ExtendedStateObserver:
     """Discrete extended state observer of order 2 or 3 for z1^(order - 1) = f + b u, all B at once."""
 
     def __init__(self, order: int, bandwidth: float, gain: float, dt: float):
@@ -53,8 +53,8 @@ class Adrc:
     def __init__(self, name: str, cpg: Cpg, throttle: SpeedToGait, navigator: StateEstimator, gains):
         self.name, self.cpg, self.throttle, self.navigator, self.k = name, cpg, throttle, navigator, gains
         k, self.dt = gains, navigator.dt
-        self.heading = Observer(3, k["wo"], -k["b0"], self.dt)
-        self.distance = Observer(2, k["distance_wo"], -k["distance_b0"], self.dt)
+        self.heading = ExtendedStateObserver(3, k["wo"], -k["b0"], self.dt)
+        self.distance = ExtendedStateObserver(2, k["distance_wo"], -k["distance_b0"], self.dt)
 
     def reset(self, n: int) -> None:
         """Starts n fish; the first observation sets the observers."""

@@ -13,7 +13,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
-from fishmj.water.identity import water_identity
+from fishmj.water.water_identity import water_identity
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
 TOLD = ("robot", "structure_sha256", "constants_sha256", "water", "command_path", "seed", "command")  # of a header

@@ -38,7 +38,7 @@ COMMANDS = {
         "fishmj deploy trials --policy station --link loopback --yes --speeds 0.2 --los 0,180 --repeats 1 --out runs/trials",
     ),
     "loopback": Command(
-        "fishmj.deploy.loopback.command",
+        "fishmj.deploy.loopback.loopback_command",
         "a robot without a fish, on this computer, faults included",
         "fishmj deploy loopback --fault loss=0.02 --flow 0.2,3.14",
     ),

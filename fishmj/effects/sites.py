@@ -96,7 +96,7 @@ class LocalWater(NamedTuple):
     instant: Any  # part of the forces that belongs to the added mass and follows the motion at once, same form
 
 
-class Measured(NamedTuple):
+class SensorReadings(NamedTuple):
     """Sensor readings at the times of one record, arrays (..., T); joints (..., T, J)."""
 
     t: Any  # s

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, Measured, ServoDrive
+from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
 
 BASE = 2  # memory that is always there: current from the supply [A], time [s]
 
@@ -214,7 +214,7 @@ def gusts(active: EffectStack, parameters, t, rng) -> np.ndarray:
     return total
 
 
-def noise(active: EffectStack, parameters, seen: Measured, sigma: Measured, rng) -> Measured:
+def noise(active: EffectStack, parameters, seen: SensorReadings, sigma: SensorReadings, rng) -> SensorReadings:
     """`seen` with noise beyond that of the data sheets; sigma has their standard deviations, one number a channel."""
     for effect, p in active.drawn(parameters, "seen"):
         seen = effect.scatter(rng, p, (seen, sigma))

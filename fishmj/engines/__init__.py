@@ -24,7 +24,8 @@ from fishmj.water.flow import Current
 from fishmj.water.prior import flat as flat_water
 from fishmj.water.prior import unflat
 
-NAMES = ("planar", "compiled", "batch", "mjx")
+ENGINES = {"planar": "PlanarEngine", "compiled": "CompiledEngine", "batch": "BatchEngine", "mjx": "MjxEngine"}  # module -> class
+NAMES = tuple(ENGINES)
 T = TypeVar("T")
 Steps = Generator[None, None, T]  # pauses while a device works; its value is what it was asked for
 BUFFER = 9  # bus commands remembered at least, newest last: latencies up to 7 ticks
@@ -96,7 +97,7 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
         raise UnknownName("engine", name, NAMES)
     robot = load_robot(robot)
     robot = in_water(robot, who=f"the engine {name}") if "model" in robot.water else robot  # stated or chosen
-    return import_module(f"fishmj.engines.{name}").Engine(robot, **options)
+    return getattr(import_module(f"fishmj.engines.{name}"), ENGINES[name])(robot, **options)
 
 
 def fastest() -> str:

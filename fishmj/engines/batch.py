@@ -28,7 +28,7 @@ from fishmj.water.flow import Current, sample
 SMALLEST = 16  # fish below which a second thread does not pay
 
 
-class Engine(Copied):
+class BatchEngine(Copied):
     """MuJoCo C, batched. NumPy in, NumPy out; not jit-able.
 
     Each thread has one `ThreadedBatch` with a part of the fish; MuJoCo, the evaluator and large NumPy operations hold no lock.
@@ -55,7 +55,7 @@ class Engine(Copied):
         self._table: tuple = (None, None)  # as it was given, and in float64
         self._pool = ThreadPoolExecutor(threads, "fishmj-batch")
 
-    def __deepcopy__(self, memo: dict) -> "Engine":
+    def __deepcopy__(self, memo: dict) -> "BatchEngine":
         twin = object.__new__(type(self))
         vars(twin).update(vars(self))
         twin._start(len(self.shoals))
@@ -110,7 +110,7 @@ class ThreadedBatch:
         self._params: FishParams | None = None
 
     def advance(self, state: FishState, commands, params: FishParams, current: Current, tick):
-        """Advances like `Engine.advance`, for quantised commands.
+        """Advances like `BatchEngine.advance`, for quantised commands.
 
         Returns (FishState, Trace, indices of the fish that diverged).
         """
@@ -164,7 +164,7 @@ def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None) -> tupl
     """
     if name != "jax":
         try:
-            from fishmj.engines.compiled import Engine as Compiled
+            from fishmj.engines.compiled import CompiledEngine as Compiled
 
             compiled = Compiled(robot, threads=1)  # each shoal brings its own thread
             compiled._evaluate, compiled._look  # noqa: B018  compile now, not in the first step

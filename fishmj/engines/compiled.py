@@ -2,7 +2,7 @@
 
 The physics is `planar_chain.step`, translated and compiled (numba_build.py), 16 fish in a vector loop. The network of a learnt
 residual is a loop of its own, which takes the weights as an argument (residual_lanes.py). Threads share blocks of fish and hold
-no lock. `advance` equals `planar.Engine.advance` to round-off; a fish moves the same, to the bit, in any batch and with any
+no lock. `advance` equals `planar.PlanarEngine.advance` to round-off; a fish moves the same, to the bit, in any batch and with any
 number of threads.
 
     from NumPy          state, trace = engine.advance(state, commands, params, current, tick)
@@ -62,7 +62,7 @@ class Applied(NamedTuple):
     memory: np.ndarray  # (B, M) after the step
 
 
-class Engine(Copied):
+class CompiledEngine(Copied):
     """Compiled closed-form engine; compiles at the first `advance` or `forces` (seconds, cached on disk).
 
     Args:

@@ -4,7 +4,7 @@
 These functions are compiled as text: `numba_build.py` puts a decorator on each and, in front, a header that defines `real` (the
 float type), the elementary functions, the straight-line `physics`, `centres` and `forces`, and the names in capitals. The
 workspace `w` holds one quantity a row and LANES fish a row, so every loop over `i` becomes vector instructions. `advance`
-mirrors `planar.Engine.advance` and `flow.sample` line by line; tests/test_compiled.py holds them equal.
+mirrors `planar.PlanarEngine.advance` and `flow.sample` line by line; tests/test_compiled.py holds them equal.
 """
 
 import numpy as np

@@ -32,7 +32,7 @@ from fishmj.water.flow import Flow
 HELD = 1.0  # s
 
 
-class Engine:
+class LbmEngine:
     """Tanks for the given flows, in their order.
 
     Args:

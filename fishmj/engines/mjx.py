@@ -23,7 +23,7 @@ from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Current, sample
 
 
-class Engine(Copied):
+class MjxEngine(Copied):
     """MJX engine; `advance` is pure and may be called inside jit and scan.
 
     The float type is JAX's at construction: build and call it inside `jax.enable_x64(True)` for float64.

@@ -19,7 +19,7 @@ from fishmj.base.errors import OwnCodeError
 from fishmj.base.names import is_name
 from fishmj.effects import Effect, EffectStack
 from fishmj.effects.effect import CLOCKS, Parameter
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.effects.stack import delivered
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
@@ -134,7 +134,7 @@ def _identity(active: EffectStack, what: str) -> None:
     rng = np.random.default_rng(1)
     sent = rng.normal(size=(20, active.joints))
     x, y, yaw, power = rng.normal(size=(4, 20))
-    seen = Measured(0.02 * np.arange(20), x, y, yaw, sent, power)
+    seen = SensorReadings(0.02 * np.arange(20), x, y, yaw, sent, power)
     got = plugins.call(f"{what}, command", delivered, np, active, active.null, sent, ch.dt)
     read = plugins.call(f"{what}, measure", active.measure, np, active.null, seen)
     late = [active.delay(np, active.null, clock, seen.t) for clock in CLOCKS]

@@ -31,7 +31,7 @@ def link_centres(xp, ch: planar_chain.Chain, q):
     return xp.stack([xp.stack(centre, -1) for centre in centres(xp, ch, columns)], -2)
 
 
-class Engine(Copied):
+class PlanarEngine(Copied):
     """Closed-form engine. `advance` is pure and may be called inside jit, vmap and scan."""
 
     jittable = True

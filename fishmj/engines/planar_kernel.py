@@ -1,9 +1,9 @@
 """The physics steps of a bus tick in one kernel of an NVIDIA GPU, by Pallas and Triton.
 
-    state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.Engine.physics`, float32
+    state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.PlanarEngine.physics`, float32
 
-`Engine.step` is traced unchanged on a block of fish: the physics is not written here. Parameters and state of a fish stay in
-registers; the weights of the learnt force, the same for all, come from cache. The kernel computes the forward pass only;
+`PlanarEngine.step` is traced unchanged on a block of fish: the physics is not written here. Parameters and state of a fish stay
+in registers; the weights of the learnt force, the same for all, come from cache. The kernel computes the forward pass only;
 gradients use the same steps in XLA.
 """
 

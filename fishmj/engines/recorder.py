@@ -8,7 +8,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError, SimDiverged
 from fishmj.base.source import made_by
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.engines.extensions import Extensions
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
@@ -60,7 +60,7 @@ def reported(added: Extensions, t, pose, joint, rate, power):
     late = {clock: t - np.asarray(added.late(np, added.row, clock, t)) for clock in ("pose", "joint", "power")}
     x, y, yaw = cubic(t, pose[:, :3], pose[:, 3:], late["pose"]).T
     moved = np.stack([np.interp(late["joint"], t, column) for column in rate.T], 1)
-    seen = Measured(t, x, y, yaw, cubic(t, joint, rate, late["joint"]), np.interp(late["power"], t, power))
+    seen = SensorReadings(t, x, y, yaw, cubic(t, joint, rate, late["joint"]), np.interp(late["power"], t, power))
     seen = added.active.measure(np, added.row.tolist(), seen)
     return np.concatenate([np.stack([seen.x, seen.y, seen.yaw], 1), pose[:, 3:]], 1), seen.joint, moved, seen.power
 

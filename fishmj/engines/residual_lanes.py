@@ -138,7 +138,7 @@ def hooks_from_network_output(xp, ch: planar_chain.Chain, shape: Shape, inner: A
     if shape.ranged:
         n, seen, given = shape.links, residual_hooks.SEEN, iter(a["range"])
         take = lambda *counts: [take(*counts[1:]) for _ in range(counts[0])] if counts else next(given)
-        reach = residual_hooks.Range(take(n, seen), take(n, seen, seen), take(n), take(n), take())
+        reach = residual_hooks.MotionRange(take(n, seen), take(n, seen, seen), take(n), take(n), take())
     unused: Any = None  # the weights are where the network is
     learnt = residual_hooks.Residual(unused, reach)
     return PrecomputedResidual(xp, ch, learnt, a["memory"], inner, a["coefficient"], a["spread"], a["next"])

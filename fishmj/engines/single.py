@@ -183,10 +183,10 @@ class CompiledWater(HookedWater):
     """The same water by compiled code, several times as fast. Raises MissingExtra without the extra `fast`."""
 
     def __init__(self, robot: Robot, added: Extensions, swimmer: planar_chain.Swimmer):
-        from fishmj.engines.compiled import Engine
+        from fishmj.engines.compiled import CompiledEngine
 
         super().__init__(robot, added, swimmer)
-        self.engine = Engine(robot, threads=1)
+        self.engine = CompiledEngine(robot, threads=1)
         self.set_fish(nominal_params(robot, 1))
         self.forces(np.zeros(self.chain.n + 2), np.zeros(self.chain.n + 2), np.zeros(self.chain.n - 1))  # compiles now
         self.start()

@@ -10,7 +10,8 @@ from fishmj.base.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.engines import own_effects, tank_effects
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result, compare, summary
-from fishmj.evaluate.report import (
+from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
+from fishmj.evaluate.trial_report import (
     CORRECTED,
     REST,
     STARRED,
@@ -25,7 +26,6 @@ from fishmj.evaluate.report import (
     unbounded,
     write,
 )  # fmt: skip
-from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
 from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option
@@ -194,7 +194,7 @@ def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
     return protocol.measured(trials, {speed: water.intensity for speed, water in waters.items()}, kind)
 
 
-def begin(water: choice.Choice, brains, more: str = "") -> None:
+def begin(water: choice.WaterChoice, brains, more: str = "") -> None:
     """Prints the water of the judgement, and the differences from the policies' training."""
     console.say(f"water: {water.said}{more}")
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
@@ -213,9 +213,9 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
                     bar.stage(f"compiling the engine {args.engine}")
                     engine = choose_engine(args.engine, robot)
                 if args.hybrid is not None:
-                    from fishmj.engines.hybrid.engine import Engine
+                    from fishmj.engines.hybrid.engine import HybridEngine
 
-                    engine = Engine(robot, trials.flows()[0], args.hybrid, inner=engine)
+                    engine = HybridEngine(robot, trials.flows()[0], args.hybrid, inner=engine)
             found = judge(brain, robot, trials, engine)
         results.append(kept.keep(brain, found)._replace(left_out=tuple(args.leave_out)))
         if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest

@@ -32,7 +32,7 @@ from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.water.choice import LBM, in_water
 from fishmj.water.flow import stack
-from fishmj.water.identity import water_identity
+from fishmj.water.water_identity import water_identity
 
 if TYPE_CHECKING:
     from fishmj.lbm_oracle.run.solver_water import SolverWater
@@ -303,9 +303,9 @@ def in_tanks(
     Every trial has a tank and a copy of the controller; a controller that cannot be copied has one trial at a time.
 
     Args:
-        box: options of `engines.lbm.Engine`. nudge: cells by which every fish is shifted.
+        box: options of `engines.lbm.LbmEngine`. nudge: cells by which every fish is shifted.
     """
-    from fishmj.engines.lbm import Engine
+    from fishmj.engines.lbm import LbmEngine
 
     try:
         deepcopy(brain)
@@ -318,7 +318,7 @@ def in_tanks(
         while len(busy) < tanks and waiting:
             i = waiting.popleft()
             one = replace(trials, items=(trials.items[i],))
-            engine = Engine(robot, one.flows(), device=device, **box)
+            engine = LbmEngine(robot, one.flows(), device=device, **box)
             x, y = (cells * engine.domain.dx for cells in nudge)
             own = deepcopy(brain) if tanks > 1 else brain
             busy[i] = engine, running(own, robot, one, engine, (x, y), partial(done.__setitem__, i))

@@ -25,7 +25,7 @@ main = console.CommandGroup(
             "fishmj gap check model.toml --data logs",
         ),
         "bench": Command(
-            "fishmj.gap.bench.command", "the blind benchmark", "fishmj gap bench --cases 20 --small --out runs/blind"
+            "fishmj.gap.bench.bench_command", "the blind benchmark", "fishmj gap bench --cases 20 --small --out runs/blind"
         ),
         "fetch": Command(
             "fishmj.gap.measured.fetch",
@@ -33,7 +33,7 @@ main = console.CommandGroup(
             "fishmj gap fetch tail_fish --out data/tail_fish",
         ),
         "measured": Command(
-            "fishmj.gap.measured.command",
+            "fishmj.gap.measured.measured_command",
             "what a model of a machine of yours lacks, by groups of its records; published sets, too",
             "fishmj gap measured --study my.toml --out report",
         ),

@@ -235,7 +235,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
 
     A preview never replaces a complete model: it is named `<name>-preview`.
     """
-    from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
+    from fishmj.hydro_fit.fit.fit_pipeline import FitPipeline, FitSettings
     from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
     from fishmj.water.prior import flat
 
@@ -343,8 +343,8 @@ def calibrate(robot: Robot, folder: Path, args) -> dict:
 
 def check(robot: Robot, folder: Path, args) -> dict:
     """Judges the model on the test part; a preview's misses are printed but are not a failure."""
+    from fishmj.hydro_fit.fit_report import PREVIEW_TOLERANCES, check_rows
     from fishmj.hydro_fit.free_swims import judge
-    from fishmj.hydro_fit.report import PREVIEW_TOLERANCES, check_rows
 
     model = chosen(robot, args)
     found = judge(model, robot, *held_out(robot, folder, args, model)) | {"preview": model.preview}
@@ -356,7 +356,7 @@ def check(robot: Robot, folder: Path, args) -> dict:
 
 def ablation(robot: Robot, folder: Path, args) -> dict:
     """Fits the model without each of its parts, on the same held-out records."""
-    from fishmj.hydro_fit.fit.pipeline import FitSettings
+    from fishmj.hydro_fit.fit.fit_pipeline import FitSettings
     from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
     from fishmj.hydro_fit.water_ablation import ablation_table
     from fishmj.hydro_fit.water_ablation.ablation import table
@@ -378,7 +378,7 @@ def ablation(robot: Robot, folder: Path, args) -> dict:
 
 def report(robot: Robot, folder: Path, args) -> Path:
     """Writes report.html and report.json beside the model."""
-    from fishmj.hydro_fit.report import write
+    from fishmj.hydro_fit.fit_report import write
 
     model = chosen(robot, args)
     out = Path(args.out or FOLDERS[0]) / f"{model.name if model.preview else robot.name}-report"
@@ -406,11 +406,11 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     ("ablation", "what each part of the model is worth: fits without it, same held-out records",
         "--data data/hydro/swift --seeds 0,1,2"),
     ("hybrid", "MuJoCo's water corrected by the solver while it swims",
-        "--wrong stream --domain laptop --episodes 1 --seconds 20", "fishmj.evaluate.hybrid_trials.command"),
+        "--wrong stream --domain laptop --episodes 1 --seconds 20", "fishmj.evaluate.hybrid_trials.hybrid_trials_command"),
     ("correct", "rounds of a policy's own states, solved and refitted",
         "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.hydro_fit.campaign.dagger.dagger"),
     ("rank", "controllers in the solver and in the fitted water, on the same trials",
-        "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.evaluate.rank_waters.command"),
+        "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.evaluate.rank_waters.rank_waters_command"),
 )  # fmt: skip
 COMMANDS = {
     verb: Command(module[0] if module else partial(run, verb), summary, f"fishmj hydro_fit {verb} {example}")

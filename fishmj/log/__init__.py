@@ -1,8 +1,8 @@
 """The trial folder: one log schema for simulators, evaluator, robot and data sets. See docs/search/logs.md."""
 
 from fishmj.log.dataset import Dataset, read_dataset, write_dataset
-from fishmj.log.folder import read_trial, write_trial
 from fishmj.log.trial import SCHEMA, TABLES, Table, TableSpec, Trial, gaps, numbered, segments, stacked
+from fishmj.log.trial_folder import read_trial, write_trial
 
 __all__ = [
     "SCHEMA",

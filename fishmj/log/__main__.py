@@ -10,10 +10,10 @@ from fishmj.base.store import Manifest
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import physical_checks
 from fishmj.log.dataset import read_dataset
-from fishmj.log.folder import META_FILE, faults, read_trial
 from fishmj.log.importers import gather
 from fishmj.log.limits import bare
 from fishmj.log.timebase import audit
+from fishmj.log.trial_folder import META_FILE, faults, read_trial
 
 
 def check(argv: list[str]) -> int:

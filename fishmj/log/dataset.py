@@ -24,10 +24,10 @@ from fishmj.base.names import checked
 from fishmj.base.store import Manifest, plain, read_npz, sha256, write_npz
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import measurements
-from fishmj.log.folder import FLAT_FILE, META_FILE, read_trial, write_trial
 from fishmj.log.table_files import row_place
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import check_table
+from fishmj.log.trial_folder import FLAT_FILE, META_FILE, read_trial, write_trial
 
 DEEP, MOST = 3, 20_000  # levels below a data set, and folders in all, where trials are looked for
 NEEDED = (

@@ -27,10 +27,10 @@ from fishmj.base.store import put_in_place, temporary_beside, write_text
 from fishmj.base.store.manifest import MANIFEST, Manifest
 from fishmj.log import foxglove, measurements, toml, trial_check
 from fishmj.log.dataset import read_bundle, read_dataset
-from fishmj.log.folder import META_FILE, read_trial, write_trial
 from fishmj.log.foxglove import Json, Solid
 from fishmj.log.table_files import row_place
 from fishmj.log.trial import SCHEMA, TABLES, Trial, stacked, table_spec, unit
+from fishmj.log.trial_folder import META_FILE, read_trial, write_trial
 
 FORMS = ("mcap", "csv", "parquet")
 NEEDS = {"mcap": "mcap", "parquet": "pyarrow"}

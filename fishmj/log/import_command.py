@@ -15,7 +15,6 @@ from fishmj.base.store import Manifest, write_text
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import importers, measurements, physical_checks
 from fishmj.log.dataset import write_dataset
-from fishmj.log.folder import checked_meta
 from fishmj.log.importers import gather, guess, guessed, other_files, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert, go_on, in_order
@@ -24,6 +23,7 @@ from fishmj.log.limits import bare
 from fishmj.log.timebase import offsets
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
+from fishmj.log.trial_folder import checked_meta
 
 ABOUT = """\
 Recordings -> a data set of trial folders with a manifest. Sources are never changed.

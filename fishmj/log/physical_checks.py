@@ -49,7 +49,7 @@ STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and 
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 
 
-class Finding(NamedTuple):
+class PhysicalFinding(NamedTuple):
     """One breach. level: IMPORT, USE or NOTE. text: what, where, got, expected, what to do."""
 
     check: str
@@ -66,7 +66,7 @@ class PhysicalCheck(NamedTuple):
     find: Callable[[Trial, Plausible], Iterator[tuple[str, str]]]
 
 
-def examine(trial: Trial, only: Iterable[str] = ()) -> list[Finding]:
+def examine(trial: Trial, only: Iterable[str] = ()) -> list[PhysicalFinding]:
     """Findings of all checks on one trial; [] if it is sound or lacks the needed motion.
 
     Args:
@@ -78,7 +78,7 @@ def examine(trial: Trial, only: Iterable[str] = ()) -> list[Finding]:
     bounds = bounds_of(trial.meta, trial.name or "trial")
     wanted = set(only) or {check.name for check in CHECKS}
     return [
-        Finding(check.name, level, f"{text}; if it is right, allow it with {check.bound} in [plausible] of meta.toml")
+        PhysicalFinding(check.name, level, f"{text}; if it is right, allow it with {check.bound} in [plausible] of meta.toml")
         for check in CHECKS
         if check.name in wanted
         for level, text in check.find(trial, bounds)

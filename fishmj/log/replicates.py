@@ -35,7 +35,7 @@ SHIFT = 0.4  # s, how far motions are moved onto each other
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelScatter:
     """Scatter of one channel between replicates. `floor` is its standard deviation, in the channel's unit."""
 
     name: str
@@ -60,9 +60,9 @@ class Group:
     trials: tuple[str, ...]
     seconds: float  # compared over
     aligned: str  # "command": time since the command began; "motion": moved onto each other; "start": time since the first row
-    channels: tuple[Channel, ...]
+    channels: tuple[ChannelScatter, ...]
 
-    def channel(self, name: str) -> Channel:
+    def channel(self, name: str) -> ChannelScatter:
         """Scatter of the channel `name`; raises LogError if the group lacks it."""
         for channel in self.channels:
             if channel.name == name:
@@ -135,7 +135,7 @@ def scatter(key: str, trials: list[Trial]) -> Group:
         variance = float(np.mean(np.var(values, axis=0, ddof=1)))
         tau = autocorrelation_time(values - values.mean(axis=0))
         step = float(grid[1] - grid[0])
-        out.append(Channel(name, unit, variance, math.sqrt(variance), tau * step, max(len(grid) / tau, 1.0), len(trials)))
+        out.append(ChannelScatter(name, unit, variance, math.sqrt(variance), tau * step, max(len(grid) / tau, 1.0), len(trials)))
         longest = max(longest, float(grid[-1] - grid[0]))
     if not out:
         raise LogError(f"{key}: the replicates share no channel over at least ten rows; record longer, or with the same tables")

@@ -25,7 +25,7 @@ from scipy.stats import f as f_test
 from scipy.stats import t as student
 
 from fishmj.base.errors import LogError
-from fishmj.log.clock_offset import LONGEST, REACH, offset_between, rates
+from fishmj.log.clock_alignment import LONGEST, REACH, offset_between, rates
 from fishmj.log.trial import Table, Trial, gaps, stacked
 
 WINDOW = 2.0  # s, one bootstrap unit
@@ -266,7 +266,7 @@ def _rival(curve: np.ndarray, at: float) -> bool:
 
 
 @dataclass(frozen=True)
-class Clock:
+class TableClock:
     """Stamps of one table. Times in s, `rate` in Hz; jitter is |step - median step|."""
 
     table: str
@@ -290,7 +290,7 @@ class Audit:
     """All clocks of a trial, the lags between its channels, and remarks, one sentence each."""
 
     trial: str
-    clocks: tuple[Clock, ...]
+    clocks: tuple[TableClock, ...]
     lags: tuple[Lag, ...]
     findings: tuple[str, ...]
 
@@ -331,7 +331,7 @@ def audit(trial: Trial) -> Audit:
     return Audit(trial.name, clocks, tuple(lags), tuple(findings))
 
 
-def clock_of(name: str, table: Table) -> Clock:
+def clock_of(name: str, table: Table) -> TableClock:
     """Figures of one table's stamps."""
     t = np.asarray(table["t"], float)
     step = np.diff(t)
@@ -345,7 +345,7 @@ def clock_of(name: str, table: Table) -> Clock:
         dropped, duplicated = int(np.sum(np.maximum(seq - 1, 0))), int(np.sum(seq == 0))
     else:
         dropped, duplicated = _missing(step[step <= max(PAUSE, 2 * middle)]), int(np.sum(same & (step < 0.5 * middle)))
-    return Clock(
+    return TableClock(
         table=name,
         rows=len(t),
         start=float(t[0]) if len(t) else 0.0,
@@ -407,9 +407,9 @@ def _pairs(trial: Trial):
         yield signals["yaw"], ("velocity", t, turned[:, None]), False
 
 
-def _by_stamps(trial: Trial, clocks: tuple[Clock, ...]) -> list[Clock]:
+def _by_stamps(trial: Trial, clocks: tuple[TableClock, ...]) -> list[TableClock]:
     """One clock for all tables with identical stamps, under their joined names, so that each remark appears once."""
-    out: list[Clock] = []
+    out: list[TableClock] = []
     for clock in clocks:
         t = trial.tables[clock.table]["t"]
         for i, other in enumerate(out):
@@ -421,7 +421,7 @@ def _by_stamps(trial: Trial, clocks: tuple[Clock, ...]) -> list[Clock]:
     return out
 
 
-def _table_findings(clocks: list[Clock]) -> list[str]:
+def _table_findings(clocks: list[TableClock]) -> list[str]:
     out = []
     for c in clocks:
         if c.backward:
@@ -437,7 +437,7 @@ def _table_findings(clocks: list[Clock]) -> list[str]:
     return out
 
 
-def _pair_findings(trial: Trial, clocks: list[Clock]) -> list[str]:
+def _pair_findings(trial: Trial, clocks: list[TableClock]) -> list[str]:
     out = []
     for one, two in combinations([c for c in clocks if c.rows > 20 and c.span > 0], 2):
         fast, slow = (one, two) if one.span < two.span else (two, one)

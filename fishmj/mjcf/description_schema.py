@@ -1,7 +1,8 @@
 """Schema of a robot description: every block and key with its unit, bounds and meaning.
 
 pydantic checks a description against these models; `validation.py` turns its errors into lines for a reader, and
-`relations.py` adds the checks between several keys (masses that add up, steps that nest). `Fault` is one error, `line` its text.
+`relations.py` adds the checks between several keys (masses that add up, steps that nest).
+`KeyFault` is one error, `line` its text.
 The table of keys in docs/simulate/your_own_fish.md is made from here.
 Lengths in m from the front of each link backwards, angles in rad or in keys that end in `_deg`.
 """
@@ -312,7 +313,7 @@ def header(block: str) -> str:
     return f"[[{block}]]" if block in LISTS else f"[{block}]"
 
 
-class Fault(NamedTuple):
+class KeyFault(NamedTuple):
     """One error in a description. block: "link"; nth: index among several, from 0; key: "mass", or "" for the whole block."""
 
     block: str
@@ -323,7 +324,7 @@ class Fault(NamedTuple):
     todo: str = ""
 
 
-def line(f: Fault, table: Mapping[str, Any], where: str) -> str:
+def line(f: KeyFault, table: Mapping[str, Any], where: str) -> str:
     """Text of a fault: `FILE [[link]] 2 'body1' mass: got nan, expected a number above 0 kg; what to do`."""
     place = f" {header(f.block)}" if f.block else ""
     if f.nth is not None:

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from fishmj.base import names
-from fishmj.mjcf.description_schema import BLOCKS, FREE, LISTS, SCHEMA, Description, Fault, header, keys, line, said, shown
+from fishmj.mjcf.description_schema import BLOCKS, FREE, LISTS, SCHEMA, Description, KeyFault, header, keys, line, said, shown
 from fishmj.mjcf.relations import relations, servo_of, unlikely
 
 MOST = 100  # errors that are collected: more tell nobody more
@@ -23,11 +23,11 @@ def examine(table: Mapping[str, Any], where: str) -> tuple[list[str], list[str]]
     given = table.get("schema", SCHEMA)
     if given != SCHEMA:  # another format: every other line would be noise
         kind = "a fitted water, for --water" if isinstance(given, str) and given.startswith("fishmj.water/") else "another format"
-        finding = Fault("", None, "schema", shown(given), repr(SCHEMA), f"this file is {kind}, not a robot")
+        finding = KeyFault("", None, "schema", shown(given), repr(SCHEMA), f"this file is {kind}, not a robot")
         return [line(finding, table, where)], []
     if foreign := _foreign(table):
         expected = "a robot: [[link]], [servo], [timing], [water], ..."
-        return [line(Fault("", None, "", foreign, expected, "this file describes something else"), table, where)], []
+        return [line(KeyFault("", None, "", foreign, expected, "this file describes something else"), table, where)], []
     found = list(_single_keys(table))
     bad = {(f.block, f.nth) for f in found} | {(f.block, None) for f in found}
     listed = not any(f.block == "link" and f.nth is None for f in found)
@@ -48,7 +48,7 @@ def _foreign(table: Mapping[str, Any]) -> str:
     return shown(", ".join(unknown))
 
 
-def _order(f: Fault) -> tuple:
+def _order(f: KeyFault) -> tuple:
     """Sorting key: position of a fault in the file's schema."""
     blocks = keys()
     return (blocks.index(f.block) if f.block in blocks else -1, -1 if f.nth is None else f.nth)
@@ -57,13 +57,13 @@ def _order(f: Fault) -> tuple:
 # rules for a single key
 
 
-def _single_keys(table: Mapping[str, Any]) -> Iterator[Fault]:
+def _single_keys(table: Mapping[str, Any]) -> Iterator[KeyFault]:
     """Errors from pydantic, at most one for each key."""
     surplus = set([key for key in table if key not in keys()][MOST:])
     try:
         Description.model_validate({key: item for key, item in table.items() if key not in surplus})
     except ValidationError as error:
-        told: dict[tuple, Fault] = {}
+        told: dict[tuple, KeyFault] = {}
         entries = error.errors(include_url=False, include_context=False)
         meant = {
             (*e["loc"][:-1], near[0]) for e in entries[:MOST] if e["type"] == "extra_forbidden" and (near := _nearest(e["loc"]))
@@ -84,27 +84,27 @@ def _nearest(place: Sequence[Any]) -> list[str]:
     return get_close_matches(key, keys(block), 1, 0.6) if block in BLOCKS and key else []
 
 
-def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> Fault:
+def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> KeyFault:
     place, kind, value = entry["loc"], entry["type"], entry["input"]
     block, index, key, inner = _split(place)
     if kind == "extra_forbidden":
         return _unknown(block, index, key, table)
     if kind == "missing" and not key:
         needed = ", ".join(k for k, info in BLOCKS[block].model_fields.items() if info.is_required())
-        return Fault(block, None, "", "none", said("", block)[2], f"describe the links: add [[{block}]] with {needed}")
+        return KeyFault(block, None, "", "none", said("", block)[2], f"describe the links: add [[{block}]] with {needed}")
     if kind == "missing":
         what, _, expected = said(block, key)
-        return Fault(block, index, key, "nothing", expected, f"add {key} = ... ({what})")
+        return KeyFault(block, index, key, "nothing", expected, f"add {key} = ... ({what})")
     if block and not key:  # the block itself is no table, or there are too few or too many
         whole = said("", block)[2]
         got = f"{len(value)} block{'s' * (len(value) != 1)}" if kind in ("too_short", "too_long") else shown(value)
-        return Fault(block, index, "", got, whole, f"a block begins with {header(block)} on a line of its own")
+        return KeyFault(block, index, "", got, whole, f"a block begins with {header(block)} on a line of its own")
     if block not in BLOCKS and block:  # [origin], [calibration.servo]
-        return Fault(block, None, key, shown(value), said("", block)[2], f"({said('', block)[0]})")
+        return KeyFault(block, None, key, shown(value), said("", block)[2], f"({said('', block)[0]})")
     what, unit, expected = said(block, key)
     if (block, key, kind) == ("servo", "kd", "greater_than_equal") and (least := _least_damping(table)):
         expected = f"at least {least:.3g} {unit} = torque / speed_no_load"
-    return Fault(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
+    return KeyFault(block, index, key, _got(value, inner), expected, _todo(value, kind, what, unit, key))
 
 
 def _least_damping(table: Mapping[str, Any]) -> float:
@@ -147,23 +147,23 @@ def _todo(value: Any, kind: str, what: str, unit: str, key: str) -> str:
     return f"correct it ({what})"
 
 
-def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) -> Fault:
+def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) -> KeyFault:
     """An unknown key or block, with the nearest known one."""
     name, own = shown(key)[1:-1], "your own notes go into [notes], [origin] or [measured]"
     if block:
         known = keys(block)
         near, home = get_close_matches(key, known, 1, 0.6), _home(key, block)
         todo = f"it belongs under {home}; a key belongs to the last [block] above it" if home and not near else own
-        return Fault(block, index, name, "an unknown key", _one_of(near, known), todo)
+        return KeyFault(block, index, name, "an unknown key", _one_of(near, known), todo)
     blocks = [k for k in keys() if k not in ("schema", "name", "title")]
     if not isinstance(table[key], Mapping | list):
         near, home = get_close_matches(key, keys(), 1, 0.6), _home(key)
         if home and not near:
-            return Fault("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
-        return Fault("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
+            return KeyFault("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
+        return KeyFault("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
     near = get_close_matches(key, blocks, 1, 0.6)
     expected = _one_of([header(k) for k in near], [header(k) for k in blocks], quote=False)
-    return Fault("", None, f"[{name}]", "an unknown block", expected, own)
+    return KeyFault("", None, f"[{name}]", "an unknown block", expected, own)
 
 
 def _one_of(near: Sequence[str], known: Sequence[str], *, quote: bool = True) -> str:

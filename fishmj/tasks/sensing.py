@@ -13,7 +13,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.effects import EffectStack
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.engines.extensions import Extensions
 from fishmj.log import numbered
 from fishmj.mjcf.description import Robot
@@ -78,7 +78,7 @@ class Sensors:
             return history
         zero = 0.0 * history[..., 0]
         seen = measure(
-            self.measured, xp, rows, Measured(zero, history[..., 0], history[..., 1], history[..., 2], history * 0.0, zero)
+            self.measured, xp, rows, SensorReadings(zero, history[..., 0], history[..., 1], history[..., 2], history * 0.0, zero)
         )
         return xp.stack([seen.x + zero, seen.y + zero, seen.yaw + zero], -1)
 
@@ -96,11 +96,11 @@ class Sensors:
         angle, rate = now[:, :joints], now[:, joints:]
         if self.measured is not None:
             zero = 0.0 * angle[:, None, 0]
-            angle = measure(self.measured, xp, rows, Measured(zero, zero, zero, zero, angle[:, None], zero)).joint[:, 0]
+            angle = measure(self.measured, xp, rows, SensorReadings(zero, zero, zero, zero, angle[:, None], zero)).joint[:, 0]
         return angle, rate
 
 
-def measure(active: EffectStack, xp, rows, seen: Measured) -> Measured:
+def measure(active: EffectStack, xp, rows, seen: SensorReadings) -> SensorReadings:
     """Records (B, T) after the measurement effects with parameters `rows` (B, P)."""
     return active.measure(xp, [rows[:, i : i + 1] for i in range(rows.shape[1])], seen)
 

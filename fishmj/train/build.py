@@ -19,8 +19,8 @@ from fishmj.tasks.station_hold import N_START, episode_steps, visible
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.networks import scale
 from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, referred
-from fishmj.water.choice import SELF_MADE, Choice, chosen
-from fishmj.water.identity import water_identity
+from fishmj.water.choice import SELF_MADE, WaterChoice, chosen
+from fishmj.water.water_identity import water_identity
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
@@ -52,7 +52,7 @@ def robot_for(settings: Settings):
     return replace(robot, timing=timing)
 
 
-def water_for(settings: Settings) -> Choice:
+def water_for(settings: Settings) -> WaterChoice:
     """Water of a run. Raises ConfigError for one that needs the flow solver; further errors as `choice.chosen`."""
     water = None if settings.water == "auto" else settings.water
     return chosen(load_robot(settings.robot), water).within(SELF_MADE, "training")

@@ -8,7 +8,7 @@
     family       fits to the flow solver at several slip ratios: every randomised fish draws a water between them
     NAME         a fitted water by name or .toml file; NAME-base: its strips alone; NAME#2: member 2 of its ensemble alone
 
-    choice = chosen(robot, None)      Choice(kind, robot in that water, one line that says which it is)
+    choice = chosen(robot, None)      WaterChoice(kind, robot in that water, one line that says which it is)
 
 A description may state its water, `[water] model`; then that one is the default. `robot.water["model"]` holds the chosen water, a
 kind or the name of the fitted water; the key is absent until a water is chosen.
@@ -51,14 +51,14 @@ INSTEAD = {
 }
 
 
-class Choice(NamedTuple):
+class WaterChoice(NamedTuple):
     """A water for one robot."""
 
     kind: str  # of KINDS
     robot: Robot  # with the coefficients and the name of its water
     said: str  # one line for people
 
-    def within(self, can: Collection[str], who: str) -> "Choice":
+    def within(self, can: Collection[str], who: str) -> "WaterChoice":
         """Returns this choice if the caller supports its kind.
 
         Args:
@@ -74,7 +74,7 @@ class Choice(NamedTuple):
         return self
 
 
-def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
+def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     """Water that the option selects; None: the one that the description states, else the fitted water if this body has one.
 
     Raises:
@@ -88,14 +88,14 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> Choice:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
     if name == STRUCTURED:
         why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
-        return Choice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
+        return WaterChoice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
     if name == LBM:
-        return Choice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
+        return WaterChoice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
     if name == NONE:
-        return Choice(NONE, _with(robot, _dry(robot), name), "none, a bench in air")
+        return WaterChoice(NONE, _with(robot, _dry(robot), name), "none, a bench in air")
     if name == HYBRID:
         fitted = chosen(robot, FITTED)
-        return Choice(HYBRID, fitted.robot, f"hybrid, {fitted.said}, corrected by the flow solver")
+        return WaterChoice(HYBRID, fitted.robot, f"hybrid, {fitted.said}, corrected by the flow solver")
     return _fitted(robot, name)
 
 
@@ -109,7 +109,7 @@ def _with(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
 def in_water(
     robot: Robot, water: "str | Path | None" = None, *, can: Collection[str] = SELF_MADE, who: str = "this engine"
 ) -> Robot:
-    """Robot in the water that the option selects, as `chosen`; further arguments and errors as `Choice.within`."""
+    """Robot in the water that the option selects, as `chosen`; further arguments and errors as `WaterChoice.within`."""
     return chosen(robot, water).within(can, who).robot
 
 
@@ -190,7 +190,7 @@ def fitted_for(robot: Robot) -> str | None:
     return robot.name
 
 
-def _fitted(robot: Robot, name: str) -> Choice:
+def _fitted(robot: Robot, name: str) -> WaterChoice:
     name = _own(robot, name)
     model = fitted_water(name)
     stated = {key: robot.water.get(OWN, robot.water).get(key) for key in ("residual",)}
@@ -198,10 +198,10 @@ def _fitted(robot: Robot, name: str) -> Choice:
     made = _with(robot, coefficients, name)
     if (family := family_of(name)) is not None:
         fits = ", ".join(f"{one.name} {one.slip:g}" for one in family.members)
-        return Choice(FITTED, made, f"{name}: each randomised fish draws a water between fits at slip {fits}")
+        return WaterChoice(FITTED, made, f"{name}: each randomised fish draws a water between fits at slip {fits}")
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
     preview = ", a preview" if model.preview else ""
-    return Choice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")
+    return WaterChoice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")
 
 
 def _dry(robot: Robot) -> dict[str, Any]:

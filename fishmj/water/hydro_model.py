@@ -100,7 +100,7 @@ class CoefficientRow(_Table):
     status: str
 
 
-class Stage(_Table):
+class FitStage(_Table):
     """One stage of the fit."""
 
     parameters: dict[str, CoefficientRow] = {}
@@ -120,7 +120,7 @@ class WaterFile(_Table):
     preview: bool = False
     weights: Weights
     base: Base
-    found: dict[str, Stage] = {}
+    found: dict[str, FitStage] = {}
     dataset: dict[str, Any] = {}
     band: Band = {}
     band_alone: Band = {}

@@ -31,7 +31,7 @@ FADE = 0.85  # of the limit: from here the force fades, beyond the limit it is g
 EVEN, SEEN = 2, 5  # features of a link's range: those that a mirror leaves alone come first
 
 
-class Range(NamedTuple):
+class MotionRange(NamedTuple):
     """Range of motion in which the residual was fitted, for N links; see `inside`."""
 
     centre: Any  # (N, 5) of xi, odd features 0
@@ -45,7 +45,7 @@ class Residual(NamedTuple):
     """Weights of the residual, and the range of its fit."""
 
     net: residual_network.Net
-    reach: Range | None  # None: everywhere
+    reach: MotionRange | None  # None: everywhere
 
 
 def at_rest() -> list:
@@ -53,7 +53,7 @@ def at_rest() -> list:
     return [0.0] * (residual_network.WAKES + 2)
 
 
-def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_network.Motion) -> tuple[list, list]:
+def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_network.MotionFeatures) -> tuple[list, list]:
     """Features xi of every link, N lists of 5, and its own V_i, m/s, which define its range."""
     xi, speed = [], [xp.sqrt(square + residual_network.FLOOR**2) for square in m.square]
     for i, v in enumerate(speed):
@@ -62,7 +62,7 @@ def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_netw
     return xi, speed
 
 
-def inside(xp, r: Range, xi: list, speed, i: int):
+def inside(xp, r: MotionRange, xi: list, speed, i: int):
     """Factor 1 well inside the fitted range of link i and 0 outside; and the distance of its motion (1 at the limit)."""
     off = [xi[c] - r.centre[i][c] for c in range(SEEN)]
     distance: Any = 0.0
@@ -142,11 +142,11 @@ class LearnedResidual:
         self.z, self.guarded = wake, self.guarded + outside
         return [tuple(scale * value for value in f) for f in forces]
 
-    def network(self, m: residual_network.Motion, z: list, dt: float) -> tuple:
+    def network(self, m: residual_network.MotionFeatures, z: list, dt: float) -> tuple:
         """Members' mean coefficients (3, N, ..), the variance between them, and the wake dt later from z."""
         return residual_step.mean_step(self.xp, self.learnt.net, m, z, dt)
 
-    def _inside(self, reach: Range, k: planar_chain.Links, m: residual_network.Motion):
+    def _inside(self, reach: MotionRange, k: planar_chain.Links, m: residual_network.MotionFeatures):
         """Fade factor of the whole fish, and 1 if a moving link is outside the range."""
         xp, (xi, speed) = self.xp, near(self.xp, self.panels, k, m)
         fade: Any = 1.0
@@ -203,18 +203,20 @@ def sha256(learnt: Residual) -> str:
 def unpacked(arrays: dict) -> Residual:
     """Inverse of `packed`; further arrays are ignored. Raises KeyError if one is missing."""
     net = residual_network.Net(*(arrays[f"net.{key}"] for key in residual_network.Net._fields))
-    return Residual(net, Range(*(arrays[f"range.{key}"] for key in Range._fields)))
+    return Residual(net, MotionRange(*(arrays[f"range.{key}"] for key in MotionRange._fields)))
 
 
-def unlimited(links: int) -> Range:
+def unlimited(links: int) -> MotionRange:
     """Range without limits, for members of any spread: for fitting."""
-    return Range(np.zeros((links, 5)), np.tile(np.eye(5), (links, 1, 1)), np.full(links, 1e6), np.full(links, 1e6), np.array(1e6))
+    return MotionRange(
+        np.zeros((links, 5)), np.tile(np.eye(5), (links, 1, 1)), np.full(links, 1e6), np.full(links, 1e6), np.array(1e6)
+    )
 
 
 SHARE, MARGIN = 0.999, 1.15  # of the data that lies inside a range, and how much further it goes
 
 
-def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> Range:
+def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> MotionRange:
     """Range of the data: `SHARE` of them, and `MARGIN` on top for distance and speed.
 
     Args:
@@ -232,10 +234,10 @@ def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> Range:
             cov += 1e-4 * np.eye(len(cov)) * max(np.trace(cov) / len(cov), 1e-6)
             whiten[i, block, block] = np.linalg.inv(np.linalg.cholesky(cov))
     none = np.zeros(links)
-    return widened(Range(centre, whiten, none, none, np.array(float(spread))), xi, speed)
+    return widened(MotionRange(centre, whiten, none, none, np.array(float(spread))), xi, speed)
 
 
-def widened(r: Range, xi: np.ndarray, speed: np.ndarray) -> Range:
+def widened(r: MotionRange, xi: np.ndarray, speed: np.ndarray) -> MotionRange:
     """Range, widened as far as these data need; arguments as in `fitted`."""
     off = np.einsum("mic,idc->mid", xi - r.centre, r.whiten)
     limit = MARGIN * np.quantile(np.linalg.norm(off, axis=2), SHARE, axis=0)

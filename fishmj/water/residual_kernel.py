@@ -21,7 +21,7 @@ from jax.experimental import pallas as pl
 
 from fishmj.base import console
 from fishmj.water import residual_network
-from fishmj.water.residual_network import BOUND, WAKES, Halves, Motion
+from fishmj.water.residual_network import BOUND, WAKES, Halves, MotionFeatures
 
 BLOCK, WARPS = 512, 16  # fish a program, a power of two, and warps of 32 threads that share them
 HALF = WAKES // 2
@@ -56,19 +56,19 @@ def probe(rows, weights):
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def mean_step(dt: float, weights: Halves, m: Motion, z: list):
+def mean_step(dt: float, weights: Halves, m: MotionFeatures, z: list):
     """Computes `residual_step.mean_step` by the kernel on an NVIDIA GPU, by XLA elsewhere; gradients by XLA."""
     return lax.platform_dependent(weights, m, z, cuda=partial(step, dt=dt), default=partial(_plain, dt))
 
 
-def _plain(dt: float, weights: Halves, m: Motion, z: list):
+def _plain(dt: float, weights: Halves, m: MotionFeatures, z: list):
     return residual_network.mean_by_products(jnp, weights, m, z, dt)
 
 
 mean_step.defvjp(lambda dt, *given: jax.vjp(partial(_plain, dt), *given), lambda dt, pull, off: pull(off))
 
 
-def step(weights: Halves, m: Motion, z: list, dt: float, *, interpret: bool = False):
+def step(weights: Halves, m: MotionFeatures, z: list, dt: float, *, interpret: bool = False):
     """Computes `residual_step.mean_step` by the kernel; interpret: in plain JAX, on any machine."""
     links, shape = weights.forward.shape[1], m.speed.shape
     line = lambda a: jnp.reshape(jnp.asarray(a, jnp.float32), -1)
@@ -134,13 +134,13 @@ def tanh_of(interpret: bool):
 
 def _kernel(*refs, dt: float, inputs: int, tanh):
     *x, speed = (ref[...] for ref in refs[:inputs])
-    m = Motion(x[:-WAKES], speed, [], [], [])
+    m = MotionFeatures(x[:-WAKES], speed, [], [], [])
     coefficients, apart, wakes = network(refs[inputs : inputs + 5], m, x[-WAKES:], dt, tanh)
     for ref, value in zip(refs[inputs + 5 :], [*sum(coefficients, []), apart, *wakes], strict=True):
         ref[...] = value
 
 
-def network(tables, m: Motion, z: list, dt: float, tanh, none=0, together: int = 1) -> tuple:
+def network(tables, m: MotionFeatures, z: list, dt: float, tanh, none=0, together: int = 1) -> tuple:
     """Computes `residual_step.mean_step` inside a kernel.
 
     Args:

@@ -64,7 +64,7 @@ class Net(NamedTuple):
 MEMBERS = ("inner", "inner_bias", "outer", "outer_bias")  # what each member has for itself
 
 
-class Motion(NamedTuple):
+class MotionFeatures(NamedTuple):
     """Features and speeds at one instant, component lists."""
 
     x: list  # F features
@@ -120,7 +120,7 @@ def without(net: Net, *, memory: bool = True, products: bool = True) -> Net:
     return net._replace(**{name: 0.0 * getattr(net, name) for name in off})
 
 
-def motion(xp, p: Panels, k: Links) -> Motion:
+def motion(xp, p: Panels, k: Links) -> MotionFeatures:
     """Features from the kinematics of the links."""
     n, area = len(p.area), sum(p.area)
     middle = [k.w[i] + k.omega[i] * p.middle[i] for i in range(n)]
@@ -134,7 +134,7 @@ def motion(xp, p: Panels, k: Links) -> Motion:
     # features are divided by V, so forces scale with speed squared; one saturating feature distinguishes fast from slow
     even = [*k.u, speed * speed / (speed + HALF)]
     odd = [*middle, *(k.omega[i] * p.length[i] for i in range(n))]
-    return Motion([value / speed for value in (*even, *odd)], speed, [0.5 * (s + whole) for s in square], square, middle)
+    return MotionFeatures([value / speed for value in (*even, *odd)], speed, [0.5 * (s + whole) for s in square], square, middle)
 
 
 class Halves(NamedTuple):
@@ -186,7 +186,7 @@ def halves(xp, net: "Net | Halves") -> Halves:
 _sorted: tuple[Any, Any] = (None, None)  # the last net in NumPy arrays and its halves
 
 
-def wake_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> list:
+def wake_step(xp, net: "Net | Halves", m: MotionFeatures, z: list, dt: float) -> list:
     """Wake states dt later, from z: lists of `WAKES`."""
     weights, rows = _given(xp, net, m, z)
     units = len(weights.bias) - WAKES
@@ -194,7 +194,7 @@ def wake_step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> list:
     return _moved(xp, weights, rows, _hidden(xp, only, rows), m, dt)
 
 
-def coefficients(xp, net: "Net | Halves", m: Motion, z: list):
+def coefficients(xp, net: "Net | Halves", m: MotionFeatures, z: list):
     """Force coefficients g of every member, (E, 3, N, ..): F_t, F_n, couple of every link."""
     weights, rows = _given(xp, net, m, z)
     units = len(weights.bias) - WAKES
@@ -202,7 +202,7 @@ def coefficients(xp, net: "Net | Halves", m: Motion, z: list):
     return _bounded(xp, weights, rows, _hidden(xp, only, rows))
 
 
-def step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple[Any, list]:
+def step(xp, net: "Net | Halves", m: MotionFeatures, z: list, dt: float) -> tuple[Any, list]:
     """Computes `coefficients` and `wake_step` of one instant in one pass of the input through the weights."""
     weights, rows = _given(xp, net, m, z)
     units, (plus, minus) = len(weights.bias) - WAKES, _hidden(xp, weights, rows)
@@ -210,7 +210,7 @@ def step(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple[Any, l
     return g, _moved(xp, weights, rows, (plus[units:], minus[units:]), m, dt)
 
 
-def load(p: Panels, rho: float, m: Motion, i: int, g) -> tuple:
+def load(p: Panels, rho: float, m: MotionFeatures, i: int, g) -> tuple:
     """(F_t, F_n, moment about the link's origin) of link i from its three coefficients."""
     push = 0.5 * rho * p.area[i] * m.push[i]
     normal = push * g[1]
@@ -226,7 +226,7 @@ def dissipated(xp, s: strip_forces.Strips, c: strip_forces.Coefficients, k: Link
     return total - strip_forces.head_form(xp, s, c, k.u[0]) * k.u[0]
 
 
-def mean_by_products(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> tuple:
+def mean_by_products(xp, net: "Net | Halves", m: MotionFeatures, z: list, dt: float) -> tuple:
     """Mean of the members' coefficients, 3 lists of N; the variance between them (..); wake states dt later."""
     g, z = step(xp, net, m, z, dt)
     mean = g.mean(0)
@@ -237,7 +237,7 @@ def mean_by_products(xp, net: "Net | Halves", m: Motion, z: list, dt: float) -> 
 PRECISION = "highest"  # of matrix products in JAX
 
 
-class Rows(NamedTuple):
+class ParityInput(NamedTuple):
     """The input of an instant by parity, and the shape of its batch."""
 
     even: Any  # (N + 1 + G / 2, B)
@@ -245,20 +245,20 @@ class Rows(NamedTuple):
     shape: tuple
 
 
-def rows_of(xp, x: list, z: list) -> Rows:
+def rows_of(xp, x: list, z: list) -> ParityInput:
     """Features and wake states by parity."""
     links, half = (len(x) - 1) // 3, WAKES // 2
     even, odd = xp.stack([*x[: links + 1], *z[:half]]), xp.stack([*x[links + 1 :], *z[half:]])
-    return Rows(xp.reshape(even, (len(even), -1)), xp.reshape(odd, (len(odd), -1)), even.shape[1:])
+    return ParityInput(xp.reshape(even, (len(even), -1)), xp.reshape(odd, (len(odd), -1)), even.shape[1:])
 
 
-def _given(xp, net: "Net | Halves", m: Motion, z: list) -> tuple[Halves, Rows]:
+def _given(xp, net: "Net | Halves", m: MotionFeatures, z: list) -> tuple[Halves, ParityInput]:
     """Weights and rows of one instant; JAX gets the weights in the precision of the rows."""
     weights, rows = halves(xp, net), rows_of(xp, m.x, z)
     return weights if xp is np else Halves._make(xp.asarray(part, rows.even.dtype) for part in weights), rows
 
 
-def _hidden(xp, weights: Halves, rows: Rows) -> tuple:
+def _hidden(xp, weights: Halves, rows: ParityInput) -> tuple:
     """tanh of both branches, (M, B) each.
 
     A mirrored input differs only in the sign of its odd half: A S s = A_e e - A_o o. Both branches are therefore the sum and the
@@ -268,7 +268,7 @@ def _hidden(xp, weights: Halves, rows: Rows) -> tuple:
     return xp.tanh(p + q), xp.tanh(p - q)
 
 
-def _bounded(xp, weights: Halves, rows: Rows, hidden: tuple):
+def _bounded(xp, weights: Halves, rows: ParityInput, hidden: tuple):
     """Bounded coefficients (E, 3, N, ..) from the hidden units of N."""
     members, links, units = weights.forward.shape
     plus, minus = (xp.reshape(branch, (members, units, -1)) for branch in hidden)
@@ -283,7 +283,7 @@ def _bounded(xp, weights: Halves, rows: Rows, hidden: tuple):
     return xp.reshape(g, (members, 3, links, *rows.shape))
 
 
-def _moved(xp, weights: Halves, rows: Rows, hidden: tuple, m: Motion, dt: float) -> list:
+def _moved(xp, weights: Halves, rows: ParityInput, hidden: tuple, m: MotionFeatures, dt: float) -> list:
     """Wake dt later from its hidden units."""
     plus, minus = hidden
     half = WAKES // 2

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fishmj.water.residual_network import Halves, Motion, Net, halves, mean_by_products
+from fishmj.water.residual_network import Halves, MotionFeatures, Net, halves, mean_by_products
 
 kernel = True  # False: matrix products on every device
 # fish that a kernel is for. On an H200, M control steps/s by products and by the kernel of a tick: 0.27 and 0.21 with 1,003 fish,
@@ -15,7 +15,7 @@ kernel = True  # False: matrix products on every device
 FEWEST = 4096
 
 
-def mean_step(xp, net: "Net | Halves | Callable[..., tuple]", m: Motion, z: list, dt: float) -> tuple:
+def mean_step(xp, net: "Net | Halves | Callable[..., tuple]", m: MotionFeatures, z: list, dt: float) -> tuple:
     """Results of `mean_by_products`; a batch in single precision on an NVIDIA GPU goes through one kernel.
 
     net: weights, or a function of (m, z, dt) that has them and returns the same.
@@ -25,7 +25,7 @@ def mean_step(xp, net: "Net | Halves | Callable[..., tuple]", m: Motion, z: list
     if getattr(xp, "__name__", "") == "jax.numpy" and takes_kernel(m.speed):
         from fishmj.water import residual_kernel
 
-        return residual_kernel.mean_step(dt, halves(xp, net), Motion(m.x, m.speed, [], [], []), z)
+        return residual_kernel.mean_step(dt, halves(xp, net), MotionFeatures(m.x, m.speed, [], [], []), z)
     return mean_by_products(xp, net, m, z, dt)
 
 

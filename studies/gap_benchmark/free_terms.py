@@ -11,8 +11,8 @@ from pathlib import Path
 
 from fishmj.base import console
 from fishmj.base.errors import SimDiverged
-from fishmj.gap.bench import cases, command
-from fishmj.gap.bench.run import true_gap
+from fishmj.gap.bench import bench_command, cases
+from fishmj.gap.bench.run_case import true_gap
 from fishmj.gap.bench.score import DETECTABLE, share
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
@@ -52,14 +52,14 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     drawn = cases.draw(args.cases, args.seed, {"off": 1.0})
     todo = [c for c in drawn if next(iter(c.effects)) in RIGHT]
-    result = summary(command.judge_cases(todo, args.out, judge_case, what="fallback"))
+    result = summary(bench_command.judge_cases(todo, args.out, judge_case, what="fallback"))
     console.say(console.table(result["families"]), f"right term in the first two: {result['right']}")
     if args.json:
         console.emit_json(result)
     return console.OK
 
 
-def judge_case(case: cases.Case) -> dict:
+def judge_case(case: cases.BenchCase) -> dict:
     """One case: its terms, and the rank of the first right one (0 = absent)."""
     from fishmj.gap.laboratory.virtual_robot import generate
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json
-from fishmj.gap.bench.rows import read_rows
+from fishmj.gap.bench.bench_rows import read_rows
 from fishmj.gap.bench.score import share
 from fishmj.gap.null import structural_error
 from fishmj.gap.search.model_error import misformed

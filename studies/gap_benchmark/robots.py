@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
-from fishmj.gap.bench.command import judge_cases
-from fishmj.gap.bench.run import effect_row, fish
+from fishmj.gap.bench.bench_command import judge_cases
+from fishmj.gap.bench.run_case import effect_row, fish
 from fishmj.gap.bench.score import share
 from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.commands.plant import with_lost_rows

@@ -16,14 +16,14 @@ from fishmj.deploy.camera.localiser import InStep
 from fishmj.deploy.link.links import Fishmj1Link
 from fishmj.deploy.loop import arming
 from fishmj.deploy.loop.pilot import PolicyPilot
-from fishmj.deploy.loop.supervisor import State
-from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.supervisor import SwimState
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loopback.lockstep import LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, make_robot
 from fishmj.deploy.loopback.robot import LoopbackRobot
-from fishmj.deploy.loopback.settings import Settings, make_robot
 from fishmj.deploy.loopback.virtual_body import VirtualBody
-from fishmj.deploy.monitor.rows import as_heard
+from fishmj.deploy.monitor.tick_interpolation import as_heard
 from fishmj.gap.laboratory.virtual_robot.trials import plant
 from fishmj.log import read_trial
 from fishmj.mjcf.reading import load_robot
@@ -49,7 +49,7 @@ class ChangingClock(LockstepClock):
         body.change(plant(effects, self.robot_seed, nuisance=NUISANCE, robot=body.robot, flow=self.stream))
 
 
-class Circuit(Swim):
+class Circuit(SwimLoop):
     """Swim from target to target, each held for a minute; effects set in at `at` s."""
 
     targets: np.ndarray  # (K, 2) m
@@ -82,7 +82,7 @@ def swim(
     draw = np.random.default_rng([seed, 23])
     x, y = draw.uniform(-ARENA, ARENA, 2).tolist()
     start = (x, y, float(draw.uniform(-pi, pi)))
-    fish = make_robot(Settings(seed=seed, flow=Flow(speed=speed, direction=direction), start=start, nuisance=NUISANCE))
+    fish = make_robot(LoopbackSettings(seed=seed, flow=Flow(speed=speed, direction=direction), start=start, nuisance=NUISANCE))
     clock = ChangingClock(fish, robot_seed, (speed, direction))
     link, controller = Fishmj1Link(LockstepTransport(clock)), LearnedController(described, policy)
     localiser = InStep(LockstepCamera(clock), PoseTracker(seed=seed))
@@ -94,14 +94,14 @@ def swim(
     with TemporaryDirectory() as folder:
         trial = Path(folder) / "swim"
         with TrialLog(trial, {"origin": "synthetic", "robot": described.name}, described.n_joints, every=1e6) as log:
-            tour = Circuit(rig, PolicyPilot(controller), Plan(seconds=seconds), log)
+            tour = Circuit(rig, PolicyPilot(controller), SwimPlan(seconds=seconds), log)
             tour.targets = draw.uniform(-ARENA, ARENA, (int(seconds / HOLD) + 2, 2))
             tour.effects, tour.at = effects, at
             outcome = tour.run()
         if not outcome.complete:
             raise ConfigError(f"monitor study: robot {robot_seed}, swim {seed}: {outcome.words}")
         tables = as_heard(read_trial(trial).tables)
-    swum = tables["cmd"]["t"][tables["cmd"]["state"] == int(State.SWIMMING)]
+    swum = tables["cmd"]["t"][tables["cmd"]["state"] == int(SwimState.SWIMMING)]
     tables["pose"] = {**tables["pose"], "t": tables["pose"]["t_taken"] + described.timing.camera_latency}
     wanted = {"cmd": ("c1", "c2", "c3"), "joint": ("j1", "j2", "j3"), "pose": ("x", "y", "yaw"), "power": ("V", "I")}
     made: Tables = {}

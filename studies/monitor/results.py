@@ -8,10 +8,10 @@ import numpy as np
 
 from fishmj.base.store import read_npz, write_npz
 from fishmj.deploy.monitor.monitor import BLOCK
-from fishmj.deploy.monitor.statistics import Channel, Cusums, Reference
+from fishmj.deploy.monitor.statistics import ChannelStatistics, Cusums, Reference
 from studies.monitor.side_by_side import Blocks
 
-FIELDS = tuple(field.name for field in fields(Channel))
+FIELDS = tuple(field.name for field in fields(ChannelStatistics))
 
 
 class Watched(NamedTuple):
@@ -59,5 +59,5 @@ def read_reference(file: Path) -> Reference:
     made = {}
     for name in map(str, kept["channels"]):
         probes, *numbers = (kept[f"{name}.{field}"] for field in FIELDS)
-        made[name] = Channel(tuple(map(str, probes)), *numbers)
+        made[name] = ChannelStatistics(tuple(map(str, probes)), *numbers)
     return Reference(made, int(kept["blocks"]))

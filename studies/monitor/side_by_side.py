@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from fishmj.deploy.monitor.monitor import BLOCK, RUN_IN, Tables
-from fishmj.deploy.monitor.prediction import Observer, Seen, channels
-from fishmj.deploy.monitor.rows import Ticks
+from fishmj.deploy.monitor.prediction import SwimPredictor, TickMeasurement, channels
+from fishmj.deploy.monitor.tick_interpolation import Ticks
 from fishmj.gap.models.kernel import Kernel
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import planar_chain
@@ -16,7 +16,7 @@ from fishmj.water.dynamics import planar_chain
 Blocks = list[tuple[float, dict]]  # (s, block) of one swim
 
 
-class Compiled(Observer):
+class Compiled(SwimPredictor):
     """The observer with its physics compiled: the same step, traced (`gap.models.kernel`), ten times as fast as NumPy's."""
 
     def __init__(self, robot: Robot, flow: tuple[np.ndarray, np.ndarray]):
@@ -62,7 +62,7 @@ def blocks_of(robot: Robot, swims: Sequence[Tables], flows: Sequence[tuple[float
     kept: list = []
     for k in range(count):
         rows = [s[k][1] for s in seen]
-        now = Seen(
+        now = TickMeasurement(
             target=np.moveaxis(np.array([r.target for r in rows]), 0, -1),
             joint=np.array([r.joint for r in rows]).T,
             pose=np.array([r.pose for r in rows]).T,

@@ -26,7 +26,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.effects import STAGES
-from fishmj.gap.bench.rows import read_rows
+from fishmj.gap.bench.bench_rows import read_rows
 from fishmj.gap.bench.score import has_values, names, share
 from fishmj.gap.decide.decide import size_parameters
 from fishmj.gap.laboratory.generators.detectability import BOUND

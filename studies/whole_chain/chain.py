@@ -15,12 +15,12 @@ from fishmj.deploy.camera.localiser import InStep
 from fishmj.deploy.link.links import Fishmj1Link
 from fishmj.deploy.loop import arming, wiring
 from fishmj.deploy.loop.pilot import PolicyPilot
-from fishmj.deploy.loop.swim import Plan, Rig, Swim
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loopback import bodies, faults
 from fishmj.deploy.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
+from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, artist_of, calibration_of, make_robot
 from fishmj.deploy.loopback.robot import LoopbackRobot
-from fishmj.deploy.loopback.settings import Settings, artist_of, calibration_of, make_robot
 from fishmj.deploy.tracker.fix import Fix, Tracker, wrapped
 from fishmj.evaluate.protocol import Trials
 from fishmj.mjcf.reading import load_robot
@@ -96,7 +96,7 @@ def run_trial(item: int, trials: Trials, policy: str, marks: str, loss: float, b
     """
     (starts, targets), flow = trials.ends(), trials.flows()[item]
     (x, y, yaw), (there_x, there_y) = starts[item].tolist(), targets[item].tolist()
-    settings = Settings(
+    settings = LoopbackSettings(
         body=body, engine=bodies.COMPILED, start=(x, y, yaw), flow=flow, seed=item, marks="tag" if marks == "poses" else marks,
         faults=faults.parse([f"loss={loss}"]) if loss else (),
     )  # fmt: skip
@@ -121,7 +121,7 @@ def run_trial(item: int, trials: Trials, policy: str, marks: str, loss: float, b
         TemporaryDirectory() as folder,
         TrialLog(Path(folder) / "swim", {"origin": "synthetic", "robot": "fish"}, 3, every=1e6) as log,
     ):
-        swim = Swim(rig, PolicyPilot(controller), Plan(seconds=SECONDS, target=(there_x, there_y)), log)
+        swim = SwimLoop(rig, PolicyPilot(controller), SwimPlan(seconds=SECONDS, target=(there_x, there_y)), log)
         outcome = swim.run()
     found = outcome.figures["camera"]
     told = {"complete": outcome.complete, "ended": outcome.words, "share_of_fixes": found["fixes"] / max(found["frames"], 1)}

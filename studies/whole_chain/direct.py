@@ -15,9 +15,9 @@ from math import sqrt
 import numpy as np
 
 from fishmj.control.learned import LearnedController
-from fishmj.deploy.loop.observer import RATE_WINDOW
+from fishmj.deploy.loop.observation import RATE_WINDOW
 from fishmj.deploy.loopback import bodies
-from fishmj.deploy.loopback.body import MILLISECOND
+from fishmj.deploy.loopback.loopback_body import MILLISECOND
 from fishmj.deploy.loopback.virtual_body import VirtualBody
 from fishmj.deploy.protocols import servo_counts
 from fishmj.evaluate.protocol import Trials

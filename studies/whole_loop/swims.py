@@ -13,7 +13,7 @@ import numpy as np
 from fishmj.base.calib import constant
 from fishmj.base.store import read_json, write_json
 from fishmj.deploy.commands import swim_command
-from fishmj.deploy.loop.supervisor import State
+from fishmj.deploy.loop.supervisor import SwimState
 from fishmj.evaluate import protocol
 from fishmj.log import read_trial
 from studies.whole_loop.steps import AFTER, HEALTHY, UNPATCHED, Fault, Loop, model_of, patched, record_output
@@ -52,7 +52,7 @@ def one_swim(loop: Loop, seed: int, arm: str, item: int) -> dict:
         swim_command.main(argv[2:], wire=tank.wire)
     log = read_trial(Path(argv[argv.index("--out") + 1]))
     cmd, event = log.tables["cmd"], [line for line in log.meta["host"]["events"] if "-> NEUTRAL" in line]
-    steered = cmd["t"][cmd["state"] == int(State.SWIMMING)] - cmd["t"][0] + tank.begun
+    steered = cmd["t"][cmd["state"] == int(SwimState.SWIMMING)] - cmd["t"][0] + tank.begun
     row = figures(tank.path, steered[0], steered[-1], targets[item], loop.seconds)
     row |= {"ended": event[0].split(": ", 1)[1] if event else ""}
     write_json(kept, row)

@@ -10,8 +10,8 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.water.flow_map.drifters import turbulence_of_drifts
 from fishmj.water.flow_map.flow_map import FlowMap, Setting
-from fishmj.water.flow_map.records import UNITS, read_drifts, read_probe
-from fishmj.water.flow_map.turbulence import Measured, turbulence_of
+from fishmj.water.flow_map.probe_records import UNITS, read_drifts, read_probe
+from fishmj.water.flow_map.turbulence_statistics import ValueInterval, turbulence_of
 
 SAME = 0.02  # relative difference of sampling steps that files of one setting may have
 EXAMPLES = """examples:
@@ -124,7 +124,7 @@ def row(s: Setting, unit: str) -> dict[str, object]:
     }
 
 
-def shown(found: Measured | None, digits: int, factor: float = 1.0) -> str:
+def shown(found: ValueInterval | None, digits: int, factor: float = 1.0) -> str:
     """A figure with its interval: `0.2013 (0.1990 0.2036)`."""
     if found is None:
         return "-"

@@ -7,11 +7,11 @@ from fishmj.base.errors import LogError
 from fishmj.base.store import write_text
 from fishmj.deploy.monitor.monitor import RATE, SETTLE, Monitor, flow_of, has, reference_of, said
 from fishmj.deploy.monitor.picture import drawn
-from fishmj.deploy.monitor.rows import as_heard
 from fishmj.deploy.monitor.statistics import LEAST_BLOCKS
+from fishmj.deploy.monitor.tick_interpolation import as_heard
 from fishmj.log import Trial, read_trial
 from fishmj.log.dataset import take
-from fishmj.log.folder import FLAT_FILE, META_FILE
+from fishmj.log.trial_folder import FLAT_FILE, META_FILE
 from fishmj.mjcf.reading import load_robot
 
 EXAMPLES = """examples:

@@ -20,14 +20,14 @@ from fishmj.base.source import made_by
 from fishmj.control.learned import LearnedController
 from fishmj.deploy.loop import arming, wiring
 from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
-from fishmj.deploy.loop.experiment import Gait
 from fishmj.deploy.loop.graceful_stop import graceful_stop
+from fishmj.deploy.loop.open_loop_experiment import SineGait
 from fishmj.deploy.loop.pilot import Pilot, PlayedPilot, PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
-from fishmj.deploy.loop.swim import Outcome, Plan, Rig, Swim
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimOutcome, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog, refuse_taken
 from fishmj.deploy.monitor.live import LiveMonitor, Watched, monitor_options, watched_of
-from fishmj.deploy.tracker.calibration import Calibration
+from fishmj.deploy.tracker.camera_calibration import Calibration
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
@@ -158,7 +158,7 @@ def pilot_of(args: Any, robot: Robot) -> tuple[LearnedController | None, Pilot]:
 def _swum(
     args: Any, robot: Robot, controller: LearnedController | None, pilot: Pilot, out: Path,
     wire: Callable[..., wiring.Wired], watched: Watched | None,
-) -> Outcome:  # fmt: skip
+) -> SwimOutcome:  # fmt: skip
     """Opens all devices, swims, and closes them in every case."""
     with ExitStack() as stack:
         wired = wire(args, robot, stack)
@@ -173,9 +173,9 @@ def _swum(
         for told in target_warnings(args.target, args.bound, wired.calibration):
             console.warn(told)
         stop = Event()
-        plan = Plan(target=args.target, seconds=args.seconds, wait=args.wait, bound=args.bound)
+        plan = SwimPlan(target=args.target, seconds=args.seconds, wait=args.wait, bound=args.bound)
         status = StatusLine(args.seconds)
-        swim = Swim(rig, pilot, plan, log, stop=stop.is_set, status=status)
+        swim = SwimLoop(rig, pilot, plan, log, stop=stop.is_set, status=status)
         if watched is not None:
             stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=stop.is_set))
 
@@ -258,12 +258,12 @@ def flow(text: str) -> tuple[float, float]:
     return console.number(0, 2)(speed), console.number(-2 * pi, 2 * pi)(direction)
 
 
-def gait(text: str) -> Gait:
+def gait(text: str) -> SineGait:
     """Parses `1,20,60` or `1,20,60,-10`: Hz, amplitude, lag and bias in deg. Raises ArgumentTypeError."""
     parts = text.split(",")
     if len(parts) not in (3, 4):
         raise ArgumentTypeError(f"got {text[:40]!r}, expected HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] such as 1,20,60")
-    return Gait(*(console.number(-360, 360)(part) for part in parts))
+    return SineGait(*(console.number(-360, 360)(part) for part in parts))
 
 
 def _two(text: str, expected: str) -> tuple[str, str]:

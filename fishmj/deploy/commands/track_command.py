@@ -4,7 +4,7 @@ from pathlib import Path
 
 from fishmj.base import console
 from fishmj.deploy.loop import wiring
-from fishmj.deploy.tracker.video import track_video
+from fishmj.deploy.tracker.video_tracking import track_video
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot

@@ -30,20 +30,20 @@ from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
 from fishmj.deploy.loop.graceful_stop import graceful_stop
 from fishmj.deploy.loop.pilot import PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
-from fishmj.deploy.loop.swim import Outcome, Plan, Rig, Swim
+from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimOutcome, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.monitor.live import LiveMonitor, MonitorProcess, watched_of
 from fishmj.deploy.rig.rig_experiment import free_name
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.deploy.trials import trials_tables
-from fishmj.deploy.trials.trials import HOST, KEPT, Place, Session, condition_of, counts, order, stream_direction, waters_of
+from fishmj.deploy.trials.schedule import HOST, KEPT, Place, Session, condition_of, counts, order, stream_direction, waters_of
 from fishmj.evaluate import protocol
 from fishmj.evaluate.protocol import MeasuredTrials
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
-from fishmj.water.flow_map.flow_map import FlowMap, Water
+from fishmj.water.flow_map.flow_map import FlowMap, TankWater
 
 Wire = Callable[[Any, Robot, ExitStack], wiring.Wired]
 TRIES = 3  # of a trial that --yes repeats before it is skipped
@@ -128,7 +128,7 @@ class Walk:
     """
 
     def __init__(
-        self, args: Namespace, robot: Robot, controller: LearnedController, waters: Mapping[float, Water], session: Session,
+        self, args: Namespace, robot: Robot, controller: LearnedController, waters: Mapping[float, TankWater], session: Session,
         places: Sequence[Place], in_step: Wire | None,
     ):  # fmt: skip
         self.args, self.robot, self.controller, self.waters = args, robot, controller, waters
@@ -195,7 +195,7 @@ class Walk:
         heading = round(float(np.degrees(place.start[2]))) % 360
         self.person.ready(f"put the fish at x = {x:.2f} m, y = {y:.2f} m, heading {heading} deg, straight and at rest")
 
-    def _answer(self, outcome: Outcome, tries: int) -> str:
+    def _answer(self, outcome: SwimOutcome, tries: int) -> str:
         """The operator's answer: accept, repeat or skip."""
         whole = counts(outcome)
         if self.args.yes:
@@ -206,7 +206,7 @@ class Walk:
             if answer in ("", "r", "s"):
                 return {"": usual, "r": "repeat", "s": "skip"}[answer]
 
-    def _swum(self, place: Place, folder: Path) -> Outcome:
+    def _swum(self, place: Place, folder: Path) -> SwimOutcome:
         """Opens all devices, swims, and closes them.
 
         Raises:
@@ -243,8 +243,8 @@ class Walk:
             status = StatusLine(seconds, quiet=args.yes)
             if watched is not None:
                 stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, process=self.monitor))
-            plan = Plan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
-            swim = Swim(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
+            plan = SwimPlan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
+            swim = SwimLoop(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
             ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)
             with undisturbed(), graceful_stop(self.stop, lambda: link.disarm(clock.now()), self._kept), ahead:
                 return swim.run()

@@ -9,8 +9,8 @@ import numpy as np
 
 from fishmj.deploy.link.transports import Transport
 from fishmj.deploy.protocols import fishmj1, mish
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.messages import RobotInfo, Telemetry
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.sequence import SequenceGate
 
 WHOLE = 2**32  # sequence numbers wrap here
@@ -44,7 +44,7 @@ class RobotClock(NamedTuple):
     round_trip: float
 
 
-class Link(Protocol):
+class RobotLink(Protocol):
     """Interface of a link, used by the loop.
 
     Attributes:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.loop.observer import Pose
+from fishmj.deploy.loop.observation import Pose
 from fishmj.deploy.loop.supervisor import Event, named
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loop.watch import supply

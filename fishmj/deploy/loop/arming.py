@@ -9,7 +9,7 @@ from math import degrees, isfinite
 from typing import NamedTuple
 
 from fishmj.control.learned import LearnedController
-from fishmj.deploy.link.links import Link
+from fishmj.deploy.link.links import RobotLink
 from fishmj.deploy.loop.supervisor import NONE, Condition
 from fishmj.deploy.loop.watch import Thresholds
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
@@ -31,7 +31,7 @@ class Refusal(NamedTuple):
 
 
 def examine(
-    link: Link, info: RobotInfo | None, robot: Robot, controller: LearnedController | None, at_the_tank: bool
+    link: RobotLink, info: RobotInfo | None, robot: Robot, controller: LearnedController | None, at_the_tank: bool
 ) -> Refusal:  # fmt: skip
     """Compares the robot's identification with the description and the policy (None: no policy).
 
@@ -68,7 +68,7 @@ def examine(
     return Refusal(found, tuple(reasons))
 
 
-def asked_at_the_tank(link: Link, said: bool, ask: Callable[[str], bool]) -> bool:
+def asked_at_the_tank(link: RobotLink, said: bool, ask: Callable[[str], bool]) -> bool:
     """Returns True if a person stands at the tank: `said` on the command line, or answered now; asks only if it matters."""
     return said or (not link.watched and ask(QUESTION))
 

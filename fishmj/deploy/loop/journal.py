@@ -20,8 +20,8 @@ import numpy as np
 from fishmj.base.calib import parse_toml
 from fishmj.base.errors import StoreError
 from fishmj.base.store import read_json, write_json, write_text
-from fishmj.log.folder import JOURNAL as NAME
-from fishmj.log.folder import META_FILE, checked_meta
+from fishmj.log.trial_folder import JOURNAL as NAME
+from fishmj.log.trial_folder import META_FILE, checked_meta
 
 LAYOUT, SUFFIX, LOCK = "layout.json", ".f64", "lock"
 FLOAT = np.dtype("<f8")

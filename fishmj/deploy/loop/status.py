@@ -3,12 +3,12 @@
 from contextlib import suppress
 
 from fishmj.base import console
-from fishmj.deploy.loop.observer import Observer
-from fishmj.deploy.loop.supervisor import Condition, Decision, State, named
+from fishmj.deploy.loop.observation import ObservationBuilder
+from fishmj.deploy.loop.supervisor import Condition, Decision, SwimState, named
 from fishmj.deploy.loop.ticker import Ticker
-from fishmj.deploy.loop.watch import Watch, supply
+from fishmj.deploy.loop.watch import ConditionWatch, supply
 
-WAITING = (State.DOWN, State.LINKED, State.ARMED)
+WAITING = (SwimState.DOWN, SwimState.LINKED, SwimState.ARMED)
 
 
 class StatusLine:
@@ -23,7 +23,9 @@ class StatusLine:
         self._waits, self._told = "", -float("inf")
         self._most = 0.999 * seconds  # a bar that is full would print at every tick of the way home
 
-    def show(self, swum: float, now: float, decision: Decision, observer: Observer, watch: Watch, ticker: Ticker) -> None:
+    def show(
+        self, swum: float, now: float, decision: Decision, observer: ObservationBuilder, watch: ConditionWatch, ticker: Ticker
+    ) -> None:
         """Reports the state at `now`, `swum` s into the swim; prints only when a line is due."""
         if self._bar is None:
             return

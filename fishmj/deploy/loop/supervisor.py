@@ -19,7 +19,7 @@ from enum import Enum, IntEnum, IntFlag, auto
 from typing import NamedTuple
 
 
-class State(IntEnum):
+class SwimState(IntEnum):
     """State of the swim, of host and robot together."""
 
     DOWN = 0
@@ -75,9 +75,9 @@ class Action(Enum):
     LET_GO = "let go"  # torque off now: a servo that is hot, jammed or unheard is not pulled anywhere
 
 
-Cell = State | Stay
+Cell = SwimState | Stay
 C = Condition
-DOWN, LINKED, ARMED, SWIMMING, NEUTRAL = State
+DOWN, LINKED, ARMED, SWIMMING, NEUTRAL = SwimState
 STAY, HOLD, REFUSE, LET_GO = Stay
 TABLE: dict[Condition, tuple[Cell, Cell, Cell, Cell, Cell]] = {
     #                    DOWN    LINKED  ARMED     SWIMMING NEUTRAL
@@ -114,8 +114,8 @@ class Event(NamedTuple):
     """A change of state: time on the host's clock, s, old and new state, the causing conditions, and the other true ones."""
 
     t: float
-    before: State
-    after: State
+    before: SwimState
+    after: SwimState
     because: Condition
     conditions: Condition
 
@@ -123,7 +123,7 @@ class Event(NamedTuple):
 class Decision(NamedTuple):
     """State and action from this tick on; `because`: conditions that hold the fish, refuse a way up, or changed the state."""
 
-    state: State
+    state: SwimState
     action: Action
     because: Condition
 
@@ -135,14 +135,14 @@ def care(cell: Cell) -> int:
     return {NEUTRAL: 5, DOWN: 4}.get(cell, 1)
 
 
-def decide(state: State, conditions: Condition) -> Decision:
+def decide(state: SwimState, conditions: Condition) -> Decision:
     """Reads the table for one tick. A pure function."""
     cells = {condition: TABLE[condition][state] for condition in TABLE if condition in conditions}
     strictest = max((care(cell) for cell in cells.values()), default=0)
     ruling = [condition for condition, cell in cells.items() if care(cell) == strictest] if strictest else []
     because = Condition(sum(ruling))
     cell = cells[ruling[0]] if ruling else STAY
-    after = cell if isinstance(cell, State) else state
+    after = cell if isinstance(cell, SwimState) else state
     if after is NEUTRAL and any(TABLE[condition][NEUTRAL] is LET_GO for condition in cells):
         return Decision(after, Action.LET_GO, because)
     held = ACTIONS[after] is Action.SWIM and (cell is HOLD or cell is REFUSE)
@@ -157,7 +157,7 @@ class Supervisor:
     """
 
     def __init__(self) -> None:
-        self.state = State.DOWN
+        self.state = SwimState.DOWN
         self.events: list[Event] = []
 
     def step(self, now: float, conditions: Condition) -> Decision:
@@ -171,7 +171,7 @@ class Supervisor:
     @property
     def cause(self) -> Condition:
         """Conditions that led to the present or last NEUTRAL; NONE before."""
-        return next((event.because for event in reversed(self.events) if event.after is State.NEUTRAL), NONE)
+        return next((event.because for event in reversed(self.events) if event.after is SwimState.NEUTRAL), NONE)
 
 
 def named(conditions: Condition) -> str:

@@ -30,7 +30,7 @@ import numpy as np
 
 from fishmj.base.errors import FishmjError, LogError, StoreError
 from fishmj.deploy.loop.journal import Journal, left
-from fishmj.deploy.loop.observer import Pose
+from fishmj.deploy.loop.observation import Pose
 from fishmj.deploy.loop.supervisor import Condition, Event, named
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.log import Table, Trial, write_trial
@@ -64,7 +64,7 @@ class Listener(Protocol):
         ...
 
 
-class Rows:
+class RowBuffer:
     """Buffer of rows for the disk: columns of float64, in an array that doubles when it is full."""
 
     def __init__(self, columns: Sequence[str]):
@@ -112,13 +112,13 @@ class TrialLog:
         each = lambda letter: [f"{letter}{k + 1}" for k in range(joints)]
         self.joints = joints
         self.rows = {
-            "cmd": Rows(["t", *each("c"), *each("asked"), "seq", "state"]),
-            "joint": Rows(["t_rx", *each("j"), "seq", "echo", "t_robot", *each("temp")]),
-            "pose": Rows(["t_taken", "x", "y", "yaw", "quality", "t_rx"]),
-            "power": Rows(["t_rx", "V", "I", "t_robot"]),
-            "obs": Rows(["t", *[f"o{k + 1}" for k in range(5 + 2 * joints)]]),
-            "action": Rows(["t", *each("a")]),
-            "target": Rows(["t", "x", "y"]),
+            "cmd": RowBuffer(["t", *each("c"), *each("asked"), "seq", "state"]),
+            "joint": RowBuffer(["t_rx", *each("j"), "seq", "echo", "t_robot", *each("temp")]),
+            "pose": RowBuffer(["t_taken", "x", "y", "yaw", "quality", "t_rx"]),
+            "power": RowBuffer(["t_rx", "V", "I", "t_robot"]),
+            "obs": RowBuffer(["t", *[f"o{k + 1}" for k in range(5 + 2 * joints)]]),
+            "action": RowBuffer(["t", *each("a")]),
+            "target": RowBuffer(["t", "x", "y"]),
         }
         self.events: list[str] = []
         self.listeners: list[Listener] = []

@@ -10,8 +10,8 @@ from math import isfinite, pi
 
 import numpy as np
 
-from fishmj.deploy.loop.observer import Observer
-from fishmj.deploy.loop.supervisor import NONE, Condition, State
+from fishmj.deploy.loop.observation import ObservationBuilder
+from fishmj.deploy.loop.supervisor import NONE, Condition, SwimState
 from fishmj.deploy.protocols.messages import RobotState, ServoFault, Telemetry
 
 
@@ -39,7 +39,7 @@ class Thresholds:
     absent: float = 3.0  # s after which a measurement that came once and comes no more counts as none
 
 
-class Watch:
+class ConditionWatch:
     """State behind the conditions.
 
     Attributes:
@@ -92,9 +92,9 @@ class Watch:
         never = -float("inf")
         return tuple(guard for guard in GUARDS if now - self._told.get(guard, never) > self.limits.absent)
 
-    def conditions(self, now: float, state: State, observer: Observer) -> Condition:
+    def conditions(self, now: float, state: SwimState, observer: ObservationBuilder) -> Condition:
         """Conditions that are true at `now` [s]."""
-        active = state in (State.ARMED, State.SWIMMING)
+        active = state in (SwimState.ARMED, SwimState.SWIMMING)
         if active and self.armed is None:
             self.armed = now
         return self._link(now, active) | self._robot(active) | self._pose(now, state, observer)
@@ -111,10 +111,10 @@ class Watch:
         found |= Condition.LINK_QUIET if worst > limits.quiet else NONE
         return found | (Condition.LINK_SILENT if worst > limits.silent else NONE)
 
-    def _pose(self, now: float, state: State, observer: Observer) -> Condition:
+    def _pose(self, now: float, state: SwimState, observer: ObservationBuilder) -> Condition:
         pose, limits = observer.pose, self.limits
         age = now - pose.t if pose is not None else float("inf")
-        if state is State.SWIMMING and observer.changed is not None:  # no fish that swims, and no picture, stays the same
+        if state is SwimState.SWIMMING and observer.changed is not None:  # no fish that swims, and no picture, stays the same
             age = now - observer.changed
         found = Condition.POSE_OLD if age > limits.pose_old else NONE
         found |= Condition.POSE_LOST if age > limits.pose_lost else NONE

@@ -27,13 +27,13 @@ from fishmj.base.processes import end_command, last_words, start_command
 from fishmj.base.store import temporary_beside
 from fishmj.deploy.camera.cameras import Camera, Device, SharedFrames, VideoFile
 from fishmj.deploy.camera.localiser import InProcess, Localiser
-from fishmj.deploy.link.links import Fishmj1Link, Link, MishLink
-from fishmj.deploy.link.servo_bus import ServoBusLink
+from fishmj.deploy.link.links import Fishmj1Link, MishLink, RobotLink
+from fishmj.deploy.link.servo_bus_link import ServoBusLink
 from fishmj.deploy.link.transports import UdpTransport, open_serial
 from fishmj.deploy.loop.clock import Clock, MonotonicClock
 from fishmj.deploy.protocols import mish
 from fishmj.deploy.protocols.servo_bus import BUSES
-from fishmj.deploy.tracker.calibration import Calibration
+from fishmj.deploy.tracker.camera_calibration import Calibration
 from fishmj.deploy.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
 from fishmj.deploy.tracker.fix import Tracker
 from fishmj.mjcf import geometry_of, servo_buses
@@ -54,7 +54,7 @@ WAIT = 0.002  # s that a read of the servo bus waits
 class Wired:
     """Opened devices for `swim`. loopback: the robot is simulated. calibration: of the camera, None without one."""
 
-    link: Link
+    link: RobotLink
     localiser: Localiser
     clock: Clock
     loopback: bool
@@ -145,7 +145,7 @@ def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
     return Wired(link, localiser, clock, fish is not None, calibration)
 
 
-def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> Link:
+def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> RobotLink:
     """The link that the options name, not opened yet."""
     kind, _, where = args.link.partition(":")
     if kind == "serial" or (fish is not None and fish.device):

@@ -15,7 +15,7 @@ body gets the rest (`bus_delay`): no delay is applied twice.
 from collections.abc import Mapping
 
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.deploy.loopback.body import Body, Effects
+from fishmj.deploy.loopback.loopback_body import Body, Effects
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.deploy.loopback.body import MILLISECOND, Body
-from fishmj.deploy.loopback.faults import Fault, active
+from fishmj.deploy.loopback.faults import LoopbackFault, active
+from fishmj.deploy.loopback.loopback_body import MILLISECOND, Body
 from fishmj.gap.laboratory import random_streams
 
 KEPT = 64  # frames
@@ -27,7 +27,7 @@ class CameraTiming(NamedTuple):
     jitter: float = 0.002  # of the exposure, uniform
 
 
-class Frame(NamedTuple):
+class CameraFrame(NamedTuple):
     """One frame: the pose as the camera records it."""
 
     t: float  # s, its stamp
@@ -43,13 +43,13 @@ class LoopbackCamera:
         timing: of the frames. seed: of the jitter. faults: only those of the camera count.
     """
 
-    def __init__(self, body: Body, timing: CameraTiming, seed: int, faults: Iterable[Fault] = ()):
+    def __init__(self, body: Body, timing: CameraTiming, seed: int, faults: Iterable[LoopbackFault] = ()):
         self.body, self.timing, self._faults = body, timing, tuple(faults)
         self._random = random_streams.stream(seed, "exposure")
         self._count = 0
-        self._frames: deque[Frame] = deque(maxlen=KEPT)
-        self._fresh: deque[Frame] = deque(maxlen=KEPT)
-        self._frozen: Frame | None = None
+        self._frames: deque[CameraFrame] = deque(maxlen=KEPT)
+        self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
+        self._frozen: CameraFrame | None = None
 
     def next_exposure(self) -> int:
         """Time of the next exposure in ms; call once for each."""
@@ -63,7 +63,7 @@ class LoopbackCamera:
         stamp, pose = self.body.seen()
         if fault := active(self._faults, "camera_jump", now):
             pose = pose + np.r_[fault.value, np.zeros(len(pose) - 1)]
-        frame = Frame(stamp, pose, now, now + self.timing.latency)
+        frame = CameraFrame(stamp, pose, now, now + self.timing.latency)
         if active(self._faults, "camera_freeze", now):
             self._frozen = self._frozen or frame
             frame = frame._replace(pose=self._frozen.pose, drawn=self._frozen.drawn)
@@ -73,10 +73,10 @@ class LoopbackCamera:
             self._frames.append(frame)
             self._fresh.append(frame)
 
-    def frames(self, since: float, now: float) -> list[Frame]:
+    def frames(self, since: float, now: float) -> list[CameraFrame]:
         """Frames that are readable now and became so after `since` [s], oldest first."""
         return [frame for frame in self._frames if since < frame.readable <= now]
 
-    def exposed(self) -> list[Frame]:
+    def exposed(self) -> list[CameraFrame]:
         """Frames taken since the last call, readable or not, for drawing them in the meantime."""
         return [self._fresh.popleft() for _ in range(len(self._fresh))]

@@ -11,7 +11,7 @@ from fishmj.water import choice
 from fishmj.water.flow import Flow, stack
 
 
-class Stage(Sim):
+class SteppedSim(Sim):
     """A `Sim` whose servo targets are set from outside, step by step."""
 
     goals: np.ndarray  # (S, J) rad, of the present tick
@@ -25,7 +25,7 @@ class MujocoBody(TickedBody):
     """One fish in MuJoCo; arguments as `bodies.make`."""
 
     def __init__(self, robot: Robot, water: str, start: tuple[float, float, float], flow: Flow, radio: float):
-        self.stage = stage = Stage(robot, water=water, flow=flow, pose=start, latency=0.0)
+        self.stage = stage = SteppedSim(robot, water=water, flow=flow, pose=start, latency=0.0)
         late = float(stage.added.late(np, stage.added.row, "command"))
         super().__init__(stage.robot, stage.swimmer.zero, start, radio, late)
         self._gains = stage.model.actuator_gainprm.copy(), stage.model.actuator_biasprm.copy()
@@ -93,12 +93,12 @@ class SolverBody(TickedBody):
     """
 
     def __init__(self, robot: Robot, start: tuple[float, float, float], flow: Flow, radio: float, domain: str):
-        from fishmj.engines.lbm import Engine
+        from fishmj.engines.lbm import LbmEngine
 
         params = engines.nominal_params(robot, 1)
         super().__init__(robot, params.zero[0], start, radio + 0.5 * robot.timing.bus_dt)
         self._params = params._replace(delay=0 * params.delay)
-        self.engine = Engine(robot, [flow], domain=domain)
+        self.engine = LbmEngine(robot, [flow], domain=domain)
         self._state = engines.at_rest(robot, [start])
 
     def tick(self, goals: np.ndarray) -> Moment:

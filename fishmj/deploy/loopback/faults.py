@@ -51,7 +51,7 @@ FAULTS: Mapping[str, FaultKind] = {
 FORM = re.compile(r"(?P<name>[a-z_]+)(:(?P<direction>\w+))?(=(?P<value>[^@]+))?(@(?P<begin>[^-]+)(-(?P<end>.+))?)?")
 
 
-class Fault(NamedTuple):
+class LoopbackFault(NamedTuple):
     """One switch that is set."""
 
     name: str
@@ -65,7 +65,7 @@ class Fault(NamedTuple):
         return self.begin <= t < self.end
 
 
-def parse(texts: Iterable[str]) -> tuple[Fault, ...]:
+def parse(texts: Iterable[str]) -> tuple[LoopbackFault, ...]:
     """Parses switches of the command line.
 
     Raises:
@@ -74,7 +74,7 @@ def parse(texts: Iterable[str]) -> tuple[Fault, ...]:
     return tuple(map(_fault, texts))
 
 
-def _fault(text: str) -> Fault:
+def _fault(text: str) -> LoopbackFault:
     found = FORM.fullmatch(text)
     if not found:
         raise ConfigError(f"fault {text[:60]!r}; expected NAME[:up|:down][=VALUE][@T0[-T1]] such as loss=0.05 or loss@10-12")
@@ -93,7 +93,7 @@ def _fault(text: str) -> Fault:
     end = begin + kind.lasts if found["end"] is None else _number(text, found["end"])
     if not 0.0 <= begin < end:
         raise ConfigError(f"fault {text[:60]!r}: from {begin:g} to {end:g} s; expected 0 <= T0 < T1")
-    return Fault(name, value, begin, end, direction)
+    return LoopbackFault(name, value, begin, end, direction)
 
 
 def _number(text: str, part: str) -> float:
@@ -113,6 +113,6 @@ def described() -> list[str]:
     return [f"{name:<{wide}}  {kind.about}{told(kind)}" for name, kind in FAULTS.items()]
 
 
-def active(faults: Iterable[Fault], name: str, t: float) -> Fault | None:
+def active(faults: Iterable[LoopbackFault], name: str, t: float) -> LoopbackFault | None:
     """The first fault of this name that is present at t [s], or None."""
     return next((fault for fault in faults if fault.name == name and fault.active(t)), None)

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Protocol
 
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.deploy.loopback.loopback_servos import LoopbackServos
 from fishmj.deploy.loopback.readings import Readings
-from fishmj.deploy.loopback.servos import Servos
 from fishmj.deploy.protocols import fishmj1, mish, servo_counts
-from fishmj.deploy.protocols.errors import ProtocolError
-from fishmj.deploy.protocols.guard import Bounds, Guard
+from fishmj.deploy.protocols.firmware_guard import Bounds, Guard
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, Telemetry
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.sequence import SequenceGate
 from fishmj.deploy.protocols.servo_bus import BUSES
 from fishmj.deploy.protocols.watchdog import Limits, Watchdog
@@ -62,7 +62,7 @@ def firmware_of(protocol: str, robot: Robot, born: float, policy_sha256: str = "
     if protocol not in PROTOCOLS:
         raise UnknownName("protocol", protocol, PROTOCOLS)
     if protocol == SERVO_BUS:
-        return Servos(robot)
+        return LoopbackServos(robot)
     if protocol == PROTOCOLS[0]:
         return FishmjFirmware(robot, born, policy_sha256)
     if robot.n_joints != mish.JOINTS:

@@ -15,8 +15,8 @@ import numpy as np
 
 from fishmj.base.calib import calib_folder, constant, read_toml
 from fishmj.base.errors import UnknownName
-from fishmj.deploy.loopback.body import MILLISECOND
 from fishmj.deploy.loopback.camera_frames import FrameArtist
+from fishmj.deploy.loopback.loopback_body import MILLISECOND
 from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.tracker.fix import Fix
 from fishmj.gap.laboratory import random_streams

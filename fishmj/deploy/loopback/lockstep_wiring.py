@@ -12,9 +12,9 @@ from contextlib import ExitStack
 from typing import Any
 
 from fishmj.deploy.camera.localiser import InStep
-from fishmj.deploy.link.links import Fishmj1Link, Link, MishLink
+from fishmj.deploy.link.links import Fishmj1Link, MishLink, RobotLink
 from fishmj.deploy.loop.wiring import Wired, servo_link
-from fishmj.deploy.loopback import command
+from fishmj.deploy.loopback import loopback_command
 from fishmj.deploy.loopback.firmware import SERVO_BUS
 from fishmj.deploy.loopback.lockstep import (
     FixNoise,
@@ -24,8 +24,8 @@ from fishmj.deploy.loopback.lockstep import (
     LockstepTransport,
     PoseTracker,
 )
+from fishmj.deploy.loopback.loopback_settings import make_robot
 from fishmj.deploy.loopback.robot import LoopbackRobot
-from fishmj.deploy.loopback.settings import make_robot
 from fishmj.mjcf.description import Robot
 
 
@@ -40,10 +40,10 @@ def wired(
         clock: makes the clock that moves the robot. noise: of the fixes; None: a tag's on clean frames, as measured.
     """
     words = ["--protocol", args.protocol, "--model", args.robot, *shlex.split(args.loopback or "")]
-    settings = command.served(command.options().parse_args(words)).settings
+    settings = loopback_command.served(loopback_command.options().parse_args(words)).settings
     made = clock(make_robot(settings))
     transport = LockstepTransport(made)
-    link: Link
+    link: RobotLink
     if settings.protocol == SERVO_BUS:
         link = servo_link(args, robot, made, lambda _: LockstepSerial(made))
     elif settings.protocol == "fishmj-1":

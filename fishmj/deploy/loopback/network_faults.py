@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 from math import ceil
 from typing import NamedTuple
 
-from fishmj.deploy.loopback.body import MILLISECOND
-from fishmj.deploy.loopback.faults import FAULTS, RADIO, Fault
+from fishmj.deploy.loopback.faults import FAULTS, RADIO, LoopbackFault
+from fishmj.deploy.loopback.loopback_body import MILLISECOND
 from fishmj.gap.laboratory import random_streams
 
 DELAY = 0.005  # s, one way over a quiet wireless network: the middle of 2 to 10 ms
@@ -27,7 +27,7 @@ class Arrival(NamedTuple):
     data: bytes
 
 
-class Radio:
+class RadioChannel:
     """One direction of the radio.
 
     Args:
@@ -35,7 +35,9 @@ class Radio:
         delay, spread: s, of a radio without faults; a wire has neither.
     """
 
-    def __init__(self, direction: str, seed: int, faults: Iterable[Fault] = (), delay: float = DELAY, spread: float = SPREAD):
+    def __init__(
+        self, direction: str, seed: int, faults: Iterable[LoopbackFault] = (), delay: float = DELAY, spread: float = SPREAD
+    ):
         mine = [fault for fault in faults if FAULTS[fault.name].where == RADIO and fault.direction in ("", direction)]
         self.delay, self.spread, self._faults = delay, spread, mine
         self._base, self._late, self._chance = (

@@ -17,14 +17,14 @@ from math import ceil
 import numpy as np
 
 from fishmj.deploy.loopback import network_faults
-from fishmj.deploy.loopback.body import MILLISECOND, Body
-from fishmj.deploy.loopback.camera import CameraTiming, Frame, LoopbackCamera
-from fishmj.deploy.loopback.faults import Fault
+from fishmj.deploy.loopback.camera import CameraFrame, CameraTiming, LoopbackCamera
+from fishmj.deploy.loopback.faults import LoopbackFault
 from fishmj.deploy.loopback.firmware import PERIOD, PROTOCOLS, Firmware, firmware_of
-from fishmj.deploy.loopback.network_faults import Arrival, Radio
+from fishmj.deploy.loopback.loopback_body import MILLISECOND, Body
+from fishmj.deploy.loopback.loopback_servos import LoopbackServos
+from fishmj.deploy.loopback.network_faults import Arrival, RadioChannel
 from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.loopback.robot_faults import RobotFaults
-from fishmj.deploy.loopback.servos import Servos
 
 Step = Callable[[], None]
 
@@ -48,14 +48,14 @@ class LoopbackRobot:
     """
 
     def __init__(
-        self, body: Body, protocol: str = PROTOCOLS[0], faults: Iterable[Fault] = (), seed: int = 0, *,
+        self, body: Body, protocol: str = PROTOCOLS[0], faults: Iterable[LoopbackFault] = (), seed: int = 0, *,
         delay: float = network_faults.DELAY, spread: float = network_faults.SPREAD, camera: CameraTiming | None = None,
         policy_sha256: str = "",
     ):  # fmt: skip
         given = tuple(faults)
         self.body, self.protocol, self.restarts = body, protocol, 0
         self._policy = policy_sha256
-        self._down, self._up = (Radio(way, seed, given, delay, spread) for way in ("down", "up"))
+        self._down, self._up = (RadioChannel(way, seed, given, delay, spread) for way in ("down", "up"))
         self._faults = RobotFaults(body, given)
         timing = camera or CameraTiming(latency=body.robot.timing.camera_latency)
         self.camera = LoopbackCamera(body, timing, seed, given)
@@ -109,7 +109,7 @@ class LoopbackRobot:
         """(3,): true x, y [m] and yaw [rad] of the reference point."""
         return self.body.truth()[:3]
 
-    def frames(self, since: float) -> list[Frame]:
+    def frames(self, since: float) -> list[CameraFrame]:
         """Camera frames that are readable now and became so after `since` [s], oldest first."""
         return self.camera.frames(since, self.time)
 
@@ -140,7 +140,7 @@ class LoopbackRobot:
         if firmware is not self.firmware:
             return
         self._readings = self._read()
-        if isinstance(firmware, Servos):
+        if isinstance(firmware, LoopbackServos):
             firmware.readings = self._readings
         self._act(firmware)
         if told := firmware.report(self.time, self._readings):
@@ -150,7 +150,7 @@ class LoopbackRobot:
     def _hear(self, data: bytes) -> None:
         if self.firmware is None:
             return
-        if isinstance(self.firmware, Servos):
+        if isinstance(self.firmware, LoopbackServos):
             self._readings = self.firmware.readings = self._read()
         moves, answers = self.firmware.hear(data, self.time, self._readings.measured)
         if moves:

@@ -7,9 +7,9 @@ measured: a servo that is stalled at 1.2 A heads for 50 deg C in water of 20 deg
 from collections.abc import Iterable
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.loopback.body import Body, Sensors
-from fishmj.deploy.loopback.faults import FAULTS, Fault, active
+from fishmj.deploy.loopback.faults import FAULTS, LoopbackFault, active
 from fishmj.deploy.loopback.firmware import in_counts
+from fishmj.deploy.loopback.loopback_body import Body, BodyReadings
 from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.protocols.messages import ServoFault
 from fishmj.deploy.protocols.servo_bus import BUSES
@@ -28,7 +28,7 @@ class RobotFaults:
         ConfigError: a joint that the robot does not have.
     """
 
-    def __init__(self, body: Body, faults: Iterable[Fault]):
+    def __init__(self, body: Body, faults: Iterable[LoopbackFault]):
         self.body, self._faults, self._bus = body, tuple(faults), BUSES[body.robot.rig.bus]
         self._heat = [WATER] * body.robot.n_joints
         self._read = [0.0] * body.robot.n_joints  # rad
@@ -53,7 +53,7 @@ class RobotFaults:
         for joint in range(self.body.robot.n_joints):
             self.body.jam(joint, joint in jammed)
 
-    def readings(self, now: float, sensed: Sensors, target: tuple[float, ...] | None) -> Readings:
+    def readings(self, now: float, sensed: BodyReadings, target: tuple[float, ...] | None) -> Readings:
         """Readings of the microcontroller at `now` [s]. target: last targets of the servos, rad, (J,)."""
         volts, amps = max(sensed.voltage, 0.0), sensed.current
         servo, joints = self.body.robot.servo, len(sensed.joint)

@@ -22,7 +22,7 @@ SLOTS = 6
 _NEWEST, _RATE = 4, 5
 
 
-class Picture(NamedTuple):
+class SharedFrame(NamedTuple):
     """One frame."""
 
     number: int  # from 1
@@ -109,7 +109,7 @@ class FrameWriter(_Ring):
             pass  # somebody has cleaned up
 
 
-class FrameReader(_Ring):
+class SharedFrameReader(_Ring):
     """Reads a ring of another process.
 
     Raises:
@@ -127,7 +127,7 @@ class FrameReader(_Ring):
         super().__init__(memory, width, height, slots)
         self.rate, self.torn, self._last = header[_RATE] / 1000.0, 0, 0
 
-    def newest(self) -> Picture | None:
+    def newest(self) -> SharedFrame | None:
         """The newest frame, if it was not returned before; None also if the writer was faster three times in a row."""
         for _ in range(3):
             slot = int(self.header[_NEWEST])
@@ -136,7 +136,7 @@ class FrameReader(_Ring):
             before = int(self.numbers[slot][0])
             if before % 2 == 0 and before // 2 == self._last:
                 return None
-            found = Picture(before // 2, float(self.stamps[slot][0]), self.images[slot].copy())
+            found = SharedFrame(before // 2, float(self.stamps[slot][0]), self.images[slot].copy())
             if before % 2 == 0 and int(self.numbers[slot][0]) == before:
                 self._last = found.number
                 return found

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.deploy.loopback.body import MILLISECOND, Sensors, bus_delay, whole_milliseconds
+from fishmj.deploy.loopback.loopback_body import MILLISECOND, BodyReadings, bus_delay, whole_milliseconds
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.servos import on_the_bus
 
@@ -73,12 +73,12 @@ class TickedBody:
             self._end = self.tick(self._goals())
             self._ticks += 1
 
-    def sensors(self) -> Sensors:
+    def sensors(self) -> BodyReadings:
         """Present readings."""
         servo = self.robot.servo
         volts = servo.voltage if self._volts is None else self._volts
         watts = servo.idle_power + (self._end.watts if self.on else 0.0)
-        return Sensors(self.truth()[3:] - self.zero, volts, watts / max(volts, 1.0))
+        return BodyReadings(self.truth()[3:] - self.zero, volts, watts / max(volts, 1.0))
 
     def truth(self) -> np.ndarray:
         """(3 + J,): x, y [m], yaw [rad] of the reference point, hinge angles [rad]."""

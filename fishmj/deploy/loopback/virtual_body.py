@@ -11,13 +11,13 @@ from itertools import count
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.loopback.body import MILLISECOND, Effects, Sensors, bus_delay, whole_milliseconds
+from fishmj.deploy.loopback.loopback_body import MILLISECOND, BodyReadings, Effects, bus_delay, whole_milliseconds
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.virtual_robot import network
 from fishmj.gap.laboratory.virtual_robot import sensors as cameras
-from fishmj.gap.laboratory.virtual_robot.network import Radio
+from fishmj.gap.laboratory.virtual_robot.network import CommandRadio
 from fishmj.gap.laboratory.virtual_robot.robot_constants import FIRMWARE_WAIT, RobotConstants
-from fishmj.gap.laboratory.virtual_robot.simulate import STILL, Recording, at_rest, columns, run
+from fishmj.gap.laboratory.virtual_robot.simulate import STILL, StateRecording, at_rest, columns, run
 from fishmj.gap.laboratory.virtual_robot.trials import plant, weather
 from fishmj.mjcf.description import Robot
 from fishmj.water.flow import Flow
@@ -46,7 +46,7 @@ class VirtualBody:
         self._changing = made.tank.sigma > 0.0 or made.odd.pulse != 0.0
         self._seed, self._horizon = seed, HORIZON
         self._gust = weather(made, HORIZON, seed, 0) if self._changing else STILL
-        self._radio = Radio(made.network, made.odd, seed, 0, noise)
+        self._radio = CommandRadio(made.network, made.odd, seed, 0, noise)
         self._joint, self._meter = (random_streams.stream(seed, name, 0) for name in ("joint", "power"))
         self._queue: list[tuple[float, int, np.ndarray]] = []
         self._order = count()
@@ -91,7 +91,7 @@ class VirtualBody:
         """Advances by whole milliseconds; seconds: s."""
         self._now += whole_milliseconds(seconds)
 
-    def sensors(self) -> Sensors:
+    def sensors(self) -> BodyReadings:
         """Present readings, with the sensors' noise and planted errors."""
         self._catch_up()
         here, made, meter = np.array([self.time]), self.plant, self.plant.meter
@@ -102,7 +102,7 @@ class VirtualBody:
         volts, amps = rows[:, column["V"]].mean(), rows[:, column["I"]].mean()
         amps += meter.offset / max(volts, 1.0)
         error = self.noise * self._meter.standard_normal(2)
-        return Sensors(joint, float(volts + meter.voltage_noise * error[0]), float(amps + meter.current_noise * error[1]))
+        return BodyReadings(joint, float(volts + meter.voltage_noise * error[0]), float(amps + meter.current_noise * error[1]))
 
     def truth(self) -> np.ndarray:
         """(3 + J,): x, y [m], yaw [rad] of the reference point, hinge angles [rad]."""
@@ -152,12 +152,12 @@ class VirtualBody:
             fields["motor.voltage"] = self._volts
         self._acting = self.plant.with_fields(fields) if fields else self.plant
 
-    def _before_the_first(self) -> Recording:
+    def _before_the_first(self) -> StateRecording:
         """Recording of the fish at rest, a millisecond before it begins."""
         column, row = columns(self.robot.n_joints), np.zeros(len(columns(self.robot.n_joints)))
         row[:3], row[[column[f"j{j + 1}"] for j in range(self.robot.n_joints)]] = self._state.z[:3], np.diff(self._state.z[2:])
         row[[column["V"], column["I"]]] = self.plant.motor.voltage, self.plant.motor.idle / self.plant.motor.nominal_voltage
-        return Recording(np.array([-MILLISECOND]), row[None])
+        return StateRecording(np.array([-MILLISECOND]), row[None])
 
     def _catch_up(self) -> None:
         """Simulates up to the present time."""
@@ -179,7 +179,7 @@ class VirtualBody:
         self._made = self._now
         past = self._past
         keep = max(len(past.t) - self._memory, 0)
-        self._past = Recording(np.concatenate([past.t[keep:], fresh.t]), np.concatenate([past.data[keep:], fresh.data]))
+        self._past = StateRecording(np.concatenate([past.t[keep:], fresh.t]), np.concatenate([past.data[keep:], fresh.data]))
 
 
 def _with_gusts(effects: Effects, flow: Flow) -> Effects:

@@ -23,14 +23,14 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.processes import end_command, start_command
-from fishmj.deploy.loop.observer import Pose
-from fishmj.deploy.loop.supervisor import Event, State
+from fishmj.deploy.loop.observation import Pose
+from fishmj.deploy.loop.supervisor import Event, SwimState
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.monitor.monitor import BLOCK, RATE, RUN_IN, SETTLE, Alarm, said
 from fishmj.deploy.monitor.statistics import LEAST_BLOCKS
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.log import read_trial
-from fishmj.log.folder import META_FILE
+from fishmj.log.trial_folder import META_FILE
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 
@@ -217,7 +217,7 @@ class LiveMonitor:
 
     def event(self, event: Event) -> None:
         """Notes a change of the supervisor: rows after the swim are not watched."""
-        self._over |= event.after is State.NEUTRAL
+        self._over |= event.after is SwimState.NEUTRAL
 
     def _row(self, name: str, t: float, at: float, values: dict[str, float]) -> None:
         if self._zero is None:

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.monitor.prediction import Innovation, Observer, channels
-from fishmj.deploy.monitor.rows import Ticks, as_heard
+from fishmj.deploy.monitor.prediction import Innovation, SwimPredictor, channels
 from fishmj.deploy.monitor.statistics import LEAST_BLOCKS, SIZE, Cusums, Reference, learn
+from fishmj.deploy.monitor.tick_interpolation import Ticks, as_heard
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 
@@ -55,7 +55,7 @@ class Blocks:
         self, robot: Robot, flow: tuple[float, float] = (0.0, 0.0), pose: bool = True, power: bool = True,
         camera: float | None = None,
     ):  # fmt: skip
-        self.observer = Observer(robot, flow=(flow[0] * cos(flow[1]), flow[0] * sin(flow[1])), camera=camera)
+        self.observer = SwimPredictor(robot, flow=(flow[0] * cos(flow[1]), flow[0] * sin(flow[1])), camera=camera)
         self.ticks = Ticks(robot, pose, power)
         self.probes = channels(robot.n_joints, pose, power)
         self.length = round(BLOCK / robot.timing.bus_dt)

@@ -39,7 +39,7 @@ class Floats:
         return a if condition else b
 
 
-class Seen(NamedTuple):
+class TickMeasurement(NamedTuple):
     """One bus tick of measurement; entries are floats or arrays (B,)."""
 
     target: Any  # [S][J] rad, the command at the servo in each physics step of the tick
@@ -61,7 +61,7 @@ def channels(joints: int, pose: bool = True, power: bool = True) -> dict[str, tu
     return {**body, **{f"j{k + 1}": JOINT for k in range(joints)}, **({"power": POWER} if power else {})}
 
 
-class Observer:
+class SwimPredictor:
     """The model of one robot, or of B of them at once.
 
     Args:
@@ -82,7 +82,7 @@ class Observer:
         self._poses: list[list] = []
         self._filters: dict[tuple[str, str], list] = {}
 
-    def begin(self, seen: Seen) -> None:
+    def begin(self, seen: TickMeasurement) -> None:
         """Starts at rest at the measured pose."""
         pose = [0.0 * seen.joint[0]] * 3 if seen.pose is None else list(seen.pose)
         self.q, self.v = [*pose, *seen.joint], [0.0 * seen.joint[0]] * (3 + self.joints)
@@ -90,7 +90,7 @@ class Observer:
         self._poses = [list(pose)] * (int(self.late) + 2)
         self._filters = {}
 
-    def step(self, seen: Seen) -> Innovation:
+    def step(self, seen: TickMeasurement) -> Innovation:
         """Predicts, compares and corrects one bus tick."""
         xp = self.xp
         power, accel = self._moved(seen.target)
@@ -122,7 +122,7 @@ class Observer:
             power = power + made.power
         return power / len(targets), made.accel
 
-    def _body(self, seen: Seen, accel, error: dict, probes: dict, one) -> None:
+    def _body(self, seen: TickMeasurement, accel, error: dict, probes: dict, one) -> None:
         """Compares with the model's pose at the frame's exposure; corrects the present pose."""
         xp = self.xp
         self._poses = [*self._poses[1:], self.q[:3]]

@@ -77,7 +77,7 @@ def long_run_deviation(values: np.ndarray, lags: int = LAGS) -> float:
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelStatistics:
     """Reference distribution of one channel of the healthy robot: P probes."""
 
     probes: tuple[str, ...]
@@ -119,7 +119,7 @@ def scores(r: np.ndarray, phi: np.ndarray, floor: np.ndarray) -> np.ndarray:
 class Reference:
     """Reference distribution of the healthy robot's innovations, from `blocks` blocks."""
 
-    channels: Mapping[str, Channel]
+    channels: Mapping[str, ChannelStatistics]
     blocks: int
 
     @property
@@ -155,7 +155,7 @@ def learn(blocks: Sequence[Block], probes: Mapping[str, tuple[str, ...]]) -> Ref
         seen = np.sort(raw, 0)
         normal = np.array([normal_scores(seen, row) for row in raw])
         spread = np.array([max(long_run_deviation(column), 1.0) for column in normal.T])
-        made[name] = Channel(tuple(names), weight, floor, seen, spread)
+        made[name] = ChannelStatistics(tuple(names), weight, floor, seen, spread)
     return Reference(made, len(blocks))
 
 

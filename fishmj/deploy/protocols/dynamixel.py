@@ -19,8 +19,8 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.frame_reader import FrameReader
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 BROADCAST = 254
 MOST_BYTES = 160  # of a packet: SYNC_WRITE of eleven joints has 69
@@ -192,7 +192,7 @@ class Protocol1:
         return packet.data[2:]
 
 
-class Reader(FrameReader[Packet]):
+class PacketReader(FrameReader[Packet]):
     """Finds packets in a byte stream; see `FrameReader`."""
 
     def __init__(self, protocol: Protocol1 | Protocol2):

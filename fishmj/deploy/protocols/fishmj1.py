@@ -16,8 +16,8 @@ from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 
 from fishmj.base.names import is_name
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, ServoFault, Telemetry
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 MAGIC, VERSION = b"FJ", 1
 HEADER, CRC = struct.Struct("<2sBBBBHIQ"), struct.Struct("<I")
@@ -60,14 +60,14 @@ class FieldFlags(IntFlag):
     FAULT = 16
 
 
-class Watch(NamedTuple):
+class WatchdogTimes(NamedTuple):
     """Watchdog times in ARM, in s without a command."""
 
     hold: float
     neutral: float
 
 
-class Command(NamedTuple):
+class CommandMessage(NamedTuple):
     """Content of COMMAND: angles, rad, (J,); speeds, rad/s, (J,), None: the firmware's maximum."""
 
     joint: tuple[float, ...]
@@ -75,7 +75,7 @@ class Command(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A datagram. value: Watch, Command, Telemetry, RobotInfo; None of HELLO and DISARM. time: s, the sender's clock."""
+    """A datagram. value: WatchdogTimes, CommandMessage, Telemetry, RobotInfo; None of HELLO, DISARM. time: s of the sender."""
 
     kind: Kind
     seq: int
@@ -245,19 +245,19 @@ def _nothing(payload: bytes, joints: int, seq: int, time: float) -> None:
     _size(payload, (0,), "HELLO or DISARM")
 
 
-def _read_arm(payload: bytes, joints: int, seq: int, time: float) -> Watch:
+def _read_arm(payload: bytes, joints: int, seq: int, time: float) -> WatchdogTimes:
     _size(payload, (ARM.size,), "ARM")
     return _waits(*ARM.unpack(payload))
 
 
-def _read_command(payload: bytes, joints: int, seq: int, time: float) -> Command:
+def _read_command(payload: bytes, joints: int, seq: int, time: float) -> CommandMessage:
     _size(payload, (4 * joints, 8 * joints), "COMMAND")
     values = struct.unpack(f"<{len(payload) // 4}f", payload)
     angles = tuple(_angle(value, f"joint {k}") for k, value in enumerate(values[:joints]))
     speeds = tuple(_within(value, 0.0, MOST_SPEED, f"speed {k}", "rad/s") for k, value in enumerate(values[joints:]))
     if speeds and min(speeds) <= 0.0:
         raise ProtocolError(f"speeds {speeds} rad/s; expected above 0")
-    return Command(angles, speeds or None)
+    return CommandMessage(angles, speeds or None)
 
 
 def _read_telemetry(payload: bytes, joints: int, seq: int, time: float) -> Telemetry:
@@ -371,12 +371,12 @@ def _watch(hold: float, neutral: float) -> tuple[int, int]:
     return round(hold * 1e6), round(neutral * 1e6)
 
 
-def _waits(hold: int, neutral: int) -> Watch:
+def _waits(hold: int, neutral: int) -> WatchdogTimes:
     if not 0 < hold < neutral <= MOST_WAIT * 1e6:
         raise ProtocolError(
             f"watchdog times hold {hold / 1e6:g} s, neutral {neutral / 1e6:g} s; expected 0 < hold < neutral <= {MOST_WAIT:g} s"
         )
-    return Watch(hold / 1e6, neutral / 1e6)
+    return WatchdogTimes(hold / 1e6, neutral / 1e6)
 
 
 def _digest(text: str, what: str) -> bytes:

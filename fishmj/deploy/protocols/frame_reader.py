@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 
 
 class BusFrame(Protocol):

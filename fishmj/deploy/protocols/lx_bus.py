@@ -13,8 +13,8 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.frame_reader import FrameReader
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.servo_counts import MOST_OFFSET, MOST_TIME, SPAN, VOLTAGE
 from fishmj.mjcf.servo_buses import BUSES
 
@@ -58,7 +58,7 @@ class Code(IntEnum):
     LED_ERROR_READ = 36
 
 
-class Field(NamedTuple):
+class LxField(NamedTuple):
     """A parameter. form: of `struct`, B u8, b i8, H u16, h i16. least, most: its range."""
 
     name: str
@@ -67,14 +67,14 @@ class Field(NamedTuple):
     most: int
 
 
-class Row(NamedTuple):
+class LxCode(NamedTuple):
     """The parameters of a code. asks: host -> servo. replies: servo -> host, () if the servo is silent."""
 
-    asks: tuple[Field, ...] = ()
-    replies: tuple[Field, ...] = ()
+    asks: tuple[LxField, ...] = ()
+    replies: tuple[LxField, ...] = ()
 
 
-class Frame(NamedTuple):
+class LxFrame(NamedTuple):
     """A parsed frame. values: one for each field of `TABLE`, in counts, ms, mV, deg C. reply: a servo sent it."""
 
     servo: int
@@ -83,46 +83,46 @@ class Frame(NamedTuple):
     reply: bool
 
 
-_POSITION, _TIME = Field("position", "H", 0, SPAN), Field("time_ms", "H", 0, MOST_TIME)
-_ANGLES = (Field("lowest", "H", 0, SPAN), Field("highest", "H", 0, SPAN))
-_VOLTS = (Field("lowest_mv", "H", *VOLTAGE), Field("highest_mv", "H", *VOLTAGE))
+_POSITION, _TIME = LxField("position", "H", 0, SPAN), LxField("time_ms", "H", 0, MOST_TIME)
+_ANGLES = (LxField("lowest", "H", 0, SPAN), LxField("highest", "H", 0, SPAN))
+_VOLTS = (LxField("lowest_mv", "H", *VOLTAGE), LxField("highest_mv", "H", *VOLTAGE))
 _ID, _OFFSET, _HOTTEST = (
-    Field("id", "B", 0, MOST_ID),
-    Field("offset", "b", -MOST_OFFSET, MOST_OFFSET),
-    Field("hottest", "B", 50, 100),
+    LxField("id", "B", 0, MOST_ID),
+    LxField("offset", "b", -MOST_OFFSET, MOST_OFFSET),
+    LxField("hottest", "B", 50, 100),
 )
-_MODE = (Field("motor", "B", 0, 1), Field("zero", "B", 0, 0), Field("speed", "h", -1000, 1000))
-_LOADED, _DARK, _FAULTS = Field("loaded", "B", 0, 1), Field("dark", "B", 0, 1), Field("faults", "B", 0, 7)
+_MODE = (LxField("motor", "B", 0, 1), LxField("zero", "B", 0, 0), LxField("speed", "h", -1000, 1000))
+_LOADED, _DARK, _FAULTS = LxField("loaded", "B", 0, 1), LxField("dark", "B", 0, 1), LxField("faults", "B", 0, 7)
 
-TABLE: dict[Code, Row] = {
-    Code.MOVE_TIME_WRITE: Row(asks=(_POSITION, _TIME)),
-    Code.MOVE_TIME_READ: Row(replies=(_POSITION, _TIME)),
-    Code.MOVE_TIME_WAIT_WRITE: Row(asks=(_POSITION, _TIME)),
-    Code.MOVE_TIME_WAIT_READ: Row(replies=(_POSITION, _TIME)),
-    Code.MOVE_START: Row(),
-    Code.MOVE_STOP: Row(),
-    Code.ID_WRITE: Row(asks=(_ID,)),
-    Code.ID_READ: Row(replies=(_ID,)),
-    Code.ANGLE_OFFSET_ADJUST: Row(asks=(_OFFSET,)),
-    Code.ANGLE_OFFSET_WRITE: Row(),
-    Code.ANGLE_OFFSET_READ: Row(replies=(_OFFSET,)),
-    Code.ANGLE_LIMIT_WRITE: Row(asks=_ANGLES),
-    Code.ANGLE_LIMIT_READ: Row(replies=_ANGLES),
-    Code.VIN_LIMIT_WRITE: Row(asks=_VOLTS),
-    Code.VIN_LIMIT_READ: Row(replies=_VOLTS),
-    Code.TEMP_MAX_LIMIT_WRITE: Row(asks=(_HOTTEST,)),
-    Code.TEMP_MAX_LIMIT_READ: Row(replies=(_HOTTEST,)),
-    Code.TEMP_READ: Row(replies=(Field("temperature", "B", 0, 255),)),
-    Code.VIN_READ: Row(replies=(Field("voltage_mv", "H", 0, 20_000),)),
-    Code.POS_READ: Row(replies=(Field("position", "h", -MOST_OFFSET, MOST_POSITION),)),
-    Code.OR_MOTOR_MODE_WRITE: Row(asks=_MODE),
-    Code.OR_MOTOR_MODE_READ: Row(replies=_MODE),
-    Code.LOAD_OR_UNLOAD_WRITE: Row(asks=(_LOADED,)),
-    Code.LOAD_OR_UNLOAD_READ: Row(replies=(_LOADED,)),
-    Code.LED_CTRL_WRITE: Row(asks=(_DARK,)),
-    Code.LED_CTRL_READ: Row(replies=(_DARK,)),
-    Code.LED_ERROR_WRITE: Row(asks=(_FAULTS,)),
-    Code.LED_ERROR_READ: Row(replies=(_FAULTS,)),
+TABLE: dict[Code, LxCode] = {
+    Code.MOVE_TIME_WRITE: LxCode(asks=(_POSITION, _TIME)),
+    Code.MOVE_TIME_READ: LxCode(replies=(_POSITION, _TIME)),
+    Code.MOVE_TIME_WAIT_WRITE: LxCode(asks=(_POSITION, _TIME)),
+    Code.MOVE_TIME_WAIT_READ: LxCode(replies=(_POSITION, _TIME)),
+    Code.MOVE_START: LxCode(),
+    Code.MOVE_STOP: LxCode(),
+    Code.ID_WRITE: LxCode(asks=(_ID,)),
+    Code.ID_READ: LxCode(replies=(_ID,)),
+    Code.ANGLE_OFFSET_ADJUST: LxCode(asks=(_OFFSET,)),
+    Code.ANGLE_OFFSET_WRITE: LxCode(),
+    Code.ANGLE_OFFSET_READ: LxCode(replies=(_OFFSET,)),
+    Code.ANGLE_LIMIT_WRITE: LxCode(asks=_ANGLES),
+    Code.ANGLE_LIMIT_READ: LxCode(replies=_ANGLES),
+    Code.VIN_LIMIT_WRITE: LxCode(asks=_VOLTS),
+    Code.VIN_LIMIT_READ: LxCode(replies=_VOLTS),
+    Code.TEMP_MAX_LIMIT_WRITE: LxCode(asks=(_HOTTEST,)),
+    Code.TEMP_MAX_LIMIT_READ: LxCode(replies=(_HOTTEST,)),
+    Code.TEMP_READ: LxCode(replies=(LxField("temperature", "B", 0, 255),)),
+    Code.VIN_READ: LxCode(replies=(LxField("voltage_mv", "H", 0, 20_000),)),
+    Code.POS_READ: LxCode(replies=(LxField("position", "h", -MOST_OFFSET, MOST_POSITION),)),
+    Code.OR_MOTOR_MODE_WRITE: LxCode(asks=_MODE),
+    Code.OR_MOTOR_MODE_READ: LxCode(replies=_MODE),
+    Code.LOAD_OR_UNLOAD_WRITE: LxCode(asks=(_LOADED,)),
+    Code.LOAD_OR_UNLOAD_READ: LxCode(replies=(_LOADED,)),
+    Code.LED_CTRL_WRITE: LxCode(asks=(_DARK,)),
+    Code.LED_CTRL_READ: LxCode(replies=(_DARK,)),
+    Code.LED_ERROR_WRITE: LxCode(asks=(_FAULTS,)),
+    Code.LED_ERROR_READ: LxCode(replies=(_FAULTS,)),
 }
 _FORMS = {
     (code, reply): struct.Struct("<" + "".join(field.form for field in (row.replies if reply else row.asks)))
@@ -156,7 +156,7 @@ def encode_reply(servo: int, code: Code, *values: int) -> bytes:
     return _encoded(servo, code, values, True, MOST_ID)
 
 
-def decode(data: bytes) -> Frame:
+def decode(data: bytes) -> LxFrame:
     """The frame in `data`, which must be exactly one. Raises ProtocolError for any other bytes, and no other error."""
     if not 6 <= len(data) <= MOST_BYTES or data[:2] != HEADER or data[3] != len(data) - 3:
         raise ProtocolError(
@@ -170,15 +170,15 @@ def decode(data: bytes) -> Frame:
     code, reply, form = known
     values = form.unpack(data[5:-1])
     _check(data[2], code, values, reply, MOST_ID if reply else BROADCAST)
-    return Frame(data[2], code, values, reply)
+    return LxFrame(data[2], code, values, reply)
 
 
-def answers(frame: Frame, servo: int, code: Code) -> bool:
+def answers(frame: LxFrame, servo: int, code: Code) -> bool:
     """Returns True if a frame is the answer of `servo` to the question `code`; any servo answers a broadcast question."""
     return frame.reply and frame.code is code and servo in (frame.servo, BROADCAST)
 
 
-class Reader(FrameReader[Frame]):
+class LxFrameReader(FrameReader[LxFrame]):
     """Finds frames in a byte stream; at most nine bytes wait for the rest of their frame. See `FrameReader`."""
 
     def __init__(self) -> None:

@@ -20,7 +20,7 @@ class RobotState(IntEnum):
 class ServoFault(IntFlag):
     """Faults of a bus servo, bit by bit as LX servos number them; NO_REPLY and STUCK are the firmware's own.
 
-    The firmware also sets HOT and VOLTAGE if its guard (`guard.py`) finds a servo hot or the battery low.
+    The firmware also sets HOT and VOLTAGE if its guard (`firmware_guard.py`) finds a servo hot or the battery low.
     """
 
     NONE = 0

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from fishmj.base.errors import UnknownName
-from fishmj.deploy.protocols.errors import ProtocolError
 from fishmj.deploy.protocols.messages import Telemetry
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.servo_counts import RAD_PER_COUNT
 
 Firmware = Literal["mish-0.1.0", "fixed"]

@@ -2,7 +2,7 @@
 
     bus = BUSES["dynamixel-x"]
     bus.ask("state", (1, 2))                bytes of a question
-    bus.answer(frame)                       Answer(servo=1, position=2048, volts=5.0, degrees=31.0, ...)
+    bus.answer(frame)                       ServoReply(servo=1, position=2048, volts=5.0, degrees=31.0, ...)
     bus.move({1: 2048, 2: 1990}, 0)         bytes of a command
     bus.torque((1, 2), False)               bytes that switch the torque off
 
@@ -22,7 +22,7 @@ from fishmj.mjcf import servo_buses
 from fishmj.mjcf.servo_buses import Scale
 
 
-class Answer(NamedTuple):
+class ServoReply(NamedTuple):
     """Answer of a servo; None: not in this answer. position: counts. unfit: reason that it cannot be used, "" if it can."""
 
     servo: int
@@ -66,7 +66,7 @@ class ServoBus(Protocol):
     def size(self, question: str) -> int:
         """Number of bytes of one servo's answer."""
 
-    def answer(self, frame: Any) -> Answer | None:
+    def answer(self, frame: Any) -> ServoReply | None:
         """Meaning of a servo's frame; None if it answers none of these questions."""
 
     def move(self, goals: Mapping[int, int], milliseconds: int) -> bytes:
@@ -87,7 +87,7 @@ class LxBus(ServoBus):
 
     def reader(self) -> FrameReader[Any]:
         """Reader of LX frames."""
-        return lx_bus.Reader()
+        return lx_bus.LxFrameReader()
 
     def ask(self, question: str, servos: Sequence[int]) -> bytes:
         """Bytes of a question to the first of `servos`."""
@@ -97,14 +97,14 @@ class LxBus(ServoBus):
         """Number of bytes of an answer: 7 for a temperature, else 8."""
         return 7 if question == "degrees" else 8
 
-    def answer(self, frame: lx_bus.Frame) -> Answer | None:
+    def answer(self, frame: lx_bus.LxFrame) -> ServoReply | None:
         """Meaning of a servo's frame: position in counts, volts or deg C; None for any other frame."""
         question = self._questions.get(frame.code)
         if question is None or not frame.reply:
             return None
         (value,) = frame.values
         said = {"position": value} if question == "position" else {question: value / (1000 if question == "volts" else 1)}
-        return Answer(frame.servo, question, **said)
+        return ServoReply(frame.servo, question, **said)
 
     def move(self, goals: Mapping[int, int], milliseconds: int) -> bytes:
         """Bytes of one MOVE_TIME_WRITE for each servo."""
@@ -157,7 +157,7 @@ class DynamixelBus(ServoBus):
 
     def reader(self) -> FrameReader[Any]:
         """Reader of the protocol's packets."""
-        return dynamixel.Reader(self.wire)
+        return dynamixel.PacketReader(self.wire)
 
     def ask(self, question: str, servos: Sequence[int]) -> bytes:
         """Bytes of a read of the question's registers."""
@@ -167,19 +167,19 @@ class DynamixelBus(ServoBus):
         """Number of bytes of one servo's answer."""
         return len(self.wire.encode(1, dynamixel.Instruction.STATUS, bytes(self._span(question)[1])))
 
-    def answer(self, frame: dynamixel.Packet) -> Answer | None:
+    def answer(self, frame: dynamixel.Packet) -> ServoReply | None:
         """Meaning of a status packet, whose length tells the question; None for any other packet."""
         question = next((q for q in (self.first, self.each, *self.turns) if self._span(q)[1] == len(frame.data)), None)
         if question is None or not frame.reply:
             return None
         start = self._span(question)[0]
         if question == "error":
-            return Answer(frame.servo, question, fault=x_fault(frame.data[0]))
+            return ServoReply(frame.servo, question, fault=x_fault(frame.data[0]))
         if question == "identity":
-            return Answer(frame.servo, question, unfit=self.unfit(frame.data))
+            return ServoReply(frame.servo, question, unfit=self.unfit(frame.data))
         at = lambda place: self.table.value(place, frame.data, start)
         position, volts, degrees = at(self.table.position), at(self.table.volts) / 10, float(at(self.table.degrees))
-        return Answer(frame.servo, question, position, volts, degrees, self.fault(frame.error))
+        return ServoReply(frame.servo, question, position, volts, degrees, self.fault(frame.error))
 
     def move(self, goals: Mapping[int, int], milliseconds: int) -> bytes:
         """Bytes of one SYNC_WRITE of all goals; the time of the move is not used."""

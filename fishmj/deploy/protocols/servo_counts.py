@@ -9,7 +9,7 @@
 
 import math
 
-from fishmj.deploy.protocols.errors import ProtocolError
+from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.mjcf.servo_buses import LX, Scale
 
 SPAN, CENTRE, RAD_PER_COUNT = LX  # counts of a whole turn range; of its middle

@@ -15,9 +15,9 @@ from fishmj.base.store import Manifest
 from fishmj.deploy.commands.swim_command import flow
 from fishmj.deploy.loop import arming, wiring
 from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
-from fishmj.deploy.loop.experiment import REPEATS, SESSIONS, Run, meta_of, placing, play, runs, unpoliced
 from fishmj.deploy.loop.graceful_stop import graceful_stop
-from fishmj.deploy.loop.swim import Outcome, Rig
+from fishmj.deploy.loop.open_loop_experiment import REPEATS, SESSIONS, ExperimentRun, meta_of, placing, play, runs, unpoliced
+from fishmj.deploy.loop.swim_loop import Rig, SwimOutcome
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.deploy.tracker.fix import Fix
 from fishmj.log import Trial, read_trial, write_trial
@@ -130,9 +130,9 @@ def collect(out: Path, done: dict[str, Trial], model: str) -> list[str]:
 
 
 def _played(
-    args: Namespace, robot: Robot, run: Run, folder: Path, person: Person, ask: Callable[[str], bool], stop: Event,
+    args: Namespace, robot: Robot, run: ExperimentRun, folder: Path, person: Person, ask: Callable[[str], bool], stop: Event,
     words: Callable[[], str], wire: Wire | None = None,
-) -> tuple[Trial | None, Outcome]:  # fmt: skip
+) -> tuple[Trial | None, SwimOutcome]:  # fmt: skip
     """One experiment: the fish is put in place, all devices are opened, played and closed.
 
     Args:

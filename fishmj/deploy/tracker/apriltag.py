@@ -12,8 +12,8 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.tracker.alignment import GRAIN, Aligned, Patch, Pattern, align
-from fishmj.deploy.tracker.calibration import Calibration
-from fishmj.deploy.tracker.fix import Fix, Motion, placed, rigid, widened, wrapped
+from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.fix import Fix, PosePredictor, placed, rigid, widened, wrapped
 from fishmj.deploy.tracker.frames import same_size
 from fishmj.mjcf.from_above import opencv
 
@@ -71,7 +71,7 @@ class AprilTagTracker:
     number: int = 0
     height: float = 0.0
     unseen: tuple[float, float] = (0.0, 0.0)
-    motion: Motion = field(default_factory=Motion, repr=False)
+    motion: PosePredictor = field(default_factory=PosePredictor, repr=False)
     light: tuple[float, float] | None = field(default=None, repr=False)  # grey of black, and of white less that of black
 
     def __post_init__(self):

@@ -17,8 +17,8 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.tracker.alignment import GRAIN, Aligned, Patch, Pattern, align
-from fishmj.deploy.tracker.calibration import Calibration
-from fishmj.deploy.tracker.fix import Fix, Motion, placed, widened, wrapped
+from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.fix import Fix, PosePredictor, placed, widened, wrapped
 from fishmj.deploy.tracker.frames import same_size
 from fishmj.mjcf.from_above import opencv
 
@@ -84,7 +84,7 @@ class ColourTracker:
     red: float = 0.5
     yellow: float = 0.3
     unseen: tuple[float, float] = (0.0003, 0.004)
-    motion: Motion = field(default_factory=Motion, repr=False)
+    motion: PosePredictor = field(default_factory=PosePredictor, repr=False)
 
     def __post_init__(self):
         for band in ("head", "neck"):

@@ -1,6 +1,6 @@
 """A pose that a tracker found in one frame, and the interface of every tracker.
 
-`Motion` predicts the fish's place in the next frame. A frame without the fish there is searched as a whole.
+`PosePredictor` predicts the fish's place in the next frame. A frame without the fish there is searched as a whole.
 """
 
 from typing import NamedTuple, Protocol
@@ -41,7 +41,7 @@ class Tracker(Protocol):
         """Forgets the last pose of the fish."""
 
 
-class Motion:
+class PosePredictor:
     """Predicts the fish's pose from its last two fixes."""
 
     def __init__(self) -> None:

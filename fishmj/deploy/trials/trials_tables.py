@@ -19,14 +19,14 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError, MissingExtra, StoreError
 from fishmj.base.store import read_json, write_text
-from fishmj.deploy.trials.trials import KEPT, Place, name_of
+from fishmj.deploy.trials.schedule import KEPT, Place, name_of
 from fishmj.evaluate import metrics
 from fishmj.evaluate.metrics import UNITS, Result
 from fishmj.evaluate.protocol import MeasuredTrials, Trials, measured
 from fishmj.log import Trial, read_trial, stacked
-from fishmj.log.folder import META_FILE
+from fishmj.log.trial_folder import META_FILE
 from fishmj.mjcf.description import Robot
-from fishmj.water.flow_map.flow_map import Water, preset_for
+from fishmj.water.flow_map.flow_map import TankWater, preset_for
 
 TANK, LOOPBACK = "tank", "loopback"
 HOLE = 1.0  # s without a row of the meter, a beat, in which nobody knows what was drawn
@@ -34,7 +34,7 @@ ALONE = "Put the same trials in simulated water beside it (fishmj deploy trials 
 OF_THE_ROBOT = ("power", "energy_per_metre", "cost_of_transport")  # what is missing without a meter
 
 
-def measured_trials(trials: Trials, waters: Mapping[float, Water]) -> MeasuredTrials:
+def measured_trials(trials: Trials, waters: Mapping[float, TankWater]) -> MeasuredTrials:
     """The trials in the measured water."""
     kind = preset_for([water.length for water in waters.values()])[0] if waters else "none"
     return measured(trials, {speed: water.intensity for speed, water in waters.items()}, kind, seen=True)
@@ -211,7 +211,7 @@ def written(
 
     replay: the command that plays the worst trial.
     """
-    from fishmj.evaluate import report
+    from fishmj.evaluate import trial_report
 
     lacks: list[str] = []
     found: dict[str, Any] = {"condition": condition(results[0], notes), "results": [metrics.summary(r) for r in results]}
@@ -226,7 +226,7 @@ def written(
         results, pairs = results[:1], []
         found["results"] = found["results"][:1]
     found["paired"] = pairs
-    report.save(out, results, found)
+    trial_report.save(out, results, found)
     shown: list[tuple[Path, str]] = []
     if plots:
         from fishmj.evaluate.plots import pictures
@@ -235,7 +235,7 @@ def written(
             shown = pictures([r for r in results if len(r.t) == len(results[0].t)], out)
         except MissingExtra as error:
             lacks.append(f"no pictures: {error}")
-    write_text(out / "report.html", report.page(results, found, shown, again=replay, alone=ALONE))
+    write_text(out / "report.html", trial_report.page(results, found, shown, again=replay, alone=ALONE))
     return found, lacks
 
 
@@ -252,23 +252,25 @@ def waters_beside(folders: Sequence[Path]) -> list[str]:
 
 def worst_replay(out: Path, result: Result, places: Sequence[Place]) -> str:
     """The command that plays the robot's worst trial."""
-    from fishmj.evaluate import report
+    from fishmj.evaluate import trial_report
 
-    spec = result.trials.items[report.worst(result)]
+    spec = result.trials.items[trial_report.worst(result)]
     name = next(place.name for place in places if place.spec == spec)
     return f"fishmj replay {out / KEPT / name}"
 
 
 def shown(results: list[Result], found: dict[str, Any]) -> None:
     """Prints the tables of `evaluate`."""
-    from fishmj.evaluate import report
+    from fishmj.evaluate import trial_report
 
     summaries = found["results"]
     console.say("", found["condition"], "value (95 % bootstrap interval over trials)", "")
-    console.say(console.table(report.overall(summaries)), "")
-    console.say(console.table(report.overall(summaries, ("arrival", *report.REST))), *report.unbounded(summaries))
+    console.say(console.table(trial_report.overall(summaries)), "")
+    console.say(
+        console.table(trial_report.overall(summaries, ("arrival", *trial_report.REST))), *trial_report.unbounded(summaries)
+    )
     for which, what in (("by_speed", "by flow speed"), ("by_los", "by direction (0 = target straight upstream)")):
-        console.say("", f"{summaries[0]['controller']} {what}", console.table(report.by_condition(summaries[0], which)))
+        console.say("", f"{summaries[0]['controller']} {what}", console.table(trial_report.by_condition(summaries[0], which)))
     for other in results[1 : len(summaries)]:
-        about = f"paired over the same trials: {other.controller} minus {results[0].controller}; {report.STARRED}"
-        console.say("", about, console.table(report.paired(results[0], other)))
+        about = f"paired over the same trials: {other.controller} minus {results[0].controller}; {trial_report.STARRED}"
+        console.say("", about, console.table(trial_report.paired(results[0], other)))

@@ -7,12 +7,12 @@ import numpy as np
 from fishmj import engines
 from fishmj.engines import FishParams, FishState, Trace, check_commands
 from fishmj.engines.hybrid.hybrid import Hybrid, HybridOptions
-from fishmj.engines.hybrid.segment import Oracle, Replay
+from fishmj.engines.hybrid.hybrid_segment import Oracle, Replay
 from fishmj.mjcf.description import Robot
 from fishmj.water.flow import Current, Flow
 
 
-class Engine:
+class HybridEngine:
     """Fish that swim side by side, each corrected by segments of its own.
 
     Args:

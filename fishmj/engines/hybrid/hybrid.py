@@ -30,8 +30,8 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked_kind, number, setting
 from fishmj.engines import FishParams, FishState
 from fishmj.engines.hybrid import online_correction
+from fishmj.engines.hybrid.hybrid_segment import FreeSwim, HybridSegment, Misses, Oracle, Replay
 from fishmj.engines.hybrid.online_correction import FACTORS, Correction
-from fishmj.engines.hybrid.segment import Misses, Oracle, Replay, Segment, Swum
 from fishmj.lbm_oracle.run.domain import PREVIEWS
 from fishmj.mjcf.description import Robot
 from fishmj.water import choice
@@ -99,7 +99,7 @@ class _Recording:
     start: Any = None  # FishState where the lead ends
     commands: list = field(default_factory=list)
 
-    def segments(self, kind: Flow) -> list[Segment]:
+    def segments(self, kind: Flow) -> list[HybridSegment]:
         """Segments of all fish with finite states."""
         q, v = (np.stack(column, 1) for column in zip(*self.states, strict=True))
         commands = np.stack(self.commands, 1)
@@ -107,7 +107,7 @@ class _Recording:
         for i in range(len(q)):
             row = lambda tree: type(tree)(*(np.asarray(a)[i : i + 1] for a in tree))  # noqa: B023, E731  used at once
             current = Current._make([*(np.asarray(a)[i : i + 1] for a in self.current[:5]), *self.current[5:]])
-            made.append(Segment(i, self.tick, q[i], v[i], row(self.start), commands[i], row(self.params), current, kind))
+            made.append(HybridSegment(i, self.tick, q[i], v[i], row(self.start), commands[i], row(self.params), current, kind))
         return [one for one in made if np.isfinite(one.q).all() and np.isfinite(one.commands).all()]
 
 
@@ -115,11 +115,11 @@ class _Recording:
 class _Job:
     """Segments in the better water, and the corrections from them."""
 
-    segments: list[Segment]
+    segments: list[HybridSegment]
     states: list[Correction]  # of all fish, when the segments were swum
     idle: list[float]  # s since the last segment of each fish
     began: float = field(default_factory=time.perf_counter)
-    found: list[tuple[Segment, Correction, dict]] = field(default_factory=list)
+    found: list[tuple[HybridSegment, Correction, dict]] = field(default_factory=list)
     failed: str = ""
     done: bool = False
 
@@ -135,7 +135,7 @@ class _Job:
             self.failed = " ".join(str(error).split()) or type(error).__name__
         self.wall, self.done = time.perf_counter() - self.began, True
 
-    def _matched(self, segment: Segment, seen: "Swum | str", replay: Replay, own: float):
+    def _matched(self, segment: HybridSegment, seen: "FreeSwim | str", replay: Replay, own: float):
         before = self.states[segment.fish]
         if isinstance(seen, str):
             return segment, before, {"failed": seen}
@@ -242,7 +242,7 @@ class Hybrid:
             if tick == now.tick + lead:
                 now.start = FishState(*(np.array(a, float) for a in fish))
 
-    def _hand_over(self, segments: list[Segment]) -> None:
+    def _hand_over(self, segments: list[HybridSegment]) -> None:
         idle = [self.options.every if rows else 0.0 for rows in self.rows]
         job = self._job = _Job(segments, list(self.states), idle)
         arguments = (self._better, self._replay, self.options.own)

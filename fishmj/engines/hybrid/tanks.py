@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from fishmj.engines import lbm
-from fishmj.engines.hybrid.segment import Segment, Swum
+from fishmj.engines.hybrid.hybrid_segment import FreeSwim, HybridSegment
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
@@ -34,19 +34,19 @@ class Tanks:
         self.robot, self.stream, self.side_by_side, self.go_on = robot, stream, side_by_side, go_on
         self.water: dict[str, Any] = {"domain": domain, "slip": slip, "device": device}
 
-    def swim(self, segments: Sequence[Segment]) -> list["Swum | str"]:
+    def swim(self, segments: Sequence[HybridSegment]) -> list["FreeSwim | str"]:
         """Swims of the segments in the flow solver; as `Oracle.swim`."""
         some = self.side_by_side
         return [one for k in range(0, len(segments), some) for one in self._together(segments[k : k + some])]
 
-    def flow(self, segment: Segment) -> Flow:
+    def flow(self, segment: HybridSegment) -> Flow:
         """The background flow of a segment's tank."""
         drawn = segment.current
         if self.stream is not None:
             drawn = shifted(drawn, self.stream.mean[None, :2] - drawn.mean, np.array([segment.tick]))
         return DrawnFlow.of(drawn, segment.kind)
 
-    def _together(self, segments: Sequence[Segment]) -> list["Swum | str"]:
+    def _together(self, segments: Sequence[HybridSegment]) -> list["FreeSwim | str"]:
         runs = [self._seeded(segment) for segment in segments]
         tanks = ConcurrentRuns(runs)
         for _ in range(len(segments[0].q) - 1):
@@ -64,9 +64,9 @@ class Tanks:
             raise RuntimeError("given up")
         tanks.tick(commands)
 
-    def _seeded(self, segment: Segment) -> Run:
+    def _seeded(self, segment: HybridSegment) -> Run:
         """Tank with the fish at the start of its lead."""
-        engine = lbm.Engine(self.robot, [self.flow(segment)], **self.water)
+        engine = lbm.LbmEngine(self.robot, [self.flow(segment)], **self.water)
         kept = None if engine.active is None else segment.start.memory[0, : len(engine.active.memory)]
         run = engine.tank(0, segment.q[0], segment.params, kept)
         lbm.set_clock(run, segment.tick * self.robot.timing.bus_dt)
@@ -78,6 +78,6 @@ class Tanks:
         return run
 
 
-def _swum(run: Run) -> Swum:
+def _swum(run: Run) -> FreeSwim:
     pose, joint, rate = (np.array([row[i] for row in run.rows]) for i in (3, 4, 5))
-    return Swum(np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1))
+    return FreeSwim(np.concatenate([pose[:, :3], joint], 1), np.concatenate([pose[:, 3:], rate], 1))

@@ -1,11 +1,11 @@
 """Benchmarks: each figure has a baseline that runs alternately with it, so that a busy machine slows both.
 
-A benchmark is a function that prepares and returns a `Work`; other modules add their own:
+A benchmark is a function that prepares and returns a `BenchmarkWork`; other modules add their own:
 
     @benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
-    def engine_planar(quick: bool) -> Work: ...
+    def engine_planar(quick: bool) -> BenchmarkWork: ...
 
-`Work.run()` does `Work.amount` units of work. Rounds go A B A B ...; a figure is the median over rounds.
+`BenchmarkWork.run()` does `BenchmarkWork.amount` units of work. Rounds go A B A B ...; a figure is the median over rounds.
 """
 
 import platform
@@ -19,7 +19,7 @@ from fishmj.base.doctor import processor, version
 from fishmj.base.errors import MissingExtra, UnknownName
 
 
-class Work(NamedTuple):
+class BenchmarkWork(NamedTuple):
     """A prepared and warmed-up piece of work."""
 
     run: Callable[[], object]
@@ -27,7 +27,7 @@ class Work(NamedTuple):
     where: str = "cpu"  # what it runs on
 
 
-Prepare = Callable[[bool], Work]
+Prepare = Callable[[bool], BenchmarkWork]
 
 
 class Benchmark(NamedTuple):
@@ -50,7 +50,7 @@ SUITES = (
     "fishmj.evaluate.bench.hydro",
     "fishmj.evaluate.bench.oracle",
     "fishmj.evaluate.bench.devices",
-    "fishmj.evaluate.bench.surrogate",
+    "fishmj.evaluate.bench.surrogate_speed",
 )  # modules that register benchmarks when imported
 
 
@@ -92,7 +92,7 @@ def machine(where: str = "cpu") -> str:
     return ", ".join([*parts, *(f"{name} {found}" for name in ("mujoco", "jax") if (found := version(name)))])
 
 
-def rate(work: Work, clock: Callable[[], float]) -> float:
+def rate(work: BenchmarkWork, clock: Callable[[], float]) -> float:
     """Units a second of one run."""
     start = clock()
     work.run()

@@ -12,13 +12,13 @@ from typing import Any
 
 from fishmj.base import processes
 from fishmj.base.errors import ConfigError
-from fishmj.evaluate.bench import NotHere, Work, benchmark
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
 from fishmj.evaluate.bench.oracle import TANKS, TANKS_CPU, TICKS, TICKS_CPU, TICKS_QUICK, _resting
 
 PATIENCE = 5.0  # s that a process has to end
 
 
-def scaled(devices: Sequence[str], quick: bool = False) -> Work:
+def scaled(devices: Sequence[str], quick: bool = False) -> BenchmarkWork:
     """Fish at rest in tanks on each of these devices at the same time, steps of all tanks added up.
 
     Raises:
@@ -26,7 +26,7 @@ def scaled(devices: Sequence[str], quick: bool = False) -> Work:
     """
     side = _Side(devices, quick)
     each = TANKS if devices[0].startswith("cuda") else TANKS_CPU
-    return Work(side.run, side.amount, f"{' '.join(devices)}, tanks: {len(devices)} x {each}")
+    return BenchmarkWork(side.run, side.amount, f"{' '.join(devices)}, tanks: {len(devices)} x {each}")
 
 
 class _Side:
@@ -97,24 +97,24 @@ def gpus(count: int) -> tuple[str, ...]:
     return found[:count]
 
 
-def one_gpu(quick: bool) -> Work:
+def one_gpu(quick: bool) -> BenchmarkWork:
     """The same tanks on one GPU, in a process of its own too."""
     return scaled(gpus(1), quick)
 
 
 @benchmark("oracle_devices_2", "tank-steps/s", baseline=one_gpu)
-def two_gpus(quick: bool) -> Work:
+def two_gpus(quick: bool) -> BenchmarkWork:
     """Twelve tanks on each of two GPUs of this host, beside twelve on one."""
     return scaled(gpus(2), quick)
 
 
 @benchmark("oracle_devices_4", "tank-steps/s", baseline=one_gpu)
-def four_gpus(quick: bool) -> Work:
+def four_gpus(quick: bool) -> BenchmarkWork:
     """The same on four."""
     return scaled(gpus(4), quick)
 
 
 @benchmark("oracle_devices_8", "tank-steps/s", baseline=one_gpu)
-def eight_gpus(quick: bool) -> Work:
+def eight_gpus(quick: bool) -> BenchmarkWork:
     """The same on eight."""
     return scaled(gpus(8), quick)

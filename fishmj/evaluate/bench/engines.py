@@ -7,7 +7,7 @@ physics steps counted as control steps.
 import numpy as np
 
 from fishmj.base.calib import constant
-from fishmj.evaluate.bench import NotHere, Work, benchmark
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
 from fishmj.water.choice import in_water, label
 
 SEED = 5
@@ -21,7 +21,7 @@ def swimming():
     return in_water(load_robot("fish"), WATER[0], who="bench")
 
 
-def bare_mujoco(quick: bool) -> Work:
+def bare_mujoco(quick: bool) -> BenchmarkWork:
     """`mj_step` of the robot alone, one core."""
     import mujoco
 
@@ -37,7 +37,7 @@ def bare_mujoco(quick: bool) -> Work:
         mujoco.mj_step(model, data, control * steps)
 
     run()
-    return Work(run, control)
+    return BenchmarkWork(run, control)
 
 
 def _school(robot, fish: int):
@@ -61,7 +61,7 @@ def _school(robot, fish: int):
     return engines.at_rest(robot, start.pose), commands, params, current, np.zeros(fish, np.int32)
 
 
-def _engine(name: str, fish: int, chunks: int) -> Work:
+def _engine(name: str, fish: int, chunks: int) -> BenchmarkWork:
     """`chunks` control steps of `fish` fish per run; on an engine that jits, all in one compiled scan."""
     from fishmj import engines
 
@@ -78,7 +78,7 @@ def _engine(name: str, fish: int, chunks: int) -> Work:
     )
     if not np.all(np.isfinite(run())):
         raise NotHere(f"{name} left the finite numbers: its rate would mean nothing")
-    return Work(run, fish * chunks, f"{where}, water {label(robot)}")
+    return BenchmarkWork(run, fish * chunks, f"{where}, water {label(robot)}")
 
 
 def _stepped(engine, state, commands, params, current, tick, chunks):
@@ -120,31 +120,31 @@ def _on_gpu() -> bool:
 
 
 @benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
-def engine_planar(quick: bool) -> Work:
+def engine_planar(quick: bool) -> BenchmarkWork:
     """Closed-form planar fish in JAX."""
     return _engine("planar", 131072 if _on_gpu() else 256, 2 if quick else 10)
 
 
 @benchmark("engine_compiled", "control steps/s", baseline=bare_mujoco)
-def engine_compiled(quick: bool) -> Work:
+def engine_compiled(quick: bool) -> BenchmarkWork:
     """Closed-form planar fish compiled for the CPU."""
     return _engine("compiled", 256 if quick else 4096, 2 if quick else 5)
 
 
 @benchmark("engine_batch", "control steps/s", baseline=bare_mujoco)
-def engine_batch(quick: bool) -> Work:
+def engine_batch(quick: bool) -> BenchmarkWork:
     """MuJoCo in C, many fish at once, with the water."""
     return _engine("batch", 64 if quick else 256, 1 if quick else 4)
 
 
 @benchmark("engine_mjx", "control steps/s", baseline=bare_mujoco)
-def engine_mjx(quick: bool) -> Work:
+def engine_mjx(quick: bool) -> BenchmarkWork:
     """MuJoCo in JAX with the water."""
     return _engine("mjx", 16384 if _on_gpu() else 16 if quick else 128, 1 if quick else 2)
 
 
 @benchmark("environment", "control steps/s", baseline=bare_mujoco)
-def environment(quick: bool) -> Work:
+def environment(quick: bool) -> BenchmarkWork:
     """Station holding in JAX: closed form plus observation, camera, noise, reward, new episodes."""
     import jax
     from jax import lax
@@ -159,4 +159,4 @@ def environment(quick: bool) -> Work:
     run = lambda: np.asarray(swim(start, action))
     if not np.all(np.isfinite(run())):
         raise NotHere("the environment left the finite numbers: its rate would mean nothing")
-    return Work(run, fish * chunks, f"{jax.devices()[0].device_kind}, water {label(env.robot)}")
+    return BenchmarkWork(run, fish * chunks, f"{jax.devices()[0].device_kind}, water {label(env.robot)}")

@@ -24,7 +24,7 @@ from tempfile import mkdtemp
 import numpy as np
 
 from fishmj.base.errors import FishmjError
-from fishmj.evaluate.bench import NotHere, Work, benchmark
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
 
 MODEL, FISH, SECONDS = "swift", 256, 2.0
 FISH_COMPILED = 4096
@@ -66,17 +66,17 @@ def _beat(t, joints: int) -> np.ndarray:
     return np.minimum(t, 1.0) * 0.4 * np.sin(2 * np.pi * t - np.arange(joints))
 
 
-def _finite(run, what: str, amount: float, where: str = "cpu") -> Work:
+def _finite(run, what: str, amount: float, where: str = "cpu") -> BenchmarkWork:
     """Warmed-up piece of work; refused if the state of the fish is not finite."""
     if not np.isfinite(run()).all():
         raise NotHere(f"{what} left the finite numbers: its rate would mean nothing")
-    return Work(run, amount, where)
+    return BenchmarkWork(run, amount, where)
 
 
 # one fish in MuJoCo
 
 
-def _alone(quick: bool, water: str) -> Work:
+def _alone(quick: bool, water: str) -> BenchmarkWork:
     """One fish by `mj_step`; water: none, ellipsoid, passive (strips), residual (the same way) or wrench (xfrc_applied)."""
     from contextlib import nullcontext
 
@@ -107,31 +107,31 @@ def _alone(quick: bool, water: str) -> Work:
     return _finite(run, water, steps)
 
 
-def bare_steps(quick: bool) -> Work:
+def bare_steps(quick: bool) -> BenchmarkWork:
     """`mj_step` of the fish without water, from Python."""
     return _alone(quick, "none")
 
 
 @benchmark("hydro_passive", "physics steps/s", baseline=bare_steps)
-def hydro_passive(quick: bool) -> Work:
+def hydro_passive(quick: bool) -> BenchmarkWork:
     """Strips through mjcb_passive in NumPy, one fish."""
     return _alone(quick, "passive")
 
 
 @benchmark("hydro_passive_residual", "physics steps/s", baseline=hydro_passive)
-def hydro_passive_residual(quick: bool) -> Work:
+def hydro_passive_residual(quick: bool) -> BenchmarkWork:
     """Strips and residual through mjcb_passive in NumPy, one fish."""
     return _alone(quick, "residual")
 
 
 @benchmark("hydro_wrench_residual", "physics steps/s", baseline=hydro_passive_residual)
-def hydro_wrench_residual(quick: bool) -> Work:
+def hydro_wrench_residual(quick: bool) -> BenchmarkWork:
     """Strips and residual as wrenches of the links in xfrc_applied, in NumPy, one fish."""
     return _alone(quick, "wrench")
 
 
 @benchmark("hydro_ellipsoid", "physics steps/s", baseline=bare_steps)
-def hydro_ellipsoid(quick: bool) -> Work:
+def hydro_ellipsoid(quick: bool) -> BenchmarkWork:
     """MuJoCo's own fluid, one fish."""
     return _alone(quick, "ellipsoid")
 
@@ -139,7 +139,7 @@ def hydro_ellipsoid(quick: bool) -> Work:
 # engines: many fish
 
 
-def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> Work:
+def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> BenchmarkWork:
     """One control step of `fish` fish by an engine, compiled where it can be."""
     from fishmj import engines
     from fishmj.water.flow import Flow, stack
@@ -162,35 +162,35 @@ def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> W
     return _finite(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)
 
 
-def hydro_batch(quick: bool) -> Work:
+def hydro_batch(quick: bool) -> BenchmarkWork:
     """Strips in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
     return _engine("batch", quick)
 
 
 @benchmark("hydro_batch_residual", "physics steps/s", baseline=hydro_batch)
-def hydro_batch_residual(quick: bool) -> Work:
+def hydro_batch_residual(quick: bool) -> BenchmarkWork:
     """Strips and residual in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
     return _engine("batch", quick, True)
 
 
-def hydro_compiled(quick: bool) -> Work:
+def hydro_compiled(quick: bool) -> BenchmarkWork:
     """Strips in the compiled engine."""
     return _engine("compiled", quick, fish=FISH_COMPILED)
 
 
 @benchmark("hydro_compiled_residual", "physics steps/s", baseline=hydro_compiled)
-def hydro_compiled_residual(quick: bool) -> Work:
+def hydro_compiled_residual(quick: bool) -> BenchmarkWork:
     """Strips and residual in the compiled engine; 50 physics steps are a control step."""
     return _engine("compiled", quick, True, FISH_COMPILED)
 
 
-def hydro_mjx(quick: bool) -> Work:
+def hydro_mjx(quick: bool) -> BenchmarkWork:
     """Strips in MJX, a batch."""
     return _engine("mjx", quick)
 
 
 @benchmark("hydro_mjx_residual", "physics steps/s", baseline=hydro_mjx)
-def hydro_mjx_residual(quick: bool) -> Work:
+def hydro_mjx_residual(quick: bool) -> BenchmarkWork:
     """Strips and residual in MJX, a batch; not with --quick."""
     if quick:
         raise NotHere("compiling MJX with the residual takes half a minute of CPU; run it without --quick")
@@ -200,7 +200,7 @@ def hydro_mjx_residual(quick: bool) -> Work:
 # closed form in JAX, a long swim
 
 
-def _swim(quick: bool, learnt: bool) -> Work:
+def _swim(quick: bool, learnt: bool) -> BenchmarkWork:
     """Free swims of `FISH` fish by one gait in the shipped fitted water, single precision, one compiled scan."""
     from fishmj.hydro_fit.fit.rollout import FishBatch, SwimWindow
     from fishmj.mjcf import load_robot
@@ -224,12 +224,12 @@ def _swim(quick: bool, learnt: bool) -> Work:
     return _finite(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
 
 
-def hydro_base(quick: bool) -> Work:
+def hydro_base(quick: bool) -> BenchmarkWork:
     """The strips alone."""
     return _swim(quick, False)
 
 
 @benchmark("hydro_residual", "physics steps/s", baseline=hydro_base)
-def hydro_residual(quick: bool) -> Work:
+def hydro_residual(quick: bool) -> BenchmarkWork:
     """Strips with the learnt residual, a batch of fish in JAX."""
     return _swim(quick, True)

@@ -13,7 +13,7 @@ from math import prod
 from pathlib import Path
 
 from fishmj.base.compile_cache import cache_folder
-from fishmj.evaluate.bench import NotHere, Work, benchmark
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
 
 MEGA = 1e6
 
@@ -26,7 +26,7 @@ def _paper(quick: bool):
     return device, (200, 200, 50) if device.is_cuda else (48, 40, 30) if quick else (96, 80, 50)
 
 
-def copied_bytes(quick: bool) -> Work:
+def copied_bytes(quick: bool) -> BenchmarkWork:
     """A copy of one set of populations to another, counted as updates."""
     import warp as wp
 
@@ -40,10 +40,10 @@ def copied_bytes(quick: bool) -> Work:
         wp.synchronize_device(device)
 
     run()
-    return Work(run, repeats * shape[0] * shape[1] * shape[2] / MEGA, str(device))
+    return BenchmarkWork(run, repeats * shape[0] * shape[1] * shape[2] / MEGA, str(device))
 
 
-def _updates(quick: bool, **options) -> Work:
+def _updates(quick: bool, **options) -> BenchmarkWork:
     import warp as wp
 
     from fishmj.lbm_oracle.fluid.fluid import Fluid
@@ -58,17 +58,17 @@ def _updates(quick: bool, **options) -> Work:
         wp.synchronize_device(device)
 
     run()
-    return Work(run, steps * water.cells / MEGA, f"{device}, {water.threads} slabs")
+    return BenchmarkWork(run, steps * water.cells / MEGA, f"{device}, {water.threads} slabs")
 
 
 @benchmark("oracle_fluid", "MLUPS", baseline=copied_bytes)
-def oracle_fluid(quick: bool) -> Work:
+def oracle_fluid(quick: bool) -> BenchmarkWork:
     """Pull, collide, store in a periodic box, no eddy viscosity."""
     return _updates(quick, subgrid="none", keep_velocity=False)
 
 
 @benchmark("oracle_fluid_faces", "MLUPS", baseline=copied_bytes)
-def oracle_fluid_faces(quick: bool) -> Work:
+def oracle_fluid_faces(quick: bool) -> BenchmarkWork:
     """The same with eddy viscosity, open faces, sponge, free slip and a stream."""
     from fishmj.lbm_oracle.fluid.domain_faces import channel
     from fishmj.water.flow import Flow
@@ -77,7 +77,7 @@ def oracle_fluid_faces(quick: bool) -> Work:
 
 
 @benchmark("oracle_fluid_half", "MLUPS", baseline=copied_bytes)
-def oracle_fluid_half(quick: bool) -> Work:
+def oracle_fluid_half(quick: bool) -> BenchmarkWork:
     """Populations stored in sixteen bits: 76 bytes an update, so that the ratio may pass one."""
     return _updates(quick, subgrid="none", keep_velocity=False, dtype="float16")
 
@@ -99,7 +99,7 @@ def _place(quick: bool):
     return preset(name), device, ticks
 
 
-def _emptied(domain, device, steps: int, unit: float = 1.0) -> Work:
+def _emptied(domain, device, steps: int, unit: float = 1.0) -> BenchmarkWork:
     """Steps of the same water, all its levels, without a fish; `unit` of work each."""
     import warp as wp
 
@@ -112,10 +112,10 @@ def _emptied(domain, device, steps: int, unit: float = 1.0) -> Work:
         wp.synchronize_device(device)
 
     run()
-    return Work(run, steps * unit, f"{device}, {water.threads} slabs")
+    return BenchmarkWork(run, steps * unit, f"{device}, {water.threads} slabs")
 
 
-def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
+def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> BenchmarkWork:
     """Fish at rest in still water with their servos on, each at its own pace like trials; `unit` of work for each step of one.
 
     Raises:
@@ -147,24 +147,24 @@ def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> Work:
 
     run()
     water = first.coupled.fluid
-    return Work(run, ticks * first.steps * tanks * unit, f"{device}, tanks: {tanks}, {water.threads} slabs")
+    return BenchmarkWork(run, ticks * first.steps * tanks * unit, f"{device}, tanks: {tanks}, {water.threads} slabs")
 
 
-def fluid_alone(quick: bool) -> Work:
+def fluid_alone(quick: bool) -> BenchmarkWork:
     """The box of the tanks without fish."""
     domain, device, ticks = _place(quick)
     return _emptied(domain, device, 5 * ticks)
 
 
 @benchmark("oracle_tank", "steps/s", baseline=fluid_alone)
-def oracle_tank(quick: bool) -> Work:
+def oracle_tank(quick: bool) -> BenchmarkWork:
     """One coupled fish by bus ticks: the paper's tank on an accelerator, the laptop's window on the CPU."""
     domain, device, ticks = _place(quick)
     return _resting(domain, device, ticks, 1)
 
 
 @benchmark("oracle_tanks", "tank-steps/s", baseline=fluid_alone)
-def oracle_tanks(quick: bool) -> Work:
+def oracle_tanks(quick: bool) -> BenchmarkWork:
     """Several of them side by side in one process, their steps added up."""
     domain, device, ticks = _place(quick)
     return _resting(domain, device, ticks, TANKS if device.is_cuda else TANKS_CPU)
@@ -180,14 +180,14 @@ def _fine_cells(quick: bool):
     return preset(name), device, ticks
 
 
-def fine_alone(quick: bool) -> Work:
+def fine_alone(quick: bool) -> BenchmarkWork:
     """Water of one of those tanks without a fish."""
     domain, device, ticks = _fine_cells(quick)
     return _emptied(domain, device, 40 * ticks, domain.body_level.dt)
 
 
 @benchmark("oracle_tanks_fine", "simulated s/s", baseline=fine_alone)
-def oracle_tanks_fine(quick: bool) -> Work:
+def oracle_tanks_fine(quick: bool) -> BenchmarkWork:
     """Tanks side by side with 5 mm round the fish, on the CPU 1 cm: simulated seconds a second, added up."""
     domain, device, ticks = _fine_cells(quick)
     return _resting(domain, device, ticks, TANKS if device.is_cuda else 1, domain.body_level.dt)
@@ -200,14 +200,14 @@ def _laptop():
     return preset("laptop"), device_of("cpu")
 
 
-def laptop_alone(quick: bool) -> Work:
+def laptop_alone(quick: bool) -> BenchmarkWork:
     """The laptop's window without a fish, on the CPU."""
     domain, device = _laptop()
     return _emptied(domain, device, 5 * (TICKS_QUICK if quick else TICKS_CPU), domain.dt)
 
 
 @benchmark("oracle_window_cpu", "simulated s/s", baseline=laptop_alone)
-def oracle_window_cpu(quick: bool) -> Work:
+def oracle_window_cpu(quick: bool) -> BenchmarkWork:
     """The laptop preset with its fish on the CPU, simulated seconds a second."""
     domain, device = _laptop()
     return _resting(domain, device, TICKS_QUICK if quick else TICKS_CPU, 1, domain.dt)
@@ -235,7 +235,7 @@ def peer_interpreter() -> Path:
     return python
 
 
-def xlb(quick: bool) -> Work:
+def xlb(quick: bool) -> BenchmarkWork:
     """XLB's periodic step on the same box, on the CPU.
 
     Raises:
@@ -246,16 +246,16 @@ def xlb(quick: bool) -> Work:
     said = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115  lives as long as the worker
     worker = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True)
     watchdog = threading.Timer(PEER_WAIT, worker.kill)
-    weakref.finalize(run := _Asked(worker, steps, said), worker.kill)
+    weakref.finalize(run := _StepRequest(worker, steps, said), worker.kill)
     watchdog.start()
     try:
         run()
     finally:
         watchdog.cancel()
-    return Work(run, steps * prod(PEER_SHAPE) / MEGA, "cpu, XLB 0.3.1 in one thread")
+    return BenchmarkWork(run, steps * prod(PEER_SHAPE) / MEGA, "cpu, XLB 0.3.1 in one thread")
 
 
-class _Asked:
+class _StepRequest:
     """Run of the worker: requests a number of steps and waits for the answer."""
 
     def __init__(self, worker, steps: int, said):
@@ -276,7 +276,7 @@ class _Asked:
 
 
 @benchmark("oracle_peer_cpu", "MLUPS", baseline=xlb)
-def oracle_peer_cpu(quick: bool) -> Work:
+def oracle_peer_cpu(quick: bool) -> BenchmarkWork:
     """The fluid alone in the laptop's box on the CPU, no eddy viscosity, beside XLB's."""
     import warp as wp
 
@@ -291,4 +291,4 @@ def oracle_peer_cpu(quick: bool) -> Work:
         wp.synchronize_device("cpu")
 
     run()
-    return Work(run, steps * water.cells / MEGA, f"cpu, {water.threads} slabs")
+    return BenchmarkWork(run, steps * water.cells / MEGA, f"cpu, {water.threads} slabs")

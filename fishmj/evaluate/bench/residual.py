@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from fishmj.base import console
-from fishmj.evaluate.bench import surrogate
+from fishmj.evaluate.bench import surrogate_speed
 
 SECONDS, SWUM = 10.0, 64  # of the swims that are compared, and fish
 BLOCKS = ((256, 4), (512, 16))  # fish a program and warps, of the kernel of a step
@@ -58,13 +58,13 @@ def chosen(settings: dict[str, Any]) -> Iterator[None]:
 def timed(name: str, learnt: bool, fish: int, unroll: int, rounds: int) -> dict:
     """Rate and seconds of the first run of one engine."""
     start = time.perf_counter()
-    work = surrogate.swum(name, False, learnt, fish, unroll=unroll)
+    work = surrogate_speed.swum(name, False, learnt, fish, unroll=unroll)
     first = time.perf_counter() - start
     rates = []
     for _ in range(rounds):
         start = time.perf_counter()
         work.run()
-        rates.append(work.amount / surrogate.CONTROL / (time.perf_counter() - start))
+        rates.append(work.amount / surrogate_speed.CONTROL / (time.perf_counter() - start))
     return {"M steps/s": f"{max(rates) / 1e6:.3g}", "first run, s": f"{first:.1f}"}
 
 
@@ -75,7 +75,7 @@ def places(double: bool) -> np.ndarray:
     from fishmj import engines
     from fishmj.evaluate.bench.engines import _school
 
-    robot = surrogate.robot_of(True)
+    robot = surrogate_speed.robot_of(True)
     chunks = round(SECONDS / robot.timing.control_dt)
     with jax.enable_x64(True) if double else nullcontext():
         cast = lambda a: np.asarray(a, np.float64 if double else np.float32) if np.asarray(a).dtype == float else a
@@ -96,7 +96,7 @@ def main(argv: list[str] | None = None) -> int:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="python -m fishmj.evaluate.bench.residual", description=__doc__, formatter_class=raw)
     parser.add_argument("--engine", nargs="*", default=["planar"], choices=("planar", "mjx"))
-    parser.add_argument("--fish", type=int, nargs="*", default=[surrogate.FISH], help="of a batch; fewer on a CPU")
+    parser.add_argument("--fish", type=int, nargs="*", default=[surrogate_speed.FISH], help="of a batch; fewer on a CPU")
     parser.add_argument("--unroll", type=int, nargs="*", default=[1], help="physics steps that a round of the loop holds")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--only", nargs="*", metavar="WAY", help='of the ways above, such as "tick 128/4/8"; default: all')

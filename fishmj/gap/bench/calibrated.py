@@ -45,7 +45,7 @@ SWIMS: tuple[str | Excitation, ...] = (
 )
 CODE = (
     "fishmj.gap.calibrate.water_fit",
-    "fishmj.gap.laboratory.generators.trials",
+    "fishmj.gap.laboratory.generators.generator_trials",
     "fishmj.gap.laboratory.virtual_robot.trials",
     __name__,
 )

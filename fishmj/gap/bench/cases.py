@@ -15,7 +15,7 @@ STRENGTH = (0.3, 1.5)  # of an effect's typical magnitude, log-uniform
 CASUAL = 0.2  # share of data sets whose commands are whatever a policy did, not designed experiments
 
 
-class Case(NamedTuple):
+class BenchCase(NamedTuple):
     """One hidden data set."""
 
     id: str
@@ -27,7 +27,7 @@ class Case(NamedTuple):
     times: float = 0.0  # strength to which its effect is scaled before it is hidden (power.py); 0: as it is
 
 
-def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small: bool = False) -> list[Case]:
+def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small: bool = False) -> list[BenchCase]:
     """Draws `count` cases. small: only usual noise and half a session, for a quick look."""
     from fishmj.gap.laboratory.virtual_robot import EFFECTS
 
@@ -49,7 +49,7 @@ def draw(count: int, seed: int, kinds: dict[str, float] | None = None, *, small:
         elif kind == "pair":
             chosen = [str(n) for n in rng.choice(named, 2, replace=False)]
         effects = {n: EFFECTS[n].draw(rng, float(np.exp(rng.uniform(*np.log(STRENGTH))))) for n in chosen}
-        out.append(Case(f"{seed}-{i:04d}", kind, effects, noise, tuple(logs), 1000 * (seed + 1) + i))
+        out.append(BenchCase(f"{seed}-{i:04d}", kind, effects, noise, tuple(logs), 1000 * (seed + 1) + i))
     return out
 
 

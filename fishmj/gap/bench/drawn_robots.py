@@ -16,7 +16,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.gap.bench import families
-from fishmj.gap.bench.cases import STRENGTH, Case, draw_card
+from fishmj.gap.bench.cases import STRENGTH, BenchCase, draw_card
 from fishmj.gap.laboratory.generators.detectability import BOUND
 from fishmj.log import excitation
 from fishmj.mjcf.description import Robot
@@ -51,7 +51,7 @@ class BenchRobot(NamedTuple):
     family: str
     drawn: bool
     seed: int
-    cases: tuple[Case, ...]
+    cases: tuple[BenchCase, ...]
 
 
 def robots(many: int, seed: int, names: tuple[str, ...], kinds, logs: int = LOGS) -> list[BenchRobot]:
@@ -84,7 +84,7 @@ def every(seed: int, names: tuple[str, ...], logs: int) -> Iterator[BenchRobot]:
             session = sorted(rng.permutation(len(excitation.DESIGNED))[:logs])
             runs = tuple(excitation.DESIGNED[k] for k in session)
             hidden = _hidden(family, carries, decks, rng)
-            told = [Case(f"{name}-{i}", kind, effects, 1.0, runs, robot) for i, (kind, effects) in enumerate(hidden)]
+            told = [BenchCase(f"{name}-{i}", kind, effects, 1.0, runs, robot) for i, (kind, effects) in enumerate(hidden)]
             yield BenchRobot(name, family, (turn + first) % 2 == 1, robot, tuple(told))
 
 
@@ -94,12 +94,12 @@ def _carries(rng, place: int) -> list[str]:
     return ["none", *["single"] * SINGLES, *["pair"] * PAIRS, *off]
 
 
-def number_of(case: Case) -> int:
+def number_of(case: BenchCase) -> int:
     """Number of a case among those of its robot."""
     return int(case.id.rpartition("-")[2])
 
 
-def is_searched(case: Case, each: dict[str, float]) -> bool:
+def is_searched(case: BenchCase, each: dict[str, float]) -> bool:
     """Returns True if a case is searched. each: mean square of each hidden effect, by the generator."""
     if case.kind not in ("single", "pair") or min(each.values()) > BOUND:
         return True
@@ -148,7 +148,7 @@ def describe_robot(one: BenchRobot) -> DescribedRobot:
 
 def chain(rng: np.random.Generator, name: str) -> Robot:
     """A drawn fish, made as `fishmj new` makes one."""
-    from fishmj.mjcf.new.fish_toml import SIDE_SPAN, Fish, robot_of
+    from fishmj.mjcf.new.fish_toml import SIDE_SPAN, FishAnswers, robot_of
     from fishmj.mjcf.new.shape import joints_of, typical
     from fishmj.mjcf.servos import DataSheet
 
@@ -160,4 +160,4 @@ def chain(rng: np.random.Generator, name: str) -> Robot:
     sheet = DataSheet(name="drawn", stall_torque=round(drawn["torque"], 3), no_load_speed=round(drawn["speed"], 2), voltage=volts)
     joints = joints_of(length, links, None if links == LINKS[0] else drawn["head"])
     mass, span = round(drawn["mass"] * outline.displaced, 4), round(SIDE_SPAN * length, 3)
-    return robot_of(Fish(name=name, outline=outline, mass=mass, joints=joints, sheet=sheet, side_span=span, origin={}))
+    return robot_of(FishAnswers(name=name, outline=outline, mass=mass, joints=joints, sheet=sheet, side_span=span, origin={}))

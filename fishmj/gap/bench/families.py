@@ -34,7 +34,7 @@ NAMES = (*generators.NAMES, SECOND)
 NUISANCE = 0.1  # each constant by its own tolerance
 
 
-class Pool(NamedTuple):
+class EffectPool(NamedTuple):
     """Effects and faults that can be hidden in a family, by name: things with `draw(rng, strength) -> {parameter: value}`."""
 
     catalogued: dict[str, Any]
@@ -42,16 +42,16 @@ class Pool(NamedTuple):
 
 
 @cache
-def pool(family: str) -> Pool:
+def pool(family: str) -> EffectPool:
     """Effects of the catalogue that change the mean of a log, and faults outside it."""
     if family == SECOND:
         from fishmj.gap.laboratory.virtual_robot import EFFECTS
 
         steady = {n: e for n, e in EFFECTS.items() if e.catalogued and not e.stochastic}
-        return Pool(steady, {n: e for n, e in EFFECTS.items() if not e.catalogued})
+        return EffectPool(steady, {n: e for n, e in EFFECTS.items() if not e.catalogued})
     known = generators.hidden()
     mean = {n: h for n, h in known.items() if h.catalogued and not catalogue.get(n).stochastic}
-    return Pool(mean, {n: h for n, h in known.items() if not h.catalogued})
+    return EffectPool(mean, {n: h for n, h in known.items() if not h.catalogued})
 
 
 def runs_of(experiments, robot: Robot) -> list[Excitation]:
@@ -75,7 +75,7 @@ def trials(
 
         made = plant(effects, seed, nuisance=NUISANCE, robot=robot)
         return [second(made, run, seed, first + i, noise, f"{i + 1:02d}_{run.id}", "", (0.0, 0.0)) for i, run in runs]
-    from fishmj.gap.laboratory.generators.trials import robot_of, trial_of
+    from fishmj.gap.laboratory.generators.generator_trials import robot_of, trial_of
 
     fish = robot_of(family, effects, seed, nuisance=NUISANCE, robot=robot)
     return [trial_of(fish, run, seed, first + i, noise, f"{i + 1:02d}_{run.id}") for i, run in runs]

@@ -13,9 +13,9 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.gap import progress
 from fishmj.gap.bench import families, family_rows, family_score, power, solver_sets
-from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.bench_rows import read_rows
+from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
-from fishmj.gap.bench.rows import read_rows
 from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.workflow import compile_kernel
 
@@ -138,7 +138,7 @@ def finished_rows(out: Path | None) -> dict[str, dict]:
     return {row["id"]: row for row in read_rows(out / "rows.jsonl")} if out else {}
 
 
-def is_finished(row: dict | None, case: Case, one: family_rows.RobotQuery) -> bool:
+def is_finished(row: dict | None, case: BenchCase, one: family_rows.RobotQuery) -> bool:
     """Returns True if a case is done. Raises ConfigError if its row is of another benchmark."""
     if row is None:
         return False

@@ -16,10 +16,10 @@ from typing import NamedTuple
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError, SimDiverged
 from fishmj.gap.bench import calibrated, families, power
-from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.bench_rows import keep
+from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, describe_robot, is_searched, number_of
-from fishmj.gap.bench.rows import keep
-from fishmj.gap.bench.run import answered_by
+from fishmj.gap.bench.run_case import answered_by
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.progress import QuietBar
 from fishmj.gap.search import healthy_swims
@@ -105,7 +105,7 @@ def questioned_model(one: RobotQuery) -> tuple[Robot, object, HealthySwims | Non
     return known, model, own, facts | {"robot_cpu_seconds": time.process_time() - begin}
 
 
-def row(one: RobotQuery, case: Case, known: Robot, model, own: HealthySwims | None = None) -> dict:
+def row(one: RobotQuery, case: BenchCase, known: Robot, model, own: HealthySwims | None = None) -> dict:
     """Entries of a row on one case of a robot."""
     robot, begin, about = one.robot, time.process_time(), {}
     try:
@@ -124,7 +124,7 @@ def row(one: RobotQuery, case: Case, known: Robot, model, own: HealthySwims | No
 
 
 def search_row(
-    case: Case, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float,
+    case: BenchCase, robot: BenchRobot, model, trials: list[Trial], seen: Mapping, page: dict | None, data: float,
     own: HealthySwims | None = None,
 ) -> dict:  # fmt: skip
     """Entries of a row on a search, or on its omission.
@@ -152,7 +152,7 @@ def of_body(robot: Robot) -> dict:
     return {"links": len(robot.links), "length": robot.length, "mass": robot.mass}
 
 
-def case_facts(case: Case, one: RobotQuery) -> dict:
+def case_facts(case: BenchCase, one: RobotQuery) -> dict:
     """Entries of a row on a case before its search. Two rows of one id that differ in them are of two benchmarks."""
     out = {"id": case.id, "kind": case.kind, "truth": case.effects, "noise": case.noise, "logs": len(case.logs)}
     out |= {"times": case.times, "drawn": case.effects} if case.times else {}

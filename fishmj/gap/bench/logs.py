@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.bench.run import effect_row
-from fishmj.gap.measured.answer import answer
+from fishmj.gap.bench.run_case import effect_row
 from fishmj.gap.measured.study import Study, extended, investigate
+from fishmj.gap.measured.study_answer import answer
 from fishmj.gap.measured.study_build import built, deleted, shipped
 from fishmj.gap.verdict import Verdict
 

@@ -14,7 +14,7 @@ from fishmj import effects as catalogue
 from fishmj.base import console
 from fishmj.base.errors import SimDiverged
 from fishmj.gap.bench import families
-from fishmj.gap.bench.cases import Case, draw_card
+from fishmj.gap.bench.cases import BenchCase, draw_card
 from fishmj.gap.bench.drawn_robots import BenchRobot, every
 from fishmj.gap.bench.score import names, share
 from fishmj.mjcf.description import Robot
@@ -51,7 +51,7 @@ def robots(many: int, seed: int, able: tuple[str, ...], effects: tuple[str, ...]
     return out
 
 
-def effect_at_strength(family: str, case: Case, robot: Robot) -> tuple[dict, float]:
+def effect_at_strength(family: str, case: BenchCase, robot: Robot) -> tuple[dict, float]:
     """The effect of a case at its strength: (values, reached strength). The nearest if none reaches it.
 
     Raises:

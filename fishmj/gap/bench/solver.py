@@ -17,7 +17,7 @@ from fishmj.base.errors import StoreError
 from fishmj.base.store import read_json
 from fishmj.base.store.manifest import SOURCES
 from fishmj.engines import in_water
-from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.log import Trial
 from fishmj.mjcf.reading import load_robot
@@ -28,7 +28,7 @@ WATER = "swift-base"
 class SolverCase(NamedTuple):
     """A case with its data, and a null without them."""
 
-    case: Case
+    case: BenchCase
     trials: list[Trial] | None  # None: the second robot makes them
     null: SimulatedNull
 
@@ -70,6 +70,6 @@ def draw(where: Path | None = None) -> list[SolverCase]:
         trials, told = list(trials_of(path)), truth[name]
         logs = tuple(str(trial.value("excitation")) for trial in trials)
         kind = {0: "none", 1: "single"}.get(len(told["effects"]), "pair")
-        case = Case(name, kind, told["effects"], 1.0, logs, int(told["seed"]))
+        case = BenchCase(name, kind, told["effects"], 1.0, logs, int(told["seed"]))
         out.append(SolverCase(case, trials, RecordedNull(folder=where / "nulls", without=(name,))))
     return out

@@ -22,8 +22,8 @@ from fishmj.base.store import read_json
 from fishmj.gap.bench import calibrated
 from fishmj.gap.bench.drawn_robots import BenchRobot
 from fishmj.gap.bench.family_rows import UNABLE, RobotQuery, case_facts, of_body, refusal_row, search_row, write_rows
-from fishmj.gap.bench.solver_family import plan as plans
-from fishmj.gap.bench.solver_family.layout import FREE, SETS, TRUTH
+from fishmj.gap.bench.solver_family import family_plan as plans
+from fishmj.gap.bench.solver_family.family_files import FREE, SETS, TRUTH
 from fishmj.gap.null.null_runs import SimulatedNull, digest
 from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.healthy_swims import HealthySwims

@@ -144,7 +144,7 @@ main = console.CommandGroup(
         ),
         "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
         "score": Command(
-            "fishmj.gap.laboratory.hidden_lbm.score",
+            "fishmj.gap.laboratory.hidden_lbm.sealed_score",
             "synthetic trials only: fitted against the sealed values",
             "fishmj calibrate score --model fish.calibrated.toml",
         ),

@@ -18,7 +18,7 @@ from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import sha256, write_text
 from fishmj.effects import calibration
 from fishmj.effects.calibration import FittedEffect, Interval
-from fishmj.gap.calibrate.least_squares import ParameterEstimate
+from fishmj.gap.calibrate.parameter_fit import ParameterEstimate
 from fishmj.log.limits import bare
 from fishmj.mjcf.reading import load_robot
 

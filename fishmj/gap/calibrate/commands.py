@@ -13,7 +13,7 @@ from fishmj.base import console
 from fishmj.base.errors import LogError
 from fishmj.gap.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip, water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs, read
-from fishmj.gap.calibrate.least_squares import ParameterEstimate, widened
+from fishmj.gap.calibrate.parameter_fit import ParameterEstimate, widened
 from fishmj.gap.calibrate.water_plant import WaterPlant
 from fishmj.gap.commands.admission import of_this_robot, unphysical
 from fishmj.gap.models.swimming_fish import ServoStand

@@ -18,7 +18,7 @@ from scipy.stats import t as student
 
 from fishmj.base.calib import read_toml
 from fishmj.base.errors import ConfigError
-from fishmj.gap.calibrate.least_squares import NORMAL, ParameterEstimate
+from fishmj.gap.calibrate.parameter_fit import NORMAL, ParameterEstimate
 from fishmj.log import measurements
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of

@@ -20,7 +20,7 @@ from scipy.stats import t as student
 
 from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.calibration_logs import MEDIA, SIGNALS, Logs, angles
-from fishmj.gap.calibrate.least_squares import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
+from fishmj.gap.calibrate.parameter_fit import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
 from fishmj.gap.models.swimming_fish import STAND_CONSTANTS, ServoStand
 from fishmj.gap.progress import Bar, Bars, silent_bar
 from fishmj.gap.records.records import Record
@@ -188,7 +188,7 @@ class LatencyRow(NamedTuple):
     model: float
 
 
-class Latencies(NamedTuple):
+class LatencyEstimates(NamedTuple):
     """Estimates by name, the trials behind them, and the audits."""
 
     estimates: dict[str, ParameterEstimate]
@@ -196,7 +196,7 @@ class Latencies(NamedTuple):
     audits: dict[str, Audit]
 
 
-def calibrate_latency(logs: Logs, servo: ServoFit) -> Latencies:
+def calibrate_latency(logs: Logs, servo: ServoFit) -> LatencyEstimates:
     """Both latencies from the bench and the swims.
 
     Raises:
@@ -211,7 +211,7 @@ def calibrate_latency(logs: Logs, servo: ServoFit) -> Latencies:
     found = {"command_latency": _mean(rows, "command", "command_latency", fitted.value)}
     if any(row.path == "camera" for row in rows):
         found["camera_latency"] = _mean(rows, "camera", "camera_latency", plant.camera)
-    return Latencies(found, rows, {name: audit(logs.trials[name]) for name in names})
+    return LatencyEstimates(found, rows, {name: audit(logs.trials[name]) for name in names})
 
 
 def _rows(record: Record, predicted: dict) -> list[LatencyRow]:

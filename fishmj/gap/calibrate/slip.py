@@ -20,7 +20,7 @@ import numpy as np
 from fishmj.base import console, interrupt
 from fishmj.base.errors import LogError, UnknownName
 from fishmj.gap.calibrate.calibration_logs import PartialResults
-from fishmj.gap.calibrate.least_squares import ParameterEstimate, calibration_table
+from fishmj.gap.calibrate.parameter_fit import ParameterEstimate, calibration_table
 from fishmj.log import Trial
 from fishmj.log.trial import Table
 

@@ -26,7 +26,7 @@ from scipy.stats import t as student
 from fishmj.base.errors import LogError
 from fishmj.base.least_squares import jackknife_sd
 from fishmj.gap.calibrate.calibration_logs import QUIET, Logs
-from fishmj.gap.calibrate.least_squares import NORMAL, Minimum, ParameterEstimate, bound_of, minimum
+from fishmj.gap.calibrate.parameter_fit import NORMAL, Minimum, ParameterEstimate, bound_of, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, WaterPlant
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.movement import mean_speed_and_yaw_rate

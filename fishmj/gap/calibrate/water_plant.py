@@ -12,15 +12,15 @@ Body-level quantities of such a water, in SI units, which a lab can measure and 
 
 import numpy as np
 
-from fishmj.gap.calibrate.least_squares import FreeParameter, calibration_table
-from fishmj.gap.models.strip_water import StripWater
+from fishmj.gap.calibrate.parameter_fit import FreeParameter, calibration_table
+from fishmj.gap.models.strip_water import StripWaterFish
 from fishmj.water.dynamics import planar_chain, strip_forces
 
 STEP = 0.02  # of a standard deviation of the prior, for slopes
 SPEED, RATE, FREQUENCY, SWING, LAG = 0.2, 1.0, 1.0, np.radians(30.0), np.radians(60.0)
 
 
-class WaterPlant(StripWater):
+class WaterPlant(StripWaterFish):
     """Plant of a water calibration. Args: robot: description, path or name. Its water is that of its own strips."""
 
     def parameters(self) -> list[FreeParameter]:

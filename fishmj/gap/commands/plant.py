@@ -20,7 +20,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.effects import EffectStack
 from fishmj.effects.randomise import draw
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.engines import own_effects
 from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options
@@ -265,7 +265,7 @@ def measured(active: EffectStack, row, sensor: str, table: dict) -> dict:
     x, y, yaw = (np.asarray(table[k], float) for k in ("x", "y", "yaw")) if sensor == "pose" else (zero, zero, zero)
     joint = stacked(table, "j#") if sensor == "joint" else np.zeros((len(t), active.joints))
     power = np.asarray(table["V"] * table["I"], float) if sensor == "power" else zero
-    seen = active.measure(np, row, Measured(t, x, y, yaw, joint, power))
+    seen = active.measure(np, row, SensorReadings(t, x, y, yaw, joint, power))
     if sensor == "pose":
         return table | {"x": seen.x + zero, "y": seen.y + zero, "yaw": seen.yaw + zero}
     if sensor == "joint":

@@ -37,29 +37,29 @@ Effect = Annotated[str, AfterValidator(_known)]
 Rival = Annotated[str, AfterValidator(_known_rival)]
 
 
-class _Table(BaseModel):
+class _ReportTable(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
-class _Value(_Table):
+class _Value(_ReportTable):
     value: Finite
     low: Finite
     high: Finite
 
 
-class _Named(_Table):
+class _Named(_ReportTable):
     name: Effect
     parameters: dict[str, _Value]
     p_best: Finite = 1.0
 
 
-class _Rival(_Table):
+class _Rival(_ReportTable):
     name: Rival
     p_best: Finite = 0.0
     values: dict[Effect, dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)]]] | None = None
 
 
-class _Null(_Table):
+class _Null(_ReportTable):
     model_config = ConfigDict(strict=True, extra="forbid")
     runs: Annotated[int, Field(ge=2, le=MOST_RUNS)] = RUNS
     noise: Annotated[float, Field(ge=0, le=LOUDEST, allow_inf_nan=False)] = 1.0
@@ -67,7 +67,7 @@ class _Null(_Table):
     folder: Text | None = None
 
 
-class _Context(_Table):
+class _Context(_ReportTable):
     model: Text
     model_sha256: Sha256
     data: Text
@@ -77,7 +77,7 @@ class _Context(_Table):
     water: Text = "structured"
 
 
-class _Verdict(_Table):
+class _Verdict(_ReportTable):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
     effects: list[_Named]
     rivals: list[_Rival] = []
@@ -89,7 +89,7 @@ class _Applied(_Verdict):
     gap_after: Finite
 
 
-class _Version(_Table):
+class _Version(_ReportTable):
     parent_text: Text
     parent_sha256: Sha256
     data_sha256: Text = ""

@@ -11,7 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from fishmj.gap.localise.comparison import KINDS, Comparison, compared, kinds, shares
-from fishmj.gap.localise.residual_patterns import Beat, BeatRates, Frame, Lags, Side, beat, by_rate, frame, lags, side, stretches
+from fishmj.gap.localise.residual_patterns import (
+    BeatLock,
+    BeatRates,
+    FrameResidual,
+    Lags,
+    Side,
+    beat,
+    by_rate,
+    frame,
+    lags,
+    side,
+    stretches,
+)
 
 __all__ = ["Comparison", "Localisation", "compared", "localise"]
 THIRDS = 3
@@ -38,8 +50,8 @@ class Localisation:
     level: np.ndarray
     time: np.ndarray
     lags: Lags
-    locked: dict[str, Beat]
-    frame: Frame | None
+    locked: dict[str, BeatLock]
+    frame: FrameResidual | None
     side: Side | None
     thirds: dict[str, np.ndarray]
     session: dict[str, float]

@@ -24,7 +24,7 @@ CHANNELS = {"joint": "rad", "position": "m", "heading": "rad"}
 DRAWS = 200
 
 
-class Latencies(NamedTuple):
+class StampAges(NamedTuple):
     """Ages of the stamped values, s; and the delay of a command to the servo, s."""
 
     command: float
@@ -85,7 +85,7 @@ class GrowthCurve:
 class RestartedModel(SwimmingFish):
     """A fish that starts in mid-swing, with delayed commands pending."""
 
-    def __init__(self, model: SwimmingFish, segments: list[GrowthSegment], late: Latencies):
+    def __init__(self, model: SwimmingFish, segments: list[GrowthSegment], late: StampAges):
         self.__dict__.update(model.__dict__)
         self.latency = model.latency - late.command  # cut() has shifted them
         self.swings = {s.record.name: s.swing for s in segments}
@@ -97,14 +97,14 @@ class RestartedModel(SwimmingFish):
         return state
 
 
-def latencies(model: SwimmingFish, row: np.ndarray) -> Latencies:
+def latencies(model: SwimmingFish, row: np.ndarray) -> StampAges:
     """Latencies of a parameter row: nominal ones plus those of its effects."""
     values = list(row[len(model.constants) :])
     command, joint, pose = (float(model.active.delay(np, values, clock)) for clock in ("command", "joint", "pose"))
-    return Latencies(model.latency + command, joint, model.camera + pose)
+    return StampAges(model.latency + command, joint, model.camera + pose)
 
 
-def cut(record: Record, t0: float, seconds: float, late: Latencies) -> GrowthSegment | None:
+def cut(record: Record, t0: float, seconds: float, late: StampAges) -> GrowthSegment | None:
     """Part of a record from t0 on, started from the state measured there; None if the stamps do not suffice.
 
     t0: time of the events, s since the record's start; their stamps come later by `late`.
@@ -150,7 +150,7 @@ def state_at(sensor: Sensor, t: float, half: float) -> RestartState | None:
     return RestartState(fit[0], fit[1], sigma * np.sqrt(inverse[0, 0]), sigma * np.sqrt(inverse[1, 1]))
 
 
-def _clocks(record: Record, late: Latencies):
+def _clocks(record: Record, late: StampAges):
     return ((record.joint, "joint", late.joint), (record.pose, "pose", late.pose))
 
 
@@ -159,7 +159,7 @@ def _later(sensor: Sensor, t0: float, until: float) -> Sensor:
     return Sensor(sensor.t[some] - t0, sensor.values[some], sensor.sigma)
 
 
-def segments(records: list[Record], late: Latencies, every: float = EVERY) -> list[tuple[int, GrowthSegment]]:
+def segments(records: list[Record], late: StampAges, every: float = EVERY) -> list[tuple[int, GrowthSegment]]:
     """Restarts of all records: (record, segment), as long as the record allows, up to the longest horizon."""
     out = []
     for i, record in enumerate(records):

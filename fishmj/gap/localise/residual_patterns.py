@@ -117,7 +117,7 @@ BINS = 5
 RECENT = 0.25  # s, in which a command has become a motion
 
 
-class Beat(NamedTuple):
+class BeatLock(NamedTuple):
     """Lock to the beat. locked: share of the variance. behind: phase of that part after the command, rad. windows: fitted."""
 
     locked: float
@@ -137,7 +137,7 @@ class BeatRates(NamedTuple):
         return float(self.level[-1] / max(self.level[0], 1e-9))
 
 
-def beat(c: Comparison, channel: str) -> Beat | None:
+def beat(c: Comparison, channel: str) -> BeatLock | None:
     """Lock of the joints or the heading to the beat; None if nothing beats for long enough."""
     total = taken = spare = 0.0
     turned = 0.0 + 0.0j
@@ -168,7 +168,7 @@ def beat(c: Comparison, channel: str) -> Beat | None:
             windows += 1
     if not windows or total <= 0:
         return None
-    return Beat(float(np.clip((taken - spare) / total, 0.0, 1.0)), float(-np.angle(turned)), windows)
+    return BeatLock(float(np.clip((taken - spare) / total, 0.0, 1.0)), float(-np.angle(turned)), windows)
 
 
 def analytic(values: np.ndarray) -> np.ndarray:
@@ -214,7 +214,7 @@ TURNS = 0.3  # rad/s, spread of the turning rate from which its share in the res
 BEATS = 0.03  # rad, standard deviation of a command that moves
 
 
-class Frame(NamedTuple):
+class FrameResidual(NamedTuple):
     """Residual of the velocity over ground. world, body: (2,) m/s with sd; *_share: of its weighted mean square, each alone.
 
     octant: (8, 2) weighted mean residual ahead and to the left, m/s, by heading (0 = along +x).
@@ -251,7 +251,7 @@ class Side(NamedTuple):
     right: float
 
 
-class Interval(NamedTuple):
+class RecordStretch(NamedTuple):
     """Rates over one stretch of a record."""
 
     record: int
@@ -265,9 +265,9 @@ class Interval(NamedTuple):
     spin_weight: float
 
 
-def stretches(c: Comparison) -> list[Interval]:
+def stretches(c: Comparison) -> list[RecordStretch]:
     """Every stretch of every record that has a pose."""
-    out: list[Interval] = []
+    out: list[RecordStretch] = []
     for i, record in enumerate(c.records):
         blocks = [b for b in c.layout.blocks if b.record == i and b.sensor == "pose"]
         if len(blocks) != 3 or record.pose is None:
@@ -286,11 +286,11 @@ def stretches(c: Comparison) -> list[Interval]:
             place = (i, int(start // BLOCK), float(yaw[some].mean()), turning)
             first, last = (round(edge / record.dt) for edge in (start, start + STRETCH))
             beats = float(record.commands[first:last].std(0).max()) > BEATS
-            out.append(Interval(*place, drift, spin, beats, 2.0 / (floor[0] + floor[1]), 1.0 / floor[2]))
+            out.append(RecordStretch(*place, drift, spin, beats, 2.0 / (floor[0] + floor[1]), 1.0 / floor[2]))
     return out
 
 
-def frame(found: list[Interval]) -> Frame | None:
+def frame(found: list[RecordStretch]) -> FrameResidual | None:
     """Residual of the velocity in world and body axes; None without a pose."""
     if len(found) < 4:
         return None
@@ -309,10 +309,10 @@ def frame(found: list[Interval]) -> Frame | None:
     sums = np.stack([np.bincount(octant, weight * seen[:, k], OCTANTS) for k in (0, 1)], 1)
     mean = sums / np.maximum(np.bincount(octant, weight, OCTANTS), 1e-12)[:, None]
     mean[np.bincount(octant, weight, OCTANTS) < 0.01 * weight.sum()] = np.nan
-    return Frame(value[:2], sd[:2], value[2:], sd[2:], by_world, by_body, mean)
+    return FrameResidual(value[:2], sd[:2], value[2:], sd[2:], by_world, by_body, mean)
 
 
-def side(found: list[Interval]) -> Side | None:
+def side(found: list[RecordStretch]) -> Side | None:
     """Even and odd part of the turn's residual while the joints move, since rest shows no side; None without a pose."""
     found = [s for s in found if s.beats]
     if len(found) < 4:
@@ -337,7 +337,7 @@ def _slope(t: np.ndarray, values: np.ndarray) -> float:
     return float((weight * t) @ values / ((weight * t) @ t))
 
 
-def _blocks(found: list[Interval]) -> np.ndarray:
+def _blocks(found: list[RecordStretch]) -> np.ndarray:
     """(n,) index of each stretch's block, 0.. ."""
     keys = [(s.record, s.block) for s in found]
     order = {key: i for i, key in enumerate(dict.fromkeys(keys))}

@@ -24,7 +24,7 @@ LEAST = 5  # rows of a coast
 LONGEST = 1800.0  # s
 
 
-class Coast(NamedTuple):
+class CoastRecord(NamedTuple):
     """Speeds of one coast; pose: Sensor of one column, m/s."""
 
     name: str
@@ -48,7 +48,7 @@ class CoastDown(ParameterRow):
         self.constants, self.active, self.dt = constants, self.body.active, dt
         self.starts = np.geomspace(*speeds, STARTS)
 
-    def predict(self, records: Sequence[Coast], rows) -> list[dict]:
+    def predict(self, records: Sequence[CoastRecord], rows) -> list[dict]:
         """Speed at the stamps of every coast, for every parameter row (R, P): {"pose": (R, K, 1)}."""
         rows = np.atleast_2d(np.asarray(rows, float))
         step = STRIDE * self.dt
@@ -61,7 +61,7 @@ class CoastDown(ParameterRow):
         return [{"pose": _nearest(speeds, r, step, self.starts)[..., None]} for r in records]
 
 
-def _nearest(speeds: np.ndarray, r: Coast, step: float, starts: np.ndarray) -> np.ndarray:
+def _nearest(speeds: np.ndarray, r: CoastRecord, step: float, starts: np.ndarray) -> np.ndarray:
     """(R, K) trajectory that fits a coast's rows best, between three of the starts. speeds: (R, S, N)."""
     at = r.pose.t / step
     i = np.minimum(at.astype(int), speeds.shape[-1] - 2)
@@ -77,7 +77,7 @@ def _nearest(speeds: np.ndarray, r: Coast, step: float, starts: np.ndarray) -> n
     return 0.5 * x * (x - 1) * three[:, 0] + (1 - x * x) * three[:, 1] + 0.5 * x * (x + 1) * three[:, 2]
 
 
-def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[Coast]:
+def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[CoastRecord]:
     """Every log, whole or up to the horizon.
 
     Raises:
@@ -99,17 +99,17 @@ def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: f
                 f"{log.where}: begins at {np.median(speed[keep][:LEAST]):.3g} m/s, expected a body that moves ahead, three times "
                 "the noise at least; cut it where it was let go, or turn the sign in [columns]"
             )
-        out.append(Coast(log.name, group, dt, Sensor(t[keep], speed[keep][:, None], sigma)))
+        out.append(CoastRecord(log.name, group, dt, Sensor(t[keep], speed[keep][:, None], sigma)))
     return out
 
 
-def range_of(found: Sequence[Coast]) -> tuple[float, float]:
+def range_of(found: Sequence[CoastRecord]) -> tuple[float, float]:
     """Range of the possible initial speeds of a coast, m/s."""
     first = [float(np.max(r.pose.values[: max(LEAST, 1)])) for r in found]
     return 0.4 * min(first), 2.0 * max(first)
 
 
-def error(plant: CoastDown, found: Sequence[Coast], row: np.ndarray) -> float:
+def error(plant: CoastDown, found: Sequence[CoastRecord], row: np.ndarray) -> float:
     """Mean over the coasts of the mean square error, (m/s)^2."""
     seen = plant.predict(list(found), row)
     return float(np.mean([np.mean((p["pose"][0] - r.pose.values) ** 2) for p, r in zip(seen, found, strict=True)]))

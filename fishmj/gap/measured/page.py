@@ -5,9 +5,9 @@ import numpy as np
 from fishmj.base import pages
 from fishmj.base.figures import canvas, style, svg
 from fishmj.base.pages import Section, drawn, figure, part, table
-from fishmj.gap.measured.answer import TOO_FEW, left_out, unseen_text, where
 from fishmj.gap.measured.significance import LEAST_GROUPS, LEVEL, smallest_p
-from fishmj.gap.measured.study import Outcome, Round, Study
+from fishmj.gap.measured.study import SelectionRound, Study, StudyOutcome
+from fishmj.gap.measured.study_answer import TOO_FEW, left_out, unseen_text, where
 from fishmj.gap.measured.study_schema import StudyInput
 from fishmj.gap.report.pictures import AFTER, BEFORE, QUIET, STYLE
 from fishmj.gap.verdict import Verdict
@@ -24,7 +24,7 @@ MEANING = {
 SHOWN = 40  # groups in the picture
 
 
-def html(given: StudyInput, study: Study, found: Outcome, v: Verdict, figures: dict) -> str:
+def html(given: StudyInput, study: Study, found: StudyOutcome, v: Verdict, figures: dict) -> str:
     """The page as one text without outside references."""
     with style(STYLE):
         sections = [answer(study, v), groups(study, found), *(candidates(study, r) for r in found.rounds), sure(study, found)]
@@ -53,7 +53,7 @@ def answer(study: Study, v: Verdict) -> Section:
     return Section("The answer", about, [part("items", [*found, *rivals, gap]), table(rows, left=2), *warned])
 
 
-def groups(study: Study, found: Outcome) -> Section:
+def groups(study: Study, found: StudyOutcome) -> Section:
     """Section with every group, predicted without it."""
     u = left_out(study, found)
     unit = study.unit or "mean square"
@@ -84,7 +84,7 @@ def _dots(each: dict, taken: bool):
     return svg(fig, "error of each group that was left out, before and after")
 
 
-def candidates(study: Study, r: Round) -> Section:
+def candidates(study: Study, r: SelectionRound) -> Section:
     """Section with one round's table."""
     name = r.fitted.names[-1]
     start = r.before.sum()
@@ -105,7 +105,7 @@ def candidates(study: Study, r: Round) -> Section:
     return Section(f"Candidates: {title(name)}", about, [table(rows)])
 
 
-def sure(study: Study, found: Outcome) -> Section:
+def sure(study: Study, found: StudyOutcome) -> Section:
     """Section on the certainty that so many groups allow."""
     n = len(study.groups)
     items = [

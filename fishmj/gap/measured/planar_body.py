@@ -22,7 +22,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.effects import sites
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import Constants, FlowAt, Measured
+from fishmj.effects.sites import Constants, FlowAt, SensorReadings
 from fishmj.gap.models.kernel import Kernel
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import Sensor
@@ -196,7 +196,7 @@ class PlanarBody(ParameterRow):
     def _seen(self, parameters, motion, t) -> np.ndarray:
         """(R, K, 3) reported pose."""
         flat = np.zeros(motion.shape[:-1])
-        seen = Measured(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
+        seen = SensorReadings(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
         seen = self.active.measure(np, parameters, seen)
         return np.stack([seen.x, seen.y, seen.yaw], -1)
 

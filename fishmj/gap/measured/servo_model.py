@@ -18,7 +18,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.base.units import G
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import Gear, Measured, ServoDrive
+from fishmj.effects.sites import Gear, SensorReadings, ServoDrive
 from fishmj.gap.models.kernel import Kernel, hermite
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import Sensor
@@ -149,7 +149,7 @@ class OneServo(ParameterRow):
         t = record.joint.t[None, :] - late[:, None]
         angle = hermite(out[..., :1], out[..., 1:], STRIDE * self.dt, t)
         still = np.zeros_like(t)
-        seen = Measured(t, still, still, still, angle, still)
+        seen = SensorReadings(t, still, still, still, angle, still)
         return self.active.measure(np, [column[:, None] for column in parameters], seen).joint
 
 

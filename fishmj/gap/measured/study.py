@@ -79,7 +79,7 @@ class Study:
 
 
 @dataclass(frozen=True)
-class Round:
+class SelectionRound:
     """One round. names: of the candidates; cost (C, G) on groups left out; best: per fold, by its own records; fitted: on all.
 
     groups: (G,) in the order of counting. errors: (G, 2) of the study on each group left out, of the model before and of the
@@ -103,11 +103,11 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StudyOutcome:
     """Result of the rounds, with the error on the records kept aside before and after each."""
 
     base: Candidate
-    rounds: tuple[Round, ...]
+    rounds: tuple[SelectionRound, ...]
     learned: tuple[float, ...]  # error on `learn`: baseline, then after each accepted round
     kept_aside: tuple[float, ...]
 
@@ -191,12 +191,12 @@ def investigate(
     has=(),
     say=lambda text: None,
     bars: progress.Bars = progress.silent_bar,
-) -> Outcome:
+) -> StudyOutcome:
     """Adds effects while groups outside the fit get better. has: names of effects that the model already holds."""
     steps = 2 + len(set(study.fold))  # of a round; the baseline counts as one
     with bars(most * steps, study.name, "fits") as bar:
         base = current = extended(study, has)
-        rounds: list[Round] = []
+        rounds: list[SelectionRound] = []
         learned, kept = [study.error(study.learn, base.row)], [study.error(study.aside, base.row)] if study.aside else []
         aside = f", {study.said(kept[0])} on the {len(study.aside)} kept aside" if kept else ""
         say(f"baseline: error {study.said(learned[0])} on {len(study.learn)} records{aside}")
@@ -217,7 +217,7 @@ def investigate(
             learned.append(study.error(study.learn, current.row))
             kept += [study.error(study.aside, current.row)] if study.aside else []
         bar.update(most * steps)
-    return Outcome(base, tuple(rounds), tuple(learned), tuple(kept))
+    return StudyOutcome(base, tuple(rounds), tuple(learned), tuple(kept))
 
 
 def extended(study: Study, has=()) -> Candidate:
@@ -229,7 +229,7 @@ def extended(study: Study, has=()) -> Candidate:
     return found
 
 
-def one_round(study: Study, current: Candidate, useful: float, sure: float, done=lambda k: None) -> Round:
+def one_round(study: Study, current: Candidate, useful: float, sure: float, done=lambda k: None) -> SelectionRound:
     """All folds once, for candidates one effect larger than `current`. done: receives the number of finished fits."""
     effects = [e for e in study.plant.active.effects if e.name not in current.names]
     folds, own = [], []
@@ -269,7 +269,7 @@ def one_round(study: Study, current: Candidate, useful: float, sure: float, done
     p = exact_p((1.0 - useful) * start, np.array([picked[g] for g in groups]))
     accepted = sure_enough >= sure and 2 * best.count(winner) > len(best) and (p <= LEVEL or len(groups) < LEAST_GROUPS)
     mine = cost[names.index(winner)]
-    return Round(
+    return SelectionRound(
         names,
         cost,
         start,

@@ -25,7 +25,7 @@ GAPS = 5.0  # steps without a row: no run goes across
 MOST_RUNS = 4000
 
 
-class Track(NamedTuple):
+class RecordPath(NamedTuple):
     """A record at even steps h [s]. path: (T, 3) x, y, yaw; t: (T,); whole: (T - 1,) no gap before the next row."""
 
     path: np.ndarray
@@ -62,7 +62,7 @@ def even_step(logs: Sequence[Log]) -> float:
     return float(np.median(np.concatenate([np.diff(log.series["x"].t) for log in logs])))
 
 
-def _track(study: StudyInput, log: Log, step: float) -> Track:
+def _track(study: StudyInput, log: Log, step: float) -> RecordPath:
     p = study.given.prediction
     x, y, yaw = (log.series[k] for k in ("x", "y", "yaw"))
     t = x.t
@@ -71,14 +71,14 @@ def _track(study: StudyInput, log: Log, step: float) -> Track:
     path = np.stack([x.values, y.values, np.unwrap(yaw.values)], 1)
     if p.as_logged:
         h = float(np.median(np.diff(t)))
-        return Track(path, t, h, float(np.median(np.diff(x.t))) if p.pictures else h, np.ones(len(t) - 1, bool))
+        return RecordPath(path, t, h, float(np.median(np.diff(x.t))) if p.pictures else h, np.ones(len(t) - 1, bool))
     even = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-9) + 1)
     path = np.stack([np.interp(even, t, column) for column in path.T], 1)
     wide = np.flatnonzero(np.diff(t) > GAPS * step)
     whole = np.ones(max(len(even) - 1, 0), bool)
     for i in wide:
         whole[(even[:-1] < t[i + 1]) & (even[1:] > t[i])] = False
-    return Track(path, even, step, step, whole)
+    return RecordPath(path, even, step, step, whole)
 
 
 def _runs(study: StudyInput, log: Log, group: str, step: float, dt: float) -> MeanGait | None:

@@ -32,7 +32,7 @@ CONSTANTS = ("trailing_edge", "added_mass_tail", "form_drag")
 CHOSEN = ("trailing_edge", "linear_surge_drag")
 
 
-class Beat(NamedTuple):
+class BeatResponse(NamedTuple):
     """One trial: frequency [Hz], complex amplitude of each joint [rad], mean speed [m/s]."""
 
     name: str
@@ -41,7 +41,7 @@ class Beat(NamedTuple):
     speed: float
 
 
-def beat(name: str, trial: Trial) -> Beat:
+def beat(name: str, trial: Trial) -> BeatResponse:
     """Beat of one trial from the markers."""
     table = trial.table("markers")
     t = table["t"]
@@ -57,7 +57,7 @@ def beat(name: str, trial: Trial) -> Beat:
     track = points[:, :2].mean(1)  # the rigid head
     # the head sways with the beat, so the slope over all rows is used, not the distance between two of them
     speed = float(np.hypot(*np.polyfit(t, track, 1)[0]))
-    return Beat(name, frequency, 2 * (bends * wave[:, None]).mean(0), speed)
+    return BeatResponse(name, frequency, 2 * (bends * wave[:, None]).mean(0), speed)
 
 
 def peak(t: np.ndarray, values: np.ndarray) -> float:
@@ -71,7 +71,7 @@ def peak(t: np.ndarray, values: np.ndarray) -> float:
 class Tank:
     """The fish of `robot` beating like the trials, with effects of `catalogue` in the water."""
 
-    def __init__(self, beats: list[Beat], catalogue=(), robot: str = "tendon_fish"):
+    def __init__(self, beats: list[BeatResponse], catalogue=(), robot: str = "tendon_fish"):
         self.beats, self.plant = beats, SwimmingFish(robot, catalogue=catalogue)
         self.commands = np.array([b.joints for b in beats])
         for _ in range(MATCHING):
@@ -94,12 +94,12 @@ class Tank:
         """Joint angles (K, J) of every trial."""
         return [seen["joint"][0] for seen in self.plant.predict(self.records, row)]
 
-    def _bent(self, b: Beat, joints: np.ndarray) -> np.ndarray:
+    def _bent(self, b: BeatResponse, joints: np.ndarray) -> np.ndarray:
         """Complex amplitude of the joints over whole beats at the end."""
         last = STAMPS >= SECONDS - round(STEADY * b.frequency) / b.frequency
         return 2 * (joints[last] * np.exp(-2j * np.pi * b.frequency * STAMPS[last])[:, None]).mean(0)
 
-    def _record(self, b: Beat, commands: np.ndarray) -> Record:
+    def _record(self, b: BeatResponse, commands: np.ndarray) -> Record:
         dt = self.plant.dt
         t = np.arange(0.0, SECONDS, dt)
         ramp = np.minimum(t * b.frequency, 1.0)[:, None]
@@ -124,7 +124,7 @@ class Tank:
         )
 
 
-class Choice(NamedTuple):
+class CandidateModel(NamedTuple):
     """One model. errors: (L,) relative, of each trial predicted from the others; values: (L, 2) factor and amount then."""
 
     constant: str
@@ -140,7 +140,7 @@ class Choice(NamedTuple):
         return float(np.abs(self.errors).max())
 
 
-def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") -> Choice:
+def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") -> CandidateModel:
     """Predicts each trial from a fit to the others: the best of a grid, then of finer ones about it."""
     grid = np.array([(f, a) for f in FACTORS for a in (AMOUNTS[term] if term else np.zeros(1))])
     speeds = tank.speeds(rows_of(tank, constant, term, grid))
@@ -158,7 +158,7 @@ def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") ->
         values.append(value)
         seen.append(speed)
     errors = np.array([seen[i][i] / measured[i] - 1.0 for i in range(len(measured))])
-    return Choice(constant, term, errors, np.array(values[:-1]), values[-1], seen[-1])
+    return CandidateModel(constant, term, errors, np.array(values[:-1]), values[-1], seen[-1])
 
 
 def rows_of(tank: Tank, constant: str, term: str, grid: np.ndarray) -> np.ndarray:
@@ -200,7 +200,7 @@ def run(say) -> tuple[str, dict]:
     return f"{said}\n  against the description's speeds ({', '.join(map(str, known))} m/s): left out {errors} %", figures
 
 
-def predicted(beats: list[Beat], say=lambda text: None, choices=None) -> tuple[str, dict]:
+def predicted(beats: list[BeatResponse], say=lambda text: None, choices=None) -> tuple[str, dict]:
     """Predictions of every model of `choices` (constant, term), left out in turn; the first is the answer."""
     tank = Tank(beats, [effects.get(name) for name in TERMS])
     measured = np.array([b.speed for b in beats])

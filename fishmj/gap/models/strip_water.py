@@ -31,7 +31,7 @@ class FreeNumber(NamedTuple):
     where: str
 
 
-class Range(NamedTuple):
+class ParameterPrior(NamedTuple):
     """Described value of a number, its bounds, and one standard deviation of its prior.
 
     The prior is in data/calib/hydro_fit.toml; that of the strips' shape in calibrate.toml.
@@ -55,7 +55,7 @@ def free_numbers(links: int) -> list[FreeNumber]:
     return lists + [FreeNumber(c, c, "") for c in strip_forces.Coefficients._fields[2:] if c not in prior.FIXED]
 
 
-class StripWater(SwimmingFish):
+class StripWaterFish(SwimmingFish):
     """A fish in adjustable strip water.
 
     Args: robot: description, path or name, in the water of its own strips. more: names of effects that a row also has.
@@ -74,7 +74,7 @@ class StripWater(SwimmingFish):
         shape = [float(self.robot.water.get(name, default)) for name, default in strip_forces.SHAPE.items()]
         return np.array([*described, *shape, *self.active.null])
 
-    def ranges(self) -> list[Range]:
+    def ranges(self) -> list[ParameterPrior]:
         """Range of every number, within the prior of its coefficient."""
         out = []
         for f, start in zip(self.free, self.nothing, strict=False):
@@ -84,11 +84,11 @@ class StripWater(SwimmingFish):
                 mine = [v for v, w in zip(values, places(self.chain.n), strict=True) if w == f.where]
                 low, high = low / max(min(mine), 1e-9), high / max(max(mine), 1e-9)
             sigma = row["sd"] * max(start, LEAST * high)
-            out.append(Range(float(start), float(low), float(high), float(sigma), "factor" if f.where else row["unit"]))
+            out.append(ParameterPrior(float(start), float(low), float(high), float(sigma), "factor" if f.where else row["unit"]))
         of_shape = read_toml(calib_folder() / "calibrate.toml")["water"]
         for name, start in zip(strip_forces.SHAPE, self.nothing[len(self.free) :], strict=False):
             row = of_shape[name]
-            out.append(Range(float(start), row["low"], row["high"], row["sd"], row["unit"]))
+            out.append(ParameterPrior(float(start), row["low"], row["high"], row["sd"], row["unit"]))
         return out
 
     def rows(self, thetas: np.ndarray) -> np.ndarray:
@@ -117,7 +117,7 @@ class StripWater(SwimmingFish):
         return self.nominal._replace(water=self.water([row[i] for i in range(len(self.free))]))
 
 
-class GatedWater(StripWater):
+class GatedWater(StripWaterFish):
     """The same with numbers that may change over time: theta_k(t) = theta_k + delta_k g(t).
 
     row = [numbers theta, swings delta of each, effects]; g(t) is the last column of a record's commands.

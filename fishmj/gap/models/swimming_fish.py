@@ -20,7 +20,7 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.base.units import G
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.gap.models.kernel import Kernel, hermite, linear
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
@@ -196,7 +196,7 @@ class SwimmingFish(ParameterRow):
         true, at = shown.copy(), np.zeros((rows, 1))
         for _ in range(2):
             x, y, yaw = (true[:, i : i + 1] for i in range(3))
-            seen = self.active.measure(np, parameters, Measured(t=at, x=x, y=y, yaw=yaw, joint=true[:, None, 3:], power=at))
+            seen = self.active.measure(np, parameters, SensorReadings(t=at, x=x, y=y, yaw=yaw, joint=true[:, None, 3:], power=at))
             joint = np.broadcast_to(seen.joint, (rows, 1, self.joints))[:, 0]
             seen = np.concatenate([np.broadcast_to(v, (rows, 1)) for v in (seen.x, seen.y, seen.yaw)] + [joint], 1)
             true = true + (shown - seen)
@@ -230,7 +230,7 @@ class SwimmingFish(ParameterRow):
             if clock == "power":
                 energy = out[..., -1]
                 power = (linear(energy, h, t) - linear(energy, h, t - h)) / h + self.robot.servo.idle_power
-            report = Measured(t=t, x=x, y=y, yaw=yaw, joint=joint, power=power)
+            report = SensorReadings(t=t, x=x, y=y, yaw=yaw, joint=joint, power=power)
             report = self.active.measure(np, parameters, report)
             if clock == "pose":
                 seen[clock] = np.stack([report.x, report.y, report.yaw], -1)
@@ -246,7 +246,7 @@ class SwimmingFish(ParameterRow):
         """(R, 1, 3) poses as the camera would show a fish at rest at its intended start."""
         x, y, yaw = np.broadcast_to(record.place, (rows, 1, 3)).transpose(2, 0, 1)
         none = np.zeros((rows, 1))
-        still = Measured(t=none, x=x, y=y, yaw=yaw, joint=np.tile(record.joints, (rows, 1, 1)), power=none)
+        still = SensorReadings(t=none, x=x, y=y, yaw=yaw, joint=np.tile(record.joints, (rows, 1, 1)), power=none)
         seen = self.active.measure(np, parameters, still)
         return np.stack([seen.x, seen.y, seen.yaw], -1)
 

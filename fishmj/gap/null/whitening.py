@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.effects.sites import Measured
+from fishmj.effects.sites import SensorReadings
 from fishmj.gap.records.records import ResidualLayout
 
 RIDGE = 1e-9  # of the largest eigenvalue
@@ -176,6 +176,6 @@ def changes_sensing(model, row: np.ndarray) -> bool:
 def camera_view(active, values, pose: np.ndarray) -> np.ndarray:
     """(3, n, k) poses as a camera measures them, from poses (3, n, k)."""
     none = np.zeros((1, 1))
-    seen = Measured(t=none, x=pose[0], y=pose[1], yaw=pose[2], joint=np.zeros((1, 1, active.joints)), power=none)
+    seen = SensorReadings(t=none, x=pose[0], y=pose[1], yaw=pose[2], joint=np.zeros((1, 1, active.joints)), power=none)
     seen = active.measure(np, [np.full((1, 1), v) for v in values], seen)
     return np.stack([np.broadcast_to(a, pose[0].shape) for a in (seen.x, seen.y, seen.yaw)])

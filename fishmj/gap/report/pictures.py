@@ -13,7 +13,7 @@ from fishmj.base.pages import drawn
 from fishmj.gap.localise import Comparison, Localisation
 from fishmj.gap.localise.error_growth import GrowthCurve
 from fishmj.gap.records.records import ChannelBlock
-from fishmj.gap.report.report_data import Round
+from fishmj.gap.report.report_data import RoundFinalists
 from fishmj.gap.wording import SCALES, level, number
 
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
@@ -195,7 +195,7 @@ def _rates(axis, p: Localisation, changed: bool) -> None:
     axis.grid(axis="x", visible=False)
 
 
-def confusion(r: Round) -> str:
+def confusion(r: RoundFinalists) -> str:
     """Map of the cosine between the changes of each pair of finalists."""
     from matplotlib.colors import LinearSegmentedColormap
 

@@ -34,7 +34,7 @@ class ReportRow:
 
 
 @dataclass(frozen=True)
-class Round:
+class RoundFinalists:
     """The finalists of one round, the largest P(best) first. alike: (n, n) cosine between their whitened changes."""
 
     table: tuple[ReportRow, ...]
@@ -60,7 +60,7 @@ class ReportData:
     place: Localisation
     growth: tuple[GrowthCurve, ...]
     channels: dict[str, tuple[float, float]]  # of the gap, before and after
-    rounds: tuple[Round, ...]
+    rounds: tuple[RoundFinalists, ...]
     blind: tuple[UndetectableEffect, ...]
     weighed: str
 
@@ -88,7 +88,7 @@ def channels(inquiry: Inquiry) -> dict[str, tuple[float, float]]:
     return {name: (one[name], two[name]) for name in one}
 
 
-def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
+def rounds(inquiry: Inquiry) -> tuple[RoundFinalists, ...]:
     """The finalists of every accepted round, or of the first if there was none."""
     e, found, v = inquiry.evidence, inquiry.found, inquiry.verdict
     sure = {n.name: n.p_best for n in (*v.effects, *v.tentative)}
@@ -114,7 +114,7 @@ def rounds(inquiry: Inquiry) -> tuple[Round, ...]:
         order = listed(rows)
         signatures = (np.stack(sides) - z)[order]
         unit = signatures / np.maximum(np.linalg.norm(signatures, axis=1, keepdims=True), 1e-12)
-        out.append(Round(tuple(rows[i] for i in order), unit @ unit.T))
+        out.append(RoundFinalists(tuple(rows[i] for i in order), unit @ unit.T))
         start = best
     return tuple(out)
 

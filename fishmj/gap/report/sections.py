@@ -14,7 +14,7 @@ from fishmj.effects.effect import Effect
 from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
 from fishmj.gap.report.pictures import LETTERS, STYLE, traces
-from fishmj.gap.report.report_data import ReportData, Round, gap_of, record_parts
+from fishmj.gap.report.report_data import ReportData, RoundFinalists, gap_of, record_parts
 from fishmj.gap.search.model_error import misformed
 from fishmj.gap.terms.stronger import is_outdone
 from fishmj.gap.thresholds import residual_allowed, thresholds
@@ -171,7 +171,7 @@ def forces(m: ReportData) -> Section:
     return Section("As a force", about, [table(rows)])
 
 
-def ranked(r: Round, place: int, count: int) -> str:
+def ranked(r: RoundFinalists, place: int, count: int) -> str:
     """Table of one round."""
     rows = []
     for letter, row in zip(LETTERS, r.table, strict=False):

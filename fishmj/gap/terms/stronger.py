@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import BodyMotion, Gear, Measured, ServoDrive
+from fishmj.effects.sites import BodyMotion, Gear, SensorReadings, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, on_records, refine
@@ -184,8 +184,8 @@ def rests(effect: Effect) -> np.ndarray:
         state = ServoDrive(shift, asked, rate=0.0, kp=1.0, kv=0.0, kb=0.1, limit=1.6, current=0.0, time=0.0)
         shift = effect.servo(np, values, state, effect.memory, LIMITS.step)[0].error
     if effect.measure is not None:
-        still = dict.fromkeys(Measured._fields, np.zeros(LIMITS.states))
-        reading = effect.measure(np, values, Measured(**still | {"joint": asked[:, None]})).joint[:, 0]
+        still = dict.fromkeys(SensorReadings._fields, np.zeros(LIMITS.states))
+        reading = effect.measure(np, values, SensorReadings(**still | {"joint": asked[:, None]})).joint[:, 0]
     return np.concatenate([np.broadcast_to(x, LIMITS.states) for x in (shift, shift + reading - asked)])
 
 

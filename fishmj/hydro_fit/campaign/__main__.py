@@ -8,7 +8,7 @@ main = console.CommandGroup(
     __doc__ or "",
     {
         "hidden": Command(
-            "fishmj.gap.laboratory.hidden_lbm.command",
+            "fishmj.gap.laboratory.hidden_lbm.hidden_lbm_command",
             "data sets in which effects are hidden",
             "fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --out runs/hidden --truth truth.json",
         ),

@@ -51,7 +51,9 @@ def wakes(net: residual_network.Net, x, speed, step: float):
 
     def advance(z, given):
         features, v = given
-        new = residual_network.wake_step(jnp, weights, residual_network.Motion(list(features), v, [], [], []), list(z), step)
+        new = residual_network.wake_step(
+            jnp, weights, residual_network.MotionFeatures(list(features), v, [], [], []), list(z), step
+        )
         return jnp.stack(new), z
 
     last, before = lax.scan(advance, jnp.zeros((residual_network.WAKES, x.shape[2]), x.dtype), (x, speed))
@@ -61,7 +63,9 @@ def wakes(net: residual_network.Net, x, speed, step: float):
 def forces(net: residual_network.Net, p: residual_network.Panels, rho: float, x, push, z):
     """Forces of every member, (E, T, 3, N, P), moments about the middle of each link, from x (T, F, P), z (T, G, P)."""
     rows = lambda a: list(jnp.moveaxis(a, 1, 0))
-    g = residual_network.coefficients(jnp, net, residual_network.Motion(rows(x), None, [], [], []), rows(z))  # (E, 3, N, T, P)
+    g = residual_network.coefficients(
+        jnp, net, residual_network.MotionFeatures(rows(x), None, [], [], []), rows(z)
+    )  # (E, 3, N, T, P)
     n = push.shape[1]
     arm = np.stack([np.ones(n), np.ones(n), np.array(p.length)])[:, :, None] * (0.5 * rho * np.array(p.area))[:, None]
     return jnp.moveaxis(g, 3, 1) * arm.astype(np.float32) * push[None, :, None]

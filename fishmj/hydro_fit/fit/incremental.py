@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from fishmj.hydro_fit.fit import training_windows
+from fishmj.hydro_fit.fit.fit_pipeline import FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.gauss_newton import groups
-from fishmj.hydro_fit.fit.pipeline import FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot

@@ -35,7 +35,7 @@ class TrainingWindows(NamedTuple):
     episode: np.ndarray  # (P,)
 
 
-def motion_of(p: residual_network.Panels, rows: RegressionRows) -> residual_network.Motion:
+def motion_of(p: residual_network.Panels, rows: RegressionRows) -> residual_network.MotionFeatures:
     """Features in the middle of every tick; component lists of (M,)."""
     return residual_network.motion(np, p, links_of(rows))
 

@@ -18,9 +18,9 @@ from fishmj.base import interrupt
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.store import plain, read_json, write_json
 from fishmj.hydro_fit import free_swims
-from fishmj.hydro_fit.fit.pipeline import FitSettings, code
-from fishmj.hydro_fit.mujoco_ellipsoid import fit as ellipsoid
-from fishmj.hydro_fit.mujoco_ellipsoid import force, judged
+from fishmj.hydro_fit.fit.fit_pipeline import FitSettings, code
+from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_check, force
+from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit as ellipsoid
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.water_ablation.ablation_fit import Variant
 from fishmj.mjcf.description import Robot
@@ -32,7 +32,7 @@ SCHEMA = "fishmj.ablation/1"
 
 
 @dataclass(frozen=True)
-class Row:
+class AblationRow:
     """One line of the table. kind: prior, ellipsoid or strips; `changes` of the settings.
 
     Drawn: the result depends on the seed.
@@ -48,18 +48,18 @@ class Row:
 
 
 BASE = {"residual": False}
-ROWS: dict[str, Row] = {
-    "prior": Row("strips: prior", "prior"),
-    "ellipsoid-default": Row("MuJoCo's ellipsoids: its coefficients", "ellipsoid", fitted=False),
-    "ellipsoid": Row("MuJoCo's ellipsoids: fitted", "ellipsoid"),
-    "ellipsoid-inertia": Row("MuJoCo's ellipsoids, inertia added: fitted", "ellipsoid", inertia=True),
-    "forces": Row("strips: forces", changes=BASE | {"rollout": False}),
-    "base": Row("strips: forces, swims", changes=BASE),
-    "whole": Row("strips and residual", drawn=True),
-    "memoryless": Row("the same, no wake", changes={"memory": False}, drawn=True),
-    "no-products": Row("the same, no products", changes={"products": False}, drawn=True),
-    "forces-only": Row("the same, residual taught by forces alone", changes={"swims": 0}, drawn=True),
-    "no-retune": Row("the same, strips not fitted again", retune=False, drawn=True),
+ROWS: dict[str, AblationRow] = {
+    "prior": AblationRow("strips: prior", "prior"),
+    "ellipsoid-default": AblationRow("MuJoCo's ellipsoids: its coefficients", "ellipsoid", fitted=False),
+    "ellipsoid": AblationRow("MuJoCo's ellipsoids: fitted", "ellipsoid"),
+    "ellipsoid-inertia": AblationRow("MuJoCo's ellipsoids, inertia added: fitted", "ellipsoid", inertia=True),
+    "forces": AblationRow("strips: forces", changes=BASE | {"rollout": False}),
+    "base": AblationRow("strips: forces, swims", changes=BASE),
+    "whole": AblationRow("strips and residual", drawn=True),
+    "memoryless": AblationRow("the same, no wake", changes={"memory": False}, drawn=True),
+    "no-products": AblationRow("the same, no products", changes={"products": False}, drawn=True),
+    "forces-only": AblationRow("the same, residual taught by forces alone", changes={"swims": 0}, drawn=True),
+    "no-retune": AblationRow("the same, strips not fitted again", retune=False, drawn=True),
 }
 
 
@@ -105,7 +105,7 @@ def table(
     return made
 
 
-def _key(about: dict, row: Row, settings: FitSettings) -> str:
+def _key(about: dict, row: AblationRow, settings: FitSettings) -> str:
     """Hash of everything on which a row's figures depend."""
     whole = about | {"row": asdict(row) | {"title": ""}, "settings": asdict(settings)}
     return hashlib.sha256(json.dumps(plain(whole)).encode()).hexdigest()
@@ -123,14 +123,21 @@ def _kept(place: Path, key: str) -> dict | None:
 
 
 def _one(
-    robot: Robot, parts, row: Row, settings: FitSettings, about: dict, stages: Path, report: Callable, words: interrupt.Words
+    robot: Robot,
+    parts,
+    row: AblationRow,
+    settings: FitSettings,
+    about: dict,
+    stages: Path,
+    report: Callable,
+    words: interrupt.Words,
 ) -> dict:
     """Fits and judges a row. words: text of an interrupted table, which also keeps the stage of the fit under way."""
     train, val, test = parts
     if row.kind == "ellipsoid":
         fit = ellipsoid.Fit(robot, train, val, dataset={}, settings=settings, inertia=row.inertia, report=report)
         water = fit.solve() if row.fitted else ellipsoid.Fitted(fit.e, force.default(fit.e), row.inertia, {})
-        told = _told(judged.judge(water, robot, test), seconds=water.seconds, notes=water.notes)
+        told = _told(ellipsoid_check.judge(water, robot, test), seconds=water.seconds, notes=water.notes)
         scores = water.validation | {"judged": fit.score(water.flat, None)}
         return told | {"validation": scores, "coefficients": water.coefficients}
     known = {"dataset": about["data"], "code": about["code"], "folder": stages}

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.store import plain
-from fishmj.hydro_fit.fit import pipeline
+from fishmj.hydro_fit.fit import fit_pipeline
 from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
 from fishmj.water.prior import unflat
 
@@ -27,7 +27,7 @@ NEEDS = {  # settings that a stage depends on, besides those of the stages befor
 ALIKE = 2  # members of a model without an error bar: the check wants a spread, here 0
 
 
-class Variant(pipeline.FitPipeline):
+class Variant(fit_pipeline.FitPipeline):
     """A fit without some parts.
 
     Args:
@@ -35,8 +35,8 @@ class Variant(pipeline.FitPipeline):
         The rest as for `FitPipeline`.
     """
 
-    def __init__(self, robot, train, val, *, dataset: dict, settings: pipeline.FitSettings, folder: "Path | None", code: str,
-                 retune: bool = True, report=pipeline.quiet):  # fmt: skip
+    def __init__(self, robot, train, val, *, dataset: dict, settings: fit_pipeline.FitSettings, folder: "Path | None", code: str,
+                 retune: bool = True, report=fit_pipeline.quiet):  # fmt: skip
         super().__init__(robot, train, val, dataset=dataset, settings=settings, folder=folder, report=report)
         self.told = asdict(settings) | {"retune": retune}
         self.about["code"] = code
@@ -49,7 +49,7 @@ class Variant(pipeline.FitPipeline):
     def solve(self) -> HydroModel:
         """Runs all stages but the last; returns the model with the residual in it, if there is one."""
         state = self.run_stages(NEEDS, time.process_time)
-        learnt = pipeline.learnt_of(state)
+        learnt = fit_pipeline.learnt_of(state)
         self.scores = {"base": self.score(state["alone"], None), "whole": self.score(state["water"], learnt)}
         return HydroModel(
             name="variant",

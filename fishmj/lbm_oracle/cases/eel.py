@@ -48,7 +48,7 @@ TURN = 2.0  # deg of yaw a beat
 TOWED, HEAVE = 0.4, 0.08  # L / T, L, of a stiff eel
 
 
-class Swim(NamedTuple):
+class EelSwim(NamedTuple):
     """Record beat by beat, (B,): speed L / T, forwards positive; yaw deg at the end of each beat."""
 
     speed: np.ndarray
@@ -160,7 +160,7 @@ def swim(
     box=BOX,
     sharpness: Sharpness = PLAIN,
     told: Callable[[int, float], None] | None = None,
-) -> Swim:
+) -> EelSwim:
     """Lets an eel of `cells` cells a length swim from rest; `told` is called with every beat and its speed, L / T."""
     window = Window(cells, device, eel(links), box, sharpness)
     wave = joints((np.arange(window.steps + 1)) / window.steps, links)
@@ -179,7 +179,7 @@ def swim(
         yaw.append(float(np.degrees(window.body.data.qpos[2])))
         if told is not None:
             told(beat + 1, speed[-1])
-    return Swim(np.array(speed), np.array(yaw))
+    return EelSwim(np.array(speed), np.array(yaw))
 
 
 def in_phase(force: np.ndarray) -> tuple[float, float]:
@@ -206,7 +206,7 @@ def towed_forces(cells: int, device: str, *, sharpness: Sharpness = PLAIN, perio
 SOURCE = "gait of Kern and Koumoutsakos 2006; speeds of eels in experiments"
 
 
-def table(cells: int, found: Swim):
+def table(cells: int, found: EelSwim):
     """Rows for the beats of one size, and the checks of each size alone."""
     for beat, speed in enumerate(found.speed, 1):
         yield reported(f"speed in beat {beat}, L/T, L = {cells}", speed)
@@ -215,7 +215,7 @@ def table(cells: int, found: Swim):
     yield below(f"yaw in the last beat, deg, L = {cells}", abs(found.yaw[-1] - found.yaw[-2]), TURN)
 
 
-def change(coarse: int, one: Swim, fine: int, other: Swim, room: float) -> Check:
+def change(coarse: int, one: EelSwim, fine: int, other: EelSwim, room: float) -> Check:
     """Check of the change of the speed between two sizes in the last beat."""
     return below(f"change of the speed from L = {coarse} to {fine}", abs(one.speed[-1] / other.speed[-1] - 1), room)
 

@@ -48,7 +48,7 @@ class Point(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class AveragingTimes:
     """Seconds before the average and of the average; None: `SETTLE` body lengths and `WINDOW` metres of water."""
 
     settle: float | None
@@ -164,7 +164,7 @@ def row_of(point: Point, run: Run, settle: int) -> dict:
 def measure(
     points: Sequence[Point],
     make: Callable[[Point], Run],
-    plan: Plan,
+    plan: AveragingTimes,
     *,
     tick: float,
     tanks: int = 1,
@@ -178,7 +178,7 @@ def measure(
 
 
 def measure_points(
-    waiting: Waiting, make: Callable[[Point], Run], plan: Plan, *, tick: float, tanks: int = 1, go_on: GoOn = never_stop
+    waiting: Waiting, make: Callable[[Point], Run], plan: AveragingTimes, *, tick: float, tanks: int = 1, go_on: GoOn = never_stop
 ) -> Iterator[tuple[Point, dict, Run]]:
     """Yields points with their rows and runs as they finish, `tanks` side by side; a free tank takes the next point.
 
@@ -202,7 +202,9 @@ def measure_points(
             return
 
 
-def with_progress(begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: Plan, *, tick: float, quiet: bool):
+def with_progress(
+    begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: AveragingTimes, *, tick: float, quiet: bool
+):
     """Yields the results of `begin(go_on)` for these points, with a line of progress in simulated seconds."""
     seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
     done = 0.0

@@ -26,7 +26,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.figures import canvas, save, style
 from fishmj.base.units import WATER_DENSITY, WATER_VISCOSITY
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.force_maps.force_points import OK, Plan, Point, Table, measure_points, with_progress
+from fishmj.lbm_oracle.force_maps.force_points import OK, AveragingTimes, Point, Table, measure_points, with_progress
 from fishmj.lbm_oracle.force_maps.point_fields import keep, panels, slice_path
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.output.slices import add_fields
@@ -50,7 +50,7 @@ def main(argv: list[str]) -> int:
     """Runs the verb `forcemap`; returns its exit code."""
     args = _parser().parse_args(argv)
     domain, robot = _domain(args), load_robot(args.robot)
-    points, plan = _points(args), Plan(settle=args.settle, seconds=args.seconds, length=robot.length)
+    points, plan = _points(args), AveragingTimes(settle=args.settle, seconds=args.seconds, length=robot.length)
     for point in points:
         if abs(point.joint) > 180 / pi * robot.servo.range + 1e-9:
             limit = 180 / pi * robot.servo.range
@@ -85,7 +85,7 @@ def main(argv: list[str]) -> int:
 
 
 def on_device(
-    waiting: Waiting, device: str, go_on: GoOn, *, domain: Domain, plan: Plan, tanks: int, options: dict, pictured: dict
+    waiting: Waiting, device: str, go_on: GoOn, *, domain: Domain, plan: AveragingTimes, tanks: int, options: dict, pictured: dict
 ) -> Iterator[tuple[Point, dict]]:
     """Yields points and their rows, `tanks` side by side on one device (`spread`); writes the water of those in `pictured`.
 

@@ -29,7 +29,7 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import read_json, write_json, write_text
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.force_maps.force_points import OK, Plan, Point, measure
+from fishmj.lbm_oracle.force_maps.force_points import OK, AveragingTimes, Point, measure
 from fishmj.lbm_oracle.force_maps.forcemap import stage
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run import solver_cost
@@ -60,7 +60,7 @@ class Key(NamedTuple):
     slip: float
 
 
-class Result(NamedTuple):
+class ConvergenceResult(NamedTuple):
     """Value and standard error in the quantity's unit (NaN: none), seconds of the average, and the reason of an early end."""
 
     value: float
@@ -95,18 +95,20 @@ def box(name: str, key: Key) -> Domain:
     return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
 
 
-def cruise(domain: Domain, beats: float, options: dict[str, Any]) -> Result:
+def cruise(domain: Domain, beats: float, options: dict[str, Any]) -> ConvergenceResult:
     """Servo-driven swim from rest; options: those of `SwimSetup`."""
     run = SwimSetup(domain=domain, pose=(0.0, 0.0, 0.0), **options).run()
     gait = Gait.of_the_paper(joints=run.robot.n_joints)
     drive(run, gait, beats / gait.frequency, quiet=True)
     if not run.rows:
-        return Result(np.nan, np.nan, 0.0, " ".join(run.stopped.split()))
+        return ConvergenceResult(np.nan, np.nan, 0.0, " ".join(run.stopped.split()))
     last = figures(run, gait.frequency)
-    return Result(last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK)
+    return ConvergenceResult(
+        last["speed_m_s"], np.nan, min(2 / gait.frequency, last["seconds"] / 2), " ".join(run.stopped.split()) or OK
+    )
 
 
-def force_when_held(what: str, domain: Domain, plan: Plan, options: dict[str, Any]) -> Result:
+def force_when_held(what: str, domain: Domain, plan: AveragingTimes, options: dict[str, Any]) -> ConvergenceResult:
     """Force or moment of the held fish: straight along the stream, straight across it, or bent; options as of `cruise`."""
     point, column = HELD[what]
     robot = load_robot(options["robot"])
@@ -119,12 +121,12 @@ def force_when_held(what: str, domain: Domain, plan: Plan, options: dict[str, An
 
     measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
     row, (name, unit) = rows[0], column.split("_")
-    return Result(row[column], row[f"{name}_sem_{unit}"], row["seconds"], row["status"])
+    return ConvergenceResult(row[column], row[f"{name}_sem_{unit}"], row["seconds"], row["status"])
 
 
 def on_device(
-    waiting: Waiting, device: str, go_on: GoOn, *, domain: str, beats: float, plan: Plan, edge: Sharpness, robot: str
-) -> Iterator[tuple[Key, Result, float]]:
+    waiting: Waiting, device: str, go_on: GoOn, *, domain: str, beats: float, plan: AveragingTimes, edge: Sharpness, robot: str
+) -> Iterator[tuple[Key, ConvergenceResult, float]]:
     """Runs one after another on one device (`spread`): key, result and wall time in s of each."""
     while waiting:
         key, start = waiting.popleft(), time.perf_counter()
@@ -134,7 +136,7 @@ def on_device(
         yield key, found, time.perf_counter() - start
 
 
-class ResultTable:
+class ConvergenceTable:
     """Finished runs in `folder/converge.csv`, beside the set-up that they share.
 
     Raises:
@@ -158,7 +160,7 @@ class ResultTable:
                     raise StoreError(f"{self.path}:{number}: {error!r}; delete the line, its run is then done again") from error
                 self.rows[_key(row)] = row
 
-    def add(self, key: Key, found: Result, wall: float) -> None:
+    def add(self, key: Key, found: ConvergenceResult, wall: float) -> None:
         """Keeps a run; it is on disk before this returns."""
         if not self.rows:
             notes = {"source": "fishmj.lbm_oracle converge fish", "origin": "synthetic", "setup": self.setup}
@@ -198,7 +200,7 @@ def main(argv: list[str]) -> int:
     args = _parser().parse_args(argv)
     keys = study(args.what, args.grids, args.parts, args.slips)
     robot = load_robot(args.robot)
-    plan = Plan(settle=args.settle, seconds=args.seconds, length=robot.length)
+    plan = AveragingTimes(settle=args.settle, seconds=args.seconds, length=robot.length)
     if "yaw" in args.what and radians(BENT) > robot.servo.range:
         raise ConfigError(
             f"converge: yaw is of joints at {BENT:g} deg, those of {robot.name} turn by less; leave it out of --what"
@@ -206,7 +208,7 @@ def main(argv: list[str]) -> int:
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
     setup = {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
     edge = BOUNDARIES[args.boundary]
-    book = ResultTable(Path(args.out), setup | boundary_entry(edge) | robot_entry(robot))
+    book = ConvergenceTable(Path(args.out), setup | boundary_entry(edge) | robot_entry(robot))
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
     waters = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]

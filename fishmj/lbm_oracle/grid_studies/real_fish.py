@@ -124,7 +124,7 @@ def speed_of(run: Run, beat: float) -> tuple[float, float]:
     return now, (now / before - 1) / LAST if before > 0 else float("nan")
 
 
-class ResultTable:
+class RealFishTable:
     """Finished swims in `folder/real_fish.csv`, beside the set-up that they share.
 
     Raises:
@@ -209,7 +209,7 @@ def main(argv: list[str]) -> int:
     setup = {"domain": domain.name, "dx": domain.dx, "beats": args.beats, "robot": robot.name}
     setup |= {} if same or robot.name != filmed.name else {"robot": f"{robot.name}, changed"}
     setup |= boundary_entry(BOUNDARIES[args.boundary])
-    book = ResultTable(Path(args.out), setup)
+    book = RealFishTable(Path(args.out), setup)
     left = [(swim, slip) for swim in real for slip in args.slips if (swim.beat, slip) not in book.rows]
     water = sum(args.beats / swim.beat for swim, _ in left)
     less = "take fewer --slips, --swims or --beats; --domain laptop is a preview"

@@ -58,7 +58,7 @@ def on_device(
         yield key, swim_row(box.changed(depth=depth), frequency, slip, beats, device, robot)
 
 
-class ResultTable:
+class SpeedTable:
     """Finished swims in `folder/speeds.json`, beside the set-up that they share.
 
     Raises:
@@ -100,7 +100,7 @@ def main(argv: list[str]) -> int:
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
     keys = swim_keys(args.frequencies, args.slips, depths)
     setup = {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats} | robot_entry(robot)
-    book = ResultTable(Path(args.out), setup)
+    book = SpeedTable(Path(args.out), setup)
     left = [key for key in keys if key not in book.rows]
     swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, _, depth in left]
     less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"

@@ -35,7 +35,7 @@ _MONTHS = {"jan": 1, "feb": 2, "mar": 3, "m\u00e4r": 3, "apr": 4, "may": 5, "mai
 _MONTHS |= {"oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12}
 
 
-class Reading(NamedTuple):
+class CellReading(NamedTuple):
     """Both values of a cell: with a decimal point or the day first, and with a comma or the month first;
 
     NaN for an impossible reading.
@@ -62,12 +62,12 @@ def is_value(text: str) -> bool:
     return read(text.strip()) is not None
 
 
-def read(text: str) -> Reading | None:
+def read(text: str) -> CellReading | None:
     """The number, date or time of day of a cell without blanks around it; None for text."""
     return number(text) or (_stamp(text) if ":" in text and len(text) <= 40 else None)
 
 
-def number(text: str) -> Reading | None:
+def number(text: str) -> CellReading | None:
     """The number of a cell; None for text."""
     text = text.replace("\u2212", "-")
     spaced = bool(_SPACED.fullmatch(text))
@@ -75,7 +75,7 @@ def number(text: str) -> Reading | None:
     (first, one), (second, two) = _value(text, r"\.", ","), _value(text, ",", r"\.")
     if math.isnan(first) and math.isnan(second):
         return None
-    return Reading(first, second, spaced or one or two)
+    return CellReading(first, second, spaced or one or two)
 
 
 def _value(text: str, point: str, group: str) -> tuple[float, bool]:
@@ -87,14 +87,14 @@ def _value(text: str, point: str, group: str) -> tuple[float, bool]:
     return float(text.replace(point[-1], ".").replace("D", "e").replace("d", "e")), grouped
 
 
-def _stamp(text: str) -> Reading | None:
+def _stamp(text: str) -> CellReading | None:
     """Seconds since 1970 of a date and time (UTC if no zone is given), or seconds of the day for a time of day."""
     if clock := _TIME_OF_DAY.fullmatch(text):
         seconds = _of_day(clock)
-        return Reading(seconds, seconds, date=True)
+        return CellReading(seconds, seconds, date=True)
     if short := _MINUTES.fullmatch(text):
         seconds = 60.0 * int(short[1]) + float(short[2].replace(",", "."))
-        return Reading(seconds, seconds, date=True)
+        return CellReading(seconds, seconds, date=True)
     if found := _DATE.fullmatch(text):
         a, mark, b, c = found[1], found[2], found[3], found[4]
         if len(a) == 4:
@@ -103,13 +103,13 @@ def _stamp(text: str) -> Reading | None:
             first = second = _since_1970(c, b, a, found)
         else:
             first, second = _since_1970(c, b, a, found), _since_1970(c, a, b, found)
-        return None if math.isnan(first) and math.isnan(second) else Reading(first, second, date=True)
+        return None if math.isnan(first) and math.isnan(second) else CellReading(first, second, date=True)
     try:
         moment = datetime.fromisoformat(text.replace(",", "."))
         seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     except (OverflowError, ValueError):
         return None
-    return Reading(seconds, seconds, date=True)
+    return CellReading(seconds, seconds, date=True)
 
 
 def _of_day(clock: re.Match) -> float:
@@ -136,7 +136,7 @@ def decided(
     """Chooses one reading for each column.
 
     Args:
-        first, second: column -> (T,), as in `Reading`; dates: the columns that hold dates.
+        first, second: column -> (T,), as in `CellReading`; dates: the columns that hold dates.
 
     Returns:
         The columns; column -> its first row with two readings, if nothing decides between them; notes.
@@ -193,7 +193,7 @@ def may_hide_thousands(values: np.ndarray) -> bool:
 
 def hidden_thousands(texts: Sequence[str]) -> int:
     """First row whose point separates thousands, judged by the jumps that this removes; -1 if there is none."""
-    both = [number(text) or Reading(math.nan, math.nan) for text in texts]
+    both = [number(text) or CellReading(math.nan, math.nan) for text in texts]
     first = np.array([cell.first for cell in both])
     second = np.array([cell.second if cell.two else cell.first for cell in both])
     marked = first != second

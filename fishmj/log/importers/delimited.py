@@ -19,7 +19,7 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.errors import LogError
 from fishmj.log.importers import cells, joint_names, layout, motive
-from fishmj.log.importers.cells import Reading
+from fishmj.log.importers.cells import CellReading
 from fishmj.log.importers.layout import HEAD
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.limits import LINE, bare, check_size, quoted, regular
@@ -186,19 +186,19 @@ class _Reader:
         if not len(self.lines) % 100_000:
             check_size(self.path, 8 * len(self.values), "as numbers is more than")
 
-    def _cell(self, text: str, name: str) -> Reading:
+    def _cell(self, text: str, name: str) -> CellReading:
         if found := cells.read(text):
             self.grouped |= found.grouped and not found.two
             if found.date:
                 self.dates[name] = None
             return found
         if text.lower() in cells.BLANKS:
-            return Reading(np.nan, np.nan)
+            return CellReading(np.nan, np.nan)
         if text.lower().lstrip("+-") in ("inf", "infinity"):
-            return Reading(np.inf, np.inf)
+            return CellReading(np.inf, np.inf)
         self.text.setdefault(name, text)
         self.counts[name] += 1
-        return Reading(np.nan, np.nan)
+        return CellReading(np.nan, np.nan)
 
     def _refuse_odd(self) -> None:
         number, count = self.odd[0]
@@ -265,7 +265,7 @@ class _Reader:
 
     def _refuse_two(self, column: str, number: int) -> NoReturn:
         text = self._cell_of(next(self._lines_again(number)), column)
-        found = cells.read(text) or Reading(np.nan, np.nan)
+        found = cells.read(text) or CellReading(np.nan, np.nan)
         may = "day and month, or month and day" if found.date else f"{found.first:g} or {found.second:g}"
         form = "the year first" if found.date else "decimal points and no marks between thousands"
         raise LogError(

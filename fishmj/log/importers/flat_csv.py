@@ -8,9 +8,9 @@ import re
 from pathlib import Path
 
 from fishmj.base.errors import LogError
-from fishmj.log.folder import FLAT, META_FILE, flat_trial, read_meta
 from fishmj.log.table_files import read_csv
 from fishmj.log.trial import BY_KIND, Trial, table_spec
+from fishmj.log.trial_folder import FLAT, META_FILE, flat_trial, read_meta
 
 _HEADER = re.compile(r"(?P<name>[^\[\]()]+?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]")
 SPELLED = {

@@ -16,12 +16,12 @@ from pathlib import Path
 
 from fishmj.base import console, names
 from fishmj.base.errors import FishmjError, LogError, UsageError
-from fishmj.log.folder import FLAT_FILE, META_FILE, read_trial
-from fishmj.log.importers import delimited, guess, mcap, messages, other_files, rosbag2
+from fishmj.log.importers import delimited, guess, mcap, message_recordings, other_files, rosbag2
 from fishmj.log.importers.quaternion import with_headings
 from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_tables
 from fishmj.log.limits import bare, most_bytes, quoted, regular
 from fishmj.log.trial import TABLES, Trial
+from fishmj.log.trial_folder import FLAT_FILE, META_FILE, read_trial
 
 SOON = 5.0  # s before progress shows
 DEEP = 12  # folders in folders
@@ -75,7 +75,7 @@ class FileCache:
             return True
         if path not in self._mapped:
             found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
-            self._mapped[path] = bool(messages.named_like_tables(found).tables)
+            self._mapped[path] = bool(message_recordings.named_like_tables(found).tables)
         return self._mapped[path]
 
     def readable(self, files: Sequence[Path]) -> list[Path]:
@@ -99,7 +99,7 @@ def read_sheets(path: Path) -> list[Sheet]:
     """Sheets of one foreign file: one of a table, one a topic of a recording."""
     if is_recording(path):
         found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
-        return messages.sheets(path, found, rosbag2.lost(path, found))
+        return message_recordings.sheets(path, found, rosbag2.lost(path, found))
     suffix = path.suffix.lower()
     text = suffix in delimited.SUFFIXES or not suffix
     regular(path)

@@ -1,7 +1,7 @@
 """Assigns values to joints by name in text tables: `rostopic echo -p` writes a column of names beside each column of values.
 
 `field.name0, field.name1, .., field.position0, field.position1, ..`: each value goes to the joint that its own row names, as in a
-recording of the same messages (`messages.py`).
+recording of the same messages (`message_recordings.py`).
 """
 
 import re

@@ -11,13 +11,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fishmj.base.errors import LogError
-from fishmj.log.folder import META_FILE
-from fishmj.log.importers import messages
+from fishmj.log.importers import message_recordings
 from fishmj.log.importers.decoding import Found, TopicChannel
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, most_bytes, quoted, regular
 from fishmj.log.trial import SCHEMA, Trial
 from fishmj.log.trial_check import check_meta
+from fishmj.log.trial_folder import META_FILE
 
 MAGIC = b"\x89MCAP0\r\n"
 SUFFIX = ".mcap"
@@ -43,12 +43,13 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
     if wanted is None:
-        wanted = messages.named_like_tables(found)
+        wanted = message_recordings.named_like_tables(found)
         if not wanted.tables:
             raise LogError(
-                f"{path}: no topic is named like a table; it has {messages.listed(found)}. Say which is which in {beside.name}"
+                f"{path}: no topic is named like a table; it has {message_recordings.listed(found)}. "
+                f"Say which is which in {beside.name}"
             )
-    return messages.mapped(path, found, wanted, own)
+    return message_recordings.mapped(path, found, wanted, own)
 
 
 def carried(path: Path) -> dict | None:

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
 from fishmj.base.errors import LogError
-from fishmj.log.importers import mcap, messages
+from fishmj.log.importers import mcap, message_recordings
 from fishmj.log.importers.decoding import Found, TopicChannel
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, quoted, regular
@@ -50,12 +50,12 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """
     wanted = read_topics(topics) if topics else None
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
-    wanted = wanted or messages.named_like_tables(found)
+    wanted = wanted or message_recordings.named_like_tables(found)
     if not wanted.tables:
         raise LogError(
-            f"{path}: no topic is named like a table; it has {messages.listed(found)}. Say which is which with --topics"
+            f"{path}: no topic is named like a table; it has {message_recordings.listed(found)}. Say which is which with --topics"
         )
-    return messages.mapped(path, found, wanted, notes=lost(path, found))
+    return message_recordings.mapped(path, found, wanted, notes=lost(path, found))
 
 
 def channels(path: Path, needed: set[str] | None = None) -> Found:

@@ -33,7 +33,7 @@ UNITS = {"": 1.0} | {unit: column_units.UNITS[unit][1] for unit in _KNOWN}  # un
 
 
 @dataclass(frozen=True)
-class Field:
+class MessageField:
     """A path into a message and the factor to SI."""
 
     path: tuple[str, ...]
@@ -53,8 +53,8 @@ class Topic:
     """One table: its topic, the clock of its stamps ("log_time", "publish_time" or a field), its columns (None: all keys)."""
 
     topic: str
-    clock: str | Field = "log_time"
-    columns: dict[str, Field] | None = None
+    clock: str | MessageField = "log_time"
+    columns: dict[str, MessageField] | None = None
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,11 @@ def _topic(path: Path, name: str, entry) -> Topic:
     )
 
 
-def _field(where: str, key: str, value) -> Field:
+def _field(where: str, key: str, value) -> MessageField:
     value = {"field": value} if isinstance(value, str) else value
     if not isinstance(value, dict) or not isinstance(value.get("field"), str) or not value["field"]:
         raise LogError(f'{where}: {key} = {str(value)[:60]!r}; expected "a.field" or {{ field = "a.field", unit = "deg" }}')
     unit = value.get("unit", "")
     if not isinstance(unit, str) or unit not in UNITS:
         raise LogError(f"{where}: {key}: unit {str(unit)[:20]!r} is not known; expected one of {', '.join(_KNOWN)}")
-    return Field(tuple(value["field"].split(".")), unit)
+    return MessageField(tuple(value["field"].split(".")), unit)

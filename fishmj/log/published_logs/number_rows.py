@@ -14,7 +14,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infin
 
 
 @dataclass(frozen=True)
-class Rows:
+class NumberRows:
     """`values` (T, K) float64 and their places: `lines` (T,) 1-based, `starts[row][k]` 1-based character."""
 
     path: Path
@@ -33,14 +33,14 @@ class Rows:
         """(T,) values of one column."""
         return self.values[:, self.names.index(name)].copy()
 
-    def keep(self, rows: np.ndarray) -> "Rows":
+    def keep(self, rows: np.ndarray) -> "NumberRows":
         """The rows of an index or a mask."""
         index = np.arange(len(self.lines))[rows]
         chosen = tuple(self.lines[i] for i in index), tuple(self.starts[i] for i in index)
-        return Rows(self.path, self.names, self.values[index], *chosen)
+        return NumberRows(self.path, self.names, self.values[index], *chosen)
 
 
-def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> Rows:
+def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> NumberRows:
     """Reads numbers in as many columns as one of `layouts` names, separated by `separator` ("" = blanks).
 
     Raises:
@@ -64,10 +64,10 @@ def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> Row
         values.append([_number(path, i, a + 1, text, name) for (a, text), name in zip(spans, names, strict=True)])
         lines.append(i)
         starts.append(tuple(a + 1 for a, _ in spans))
-    return Rows(path, names, np.array(values, float), tuple(lines), tuple(starts))
+    return NumberRows(path, names, np.array(values, float), tuple(lines), tuple(starts))
 
 
-def without_strays(rows: Rows, stamp: str) -> tuple[Rows, list[str]]:
+def without_strays(rows: NumberRows, stamp: str) -> tuple[NumberRows, list[str]]:
     """Rows without single strays whose stamp falls behind the rows around them, and a note on these.
 
     Raises:

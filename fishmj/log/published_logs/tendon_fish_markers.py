@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log.importers.registry import renamed, trial_of
-from fishmj.log.published_logs.number_rows import Rows, read_rows
+from fishmj.log.published_logs.number_rows import NumberRows, read_rows
 from fishmj.log.trial import Trial, numbered
 
 MARKERS = 9
@@ -89,7 +89,7 @@ def _trial(name: str, pair: dict[str, Path]) -> Trial:
     return trial_of(name, meta, tables, notes)
 
 
-def metres(rows: Rows) -> tuple[np.ndarray, float]:
+def metres(rows: NumberRows) -> tuple[np.ndarray, float]:
     """(T, 9, 2) marker positions [m], y up, and metres a pixel."""
     pixels = rows.values.reshape(-1, MARKERS, 2)
     apart = np.hypot(*(pixels[:, 1] - pixels[:, 0]).T)
@@ -102,21 +102,21 @@ def metres(rows: Rows) -> tuple[np.ndarray, float]:
     return pixels * [scale, -scale], scale
 
 
-def _markers(points: np.ndarray, rows: Rows):
+def _markers(points: np.ndarray, rows: NumberRows):
     table = {"t": np.arange(len(points)) / FRAME_HZ}
     table |= {**numbered("p#x", points[..., 0]), **numbered("p#y", points[..., 1])}
     names = {f"p{i + 1}{axis}": f"{axis.upper()}{i}" for i in range(MARKERS) for axis in "xy"}
     return table, renamed(rows.place, names)
 
 
-def _pose(points: np.ndarray, rows: Rows):
+def _pose(points: np.ndarray, rows: NumberRows):
     forward = points[:, 0] - points[:, 1]
     yaw = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
     table = {"t": np.arange(len(points)) / FRAME_HZ, "x": points[:, 0, 0], "y": points[:, 0, 1], "yaw": yaw}
     return table, renamed(rows.place, {"x": "X0", "y": "Y0", "yaw": "X1"})
 
 
-def _rotated(path: Path) -> tuple[Rows, np.ndarray]:
+def _rotated(path: Path) -> tuple[NumberRows, np.ndarray]:
     rows = read_rows(path, ("X", "Y"), separator=",")
     if len(rows.values) % MARKERS:
         raise LogError(

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.log.importers.registry import renamed, trial_of
-from fishmj.log.published_logs.number_rows import Rows, read_rows, without_strays
+from fishmj.log.published_logs.number_rows import NumberRows, read_rows, without_strays
 from fishmj.log.trial import Trial
 
 SIX = ("speed", "yaw_rate", "northing", "easting", "bearing", "unix_ms")
@@ -94,7 +94,7 @@ def _trial(path: Path) -> Trial:
     return trial_of(path.stem, meta, tables, [*notes, *_remarks(rows, north, east)])
 
 
-def _remarks(rows: Rows, north: np.ndarray, east: np.ndarray) -> list[str]:
+def _remarks(rows: NumberRows, north: np.ndarray, east: np.ndarray) -> list[str]:
     """Notes on the faults named above, from the numbers themselves."""
     speed = rows.column("speed")
     out = []

@@ -97,7 +97,7 @@ def main(argv: list[str]) -> int:
     """The verb `new`: asks, builds the fish, and writes and checks its description. Returns the exit code."""
     args = options().parse_args(argv)
     from fishmj.mjcf.new import answers
-    from fishmj.mjcf.new.fish_toml import SIDE_SPAN, Fish
+    from fishmj.mjcf.new.fish_toml import SIDE_SPAN, FishAnswers
     from fishmj.mjcf.new.shape import read_sections
 
     given = given_answers(args)
@@ -122,7 +122,7 @@ def main(argv: list[str]) -> int:
     outline = answers.hull(known)
     span = args.side_fin if args.side_fin is not None else round(SIDE_SPAN * outline.length, 3)
     answered = {key: known[key] for key in ("name", "mass", "joints")}
-    fish = Fish(**answered, outline=outline, sheet=known["servo"], side_span=span, origin=origin)
+    fish = FishAnswers(**answered, outline=outline, sheet=known["servo"], side_span=span, origin=origin)
     return finish(args, files, fish, seen)
 
 

@@ -21,7 +21,7 @@ YELLOW, RED = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fish:
+class FishAnswers:
     """All answers about one fish."""
 
     name: str
@@ -33,7 +33,7 @@ class Fish:
     origin: dict[str, str]  # question -> given, asked, default
 
 
-def robot_of(fish: Fish) -> Robot:
+def robot_of(fish: FishAnswers) -> Robot:
     """The robot in numbers. Raises ConfigError if the answers contradict each other."""
     links = balanced(cut(fish.outline, fish.joints), fish.mass)
     idle_power = round(RADIO + len(fish.joints) * fish.sheet.idle_power, 2)
@@ -60,7 +60,7 @@ def rig_of(robot: Robot, bus: str) -> RigSpec:
     )  # fmt: skip
 
 
-def side_fins(fish: Fish, links: tuple[Link, ...]) -> tuple[Fin, ...]:
+def side_fins(fish: FishAnswers, links: tuple[Link, ...]) -> tuple[Fin, ...]:
     """A pair of fins on the head, at the same share of the length as in the default fish, but not behind the head."""
     if fish.side_span == 0:
         return ()
@@ -70,7 +70,7 @@ def side_fins(fish: Fish, links: tuple[Link, ...]) -> tuple[Fin, ...]:
     return (Fin(name="side", link=links[0].name, station=(front, rear), span=fish.side_span),)
 
 
-def toml_of(robot: Robot, fish: Fish) -> str:
+def toml_of(robot: Robot, fish: FishAnswers) -> str:
     """The description as TOML with comments; `load_robot` reads back the same robot."""
     words = {"given": "given on the command line", "asked": "asked", "default": "default, not measured"}
     said = {key: words[value] for key, value in fish.origin.items()}

@@ -70,7 +70,7 @@ class FinSeen(NamedTuple):
     reach: float  # over the hull
 
 
-class Seen(NamedTuple):
+class PhotoReading(NamedTuple):
     """Result of reading a photo."""
 
     outline: Outline
@@ -93,7 +93,7 @@ class View(NamedTuple):
 def read_photo(
     path: Path, *, length: float | None = None, scale: float | None = None, nose: str | None = None, width: float | None = None,
     width_ratio: float = 0.66,
-) -> Seen:  # fmt: skip
+) -> PhotoReading:  # fmt: skip
     """The outline of a fish in a side view.
 
     Args:
@@ -134,7 +134,7 @@ def read_photo(
         " widths"
     ]
     outline = Outline(rows, fin_at, f"photo {nearest(path.name)}")
-    return Seen(outline, _overlay(cv2, small, mask, view, sections), tuple(notes))
+    return PhotoReading(outline, _overlay(cv2, small, mask, view, sections), tuple(notes))
 
 
 def _notes(view: View, unit: float, asked: str | None) -> list[str]:

@@ -37,7 +37,7 @@ SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
 OURS = ("time_limit", "control_timestep", "n_sub_steps")  # arguments of dm_control's Environment that the task sets
 DM_OPTIONS = ("flat_observation", "legacy_step")  # the others
-SOLVER = ("domain", "slip", "device", "finer", "width", "passes", "sharpness", "storage")  # options of fishmj.engines.lbm.Engine
+SOLVER = ("domain", "slip", "device", "finer", "width", "passes", "sharpness", "storage")  # options of `engines.lbm.LbmEngine`
 
 
 @SUITE.add("benchmarking")

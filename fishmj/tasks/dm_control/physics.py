@@ -90,7 +90,7 @@ PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm",
 
 
 @dataclass
-class Swim:
+class FishMemory:
     """Commands, flow and trace of a fish beyond MuJoCo's data and its water. Arrays are replaced, never written to."""
 
     robot: Robot
@@ -113,7 +113,7 @@ class Physics(dm_mujoco.Physics):
         water: the water with its memory, a `HookedWater`, or the strips of a free root; None where a solver moves the fish.
     """
 
-    swim: Swim
+    swim: FishMemory
     water: Any
     alone: str = ""  # why it cannot be copied
 
@@ -129,7 +129,7 @@ class Physics(dm_mujoco.Physics):
         model = physics.model
         physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
         rest, (steps, keep) = engines.at_rest(robot, [[0.0, 0.0, 0.0]]), engines.ticks_per(robot)
-        physics.swim = Swim(
+        physics.swim = FishMemory(
             robot=robot, params=engines.nominal_params(robot, 1), current=Flow().current(), buffer=rest.buffer,
             pending=np.zeros((0, robot.n_joints)), steps=steps, keep=keep,
         )  # fmt: skip
@@ -290,4 +290,4 @@ class Physics(dm_mujoco.Physics):
         self.__dict__.update(own)
 
 
-__all__ = ["TARGET", "Physics", "Swim"]
+__all__ = ["TARGET", "Physics", "FishMemory"]

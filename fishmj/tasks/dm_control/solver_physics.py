@@ -23,13 +23,13 @@ from fishmj.water.flow import BOXES, Current, DrawnFlow, Flow
 class SolverPhysics(Physics):
     """A fish in a tank of the flow solver; make one with `SolverPhysics.in_tank`."""
 
-    engine: Any  # fishmj.engines.lbm.Engine of the running episode
+    engine: Any  # fishmj.engines.lbm.LbmEngine of the running episode
     fish: engines.FishState
     alone = "the flow solver"
 
     @classmethod
     def in_tank(cls, rules: TaskSpec, options: dict) -> "SolverPhysics":
-        """Straight fish; `options` are those of `fishmj.engines.lbm.Engine`: domain, slip, device, finer.
+        """Straight fish; `options` are those of `fishmj.engines.lbm.LbmEngine`: domain, slip, device, finer.
 
         Raises:
             ConfigError: a robot with effects that cannot act in the solver.
@@ -47,11 +47,11 @@ class SolverPhysics(Physics):
 
     def begin(self, pose, params: FishParams, current: Current) -> None:
         """Fills a tank with this flow, with this fish at rest at pose (3,) [m, rad]. Call inside `reset_context`."""
-        from fishmj.engines.lbm import Engine
+        from fishmj.engines.lbm import LbmEngine
 
         super().begin(pose, params, current)
         flow = DrawnFlow.of(current, Flow(turbulence=self._setting.turbulence, box=BOXES[self._setting.box]))
-        self.engine = Engine(self.swim.robot, [flow], **self._solver)
+        self.engine = LbmEngine(self.swim.robot, [flow], **self._solver)
         self.fish = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
         self.fish.q[:, 3:] = params.zero  # the encoders read zero
 

@@ -35,7 +35,7 @@ SIDE = 480  # pixels
 LARGEST = (20.0, 10.0, 50.0, np.pi, 50.0)
 
 
-class Picture:
+class FishRenderer:
     """Draws one fish in the task's tank, as in a film of its replay; needs no screen. Raises MissingExtra without OpenCV."""
 
     def __init__(self, robot: Robot):
@@ -133,7 +133,7 @@ class _Fish:
     rules: TaskSpec
     episodes: Episodes
     _spec: EnvSpec | None = None
-    _picture: Picture | None = None
+    _picture: FishRenderer | None = None
 
     def _settle(self, task: Any, engine: Any, n: int, render_mode: str | None, options: dict) -> None:
         """Checks the arguments and makes the episodes of n fish."""
@@ -161,7 +161,7 @@ class _Fish:
 
     def _draw(self, i: int) -> np.ndarray:
         """A picture of fish i."""
-        self._picture = self._picture or Picture(self.rules.robot)
+        self._picture = self._picture or FishRenderer(self.rules.robot)
         return self._picture.draw(self.episodes.fish.q[i], self.episodes.target[i])
 
     def __getstate__(self) -> dict[str, Any]:

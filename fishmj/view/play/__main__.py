@@ -17,7 +17,7 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import write_trial
-from fishmj.log.folder import META_FILE
+from fishmj.log.trial_folder import META_FILE
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.view.play.live_session import Keyboard, LiveSession, press
@@ -163,9 +163,9 @@ def main(argv: list[str] | None = None) -> int:
     say_notes(controller)
     engine = args.engine
     if water.kind == choice.HYBRID:
-        from fishmj.engines.hybrid.engine import Engine, HybridOptions
+        from fishmj.engines.hybrid.engine import HybridEngine, HybridOptions
 
-        engine = Engine(robot, flow, HybridOptions(domain=args.domain, device=args.device), inner=args.engine)
+        engine = HybridEngine(robot, flow, HybridOptions(domain=args.domain, device=args.device), inner=args.engine)
     session = LiveSession(controller, robot, flow, engine)
     alone = args.headless_seconds is not None
     with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:

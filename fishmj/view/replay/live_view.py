@@ -27,8 +27,8 @@ LOCAL = "127.0.0.1"
 ENDS = 5.0  # s that the server may take to end
 
 
-class Server:
-    """The process that serves the scene (`server.py`), on `host` alone; it ends with this one.
+class SceneServer:
+    """The process that serves the scene (`meshcat_server.py`), on `host` alone; it ends with this one.
 
     Raises:
         ConfigError: `host` is no address of this machine. StoreError: the server does not start.
@@ -36,7 +36,7 @@ class Server:
 
     def __init__(self, host: str = LOCAL):
         check_host(host)
-        command = [sys.executable, "-u", "-m", "fishmj.view.replay.server", host]
+        command = [sys.executable, "-u", "-m", "fishmj.view.replay.meshcat_server", host]
         environ = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self.process = start_command(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environ)
         said = [self.process.stdout.readline().strip() for _ in range(2)]  # type: ignore[union-attr]
@@ -72,7 +72,7 @@ class LiveView:
         import meshcat.geometry as shapes
 
         self._shapes = shapes
-        self.server = Server(host)
+        self.server = SceneServer(host)
         self.url = self.server.url
         with contextlib.redirect_stdout(io.StringIO()):  # MeshCat announces itself; the caller says it in its own words
             self._vis = meshcat.Visualizer(zmq_url=self.server.commands)

@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.water.flow_map.turbulence import FLOOR, STUDENT, Measured, Turbulence, jackknifed
+from fishmj.water.flow_map.turbulence_statistics import FLOOR, STUDENT, Turbulence, ValueInterval, jackknifed
 
 WINDOW = 1.0  # s
 FEWEST = 5  # tracks
@@ -47,7 +47,9 @@ def turbulence_of_drifts(tracks: Sequence[np.ndarray]) -> Turbulence:
     intensity = jackknifed(_intensity(found), without, positive=True)
     noise = float(np.sqrt(np.mean(np.concatenate(found)[:, 2])))
     seconds = float(sum(track[-1, 0] - track[0, 0] for track in tracks))
-    return Turbulence(Measured(speed, speed - error, speed + error), direction, intensity, None, NO_LENGTH, noise, seconds, n)
+    return Turbulence(
+        ValueInterval(speed, speed - error, speed + error), direction, intensity, None, NO_LENGTH, noise, seconds, n
+    )
 
 
 def _slopes(track: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.log.toml import dumps
 from fishmj.water.flow import LENGTH, Flow
-from fishmj.water.flow_map.turbulence import Measured
+from fishmj.water.flow_map.turbulence_statistics import ValueInterval
 
 SCHEMA = "fishmj.flow_map/1"
 SPATIAL = ("default", "fine")  # presets of turbulence that a measured length scale is given to
@@ -36,9 +36,9 @@ class Setting(NamedTuple):
     """
 
     pump: float
-    speed: Measured
-    intensity: Measured
-    length: Measured | None
+    speed: ValueInterval
+    intensity: ValueInterval
+    length: ValueInterval | None
     direction: float
     method: str
     seconds: float
@@ -48,7 +48,7 @@ class Setting(NamedTuple):
     why: str = ""
 
 
-class Water(NamedTuple):
+class TankWater(NamedTuple):
     """The water at a setting between the measured ones: m/s, TI, m (None: not measured), rad."""
 
     pump: float
@@ -98,7 +98,7 @@ class FlowMap:
         found = [s.speed.value for s in self.settings]
         return min(found), max(found)
 
-    def at(self, pump: float) -> Water:
+    def at(self, pump: float) -> TankWater:
         """Water at a pump setting.
 
         Raises:
@@ -113,11 +113,11 @@ class FlowMap:
         length = on(lengths)  # NaN where a neighbour has none
         direction = on(np.unwrap([s.direction for s in self.settings]))
         speed, intensity = (on([getattr(s, name).value for s in self.settings]) for name in ("speed", "intensity"))
-        return Water(
+        return TankWater(
             pump, speed, intensity, None if np.isnan(length) else length, float(np.arctan2(np.sin(direction), np.cos(direction)))
         )
 
-    def for_speed(self, speed: float) -> Water:
+    def for_speed(self, speed: float) -> TankWater:
         """Water at the setting that makes a mean speed, m/s.
 
         Raises:
@@ -173,7 +173,7 @@ def _between(x: float, low: float, high: float) -> bool:
 def _as_table(s: Setting) -> dict[str, Any]:
     row: dict[str, Any] = {"pump": s.pump}
     for name in ("speed", "intensity", "length"):
-        found: Measured | None = getattr(s, name)
+        found: ValueInterval | None = getattr(s, name)
         if found is None:
             continue
         row[name] = _rounded(found.value)
@@ -192,11 +192,11 @@ def _rounded(x: float) -> float:
 def _setting(row: dict, where: str) -> Setting:
     number = lambda key, low, high, default=None: _number(row, where, key, low, high, default)
 
-    def measured(key: str, low: float, high: float) -> Measured:
+    def measured(key: str, low: float, high: float) -> ValueInterval:
         bounds = row.get(f"{key}_interval", [np.nan, np.nan])
         if not isinstance(bounds, list) or len(bounds) != 2 or not all(isinstance(b, int | float) for b in bounds):
             raise ConfigError(f"{where}: {key}_interval = {bounds!r}; expected two numbers")
-        return Measured(number(key, low, high), float(bounds[0]), float(bounds[1]))
+        return ValueInterval(number(key, low, high), float(bounds[0]), float(bounds[1]))
 
     return Setting(
         pump=number("pump", -inf, inf),

@@ -5,10 +5,10 @@ delta_bic              forward selection while BIC falls by more than 10
 e_sindy                sparse regression of the accelerations that the model lacks (pysindy)
 residual_correlation   the input with the largest correlation to the residual
 
-answer(plant, records) -> Answer        each; none of them sees null runs, as in their usual use
+answer(plant, records) -> BaselineAnswer    each; none of them sees null runs, as in their usual use
 """
 
-from fishmj.gap.bench.baselines.answer import Answer
-from fishmj.gap.bench.baselines.judged import NAMES, beside, compared, reason_absent, rows_of
+from fishmj.gap.bench.baselines.baseline_answer import BaselineAnswer
+from fishmj.gap.bench.baselines.baseline_scores import NAMES, beside, compared, reason_absent, rows_of
 
-__all__ = ["NAMES", "Answer", "beside", "compared", "reason_absent", "rows_of"]
+__all__ = ["NAMES", "BaselineAnswer", "beside", "compared", "reason_absent", "rows_of"]

@@ -6,7 +6,7 @@ tau from the autocorrelation of the residual that the model leaves (Schwarz 1978
 
 import numpy as np
 
-from fishmj.gap.bench.baselines.answer import NOTHING, Answer, values
+from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, values
 from fishmj.gap.bench.baselines.noise import channels, effective, searching
 from fishmj.gap.records.records import Record
 
@@ -15,7 +15,7 @@ MOST = 3  # effects
 TRIED = 6  # of the screen, fitted
 
 
-def answer(plant, records: list[Record]) -> Answer:
+def answer(plant, records: list[Record]) -> BaselineAnswer:
     """Answer by forward selection with BIC."""
     search = searching(plant, records)
     best = search.base()
@@ -37,4 +37,4 @@ def answer(plant, records: list[Record]) -> Answer:
         best, now = leader, then
     if not best.names:
         return NOTHING
-    return Answer(values(plant, best.row, best.names), True, f"{len(best.names)} steps, each by more than {STRONG:.0f}")
+    return BaselineAnswer(values(plant, best.row, best.names), True, f"{len(best.names)} steps, each by more than {STRONG:.0f}")

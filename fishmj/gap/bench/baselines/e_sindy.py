@@ -11,7 +11,7 @@ import warnings
 
 import numpy as np
 
-from fishmj.gap.bench.baselines.answer import NOTHING, Answer, unsized
+from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, unsized
 from fishmj.gap.localise.error_growth import HORIZONS, errors, latencies, segments
 from fishmj.gap.records.records import Record
 
@@ -36,12 +36,12 @@ STANDS_FOR = {  # (force, term) -> effect
 }
 
 
-def answer(plant, records: list[Record]) -> Answer:
+def answer(plant, records: list[Record]) -> BaselineAnswer:
     """Answer with the strongest remaining term. Raises MissingExtra without pysindy."""
     late = latencies(plant, plant.null)
     parts = [s for _, s in segments(records, late)]
     if len(parts) < LEAST:
-        return Answer({}, False, f"{len(parts)} restarts are too few")
+        return BaselineAnswer({}, False, f"{len(parts)} restarts are too few")
     _, error, start = errors(plant, records, plant.null)
     found = [
         (force, term, size)
@@ -54,8 +54,8 @@ def answer(plant, records: list[Record]) -> Answer:
     name = STANDS_FOR.get((force, term), "")
     said = f"{force} acceleration ~ {term}, {size:.1f} standard deviations"
     if name not in {e.name for e in plant.active.effects}:
-        return Answer({}, True, said)
-    return Answer({name: unsized(plant, name)}, True, said)
+        return BaselineAnswer({}, True, said)
+    return BaselineAnswer({name: unsized(plant, name)}, True, said)
 
 
 def equations(plant, parts, error: np.ndarray, start: np.ndarray):

@@ -9,7 +9,7 @@ import os
 
 import numpy as np
 
-from fishmj.gap.bench.baselines.answer import NOTHING, Answer, values
+from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, values
 from fishmj.gap.bench.baselines.noise import searching
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import bounds
@@ -20,7 +20,7 @@ START = 0.05  # of the typical size: at the null of a dead band there is no slop
 MOVED = 0.3  # of the typical size
 
 
-def answer(plant, records: list[Record]) -> Answer:
+def answer(plant, records: list[Record]) -> BaselineAnswer:
     """Answer of the fit with everything free."""
     from mujoco import minimize
 
@@ -60,4 +60,4 @@ def answer(plant, records: list[Record]) -> Answer:
         return NOTHING
     name = plant.active.names[most][0]
     row = rows(np.reshape(found, (-1, 1)))[0]
-    return Answer(values(plant, row, [name]), True, f"moved by {moved[most]:.2f} of its typical size")
+    return BaselineAnswer(values(plant, row, [name]), True, f"moved by {moved[most]:.2f} of its typical size")

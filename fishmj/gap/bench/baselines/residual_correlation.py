@@ -8,7 +8,7 @@ The largest rho / bound above LOUD is named by the effect for which such a corre
 
 import numpy as np
 
-from fishmj.gap.bench.baselines.answer import NOTHING, Answer, unsized
+from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, unsized
 from fishmj.gap.bench.baselines.noise import tau
 from fishmj.gap.records.records import ChannelBlock, Record, ResidualLayout
 
@@ -32,7 +32,7 @@ SIGN = {  # (channel, input) -> effect
 }
 
 
-def answer(plant, records: list[Record]) -> Answer:
+def answer(plant, records: list[Record]) -> BaselineAnswer:
     """Answer with the most significant pair of channel and input."""
     layout = ResidualLayout(records)
     predicted = plant.predict(records, plant.null)
@@ -57,8 +57,8 @@ def answer(plant, records: list[Record]) -> Answer:
         return NOTHING
     said, name = f"{key[0]} residual goes with {key[1]}, {loud[key]:.1f} times the 99 % bound", SIGN.get(key, "")
     if name not in {e.name for e in plant.active.effects}:
-        return Answer({}, True, said)
-    return Answer({name: unsized(plant, name)}, True, said)
+        return BaselineAnswer({}, True, said)
+    return BaselineAnswer({name: unsized(plant, name)}, True, said)
 
 
 def inputs(record: Record, b: ChannelBlock, predicted: dict) -> dict[str, np.ndarray]:

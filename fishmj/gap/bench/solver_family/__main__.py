@@ -15,11 +15,11 @@ from pathlib import Path
 
 from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
-from fishmj.gap.bench.command import shard_of
+from fishmj.gap.bench.bench_command import shard_of
+from fishmj.gap.bench.solver_family import family_plan as plans
 from fishmj.gap.bench.solver_family import launches
-from fishmj.gap.bench.solver_family import plan as plans
-from fishmj.gap.bench.solver_family.layout import SETS
-from fishmj.gap.bench.solver_family.plan import Plan, PlanSettings
+from fishmj.gap.bench.solver_family.family_files import SETS
+from fishmj.gap.bench.solver_family.family_plan import FamilyPlan, PlanSettings
 from fishmj.gap.bench.solver_family.swims import all_swims, finished, swum_all
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
@@ -85,7 +85,7 @@ def drawn(args) -> int:
     return console.OK
 
 
-def cost(plan: Plan) -> dict:
+def cost(plan: FamilyPlan) -> dict:
     """Work of a plan: robots, sets, swims, water seconds, time steps and GPU seconds."""
     todo, box = all_swims(plan), preset(plan.asked.domain)
     steps = sum(swim.job.steps for swim in todo)
@@ -93,7 +93,7 @@ def cost(plan: Plan) -> dict:
     return facts | {"water_s": steps * box.dt, "steps": steps, "gpu_s": steps / RATE}
 
 
-def swim(plan: Plan, args) -> None:
+def swim(plan: FamilyPlan, args) -> None:
     """Swims the missing part of a shard.
 
     Raises:
@@ -113,7 +113,7 @@ def swim(plan: Plan, args) -> None:
     console.say(f"{len(left)} swims, {steps} tank-steps in {seconds:.0f} s on {device}: {steps / seconds:.0f} a second{preview}")
 
 
-def packed(plan: Plan, args) -> int:
+def packed(plan: FamilyPlan, args) -> int:
     """Makes the data sets; returns 1 if robots or swims are missing."""
     with console.Progress(len(plan.robots), "data sets", unit="robots") as bar:
         lost = finished(plan, args.out, bar.update)

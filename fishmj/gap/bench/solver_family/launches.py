@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.store import write_text
-from fishmj.gap.bench.solver_family import plan as plans
-from fishmj.gap.bench.solver_family.layout import SETS, TRUTH
+from fishmj.gap.bench.solver_family import family_plan as plans
+from fishmj.gap.bench.solver_family.family_files import SETS, TRUTH
 from fishmj.gap.records.records import MOVING
 from fishmj.hydro_fit.record import KICK
 from fishmj.log import Trial

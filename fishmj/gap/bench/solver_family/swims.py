@@ -21,13 +21,13 @@ from fishmj.base import console
 from fishmj.base.errors import OracleUnstable
 from fishmj.base.store import write_json
 from fishmj.gap.bench import calibrated, families
-from fishmj.gap.bench.cases import Case
+from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import number_of
 from fishmj.gap.bench.family_rows import APART
-from fishmj.gap.bench.solver_family import detectability
+from fishmj.gap.bench.solver_family import solver_detectability
+from fishmj.gap.bench.solver_family.family_files import BARE, FREE, SETS, SWIMS, TRUTH
+from fishmj.gap.bench.solver_family.family_plan import FamilyPlan, PlannedRobot, session, swims
 from fishmj.gap.bench.solver_family.launches import steadied
-from fishmj.gap.bench.solver_family.layout import BARE, FREE, SETS, SWIMS, TRUTH
-from fishmj.gap.bench.solver_family.plan import Plan, PlannedRobot, session, swims
 from fishmj.gap.laboratory.hidden_lbm.hidden import HiddenRun, Job, OwnedJobs, jobs, run_jobs, trial_of
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
@@ -39,7 +39,7 @@ from fishmj.mjcf.description import Robot
 FIRST_FREE = 100  # place of the first free swim, beyond those of the designed experiments
 
 
-class Swim(NamedTuple):
+class PlannedSwim(NamedTuple):
     """One swim of a plan. draw: number of the trial that selects the sensors' noise."""
 
     set: str
@@ -55,7 +55,7 @@ class Swim(NamedTuple):
         return self.file(folder).is_file() or self.file(folder, ".json").is_file()
 
 
-def swims_of(plan: Plan, one: PlannedRobot, *, off: bool) -> Iterator[Swim]:
+def swims_of(plan: FamilyPlan, one: PlannedRobot, *, off: bool) -> Iterator[PlannedSwim]:
     """Swims of one robot: only the faults outside the catalogue, or only the others."""
     robot = plan.descriptions[one.model]
     if not off:
@@ -66,22 +66,22 @@ def swims_of(plan: Plan, one: PlannedRobot, *, off: bool) -> Iterator[Swim]:
             yield from _set(plan, case.id, one, robot, case.effects, runs, APART * (1 + number_of(case)))
 
 
-def free_swims(plan: Plan, one: PlannedRobot) -> list[Excitation]:
+def free_swims(plan: FamilyPlan, one: PlannedRobot) -> list[Excitation]:
     """Free swims of one robot."""
     return swims(plan.descriptions[one.model], plan.asked.calibration)
 
 
 def _set(
-    plan: Plan, name: str, one: PlannedRobot, robot: Robot, effects: dict, runs: list[Excitation], first: int
-) -> Iterator[Swim]:
+    plan: FamilyPlan, name: str, one: PlannedRobot, robot: Robot, effects: dict, runs: list[Excitation], first: int
+) -> Iterator[PlannedSwim]:
     """Swims of one set. Placing and packet delays are the same as in every robot's swim of that experiment."""
     made = jobs(effects, runs, one.seed, 1.0, families.NUISANCE, plan.asked.domain, robot=robot)
     for i, job in enumerate(made):
         place = excitation.DESIGNED.index(job.what.id) if job.what.id in excitation.DESIGNED else FIRST_FREE + i
-        yield Swim(name, replace(job, index=place, hand=plan.asked.seed), first + i)
+        yield PlannedSwim(name, replace(job, index=place, hand=plan.asked.seed), first + i)
 
 
-def all_swims(plan: Plan, shard: tuple[int, int] = (0, 1)) -> list[Swim]:
+def all_swims(plan: FamilyPlan, shard: tuple[int, int] = (0, 1)) -> list[PlannedSwim]:
     """Swims of every robot in turn, faults outside the catalogue last.
 
     A shard takes every N-th from the I-th, so that processes which share the swims finish the same robots first.
@@ -90,7 +90,7 @@ def all_swims(plan: Plan, shard: tuple[int, int] = (0, 1)) -> list[Swim]:
     return [swim for off in (False, True) for one in plan.robots for swim in swims_of(plan, one, off=off)][index::shards]
 
 
-def swum_all(plan: Plan, folder: Path, device: str, tanks: int = 1, shard: tuple[int, int] = (0, 1)) -> int:
+def swum_all(plan: FamilyPlan, folder: Path, device: str, tanks: int = 1, shard: tuple[int, int] = (0, 1)) -> int:
     """Swims the missing part; returns the number of time steps.
 
     device: one, or several as for `devices_of`. tanks: side by side on each.
@@ -113,7 +113,7 @@ def on_device(waiting: Waiting, device: str, go_on: GoOn, *, folder: Path, tanks
         yield name, steps
 
 
-def keep(swim: Swim, run: HiddenRun, folder: Path) -> None:
+def keep(swim: PlannedSwim, run: HiddenRun, folder: Path) -> None:
     """Writes a finished swim to disk."""
     try:
         seen, bare = trial_of(run, draw=swim.draw), trial_of(run, noise=0.0, draw=swim.draw)
@@ -131,7 +131,7 @@ class CompleteSet(NamedTuple):
     bare: dict[str, Trial]
 
 
-def finished(plan: Plan, folder: Path, tick: Callable[[int], None] = lambda done: None) -> dict[str, str]:
+def finished(plan: FamilyPlan, folder: Path, tick: Callable[[int], None] = lambda done: None) -> dict[str, str]:
     """Writes data sets and truth of all complete robots. Returns the lost swims with reasons.
 
     A robot is complete once its free swims and its healthy session are. tick: receives the number of robots that were read.
@@ -155,26 +155,26 @@ def finished(plan: Plan, folder: Path, tick: Callable[[int], None] = lambda done
         for case in one.cases:
             if case.id in sets and sets[case.id].seen:
                 swum_, sigma = sets[case.id], sets[case.id].seen[0].meta["sigma"]
-                found = detectability.detectable(case.effects, swum_.bare, sets[plain].bare, healthy, sigma)
+                found = solver_detectability.detectable(case.effects, swum_.bare, sets[plain].bare, healthy, sigma)
                 write_bundle(folder / SETS / f"{case.id}.npz", swum_.seen)
                 truth[case.id] = {"effects": case.effects, "detectable": found}
     write_json(folder / TRUTH, console.plain({"origin": "synthetic", "cases": truth, "lost": lost}))
     return lost
 
 
-def _by_set(plan: Plan, one: PlannedRobot) -> dict[str, list[Swim]]:
-    out: dict[str, list[Swim]] = {}
+def _by_set(plan: FamilyPlan, one: PlannedRobot) -> dict[str, list[PlannedSwim]]:
+    out: dict[str, list[PlannedSwim]] = {}
     for off in (False, True):
         for swim in swims_of(plan, one, off=off):
             out.setdefault(swim.set, []).append(swim)
     return out
 
 
-def _healthy(one: PlannedRobot, sets: dict[str, CompleteSet]) -> Iterator[Case]:
+def _healthy(one: PlannedRobot, sets: dict[str, CompleteSet]) -> Iterator[BenchCase]:
     yield from (case for case in one.cases if case.kind == "none" and case.id in sets)
 
 
-def _read(swims_: list[Swim], folder: Path, lost: dict[str, str]) -> CompleteSet:
+def _read(swims_: list[PlannedSwim], folder: Path, lost: dict[str, str]) -> CompleteSet:
     """Trials of a set, with the launches cut; adds missing ones to `lost`."""
     seen, bare = [], {}
     for swim in swims_:

@@ -14,16 +14,22 @@ The rigid bodies, joints, dry friction and actuators are MuJoCo's own. No fitter
 
 from typing import TYPE_CHECKING, Any
 
-from fishmj.gap.laboratory.generators.families import NAMES
+from fishmj.gap.laboratory.generators.water_forms import NAMES
 
 if TYPE_CHECKING:
-    from fishmj.gap.laboratory.generators.catalogue import hidden, parse
     from fishmj.gap.laboratory.generators.detectability import detectable
-    from fishmj.gap.laboratory.generators.trials import generate
-    from fishmj.gap.laboratory.generators.weighing import page
+    from fishmj.gap.laboratory.generators.effect_catalogue import hidden, parse
+    from fishmj.gap.laboratory.generators.generator_trials import generate
+    from fishmj.gap.laboratory.generators.generator_weighing import page
 
 __all__ = ["NAMES", "detectable", "generate", "hidden", "page", "parse"]
-_WHERE = {"generate": "trials", "parse": "catalogue", "hidden": "catalogue", "detectable": "detectability", "page": "weighing"}
+_WHERE = {
+    "generate": "generator_trials",
+    "parse": "effect_catalogue",
+    "hidden": "effect_catalogue",
+    "detectable": "detectability",
+    "page": "generator_weighing",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -53,8 +53,8 @@ def detectable(
     Raises:
         as `trials.generate`.
     """
-    from fishmj.gap.laboratory.generators.sensors import sigmas
-    from fishmj.gap.laboratory.generators.trials import generate, robot_of
+    from fishmj.gap.laboratory.generators.generator_trials import generate, robot_of
+    from fishmj.gap.laboratory.generators.lab_sensors import sigmas
 
     if not effects:
         return dict(NOTHING)
@@ -97,7 +97,7 @@ def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, heal
         return [kept[name] for name in TABLES]
     except StoreError:
         pass
-    from fishmj.gap.laboratory.generators.trials import generate
+    from fishmj.gap.laboratory.generators.generator_trials import generate
 
     trials = [generate(family, {}, [what], FIRST + k, 0.0, nuisance, robot)[0] for k in range(healthy)]
     seen = [channels(trial, trial.meta["sigma"]) for trial in trials]

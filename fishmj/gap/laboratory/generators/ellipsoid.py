@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.laboratory.generators.chain import finish, move
-from fishmj.gap.laboratory.generators.compiled import entry, inlined
-from fishmj.gap.laboratory.generators.family import Coefficient, Family, Water
+from fishmj.gap.laboratory.generators.family import Coefficient, Family, RobotWater
+from fishmj.gap.laboratory.generators.link_chain import finish, move
 from fishmj.gap.laboratory.generators.outline import fin_of, is_fin, stations_of
+from fishmj.gap.laboratory.generators.water_compiler import entry, inlined
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 
@@ -51,7 +51,7 @@ COEFFICIENTS = {
 FRICTION_FIN = 0.02  # C_0
 
 
-class Law(NamedTuple):
+class EllipsoidLaw(NamedTuple):
     """Braking of the links at their middles, (N,), and the fin."""
 
     x: np.ndarray  # m
@@ -87,7 +87,7 @@ def hull(a: float, b: float, c: float, rho: float) -> tuple[float, float, float]
     return mass * a0 / (2.0 - a0), mass * g0 / (2.0 - g0), float(turning)
 
 
-def build(robot: Robot, values) -> Water:
+def build(robot: Robot, values) -> RobotWater:
     """The water of one robot."""
     geometry, rho, n = geometry_of(robot), robot.density_water, len(robot.links)
     stations = stations_of(robot, geometry)
@@ -124,7 +124,7 @@ def build(robot: Robot, values) -> Water:
     head = np.zeros(n)
     head[0] = 1.0
     frontal = 0.5 * rho * geometry.frontal
-    law = Law(
+    law = EllipsoidLaw(
         x=geometry.span.mean(1),
         laminar=values["laminar"] * head,
         form=values["form"] * frontal * head,
@@ -139,7 +139,7 @@ def build(robot: Robot, values) -> Water:
         stall=values["stall"],
         broad=values["broad_fin"],
     )
-    return Water(added, law, 0)
+    return RobotWater(added, law, 0)
 
 
 def _least(added: np.ndarray) -> float:

@@ -17,7 +17,7 @@ class Coefficient(NamedTuple):
     source: str
 
 
-class Water(NamedTuple):
+class RobotWater(NamedTuple):
     """One robot's water. added: (N, 3, 3) at the links' origins; law: data of the compiled function; memory: its states."""
 
     added: np.ndarray
@@ -26,7 +26,7 @@ class Water(NamedTuple):
 
 
 class Family(NamedTuple):
-    """A generator: build(robot, values) -> Water, and a compiled step.
+    """A generator: build(robot, values) -> RobotWater, and a compiled step.
 
     step(chain, law, q, rate, flow, extra, tether, memory, h, generalised, sparse, work) writes the water's generalised force and
     adds its mass to MuJoCo's.
@@ -35,7 +35,7 @@ class Family(NamedTuple):
     name: str
     about: str
     coefficients: Mapping[str, Coefficient]
-    build: Callable[[Robot, Mapping[str, float]], Water]
+    build: Callable[[Robot, Mapping[str, float]], RobotWater]
     step: Callable
 
 

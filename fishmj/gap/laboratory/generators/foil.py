@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base.units import WATER_VISCOSITY
-from fishmj.gap.laboratory.generators.chain import finish, move
-from fishmj.gap.laboratory.generators.compiled import entry, inlined
-from fishmj.gap.laboratory.generators.family import Coefficient, Family, Water
+from fishmj.gap.laboratory.generators.family import Coefficient, Family, RobotWater
+from fishmj.gap.laboratory.generators.link_chain import finish, move
 from fishmj.gap.laboratory.generators.outline import fin_of, is_fin, ragged, stations_of, swaying
+from fishmj.gap.laboratory.generators.water_compiler import entry, inlined
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 
@@ -46,7 +46,7 @@ COEFFICIENTS = {
 }
 
 
-class Law(NamedTuple):
+class FoilLaw(NamedTuple):
     """Slices of all links in a row, `begin` (N + 1,) index of each link's first; the fin is one more plate of the last link."""
 
     begin: np.ndarray
@@ -68,7 +68,7 @@ class Law(NamedTuple):
     memory: float  # factor on b_k
 
 
-def build(robot: Robot, values) -> Water:
+def build(robot: Robot, values) -> RobotWater:
     """The water of one robot."""
     geometry, rho = geometry_of(robot), robot.density_water
     stations = stations_of(robot, geometry)
@@ -83,7 +83,7 @@ def build(robot: Robot, values) -> Water:
         broadside.append(values["drag_round"] + (values["drag_flat"] - values["drag_round"]) * s.flatness)
     x, begin = ragged([s.x for s in stations])
     chord = fin.front - fin.rear
-    law = Law(
+    law = FoilLaw(
         begin=begin,
         x=x,
         area=ragged(area)[0],
@@ -102,7 +102,7 @@ def build(robot: Robot, values) -> Water:
         vortex=values["vortex"],
         memory=1.0 + 2.0 / aspect,
     )
-    return Water(swaying(stations, per_length), law, len(LAGS))
+    return RobotWater(swaying(stations, per_length), law, len(LAGS))
 
 
 @inlined

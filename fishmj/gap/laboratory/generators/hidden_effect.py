@@ -7,7 +7,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects import Parameter
-from fishmj.gap.laboratory.generators.fish import Fish
+from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters
 
 
 class HiddenEntry(NamedTuple):
@@ -38,7 +38,7 @@ class HiddenEntry(NamedTuple):
             out[p.name] = float(np.clip(p.null + side * size, p.low, p.high))
         return out
 
-    def put(self, fish: Fish, values: Mapping[str, float]) -> None:
+    def put(self, fish: RobotParameters, values: Mapping[str, float]) -> None:
         """Hides the effect in a robot; missing parameters stay at their null.
 
         Raises:

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base.units import WATER_VISCOSITY
-from fishmj.gap.laboratory.generators.chain import finish, move
-from fishmj.gap.laboratory.generators.compiled import entry, inlined
-from fishmj.gap.laboratory.generators.family import Coefficient, Family, Water
+from fishmj.gap.laboratory.generators.family import Coefficient, Family, RobotWater
+from fishmj.gap.laboratory.generators.link_chain import finish, move
 from fishmj.gap.laboratory.generators.outline import fin_of, is_fin, ragged, stations_of, swaying
+from fishmj.gap.laboratory.generators.water_compiler import entry, inlined
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 
@@ -41,7 +41,7 @@ COEFFICIENTS = {
 }
 
 
-class Law(NamedTuple):
+class MorisonLaw(NamedTuple):
     """Stations of all links in a row, `begin` (N + 1,) index of each link's first."""
 
     begin: np.ndarray
@@ -56,7 +56,7 @@ class Law(NamedTuple):
     edge_mass: float  # kg/m
 
 
-def build(robot: Robot, values) -> Water:
+def build(robot: Robot, values) -> RobotWater:
     """The water of one robot."""
     geometry, rho = geometry_of(robot), robot.density_water
     stations = stations_of(robot, geometry)
@@ -73,7 +73,7 @@ def build(robot: Robot, values) -> Water:
     slender = np.sqrt(geometry.frontal * 4 / np.pi) / robot.length
     form = values["swimming"] * (1.0 + 1.5 * slender**1.5 + 7.0 * slender**3)
     x, begin = ragged([s.x for s in stations])
-    law = Law(
+    law = MorisonLaw(
         begin=begin,
         x=x,
         drag=ragged(drag)[0],
@@ -85,7 +85,7 @@ def build(robot: Robot, values) -> Water:
         edge=geometry.tail_x,
         edge_mass=values["shed_edge"] * rho * np.pi / 4 * fin.edge**2,
     )
-    return Water(swaying(stations, per_length), law, 0)
+    return RobotWater(swaying(stations, per_length), law, 0)
 
 
 @inlined

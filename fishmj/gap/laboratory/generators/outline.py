@@ -33,7 +33,7 @@ class Stations(NamedTuple):
         return np.pi * (a + b) * (1.0 + 3.0 * h / (10.0 + np.sqrt(4.0 - 3.0 * h)))
 
 
-class Fin(NamedTuple):
+class FinPlate(NamedTuple):
     """The plate at the end of the last link."""
 
     front: float  # x of its leading edge in the last link's frame, m
@@ -71,7 +71,7 @@ def stations_of(robot: Robot, geometry: Geometry | None = None) -> list[Stations
     return out
 
 
-def fin_of(robot: Robot, stations: list[Stations]) -> Fin:
+def fin_of(robot: Robot, stations: list[Stations]) -> FinPlate:
     """Plate part of the last link: behind its `fin_from`, else its thin part, else its rear half."""
     last, s, front = robot.links[-1], stations[-1], float(geometry_of(robot).span[-1, 1])
     thin = front - s.x[s.width < THIN * s.height]
@@ -81,10 +81,10 @@ def fin_of(robot: Robot, stations: list[Stations]) -> Fin:
         begin, behind = last.length / 2, s.x <= front - last.length / 2
     area, edge = float(np.sum(s.height[behind] * s.ds[behind])), float(last.sections[-1][1])
     span = float(max(s.height[behind].max(), edge))
-    return Fin(float(front - begin), float(front - last.length), area, span, edge)
+    return FinPlate(float(front - begin), float(front - last.length), area, span, edge)
 
 
-def is_fin(stations: list[Stations], fin: Fin, link: int) -> np.ndarray:
+def is_fin(stations: list[Stations], fin: FinPlate, link: int) -> np.ndarray:
     """(K,) True for the stations of a link on the fin."""
     on_last = link == len(stations) - 1
     return (stations[link].x <= fin.front) & on_last

@@ -17,9 +17,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fishmj.gap.laboratory.generators.fish import Fish
-from fishmj.gap.laboratory.generators.swim import STEP, Run
-from fishmj.gap.laboratory.generators.trials import robot_of
+from fishmj.gap.laboratory.generators.generator_trials import robot_of
+from fishmj.gap.laboratory.generators.mujoco_robot import STEP, RobotSimulation
+from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters
 from fishmj.gap.laboratory.session import Effects
 from fishmj.mjcf.description import Robot
 
@@ -45,10 +45,10 @@ def prescribed(
     return of_fish(robot_of(family, effects or {}, seed, nuisance=nuisance, robot=robot))
 
 
-def of_fish(fish: Fish) -> dict[str, float]:
+def of_fish(fish: RobotParameters) -> dict[str, float]:
     """The quantities of one robot. Joints that a fault added are held at zero."""
     ahead, left = steady(fish, {0: SPEED}), steady(fish, {1: SPEED})
-    run = Run(fish)
+    run = RobotSimulation(fish)
     still = np.zeros(run.model.nv)
     water_at(run, still, still)
     added = run.work.mass.copy()
@@ -63,9 +63,9 @@ def of_fish(fish: Fish) -> dict[str, float]:
     }
 
 
-def steady(fish: Fish, rates: Mapping[int, float]) -> np.ndarray:
+def steady(fish: RobotParameters, rates: Mapping[int, float]) -> np.ndarray:
     """(3,) force in x, y and moment on the straight fish at the origin, heading along x, at constant rates."""
-    run = Run(fish)
+    run = RobotSimulation(fish)
     rate = np.zeros(run.model.nv)
     for freedom, value in rates.items():
         rate[freedom] = value
@@ -74,9 +74,9 @@ def steady(fish: Fish, rates: Mapping[int, float]) -> np.ndarray:
     return force[:3].copy()
 
 
-def thrust(fish: Fish, frequency: float, amplitude: float, lag: float) -> float:
+def thrust(fish: RobotParameters, frequency: float, amplitude: float, lag: float) -> float:
     """Mean force ahead, N, over one beat of the fish carried at `SPEED`; its joints follow a sine of the given Hz, rad, rad."""
-    run = Run(fish)
+    run = RobotSimulation(fish)
     steps, omega = round(1.0 / frequency / STEP), 2 * np.pi * frequency
     phase = -lag * np.arange(fish.joints)
     q, rate, acceleration = (np.zeros(run.model.nv) for _ in range(3))
@@ -93,7 +93,7 @@ def thrust(fish: Fish, frequency: float, amplitude: float, lag: float) -> float:
     return total / steps
 
 
-def water_at(run: Run, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def water_at(run: RobotSimulation, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """(nv,) generalised force of the water at a state without acceleration; leaves the added mass in `run.work.mass`."""
     force, sparse = np.zeros(run.model.nv), np.zeros(len(run.chain.rows))
     fish = run.fish

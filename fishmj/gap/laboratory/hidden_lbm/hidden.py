@@ -21,7 +21,7 @@ from fishmj.gap.laboratory.hidden_lbm.hidden_body import Electronics, HiddenBody
 from fishmj.gap.laboratory.session import CLOCKS, Effects, experiments, sent_commands, trial_meta
 from fishmj.gap.laboratory.virtual_robot import network, sensors
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
-from fishmj.gap.laboratory.virtual_robot.simulate import Recording
+from fishmj.gap.laboratory.virtual_robot.simulate import StateRecording
 from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, plant, sense, sigmas, start_state, weather
 from fishmj.hydro_fit.campaign.data.run_segments import DOUBT
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
@@ -120,11 +120,11 @@ class HiddenRun(Run):
         """Returns True after the last tick, or if the run has stopped."""
         return self.ticks >= self.end or bool(self.stopped)
 
-    def recording(self) -> Recording:
+    def recording(self) -> StateRecording:
         """Every finished tick, a row a millisecond."""
         whole = self.electronics.recording()
         rows = round(self.ticks * PERIOD * 1000)
-        return Recording(whole.t[:rows], whole.data[:rows])
+        return StateRecording(whole.t[:rows], whole.data[:rows])
 
     def _carry(self, start: np.ndarray) -> None:
         """Carries the fish along, or holds it, joints still, until t = 0 at `start`."""

@@ -22,11 +22,11 @@ import numpy as np
 from fishmj.gap.laboratory.virtual_robot.chain import assemble, factor, push_joint, solve
 from fishmj.gap.laboratory.virtual_robot.constants import HullConstants, UncataloguedEffects
 from fishmj.gap.laboratory.virtual_robot.loop import H, blow, rub, write
-from fishmj.gap.laboratory.virtual_robot.numba_entry import entry
+from fishmj.gap.laboratory.virtual_robot.loop_compiler import entry
 from fishmj.gap.laboratory.virtual_robot.rigid_body import body_of
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants, nominal
 from fishmj.gap.laboratory.virtual_robot.servo import battery, firmware, friction_bound, motor_torque, spring_torque
-from fishmj.gap.laboratory.virtual_robot.simulate import STILL, Recording, State, columns, workspace
+from fishmj.gap.laboratory.virtual_robot.simulate import STILL, ChainState, StateRecording, columns, workspace
 from fishmj.gap.laboratory.virtual_robot.water import friction_speed
 from fishmj.lbm_oracle.immersed.body import DisplacedWater
 from fishmj.lbm_oracle.immersed.driven_body import DrivenBody
@@ -131,7 +131,7 @@ class HiddenDifference:
         n = len(self.absolute)
         self._work = [(np.zeros(4), np.zeros((n, n)), np.zeros(n)) for _ in self.pair]
 
-    def __call__(self, state: State, h: float) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, state: ChainState, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Force (n,) and added mass (n, n) over (x, y, psi, j1..jJ) at `state`; advances the wakes by h."""
         found = []
         for groups, wake, (stream, A, f) in zip(self.pair, self.wakes, self._work, strict=True):
@@ -167,7 +167,7 @@ class Electronics:
         made: the robot. state: at t = 0. queue: arriving commands with times. gust: weather of the second robot's water (G, 2).
     """
 
-    def __init__(self, made: RobotConstants, state: State, queue: Queue, gust: np.ndarray):
+    def __init__(self, made: RobotConstants, state: ChainState, queue: Queue, gust: np.ndarray):
         self.made, self.state, self.queue, self.gust = made, state, queue, gust
         self.difference = HiddenDifference(made, gust)
         self.joints = made.robot.n_joints
@@ -225,13 +225,13 @@ class Electronics:
         self.state.z[:2], self.state.rate[:2] = q[:2], v[:2]
         self.state.z[2:], self.state.rate[2:] = np.cumsum(q[2:]), np.cumsum(v[2:])
 
-    def recording(self) -> Recording:
+    def recording(self) -> StateRecording:
         """Everything so far, a row a millisecond."""
         data = np.concatenate(self.rows)
-        return Recording(np.arange(len(data)) * H, data)
+        return StateRecording(np.arange(len(data)) * H, data)
 
 
-def places(state: State) -> np.ndarray:
+def places(state: ChainState) -> np.ndarray:
     """Pose, its rates, joints, their rates (6 + 2 J,): the first columns of a recording."""
     z, rate = state.z, state.rate
     return np.concatenate([z[:3], rate[:3], np.diff(z[2:]), np.diff(rate[2:])])

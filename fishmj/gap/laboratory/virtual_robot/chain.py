@@ -15,7 +15,7 @@ and an accelerating stream adds (displaced mass + added mass) DU/Dt. One step: (
 
 from math import cos, exp, sin, sqrt
 
-from fishmj.gap.laboratory.virtual_robot.numba_entry import compiled
+from fishmj.gap.laboratory.virtual_robot.loop_compiler import compiled
 from fishmj.gap.laboratory.virtual_robot.water import link_force
 
 

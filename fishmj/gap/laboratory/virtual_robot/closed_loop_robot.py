@@ -17,9 +17,9 @@ from fishmj.base.errors import ConfigError
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.session import Effects
 from fishmj.gap.laboratory.virtual_robot.loop import H
-from fishmj.gap.laboratory.virtual_robot.network import Radio
+from fishmj.gap.laboratory.virtual_robot.network import CommandRadio
 from fishmj.gap.laboratory.virtual_robot.sensors import on_its_clock
-from fishmj.gap.laboratory.virtual_robot.simulate import STILL, Recording, at_rest, run
+from fishmj.gap.laboratory.virtual_robot.simulate import STILL, StateRecording, at_rest, run
 from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, plant, sense, weather
 from fishmj.mjcf.description import Robot
 
@@ -48,11 +48,11 @@ class ClosedLoopRobot:
         self._anchor = self._state.z[:3].copy()
         changing = made.tank.sigma > 0.0 or made.odd.pulse != 0.0
         self._gust = weather(made, HORIZON, seed, 0) if changing else STILL
-        self._radio = Radio(made.network, made.odd, seed, 0, noise)
+        self._radio = CommandRadio(made.network, made.odd, seed, 0, noise)
         self._streams = {name: random_streams.stream(seed, name, 0) for name in SENSORS}
         self._queue: list[tuple[float, int, np.ndarray]] = []
         self._order = count()
-        self._past: Recording | None = None
+        self._past: StateRecording | None = None
 
     @property
     def time(self) -> float:
@@ -91,7 +91,7 @@ class ClosedLoopRobot:
         return np.array([z[0], z[1], z[2], *np.diff(z[2:])])
 
 
-def _joined(past: Recording, fresh: Recording) -> Recording:
+def _joined(past: StateRecording, fresh: StateRecording) -> StateRecording:
     """Both recordings in a row, with the last MEMORY seconds before the fresh part."""
     keep = past.t >= fresh.t[0] - MEMORY
-    return Recording(np.concatenate([past.t[keep], fresh.t]), np.concatenate([past.data[keep], fresh.data]))
+    return StateRecording(np.concatenate([past.t[keep], fresh.t]), np.concatenate([past.data[keep], fresh.data]))

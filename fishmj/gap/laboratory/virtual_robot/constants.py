@@ -112,7 +112,7 @@ class StartScatter(NamedTuple):
     heading: float  # rad
 
 
-class Network(NamedTuple):
+class NetworkConstants(NamedTuple):
     """Radio and bus: arrival of commands, times of angle readings."""
 
     period: float  # s, between commands and between readings
@@ -127,7 +127,7 @@ class Network(NamedTuple):
     joint_delay: float = 0.0  # effect, s
 
 
-class Camera(NamedTuple):
+class CameraConstants(NamedTuple):
     """The tracker above the tank: its timing, and its errors of the marker."""
 
     period: float  # s
@@ -147,7 +147,7 @@ class Camera(NamedTuple):
     k1: float = 0.0  # effect, 1/m2
 
 
-class Meter(NamedTuple):
+class MeterConstants(NamedTuple):
     """Current and voltage sensor of the battery lead."""
 
     period: float  # s

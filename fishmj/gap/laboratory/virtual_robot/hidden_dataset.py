@@ -16,7 +16,7 @@ from fishmj.gap.laboratory.effect_text import check_range, finite_number, split_
 from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, EntryParameter
 from fishmj.gap.laboratory.virtual_robot.trials import EFFECTS
 from fishmj.log import Trial, measurements, write_dataset
-from fishmj.log.folder import META_FILE
+from fishmj.log.trial_folder import META_FILE
 
 SCHEMA = "fishmj.truth/1"
 WIDEST, BELOW = 10.0, 0.2  # of a parameter's largest typical size, above its null; below it, where no sign is drawn

@@ -3,7 +3,7 @@
 from math import exp
 
 from fishmj.gap.laboratory.virtual_robot.chain import assemble, factor, hang, push_joint, solve
-from fishmj.gap.laboratory.virtual_robot.numba_entry import compiled, entry
+from fishmj.gap.laboratory.virtual_robot.loop_compiler import compiled, entry
 from fishmj.gap.laboratory.virtual_robot.servo import battery, firmware, friction_bound, motor_torque, spring_torque, stick_slip
 from fishmj.gap.laboratory.virtual_robot.water import friction_speed
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.instruments import order_of_arrival, read_encoders
-from fishmj.gap.laboratory.virtual_robot.constants import Network, UncataloguedEffects
-from fishmj.gap.laboratory.virtual_robot.simulate import Recording
+from fishmj.gap.laboratory.virtual_robot.constants import NetworkConstants, UncataloguedEffects
+from fishmj.gap.laboratory.virtual_robot.simulate import StateRecording
 
 
 class Delivery(NamedTuple):
@@ -22,10 +22,10 @@ class Delivery(NamedTuple):
     commands: np.ndarray
 
 
-class Radio:
+class CommandRadio:
     """Decides, packet by packet, the arrival of a command at the servos."""
 
-    def __init__(self, network: Network, odd: UncataloguedEffects, seed: int, trial: int, noise: float):
+    def __init__(self, network: NetworkConstants, odd: UncataloguedEffects, seed: int, trial: int, noise: float):
         self.network, self.odd, self.noise = network, odd, noise
         self._streams = [random_streams.stream(seed, purpose, trial) for purpose in ("radio", "radio tail", "loss")]
         self._last: np.ndarray | None = None
@@ -44,16 +44,24 @@ class Radio:
 
 
 def deliver(
-    network: Network, odd: UncataloguedEffects, sent: np.ndarray, commands: np.ndarray, seed: int, trial: int, noise: float
+    network: NetworkConstants,
+    odd: UncataloguedEffects,
+    sent: np.ndarray,
+    commands: np.ndarray,
+    seed: int,
+    trial: int,
+    noise: float,
 ) -> Delivery:
     """Sends commands (K, J) at `sent` (K,) and takes them out of the queue in order of arrival."""
-    radio = Radio(network, odd, seed, trial, noise)
+    radio = CommandRadio(network, odd, seed, trial, noise)
     times = np.array([radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)], float)
     order = order_of_arrival(times)
     return Delivery(times[order], commands[order])
 
 
-def telemetry(net: Network, zero: np.ndarray, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
+def telemetry(
+    net: NetworkConstants, zero: np.ndarray, record: StateRecording, t: np.ndarray, rng: np.random.Generator, noise: float
+) -> dict:
     """Table `joint`: the hinges' own sensors, read at t (K,); a value is `joint_delay` older than its stamp."""
     stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
     names = [f"j{k + 1}" for k in range(len(zero))]

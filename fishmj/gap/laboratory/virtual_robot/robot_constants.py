@@ -32,9 +32,9 @@ class RobotConstants:
     water: constants.WaterConstants
     motor: constants.MotorConstants
     tank: constants.TankConstants
-    network: constants.Network
-    camera: constants.Camera
-    meter: constants.Meter
+    network: constants.NetworkConstants
+    camera: constants.CameraConstants
+    meter: constants.MeterConstants
     odd: constants.UncataloguedEffects
 
     def with_fields(self, values: dict[str, float]) -> "RobotConstants":
@@ -149,7 +149,7 @@ def nominal(
         **{**raw, "dry": drawn(raw["dry"]), "viscous": drawn(raw["viscous"])},
     )
     latency = timing.command_latency - FIRMWARE_WAIT * motor.period
-    network = constants.Network(period=timing.bus_dt, latency=latency, **table["network"])
+    network = constants.NetworkConstants(period=timing.bus_dt, latency=latency, **table["network"])
     seen = {"latency": timing.camera_latency, "window": float(timing.velocity_window)}
     air = table["air"]
     return RobotConstants(
@@ -162,8 +162,8 @@ def nominal(
         motor=motor,
         tank=constants.TankConstants(half=1.8),
         network=network,
-        camera=constants.Camera(**seen, **table["camera"]),
-        meter=constants.Meter(**table["meter"]),
+        camera=constants.CameraConstants(**seen, **table["camera"]),
+        meter=constants.MeterConstants(**table["meter"]),
         odd=constants.UncataloguedEffects(),
     )
 

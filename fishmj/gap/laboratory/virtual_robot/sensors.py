@@ -8,12 +8,17 @@ velocity    slope of a straight line through the last frames, then an optional l
 
 import numpy as np
 
-from fishmj.gap.laboratory.virtual_robot.constants import Camera, Meter, UncataloguedEffects
-from fishmj.gap.laboratory.virtual_robot.simulate import Recording
+from fishmj.gap.laboratory.virtual_robot.constants import CameraConstants, MeterConstants, UncataloguedEffects
+from fishmj.gap.laboratory.virtual_robot.simulate import StateRecording
 
 
 def watch(
-    camera: Camera, odd: UncataloguedEffects, record: Recording, frames: np.ndarray, rng: np.random.Generator, noise: float
+    camera: CameraConstants,
+    odd: UncataloguedEffects,
+    record: StateRecording,
+    frames: np.ndarray,
+    rng: np.random.Generator,
+    noise: float,
 ) -> dict:
     """Table `pose` from frames that reach the host at `frames` (K,) s, on the host's clock: t, x, y, yaw."""
     late = camera.latency + camera.delay
@@ -33,14 +38,14 @@ def watch(
     return {"t": stamps, "x": x, "y": y, "yaw": yaw}
 
 
-def track(camera: Camera, seen: dict) -> dict:
+def track(camera: CameraConstants, seen: dict) -> dict:
     """The pose table with the tracker's velocity vx, vy, wz in the tank frame."""
     names = {"x": "vx", "y": "vy", "yaw": "wz"}
     slopes = {rate: slope(seen["t"], seen[name], int(camera.window)) for name, rate in names.items()}
     return seen | {rate: low_pass(value, camera.period, camera.filter) for rate, value in slopes.items()}
 
 
-def on_its_clock(camera: Camera, seen: dict) -> dict:
+def on_its_clock(camera: CameraConstants, seen: dict) -> dict:
     """The pose table with the stamps of the camera's own clock."""
     return seen | {"t": seen["t"] * camera.drift + camera.offset}
 
@@ -72,7 +77,7 @@ def low_pass(value: np.ndarray, step: float, time: float) -> np.ndarray:
     return out
 
 
-def metered(meter: Meter, record: Recording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
+def metered(meter: MeterConstants, record: StateRecording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
     """Table `power`: battery voltage and current, averaged over the time before each stamp t (K,), a reading every millisecond.
 
     Single readings would beat with the servos' clock: the mean power would depend on a command's time of arrival in a period.

@@ -11,7 +11,7 @@ command) and rate limit.
 
 from math import exp
 
-from fishmj.gap.laboratory.virtual_robot.numba_entry import compiled
+from fishmj.gap.laboratory.virtual_robot.loop_compiler import compiled
 
 SWEEPS = 4  # of the friction solver a joint; three joints settle in a few
 

@@ -19,7 +19,7 @@ def columns(joints: int) -> dict[str, int]:
     return {name: i for i, name in enumerate([*POSE, *each("j"), *each("k"), *METER, *each("e"), *each("d")])}
 
 
-class State(NamedTuple):
+class ChainState(NamedTuple):
     """Places in the tank frame, links by absolute angle: z = (X, Y, th1..thN), X, Y the reference point; J = N - 1."""
 
     z: np.ndarray  # (N + 2,) m, rad
@@ -41,7 +41,7 @@ class State(NamedTuple):
     clock: np.ndarray  # (3,) time s; next firmware tick s; firmware resets until s
 
 
-def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
+def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> ChainState:
     """A fish at `start` (x, y, yaw), joints at `angles` with these as targets, launched with `push` (u, v, r) in its own axes."""
     x, y, yaw = start
     u, v, r = push
@@ -49,7 +49,7 @@ def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
     n = len(joints) + 1
     theta = yaw + np.concatenate([[0.0], np.cumsum(joints)])
     c, s = np.cos(yaw), np.sin(yaw)
-    return State(
+    return ChainState(
         z=np.concatenate([[x, y], theta]),
         rate=np.concatenate([[c * u - s * v, s * u + c * v], np.full(n, r)]).astype(float),
         ramp=np.stack([joints, joints, np.zeros(n - 1)], 1),
@@ -66,7 +66,7 @@ def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> State:
 STILL = np.zeros((2, 2))  # no gusts
 
 
-class Recording(NamedTuple):
+class StateRecording(NamedTuple):
     """State every millisecond. data (T, 8 + 4 J) in the order of `columns`."""
 
     t: np.ndarray  # (T,) s
@@ -90,8 +90,8 @@ def workspace(joints: int = 3) -> tuple[np.ndarray, ...]:
 
 
 def run(
-    plant: RobotConstants, state: State, arrivals, commands, seconds: float, gust: np.ndarray = STILL, anchor=None
-) -> Recording:
+    plant: RobotConstants, state: ChainState, arrivals, commands, seconds: float, gust: np.ndarray = STILL, anchor=None
+) -> StateRecording:
     """Advances `state` in place by `seconds`; commands (K, J) [rad] reach the servos at arrivals (K,) [s].
 
     Raises:
@@ -109,4 +109,4 @@ def run(
         raise SimDiverged(
             f"the virtual robot left the finite numbers at t = {start + bad[0] * H:.3f} s; reduce the planted value"
         )
-    return Recording(start + np.arange(steps) * H, record)
+    return StateRecording(start + np.arange(steps) * H, record)

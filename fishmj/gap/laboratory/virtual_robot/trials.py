@@ -20,7 +20,7 @@ from fishmj.gap.laboratory.virtual_robot import sensors as cameras
 from fishmj.gap.laboratory.virtual_robot.catalogue import CATALOGUE, ODDITIES, CatalogueEntry
 from fishmj.gap.laboratory.virtual_robot.loop import GUST
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, RobotConstants, WaterScales, buildable, nominal
-from fishmj.gap.laboratory.virtual_robot.simulate import Recording, State, at_rest, run
+from fishmj.gap.laboratory.virtual_robot.simulate import ChainState, StateRecording, at_rest, run
 from fishmj.log import Trial
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
@@ -83,7 +83,7 @@ def generate(
     return trials
 
 
-def start_state(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> tuple[np.ndarray, State]:
+def start_state(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> tuple[np.ndarray, ChainState]:
     """Start (3,) of trial `index` as the hand hits it, and the fish there, told to hold the first command."""
     start = place_by_hand(what, *made.placing, random_streams.stream(seed, "placing", index), noise)
     state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
@@ -92,7 +92,7 @@ def start_state(made: RobotConstants, what: Excitation, seed: int, index: int, n
     return start, state
 
 
-def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> Recording:
+def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> StateRecording:
     """True motion in trial `index`: places the fish, sends the commands, moves."""
     if what.commands.shape[1] != made.robot.n_joints:
         counts = f"{what.commands.shape[1]} joints, {made.robot.name} has {made.robot.n_joints}"
@@ -135,7 +135,7 @@ def trial_of(
 
 
 def sense(
-    made: RobotConstants, record: Recording, streams: dict, span: tuple[float, float], noise: float,
+    made: RobotConstants, record: StateRecording, streams: dict, span: tuple[float, float], noise: float,
     stamps: Mapping[str, np.ndarray] = NOMINAL,
 ) -> dict[str, dict]:  # fmt: skip
     """Tables joint, power and (in water) pose with the readings from span[0] to before span[1].

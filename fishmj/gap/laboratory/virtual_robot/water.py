@@ -13,7 +13,7 @@ is lost when the lagged flow meets the edge steeply: s = 1 / (1 + (z / (u tan a)
 from math import cos, sin, sqrt
 
 from fishmj.base.units import G
-from fishmj.gap.laboratory.virtual_robot.numba_entry import compiled
+from fishmj.gap.laboratory.virtual_robot.loop_compiler import compiled
 
 CALM = 1e-8  # m2/s2, keeps square roots smooth at rest
 

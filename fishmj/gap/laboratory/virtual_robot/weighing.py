@@ -7,7 +7,7 @@ import numpy as np
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
 from fishmj.gap.laboratory.virtual_robot.trials import plant
-from fishmj.gap.laboratory.weighing import weighing_page
+from fishmj.gap.laboratory.weighing_readings import weighing_page
 from fishmj.mjcf.description import Robot
 
 THREAD, APART = 1.2, 0.30  # m

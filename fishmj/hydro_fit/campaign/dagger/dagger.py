@@ -32,10 +32,10 @@ from fishmj.base import console, interrupt
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, DatasetError
 from fishmj.base.store import read_json, write_json
-from fishmj.hydro_fit.campaign.dagger.surrogate import Surrogate
+from fishmj.hydro_fit.campaign.dagger.surrogate_fish import Surrogate
 from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model
-from fishmj.hydro_fit.campaign.data.plan import Plan
+from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive, ticks_of
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset
@@ -109,7 +109,7 @@ def mean_return(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) ->
     return float(np.mean(task.reward(np, far, v[: steps * every, 3:].reshape(steps, every, -1))))
 
 
-def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], number: int) -> Plan:
+def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], number: int) -> CampaignPlan:
     """Plan of a round: each episode, and a short segment from the surrogate's state half-way through it."""
     segments = []
     for segment, rolled in rolls:
@@ -117,7 +117,7 @@ def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], 
         start: dict = {"pose": tuple(rolled.q[at, :3].tolist()), "joints": tuple(rolled.q[at, 3:].tolist())}
         start |= {"velocity": tuple(rolled.v[at].tolist()), "seconds": min(SHORT, segment.seconds), "settle": 0.0}
         segments += [segment, replace(segment, id=f"{segment.id}_mid", **start)]
-    return Plan(label=f"round {number} of {policy}", robot=robot, seed=number, segments=tuple(segments))
+    return CampaignPlan(label=f"round {number} of {policy}", robot=robot, seed=number, segments=tuple(segments))
 
 
 def correct(

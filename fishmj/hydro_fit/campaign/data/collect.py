@@ -25,7 +25,7 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, DatasetError, StoreError
 from fishmj.base.store import Manifest, read_json, sha256, write_json
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.plan import Plan
+from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup, on_device
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.record import files, write_record
@@ -90,7 +90,7 @@ class Collected:
 
 
 def collect(
-    plan: Plan,
+    plan: CampaignPlan,
     out: str | Path,
     setup: Setup,
     *,
@@ -133,7 +133,7 @@ def collect(
     return _closed(folder, plan, about, there, done, before, time.perf_counter() - began)
 
 
-def missing(plan: Plan, folder: Path, retry: bool = False) -> deque[Segment]:
+def missing(plan: CampaignPlan, folder: Path, retry: bool = False) -> deque[Segment]:
     """Segments of the plan that are not complete in the folder and made as planned.
 
     With `retry` also those that stopped early.
@@ -142,7 +142,7 @@ def missing(plan: Plan, folder: Path, retry: bool = False) -> deque[Segment]:
     return deque(s for s in plan.segments if (meta := there[s.id]) is None or (retry and meta.get("stopped")))
 
 
-def _closed(folder: Path, plan: Plan, about: dict, there: int, run: int, water: float, wall: float) -> Collected:
+def _closed(folder: Path, plan: CampaignPlan, about: dict, there: int, run: int, water: float, wall: float) -> Collected:
     """Writes the manifest, and returns the content of the data set."""
     kept = {s.id: meta for s in plan.segments if (meta := _about(folder, s)) is not None}
     stopped = {name: meta["stopped"] for name, meta in kept.items() if meta.get("stopped")}
@@ -171,7 +171,7 @@ def _closed(folder: Path, plan: Plan, about: dict, there: int, run: int, water: 
     )
 
 
-def _state_split(folder: Path, plan: Plan, setup: Setup, adding: bool) -> dict:
+def _state_split(folder: Path, plan: CampaignPlan, setup: Setup, adding: bool) -> dict:
     """Writes the split of the episodes before the first run; returns fish, grid and solver of the data set.
 
     Raises:
@@ -299,7 +299,7 @@ def main(argv: list[str]) -> int:
     return run(parser.parse_args(argv))
 
 
-def plan_of(args: argparse.Namespace, robot: Robot) -> Plan:
+def plan_of(args: argparse.Namespace, robot: Robot) -> CampaignPlan:
     """Plan that the options select.
 
     Raises:
@@ -349,7 +349,7 @@ def domain_of_model(asked: str | None, model: HydroModel) -> Domain:
     return preset(asked or str(model.dataset.get("grid", BOX)))
 
 
-def default_folder(plan: Plan) -> Path:
+def default_folder(plan: CampaignPlan) -> Path:
     """Folder data/hydro/<fish> for the whole campaign; a separate one for any other plan."""
     suffix = "" if plan.label == "full" else "-" + plan.label.replace(",", "").replace(" ", "-")
     return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"

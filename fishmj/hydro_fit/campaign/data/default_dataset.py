@@ -23,7 +23,7 @@ from fishmj.base.store import Manifest, read_json
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.collect import BOX, ON_GPU, Local, Pool, collect, domain_there, missing, ray_device, report
-from fishmj.hydro_fit.campaign.data.plan import Plan
+from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup, fingerprint
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.segment_dataset import PREVIEW, SPLIT
@@ -119,7 +119,7 @@ def segments_at_hand(asked: Request) -> Path:
     return _solve(plan, small, asked, box, limit=budget or CPU_TIME)
 
 
-def preview(plan: Plan, box: Domain, budget: float | None = None, there: frozenset[str] = frozenset()) -> Plan:
+def preview(plan: CampaignPlan, box: Domain, budget: float | None = None, there: frozenset[str] = frozenset()) -> CampaignPlan:
     """First segments of a plan that can be solved in `PREVIEW_TIME` on two idle cores, or on this machine within a budget.
 
     Args:
@@ -205,7 +205,9 @@ class _Nothing:
         return iter(())
 
 
-def _solve(plan: Plan, folder: Path, asked: Request, box: Domain, limit: float | None = None, pool: Pool | None = None) -> Path:
+def _solve(
+    plan: CampaignPlan, folder: Path, asked: Request, box: Domain, limit: float | None = None, pool: Pool | None = None
+) -> Path:
     """Collects within `limit` s; finished segments are kept even after an error."""
     again = f"{folder} holds every segment that was finished; {interrupt.again()}"
     if pool is None:
@@ -219,5 +221,5 @@ def _solve(plan: Plan, folder: Path, asked: Request, box: Domain, limit: float |
     return folder
 
 
-def _size(plan: Plan) -> str:
+def _size(plan: CampaignPlan) -> str:
     return f"{len(plan.segments)} segments, {plan.water:.0f} s of water"

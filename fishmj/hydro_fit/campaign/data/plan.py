@@ -240,7 +240,7 @@ LEAST = (  # split, block, episodes: the least that a water is fitted to and jud
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class CampaignPlan:
     """Segments in the order in which they are run, and the label of their draws."""
 
     label: str
@@ -263,7 +263,7 @@ class Plan:
         """Seconds of water, in steps of the domain, settling included."""
         return sum(segment.water for segment in self.segments)
 
-    def at(self, slips: Sequence[float]) -> "Plan":
+    def at(self, slips: Sequence[float]) -> "CampaignPlan":
         """The part of the plan at these slip ratios.
 
         Raises:
@@ -275,7 +275,7 @@ class Plan:
         kept = tuple(segment for segment in self.segments if segment.slip in slips)
         return replace(self, label=f"{self.label}, slip {', '.join(f'{s:g}' for s in sorted(set(slips)))}", segments=kept)
 
-    def moved_to(self, slip: float) -> "Plan":
+    def moved_to(self, slip: float) -> "CampaignPlan":
         """Segments at the default slip ratio, moved to this one."""
         made = [replace(s, slip=slip, id=_id(s.episode, slip) + s.id.removeprefix(_id(s.episode, s.slip))) for s in self.default]
         ids = {old.id: new.id for old, new in zip(self.default, made, strict=True)}
@@ -287,7 +287,7 @@ class Plan:
         """Segments at the default slip ratio."""
         return [segment for segment in self.segments if segment.slip == DEFAULT_SLIP]
 
-    def first(self, count: int) -> "Plan":
+    def first(self, count: int) -> "CampaignPlan":
         """The first `count` segments in the order of `spanning`."""
         return replace(self, label=f"{self.label}, first {count}", segments=tuple(spanning(self.segments)[:count]))
 
@@ -336,7 +336,7 @@ def _ranked(segments: Iterable[Segment]) -> list[tuple[int, Segment]]:
     return [(key[0], segment) for key, segment in sorted(rows, key=lambda row: row[0])]
 
 
-def planned(label: str, robot: "Robot | str", seed: int = 0) -> Plan:
+def planned(label: str, robot: "Robot | str", seed: int = 0) -> CampaignPlan:
     """Plan of a label, as a data set states it; its policies are those made for the fish.
 
     Raises:
@@ -356,7 +356,7 @@ def planned(label: str, robot: "Robot | str", seed: int = 0) -> Plan:
     return plan.first(int(count)) if count else plan
 
 
-def full(robot: "Robot | str" = "fish", *, seed: int = 0, scale: float = 1.0, policies: Sequence[str] = ()) -> Plan:
+def full(robot: "Robot | str" = "fish", *, seed: int = 0, scale: float = 1.0, policies: Sequence[str] = ()) -> CampaignPlan:
     """The whole campaign, or the same with `scale` times as many episodes.
 
     Args:
@@ -372,10 +372,10 @@ def full(robot: "Robot | str" = "fish", *, seed: int = 0, scale: float = 1.0, po
     train = [e for part in TRAINING for e in _episodes(part, robot, seed, "train", _count(part, scale), steer)]
     test = [e for part in TEST for e in _episodes(part, robot, seed, "test", _count(part, scale), steer)]
     label = f"scale {scale:g}" if scale != 1 else "full"
-    return Plan(label=label, robot=robot, seed=seed, segments=_ordered([*_at_slips(train + test), *_repeats(test)]))
+    return CampaignPlan(label=label, robot=robot, seed=seed, segments=_ordered([*_at_slips(train + test), *_repeats(test)]))
 
 
-def preview(robot: "Robot | str" = "fish", *, seed: int = 0, policies: Sequence[str] = ()) -> Plan:
+def preview(robot: "Robot | str" = "fish", *, seed: int = 0, policies: Sequence[str] = ()) -> CampaignPlan:
     """Every block and split for a few seconds; also a held and a swimming fish at the other slips."""
     robot = load_robot(robot)
     steer = _steering(robot, policies)
@@ -387,29 +387,31 @@ def preview(robot: "Robot | str" = "fish", *, seed: int = 0, policies: Sequence[
     first = [e for e in train if e.episode in ("static-000", "gait-000")]
     others = [s for s in _at_slips(first) if s.slip != DEFAULT_SLIP]
     made = [replace(s, settle=min(s.settle, 1.0)) for s in [*train, *others, *test, _repeats(test)[0]]]
-    return Plan(label="preview", robot=robot, seed=seed, segments=_ordered(made))
+    return CampaignPlan(label="preview", robot=robot, seed=seed, segments=_ordered(made))
 
 
-def fresh_test(robot: "Robot | str" = "fish", *, seed: int, policies: Sequence[str] = (), scale: float = 1.0) -> Plan:
+def fresh_test(robot: "Robot | str" = "fish", *, seed: int, policies: Sequence[str] = (), scale: float = 1.0) -> CampaignPlan:
     """New test episodes and repeats, unseen by any fit: figures on them must agree with those of the shipped ones."""
     if seed < 1:
         raise ConfigError(f"campaign: fresh test seed {seed}; expected 1 or more, 0 drew the shipped one")
     robot = load_robot(robot)
     steer = _steering(robot, policies)
     test = [e for part in TEST for e in _episodes(part, robot, seed, "test", _count(part, scale), steer)]
-    return Plan(label=f"fresh test {seed}", robot=robot, seed=seed, segments=_ordered([*_at_slips(test), *_repeats(test)]))
+    return CampaignPlan(
+        label=f"fresh test {seed}", robot=robot, seed=seed, segments=_ordered([*_at_slips(test), *_repeats(test)])
+    )
 
 
 def on_policy(
     robot: "Robot | str", controller: str, *, episodes: int, seconds: float, seed: int, slip: float = DEFAULT_SLIP
-) -> Plan:
+) -> CampaignPlan:
     """Training episodes steered by one controller or policy file: the addition of one round of correction to a data set."""
     robot = load_robot(robot)
     steer = _steering(robot, (controller,))
     made = _episodes(PlanPart("policy", episodes, seconds), robot, seed, "train", episodes, steer, prefix=f"round{seed}-")
     split = lambda k: "val" if 0 < k == episodes - 1 else "train"  # the last of several validates
     segments = tuple(replace(s, slip=slip, id=_id(s.episode, slip), split=split(k)) for k, s in enumerate(made))
-    return Plan(label=f"on policy, round {seed}", robot=robot, seed=seed, segments=segments)
+    return CampaignPlan(label=f"on policy, round {seed}", robot=robot, seed=seed, segments=segments)
 
 
 def _episodes(

@@ -1,0 +1,95 @@
+"""Speed of the fitted water relative to the flow solver: simulated seconds of swimming in a second, on the same device.
+
+| benchmark | what | baseline |
+|---|---|---|
+| surrogate_strips | closed form in JAX, strips alone, a full batch | the solver's coupled fish, one tank |
+| surrogate | the same with a learnt residual | the solver's coupled fish, one tank |
+| surrogate_mjx | MuJoCo in JAX, strips alone | the solver's coupled fish, one tank |
+
+The seconds of all fish of a batch are added up. Nominal fish, one gait, still water; the solver's tank is that of `oracle_tank`.
+"""
+
+import numpy as np
+
+from fishmj.base.calib import constant
+from fishmj.base.errors import FishmjError
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark, oracle
+from fishmj.evaluate.bench import hydro as water
+
+FISH, FISH_MJX, FISH_CPU, FISH_QUICK = 2**17, 2**14, 1024, 64
+CHUNKS = 10  # control steps a run, in one compiled scan
+CONTROL = constant("timing", "control_dt")  # s
+
+
+def coupled_tank(quick: bool) -> BenchmarkWork:
+    """One coupled fish in the flow solver, simulated seconds."""
+    domain, device, ticks = oracle._place(quick)
+    return oracle._resting(domain, device, ticks, 1, domain.dt)
+
+
+def robot_of(learnt: bool):
+    """The shipped fish in the shipped fitted water, with its residual or without: XLA leaves out weights that are zero."""
+    from fishmj.engines import in_water
+    from fishmj.mjcf import load_robot
+
+    try:
+        return in_water(load_robot("fish"), water.MODEL if learnt else f"{water.MODEL}-base")
+    except FishmjError as error:
+        raise NotHere(f"no fitted water {water.MODEL}: {error}") from error
+
+
+def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **options) -> BenchmarkWork:
+    """So many fish through `CHUNKS` control steps by an engine with these options, in the shipped water."""
+    import jax
+    from jax import lax
+
+    from fishmj import engines
+    from fishmj.water.flow import Flow, stack
+
+    robot = robot_of(learnt)
+    engine, device = engines.make(name, robot, **options), jax.devices()[0]
+    if device.platform == "cpu":
+        fish = min(fish, FISH_QUICK if quick else FISH_CPU)
+    timing, (_, ticks) = robot.timing, engines.ticks_per(robot)
+    chunks = 1 if quick else CHUNKS
+    beat = water._beat(np.arange(chunks * ticks) * timing.bus_dt, robot.n_joints).reshape(chunks, ticks, -1)
+    still = stack([Flow()])
+    wide = lambda a: np.repeat(a, fish, 0)
+    current = still._replace(**{key: wide(getattr(still, key)) for key in ("mean", "rms", "row", "offset", "turn")})
+    school = (engines.at_rest(robot, np.zeros((fish, 3))), engines.nominal_params(robot, fish), current)
+    single = lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a
+    state, params, current = jax.device_put(jax.tree.map(single, school))
+
+    @jax.jit
+    def swim(state, params, current, beat):
+        def chunk(carry, commands):
+            now, tick = carry
+            now, _ = engine.advance(now, jax.numpy.broadcast_to(commands, (fish, *commands.shape)), params, current, tick)
+            return (now, tick + ticks), None
+
+        (now, _), _ = lax.scan(chunk, (state, jax.numpy.zeros(fish, int)), beat)
+        return now.q
+
+    beat = jax.device_put(beat.astype(np.float32))
+    seconds = fish * chunks * timing.control_dt
+    return water._finite(lambda: np.asarray(swim(state, params, current, beat)), name, seconds, device.device_kind)
+
+
+@benchmark("surrogate_strips", "simulated s/s", baseline=coupled_tank)
+def surrogate_strips(quick: bool) -> BenchmarkWork:
+    """Closed form in JAX, strips alone, a full batch."""
+    return swum("planar", quick)
+
+
+@benchmark("surrogate", "simulated s/s", baseline=coupled_tank)
+def surrogate(quick: bool) -> BenchmarkWork:
+    """Closed form in JAX with a learnt residual, a full batch."""
+    return swum("planar", quick, True)
+
+
+@benchmark("surrogate_mjx", "simulated s/s", baseline=coupled_tank)
+def surrogate_mjx(quick: bool) -> BenchmarkWork:
+    """MuJoCo in JAX, strips alone; not with --quick."""
+    if quick:
+        raise NotHere("compiling MJX takes half a minute of CPU; run it without --quick")
+    return swum("mjx", quick, fish=FISH_MJX)

@@ -1,0 +1,314 @@
+"""Does the flow solver mend MuJoCo's water while it swims? A policy holds station, against a solver that never stops.
+
+    python -m fishmj.hydro_fit hybrid --wrong stream --device cuda     12 trials of 60 s at 0.2 m/s in turbulence; resumable
+    python -m fishmj.hydro_fit hybrid --wrong all ...                  every condition, one after the other
+    python -m fishmj.hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
+
+    none          the water as fitted                slip      the solver at slip 0.98, the water fitted at 1
+    tail          a tail 10 % shorter, in the water fitted to a hull along which no water slides (NAME-noslip)
+    added_mass    the tail's added mass 30 % off     stream    the tank's stream 0.05 m/s faster than MuJoCo's
+
+Every trial is swum three times, with the same fish, noise and eddies: in MuJoCo alone, in MuJoCo corrected (the water `hybrid`),
+and in the flow solver, closed loop. Solved trials are kept in --out and serve every condition that they belong to. The trials are
+the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial. Speed is over ground,
+averaged over a beat; place is the distance from the solver's fish. Both are means from the end of the first segment on, because
+nothing is corrected before that.
+"""
+
+import contextlib
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from fishmj import control
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError
+from fishmj.base.source import package_sha256
+from fishmj.base.store import read_json, write_json
+from fishmj.engines import batch
+from fishmj.engines.hybrid import HybridOptions
+from fishmj.engines.hybrid.engine import HybridEngine
+from fishmj.engines.hybrid.hybrid_segment import Replay
+from fishmj.evaluate import protocol, run_trials
+from fishmj.evaluate.metrics import Result, beat_mean, difference
+from fishmj.evaluate.protocol import Trials
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU
+from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
+from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.lbm_oracle.run import solver_cost
+from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.geometry import geometry_of
+from fishmj.mjcf.reading import load_robot
+from fishmj.water import choice
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import DrawnFlow, Flow, shifted
+
+SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.98  # of the tail's length, of its added mass; m/s; slip
+WRONG = ("none", "slip", "tail", "added_mass", "stream")
+RENAMED = {"both": "tail"}  # old names
+FIRST_KIND = 2.0  # standard errors by which a figure must be off before it is asked to be mended
+MUST, TARGET, WORSE, SHARE = (
+    0.5,
+    0.25,
+    1.05,
+    0.10,
+)  # of the difference that may stay; of figures where nothing is wrong; of the time
+LEAST = 0.02  # m/s of the stream: `Flow` cannot be slower than still
+SHOWN = ("figure", "solver", "alone - solver", "hybrid - solver", "left", "mended")
+
+
+def options() -> console.Parser:
+    """Parser of the verb `hybrid`."""
+    parser = console.parser("hydro_fit hybrid", "Correct MuJoCo's water by short segments of the flow solver while it swims.")
+    add = parser.add_argument
+    add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
+    add("--model", type=console.text, default="fitted", help="the water that is corrected: fitted, a name or .toml")
+    noslip = "of --wrong tail: that of a hull along which no water slides; default the model's name and -noslip"
+    add("--noslip", type=console.text, help=noslip)
+    add("--policy", type=console.text, default="station", help="controller, shipped policy, policy file or module:Name")
+    wrong = "what is wrong about MuJoCo's water, or about the tank"
+    add("--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help=wrong)
+    add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
+    add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
+    add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
+    console.add_settings(parser, HybridOptions, "every", "first", "lead", "own")
+    add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
+    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--tanks", type=console.whole(1, 256), help=f"side by side; default {ON_GPU} on a GPU, which they fill, else 1")
+    add("--seed", type=console.SEED, default=0, help="of the trials")
+    place = "folder of solved trials and figures; goes on with what is there"
+    add("--out", type=console.out_folder, default="runs/hybrid", help=place)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Runs the verb `hybrid`; exit code 1 if the correction misses its aim."""
+    args = options().parse_args(argv)
+    if args.wrong in RENAMED:
+        console.warn(f"--wrong {args.wrong} is now called {RENAMED[args.wrong]}; the old name is deprecated")
+        args.wrong = RENAMED[args.wrong]
+    if args.seconds <= (least := args.first + args.lead + HybridOptions.span):
+        raise ConfigError(
+            f"hydro_fit hybrid: --seconds {args.seconds:g}: the first segment ends at {least:g} s; take longer trials"
+        )
+    conditions = [condition(name, args) for name in (WRONG if args.wrong == "all" else (args.wrong,))]
+    args.tanks = args.tanks or (ON_GPU if str(device_of(args.device)).startswith("cuda") else 1)
+    trials = trials_of(args)
+    box, solved = conditions[0].options(args).box(conditions[0].robot), {(c.slip, c.faster) for c in conditions}
+    share = args.lead + HybridOptions.span
+    water = len(trials) * args.seconds * (len(solved) + len(conditions) * share / args.every)
+    less = "take fewer --episodes, shorter --seconds; --domain laptop is a preview"
+    solver_cost.agree("hydro_fit hybrid", args.device, [(preset(box), water)], instead=less, tanks=min(args.tanks, len(trials)))
+    if box in PREVIEWS:
+        console.warn(f"hydro_fit hybrid: the box {box} is a preview, no judgement")
+    found = []
+    with interrupt.keeping(lambda: f"{args.out} holds what is finished; {interrupt.again()}"):
+        for one in conditions:
+            found.append(kept(one, trials, args))
+            told(found[-1])
+    if args.json:
+        console.emit_json(found[0] if len(found) == 1 else {"ok": all(f["ok"] for f in found), "conditions": found})
+    return console.OK if all(f["ok"] for f in found) else console.FAILED_CHECK
+
+
+@dataclass(frozen=True)
+class StudyCondition:
+    """Condition of the study: MuJoCo's robot in its water, the chain of that water, slip and stream of the tanks."""
+
+    name: str
+    robot: Robot
+    chain: planar_chain.Chain
+    slip: float = 1.0
+    faster: float = 0.0  # m/s
+
+    def options(self, args) -> HybridOptions:
+        """Options of the hybrid in this condition."""
+        tank = Flow(speed=args.speed + self.faster) if self.faster else None
+        water: dict[str, Any] = {"domain": args.domain or box_of(args), "slip": self.slip, "device": args.device, "tank": tank}
+        return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water, **console.settings_of(args, HybridOptions))
+
+    def engine(self) -> batch.BatchEngine:
+        """Engine: MuJoCo with the body of the robot in the water of the chain."""
+        inside = batch.BatchEngine(self.robot, threads=1)
+        if self.chain != planar_chain.chain_of(self.robot):
+            for shoal in inside.shoals:
+                shoal.evaluate, shoal.look = batch.evaluator_of(self.robot, self.chain, "jax")
+        return inside
+
+
+def box_of(args) -> str:
+    """Box of water of the right fitted water; a wrong condition does not change the tank."""
+    return HybridOptions().box(choice.in_water(load_robot(args.fish), args.model))
+
+
+def condition(name: str, args) -> StudyCondition:
+    """Condition by name."""
+    plain = load_robot(args.fish)
+    robot = choice.in_water(plain, args.model)
+    chain = planar_chain.chain_of(robot)
+    if name == "tail":
+        wet = args.noslip or f"{choice.label(robot).removesuffix('.toml')}-noslip"
+        return StudyCondition(name, choice.in_water(plain, wet), shorter_tail(robot))
+    if name == "added_mass":
+        k = [*robot.water["k"][:-1], LESS * robot.water["k"][-1]]
+        return StudyCondition(name, replace(robot, water={**robot.water, "k": k}), chain)
+    return StudyCondition(name, robot, chain, slip=STICKS if name == "slip" else 1.0, faster=FASTER if name == "stream" else 0.0)
+
+
+def shorter_tail(robot: Robot) -> planar_chain.Chain:
+    """Chain of the robot in the water of a tail that is a tenth shorter."""
+    tail = robot.links[-1]
+    short = replace(tail, length=SHORTER * tail.length, sections=tuple((SHORTER * s, h, w) for s, h, w in tail.sections))
+    strips = planar_chain.chain_of(robot, geometry_of(replace(robot, links=(*robot.links[:-1], short)))).strips
+    return planar_chain.chain_of(robot)._replace(strips=strips)
+
+
+# ---- the three swims ----
+
+
+@dataclass(frozen=True, kw_only=True)
+class TankTrials(Trials):
+    """Trials in tanks whose mean stream is `faster` m/s faster than nominal, in the same eddies."""
+
+    faster: float
+
+    def flows(self) -> list[Flow]:
+        """Background flow of each trial, with the faster mean."""
+        told = super().flows()
+        more = [self.faster * flow.mean[None, :2] / flow.speed for flow in told]
+        still = np.zeros(1, int)
+        return [DrawnFlow.of(shifted(flow.current(), by, still), flow) for flow, by in zip(told, more, strict=True)]
+
+
+def trials_of(args) -> Trials:
+    """The judge's first trials at one speed: every direction once, then the next repeats."""
+    repeats = 1 + (args.episodes - 1) // 8
+    made = protocol.trials(speeds=(args.speed,), repeats=repeats, seed=args.seed, duration=args.seconds)
+    return replace(made, items=tuple(sorted(made.items, key=lambda item: (item.repeat, item.los))[: args.episodes]))
+
+
+def kept(one: StudyCondition, trials: Trials, args) -> dict:
+    """Figures of a condition: those in --out if they were made with the same options, else measured."""
+    path = Path(args.out) / f"{one.name}.json"
+    made = {"robot": repr(one.robot), "chain": repr(one.chain), "hybrid": repr(one.options(args)), "policy": args.policy}
+    made |= {"trials": asdict(trials), "code": package_sha256()}
+    made = {key: str(value) for key, value in made.items()}
+    row = read_json(path) if path.is_file() else {}
+    if row.get("made") != made:
+        row = measured(one, trials, args) | {"made": made}
+        write_json(path, row)
+    return row
+
+
+def measured(one: StudyCondition, trials: Trials, args) -> dict:
+    """Swims the trials three times, and compares."""
+    brain = control.chosen(args.policy, one.robot)
+    hybrid = one.options(args)
+    inside = one.engine()
+    corrected = HybridEngine(one.robot, trials.flows()[0], hybrid, inner=inside, replay=Replay(one.robot, one.chain))
+    total = args.seconds * len(trials)
+    swims: dict[str, Result] = {}
+    wall: dict[str, float] = {}
+    for name, engine in (("alone", inside), ("hybrid", corrected)):
+        began = time.perf_counter()
+        with console.Progress(total, f"{one.name}: {name}", unit="sim s") as bar, _on_cpu():
+            every = one.robot.timing.control_dt * len(trials)
+            seen = lambda k: bar.update(k * every)  # noqa: B023  used at once
+            swims[name] = run_trials.run(brain, one.robot, trials, engine, progress=seen)
+        wall[name] = time.perf_counter() - began
+    tanks = trials if not one.faster else TankTrials(**vars(trials), faster=one.faster)
+    box: dict[str, Any] = {"domain": hybrid.domain, "slip": one.slip, "device": args.device, "tanks": args.tanks}
+    began = time.perf_counter()
+    with console.Progress(total, f"{one.name}: solver", unit="sim s") as bar:
+        seen = lambda k: bar.update(k * one.robot.timing.control_dt)  # noqa: B023  used at once
+        asked = choice.in_water(load_robot(args.fish), args.model)  # the fish itself is the same in every condition
+        swims["solver"] = run_trials.judge_in_solver(brain, asked, tanks, Path(args.out), progress=seen, **box)
+    wall["solver"] = time.perf_counter() - began
+    reports = [corrected.hybrid.report(i) for i in range(len(trials))]
+    since = hybrid.first + hybrid.lead + hybrid.span
+    found = verdict({name: figures(swim, swims["solver"], since) for name, swim in swims.items()})
+    share = max(report["solver_share"] for report in reports)
+    real = {name: args.seconds * len(trials) / seconds for name, seconds in wall.items()}
+    about = {"condition": one.name, "water": choice.label(one.robot), "policy": args.policy, "n": len(trials)}
+    about |= {"options": repr(hybrid), "solver": solver_sha256(), "device": str(device_of(args.device))}
+    ok = found.pop("ok") and share <= SHARE + 1e-9
+    return {"ok": ok, **about, **found, "solver_share": share, "wall_s": wall, "times_real_time": real, "reports": reports}
+
+
+def _on_cpu() -> contextlib.AbstractContextManager:
+    """Context on the CPU: a dozen fish are too few for a GPU, which computes the tanks."""
+    return jax.default_device(jax.local_devices(backend="cpu")[0])
+
+
+# ---- results ----
+
+
+def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]:
+    """RMSE (n,) m of the second half; speed m/s and place m from `since` s on; NaN if the solver stopped."""
+    late, half = swim.t >= since, swim.t >= max(since, swim.t[-1] / 2)
+    over_ground = [beat_mean(swim.velocity[..., i], swim.robot.timing.bus_dt)[:, late] for i in (0, 1)]
+    apart = np.linalg.norm(swim.pose[..., :2] - solver.pose[..., :2], axis=-1)[:, late].mean(1)
+    sound = np.where(solver.left < len(solver.t), np.nan, 1.0)
+    rmse = np.sqrt((swim.distance[:, half] ** 2).mean(1))
+    return {"rmse": sound * rmse, "speed": sound * np.hypot(*over_ground).mean(1), "place": sound * apart}
+
+
+def verdict(found: dict[str, dict[str, np.ndarray]]) -> dict:
+    """Figures that are off without the correction, the remaining share with it, and the judgement of that share."""
+    rows: list[dict[str, Any]] = []
+    same: list[dict[str, Any]] = []
+    off: list[bool] = []
+    for name in ("rmse", "speed"):
+        solver, alone, hybrid = (found[swim][name] for swim in ("solver", "alone", "hybrid"))
+        before, after = difference(name, solver, alone), difference(name, solver, hybrid)
+        both = (alone - solver)[np.isfinite(alone - solver)]
+        error = float(np.std(both, ddof=1) / np.sqrt(len(both))) if len(both) > 1 else float("nan")
+        first = bool(abs(before.value) > FIRST_KIND * error)
+        left = abs(after.value) / max(abs(before.value), 1e-12)
+        if first:
+            off.append(left < MUST)
+        row = {"figure": name, "solver": float(np.nanmean(solver)), "alone": before._asdict(), "hybrid": after._asdict()}
+        rows.append(row | {"standard_error": error, "first_kind": first, "left": left, "target": bool(first and left < TARGET)})
+    for name in ("rmse", "place"):
+        one, two = (float(np.nanmean(found[swim][name])) for swim in ("alone", "hybrid"))
+        same.append({"figure": name, "alone": one, "hybrid": two, "ratio": two / max(one, 1e-12)})
+    no_worse = all(row["ratio"] <= WORSE for row in same)
+    return {"first_kind": bool(off), "ok": all(off) if off else no_worse, "no_worse": no_worse, "off": rows, "same": same}
+
+
+def told(row: dict) -> None:
+    """Prints the table of a condition."""
+    between = lambda d: f"{d['value']:+.4f} " + (d["why"] or f"({d['low']:+.4f} {d['high']:+.4f})")
+    lines = []
+    for one in row["off"]:
+        cells = (
+            one["figure"],
+            f"{one['solver']:.4f}",
+            between(one["alone"]),
+            between(one["hybrid"]),
+            f"{100 * one['left']:.0f} %",
+        )
+        lines.append(dict(zip(SHOWN, (*cells, _said(one)), strict=True)))
+    kind = "off without the correction" if row["first_kind"] else "not off without the correction"
+    console.say("", f"{row['condition']}: {row['n']} trials, {row['policy']} in {row['water']}, {kind}", console.table(lines))
+    for one in row["same"]:
+        change = f"{100 * (one['ratio'] - 1):+.1f} %"
+        console.say(f"{one['figure']}, mean: {one['alone']:.4f} m alone, {one['hybrid']:.4f} m corrected ({change})")
+    moved = sum(any(s.get("moved") for s in report["segments"]) for report in row["reports"])
+    times = ", ".join(f"{name} {times:.2g}" for name, times in row["times_real_time"].items())
+    stream = np.mean([report["stream"] for report in row["reports"]], 0)
+    console.say(
+        f"moved in {moved} of {row['n']}, stream by {stream[0]:+.3f} {stream[1]:+.3f} m/s on average; times real time: {times}"
+    )
+    console.say(f"solver {100 * row['solver_share']:.1f} % of the time: {'holds' if row['ok'] else 'MISSED'}")
+
+
+def _said(one: dict) -> str:
+    if not one["first_kind"]:
+        return "not asked"
+    return "more than three quarters" if one["target"] else "more than half" if one["left"] < MUST else "NO"

@@ -1,0 +1,109 @@
+"""Trials of a generator's robot: trial folders like a lab's, labelled synthetic, without any trace of the hidden effects.
+
+    from fishmj import generators
+    trials = generators.generate("morison", {"command_latency": {"delay": 0.04}}, ["gait", "chirp"], seed=7)
+
+One seed is one robot (its constants) and one noise, whatever is hidden and for any number of experiments.
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.gap.laboratory.generators import effect_catalogue, lab_sensors, water_forms
+from fishmj.gap.laboratory.generators.mujoco_robot import STEP, TrueMotion, swim
+from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters, healthy
+from fishmj.gap.laboratory.random_streams import generators_stream
+from fishmj.gap.laboratory.session import CLOCKS, Effects, experiments, place_by_hand, sent_commands, trial_meta
+from fishmj.log import Trial, excitation
+from fishmj.log.excitation import Excitation
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
+
+LINKS = (2, 8)  # that a fish may have
+PLACED = (0.0015, 0.005)  # m, rad: how well the fish is put at its start (chosen)
+
+
+def robot_of(
+    family: str, effects: Effects, seed: int, *, nuisance: float = 0.1, robot: "str | Robot" = "fish",
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> RobotParameters:  # fmt: skip
+    """One robot with hidden effects. flow: speed [m/s] and direction [rad] of the ordered stream.
+
+    Raises:
+        UnknownName: no such generator, effect or parameter. ConfigError: an impossible value, fewer than 2 or more than 8 links,
+            or a nuisance outside 0 to 0.5.
+    """
+    if not 0.0 <= nuisance <= 0.5:
+        raise ConfigError(f"generator {family}: nuisance = {nuisance}; expected a relative half width from 0 to 0.5")
+    described = load_robot(robot)
+    if not LINKS[0] <= len(described.links) <= LINKS[1]:
+        has = f"{described.name} has {len(described.links)} links"
+        raise ConfigError(f"generator {family}: {has}; expected {LINKS[0]} to {LINKS[1]}")
+    stream = (flow[0] * np.cos(flow[1]), flow[0] * np.sin(flow[1]))
+    fish = healthy(described, water_forms.get(family), seed, nuisance, stream)
+    known = effect_catalogue.hidden()
+    for name, values in effects.items():
+        if name not in known:
+            raise UnknownName(f"effect of generator {family}", name, known)
+        known[name].put(fish, values)
+    return fish
+
+
+def generate(
+    family: str, effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
+    robot: "str | Robot" = "fish", *, flow: tuple[float, float] = (0.0, 0.0), tick: Callable[[int], None] = lambda done: None,
+) -> list[Trial]:  # fmt: skip
+    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+
+    Args:
+        family: a name of `water_forms`. effects: {name: {parameter: value}}, SI; {} hides nothing.
+        noise: factor on every sensor's noise and on the error of placing; 0 leaves counts and latencies.
+        nuisance: relative half width of unmeasured constants; 0.1 uses each one's own tolerance.
+        tick: receives the number of finished trials.
+
+    Raises:
+        as `robot_of`. SimDiverged: the robot left the finite numbers.
+    """
+    fish = robot_of(family, effects, seed, nuisance=nuisance, robot=robot, flow=flow)
+    trials: list[Trial] = []
+    for what, index, name, first in experiments(excitations, fish.joints):
+        trials.append(trial_of(fish, what, seed, index, noise, name, first, flow))
+        tick(len(trials))
+    return trials
+
+
+def laid_on(fish: RobotParameters, what: Excitation) -> np.ndarray:
+    """(T, J) commands of an experiment for the fish's joints."""
+    given = np.asarray(what.commands, float)
+    return given if given.shape[1] == fish.joints else excitation.bent(given, fish.joints)
+
+
+def record(fish: RobotParameters, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> TrueMotion:
+    """True motion in trial `index`."""
+    commands = laid_on(fish, what)
+    start = place_by_hand(what, *PLACED, generators_stream(seed, "placing", index), noise)
+    radio = generators_stream(seed, "radio", index)
+    times, rows = lab_sensors.arrivals(fish.network, what.t, radio, noise)
+    return swim(fish, times, commands[rows], what.seconds, start, what.push, commands[0], step=step)
+
+
+def trial_of(
+    fish: RobotParameters, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str = "",
+    flow: tuple[float, float] = (0.0, 0.0),
+) -> Trial:  # fmt: skip
+    """Swims and measures: one trial with the sensors' readings."""
+    motion, draw = record(fish, what, seed, index, noise), lambda purpose: generators_stream(seed, purpose, index)
+    tables = {
+        "cmd": sent_commands(what.t, laid_on(fish, what)),
+        "joint": lab_sensors.joints(fish, motion, draw("joint"), noise),
+        "power": lab_sensors.power(fish.meter, motion, draw("power"), noise),
+        "pose": lab_sensors.poses(fish, motion, draw("camera"), noise),
+    }
+    meta = trial_meta(
+        fish.robot.name, f"generator {fish.family.name}", what, replicate_of, flow, sigma=lab_sensors.sigmas(fish, noise),
+        clock=CLOCKS | {"pose": "camera, received"}, engine="mujoco", source=f"fishmj.generators, {fish.family.name}",
+        notes=" by a generator with another form of water",
+    )  # fmt: skip
+    return Trial(meta, tables, name=name)

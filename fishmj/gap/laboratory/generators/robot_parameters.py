@@ -1,0 +1,155 @@
+"""One robot of a generator: every number of its body, servos, network, sensors and tank, which a hidden effect may change."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fishmj.gap.laboratory.generators.family import Family, RobotWater, drawn
+from fishmj.gap.laboratory.random_streams import generators_stream
+from fishmj.mjcf.description import Robot
+
+TOLERANCE = {"kp": 0.02, "kb": 0.03, "armature": 0.1, "friction": 0.3}  # relative half widths at nuisance 0.1, of one type
+ARMATURE = 4e-4  # kg m2, rotor at the horn (chosen)
+FRICTION = 0.006  # N m, dry, of a good gear train (chosen)
+
+
+@dataclass
+class RadioAndBus:
+    """Radio and bus, s."""
+
+    period: float
+    latency: float  # from sending to the servo
+    jitter: float = 0.001  # mean of an exponential, part of the nominal latency
+    late: float = 0.0  # effect: mean of a further exponential
+    loss: float = 0.0  # effect: probability
+    angle_noise: float = 0.002  # rad (chosen)
+    angle_step: float = 0.00209  # rad, of a 12-bit potentiometer over 490 deg (chosen)
+    reading_delay: float = 0.0  # effect
+
+
+@dataclass
+class TankTracker:
+    """The tracker above the tank."""
+
+    latency: float  # s from exposure to the stamp
+    period: float = 0.02  # s
+    jitter: float = 0.0005  # s
+    position_noise: float = 0.0015  # m (chosen)
+    heading_noise: float = 0.010  # rad (chosen)
+    offset: float = 0.0  # effect, s
+    drift: float = 1.0  # effect
+    scale: float = 0.0  # effect
+    turned: float = 0.0  # effect, rad
+    heading: float = 0.0  # effect, rad
+    marker: float = 0.0  # effect, m
+    lens: float = 0.0  # effect, 1/m2
+
+
+@dataclass
+class BatteryMeter:
+    """Voltage and current of the battery lead."""
+
+    period: float = 0.02  # s, also its average
+    voltage_noise: float = 0.01  # V (chosen)
+    current_noise: float = 0.02  # A (chosen)
+    offset: float = 0.0  # effect, W
+
+
+@dataclass
+class ServoFirmware:
+    """The servo's processing of commands, 250 times a second."""
+
+    period: float = 0.004  # s (chosen)
+    step: float = 0.0  # rad, counts
+    range: float = np.pi  # rad
+    gain: float = 0.0  # effect
+    coarse: float = 0.0  # effect, rad
+    deadband: float = 0.0  # effect, rad
+    slowness: float = 0.0  # effect, s/rad
+    move_time: float = 0.0  # effect, s
+
+
+@dataclass
+class RobotParameters:
+    """A robot before it is built. Arrays a joint (J,) or a link (N,), SI. `each_step`, `specs`, `seen`, `read`: faults' own code.
+
+    each_step: f(run, t) before every physics step; specs: f(MuJoCo spec) before compilation;
+    seen: f(camera's t, x, y, yaw, recording) -> (x, y, yaw); read: f(t, angles (K, J)) -> angles.
+    """
+
+    robot: Robot
+    family: Family
+    coefficients: dict[str, float]
+    kp: np.ndarray
+    kv: np.ndarray
+    kb: np.ndarray
+    torque: np.ndarray
+    friction: np.ndarray
+    armature: np.ndarray
+    network: RadioAndBus
+    camera: TankTracker
+    firmware: ServoFirmware
+    meter: BatteryMeter = field(default_factory=BatteryMeter)
+    spring: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    zero: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    mass: np.ndarray = field(default_factory=lambda: np.zeros(0))  # kg on top of each link
+    com: float = 0.0  # m, the head's centre of mass moves forward
+    inertia: float = 0.0  # kg m2 more in the head
+    added: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))  # more added mass at the reference point
+    drag: np.ndarray = field(default_factory=lambda: np.zeros(4))  # on the head: linear, quadratic, turning, lift
+    tether: np.ndarray = field(default_factory=lambda: np.zeros(3))  # N/m, m, m
+    flow: np.ndarray = field(default_factory=lambda: np.zeros(8))  # `chain.move`
+    resistance: float = 0.0  # ohm, of the supply
+    derating: float = 0.0  # 1/s
+    each_step: list[Callable] = field(default_factory=list)
+    specs: list[Callable] = field(default_factory=list)
+    seen: list[Callable] = field(default_factory=list)
+    read: list[Callable] = field(default_factory=list)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return self.robot.n_joints
+
+    def water(self) -> RobotWater:
+        """Its water, with the effects' additions."""
+        made = self.family.build(self.robot, self.coefficients)
+        added = made.added.copy()
+        added[0] += self.added
+        return made._replace(added=added)
+
+
+def healthy(
+    robot: Robot, family: Family, seed: int, nuisance: float = 0.1, flow: tuple[float, float] = (0.0, 0.0)
+) -> RobotParameters:
+    """A robot with nothing hidden, its unmeasured constants drawn from the seed. flow: ordered stream, m/s, m/s."""
+    rng, servo, j = generators_stream(seed, "constants"), robot.servo, robot.n_joints
+    coefficients = drawn(family, nuisance, rng)
+
+    def each(value: float, key: str) -> np.ndarray:
+        return value * (1.0 + nuisance / 0.1 * TOLERANCE[key] * rng.uniform(-1.0, 1.0, j))
+
+    timing = robot.timing
+    firmware = ServoFirmware(step=servo.resolution, range=servo.range)
+    fish = RobotParameters(
+        robot=robot,
+        family=family,
+        coefficients=coefficients,
+        kp=each(servo.kp, "kp"),
+        kv=np.full(j, servo.kv),
+        kb=each(servo.kb, "kb"),
+        torque=np.full(j, servo.torque),
+        friction=each(FRICTION, "friction"),
+        armature=each(ARMATURE, "armature"),
+        network=RadioAndBus(
+            timing.bus_dt, timing.command_latency - firmware.period / 2
+        ),  # half a period is waited for the next tick
+        camera=TankTracker(timing.camera_latency),
+        firmware=firmware,
+        spring=np.zeros(j),
+        zero=np.zeros(j),
+        mass=np.zeros(len(robot.links)),
+    )
+    fish.flow[:2] = flow
+    return fish

@@ -1,0 +1,61 @@
+"""The figures of the check for a water of MuJoCo's kind: the same swims, windows and free runs as `check.judge`."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.hydro_fit import free_swims
+from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
+from fishmj.hydro_fit.fit.regression_rows import rows_of
+from fishmj.hydro_fit.fit.rollout import fish_batch_of, is_free, recorded
+from fishmj.hydro_fit.free_swims import _from as late_means
+from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_fit import Fitted, forces
+from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import Bound
+from fishmj.hydro_fit.record import SegmentRecord
+from fishmj.mjcf.description import Robot
+from fishmj.water.dynamics import planar_chain, strip_forces
+
+
+class FreeRunStart(NamedTuple):
+    """Attributes of a model that `free_swims.FreeSwims` needs to start a free run.
+
+    The ellipsoids have no memory and ignore them.
+    """
+
+    base: strip_forces.Coefficients
+    learnt: None = None
+
+
+class EllipsoidFreeSwims(free_swims.FreeSwims):
+    """All free swims of some records, whole and settled, and the free runs."""
+
+    def __init__(self, water: Fitted, robot: Robot, records: Sequence[SegmentRecord]):
+        self.records = [r for r in records if is_free(r)]
+        ch, settled = planar_chain.chain_of(robot), round(free_swims.SETTLED / records[0].tick)
+        swim = Bound(water.swim(robot), water.flat)
+        self.fleet = fish_batch_of(ch, robot, self.records, seconds=1e6)
+        self.track = swim.run(self.fleet, water.flat)
+        self.late, self.seen = (late_means(self.fleet, track, settled) for track in (self.track, recorded(self.fleet)))
+        self.cruise, self.cruise_track = self._freerun(ch, robot, swim, FreeRunStart(planar_chain.nominal(robot).water))
+
+
+def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict:
+    """{"figures", "n", "freerun_s"} as from `check.judge`, without error bar and guard, which this water does not have."""
+    swum = EllipsoidFreeSwims(water, robot, records)
+    got, n = free_swims.errors(swum, swum.late)
+    held = [r for r in records if flaps(r)]
+    got["thrust_error"], n["thrust_error"] = _thrust(water, robot, held), len(held)
+    far = np.linalg.norm(swum.cruise_track.q[..., :2] - swum.cruise.q[:, 1:, :2], axis=-1)
+    last = swum.cruise.mask.sum(1).astype(int) - 1
+    got["freerun_position_error"], n["freerun_position_error"] = float(far[np.arange(len(far)), last].mean()), len(far)
+    return {"figures": got, "n": n, "freerun_s": float(swum.cruise.mask.sum(1).min() * records[0].tick)}
+
+
+def _thrust(water: Fitted, robot: Robot, held: Sequence[SegmentRecord]) -> float:
+    if not held:
+        return float("nan")
+    ch, tick = planar_chain.chain_of(robot), held[0].tick
+    rows = rows_of(ch, held)
+    got = forces(water.ellipsoids, rows, water.flat, water.inertia, tick)
+    return float(np.abs(thrusts(rows, got) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
