@@ -25,7 +25,7 @@ from fishmj.base.errors import ConfigError, FishmjError, UnknownName
 from fishmj.base.names import split_member
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import strip_forces
-from fishmj.water.family import family_of
+from fishmj.water.water_family import family_of
 
 if TYPE_CHECKING:
     from fishmj.water.hydro_model import HydroModel

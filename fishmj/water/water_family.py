@@ -45,7 +45,7 @@ class FamilyFile(BaseModel):
     commands: list[str] = []  # that made the members
 
 
-class Family:
+class WaterFamily:
     """Fitted waters of one body that share their learnt residual.
 
     Attributes:
@@ -115,7 +115,7 @@ class Family:
         return xp.stack(columns, -1)
 
     @classmethod
-    def load(cls, path: Path) -> "Family":
+    def load(cls, path: Path) -> "WaterFamily":
         """Reads a family and its members.
 
         Raises:
@@ -138,14 +138,14 @@ def _residual_sha256(model: HydroModel) -> str:
 
 
 @lru_cache(8)
-def family_of(name: str) -> "Family | None":
+def family_of(name: str) -> "WaterFamily | None":
     """Family by name or file; None if `name` is another water."""
     path = Path(name)
     if path.suffix != ".toml":
         found = [folder / f"{name}.toml" for folder in calib.WATERS if (folder / f"{name}.toml").is_file()]
-        return Family.load(found[0]) if name in calib.families() and found else None
+        return WaterFamily.load(found[0]) if name in calib.families() and found else None
     is_family = path.is_file() and read_toml(path).get("schema") == SCHEMA
-    return Family.load(path) if is_family else None
+    return WaterFamily.load(path) if is_family else None
 
 
 def width(water: dict[str, Any]) -> int:
