@@ -35,7 +35,7 @@ def water():
     steer = {"kind": "policy", "controller": "dob", "target": (1.0, 0.0)}
     gusty = Flow(speed=0.2, direction=np.pi, turbulence="default", intensity=0.1, seed=3)
     steered = Segment(id="steered", episode="steered", seconds=0.2, drive=steer, flow=gusty, **plain)
-    done = run_segments.side_by_side(deque([swim, held, steered]), SMALL, tanks=2)
+    done = run_segments.on_device(deque([swim, held, steered]), SMALL.device, setup=SMALL, tanks=2)
     return {item.segment.id: (item, SegmentRecord(item.meta, **{"power": np.nan, **item.arrays})) for item in done}
 
 
@@ -123,7 +123,9 @@ def test_what_stops_is_kept_as_far_as_it_was_sound(monkeypatch):
     monkeypatch.setattr(run_segments, "_run", named)
     gait = {"kind": "gait", "frequency": 1.0, "amplitude": 0.1, "lag": 1.0, "bias": 0.0}
     both = [Segment(id=n, episode=n, block="gait", split="train", seconds=9.0, drive=gait) for n in ticks]
-    early, late = sorted(run_segments.side_by_side(deque(both), SMALL, tanks=2), key=lambda item: item.segment.id)
+    early, late = sorted(
+        run_segments.on_device(deque(both), SMALL.device, setup=SMALL, tanks=2), key=lambda item: item.segment.id
+    )
     assert early.arrays == {} and early.meta["stopped"] == "the water ran away"
     assert len(late.arrays["q"]) == late.meta["rows"] == 15 and late.meta["stopped"] == "the water ran away"
 
@@ -153,7 +155,7 @@ def test_the_second_fish_swims_through_the_same_plan():
     second = load_robot("tendon_fish")
     segments = {segment.block: segment for segment in plan.full(second).segments}
     turning = replace(segments["turning"], seconds=0.2, pose=(0.0, 0.0, 0.0))
-    (done,) = run_segments.side_by_side(deque([turning]), replace(SMALL, robot=second))
+    (done,) = run_segments.on_device(deque([turning]), SMALL.device, setup=replace(SMALL, robot=second))
     assert done.meta["stopped"] == "" and done.meta["robot"]["name"] == "tendon_fish"
     assert done.arrays["q"].shape == (10, 5) and done.arrays["wrench"].shape == (10, 3, 3)
     assert np.isfinite(done.arrays["wrench"]).all() and np.abs(done.arrays["wrench"]).max() > 0

@@ -124,7 +124,7 @@ def test_a_segment_of_the_campaign_is_solved_in_a_finer_box():
     setup = run_segments.Setup(domain=POOL, device="cpu")
     gait = {"kind": "gait", "frequency": 1.5, "amplitude": 0.4, "lag": 1.0, "bias": 0.3, "ramp": 0.1}
     swim = Segment(id="swim", episode="swim", block="gait", split="train", seconds=0.2, drive=gait, slip=0.98)
-    ((_, meta, arrays),) = run_segments.side_by_side(deque([swim]), setup)
+    ((_, meta, arrays),) = run_segments.on_device(deque([swim]), setup.device, setup=setup)
     assert meta["stopped"] == "" and len(arrays["q"]) == 10
     assert (meta["grid"]["dx"], meta["grid"]["dt"]) == (0.04, 0.01)
     assert [(level["dx"], level["shape"]) for level in meta["grid"]["fine"]] == [(0.02, [36, 22, 16])]

@@ -1,6 +1,7 @@
 """Free swims over frequency, slip ratio and depth: what was swum is kept, and the fish swims forwards."""
 
 import json
+from collections import deque
 
 import pytest
 
@@ -9,18 +10,20 @@ from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.immersed.markers import PLAIN
 from fishmj.lbm_oracle.run.domain import Domain
+from fishmj.lbm_oracle.run.spread import never_stop
 
+TINY = Domain(name="tiny", shape=(48, 36, 24), dx=0.02, dt=0.004, sponge=4)
 CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device", "cpu", "--json"]
 
 
 @pytest.mark.slow
 def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, monkeypatch, capsys):
-    swum, real = [], speeds.swim_row
-    monkeypatch.setattr(speeds, "swim_row", lambda box, *key: swum.append((box.shape[2], *key[:2])) or real(box, *key))
+    swum, real = [], speeds.GaitSwim
+    monkeypatch.setattr(speeds, "GaitSwim", lambda key, **setup: swum.append(key) or real(key, **setup))
     call = [*CALL, "--out", str(tmp_path)]
     assert speeds.main([*call, "--slips", "1"]) == console.OK
     assert speeds.main([*call, "--slips", "0.98", "1"]) == console.OK
-    assert swum == [(30, 2.0, 1.0), (30, 2.0, 0.98)]
+    assert swum == [(2.0, 30.0, 60.0, 1.0, 0.6), (2.0, 30.0, 60.0, 0.98, 0.6)]
     assert (tmp_path / "speeds.png").stat().st_size > 1000
     rows = speeds.SpeedTable(tmp_path, {"domain": "laptop", "dx": 0.02, "dt": 0.004, "beats": 0.6}).rows
     assert all(row["status"] == "ok" and row["speed_m_s"] > 0 for row in rows.values())
@@ -30,7 +33,29 @@ def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, m
 
 def test_what_cannot_be_swum_is_refused():
     with pytest.raises(ConfigError, match="slip ratios in 0..1"):
-        speeds.swim_keys([1.0], [1.2], [0.6])
+        speeds.swim_keys([1.0], [30.0], [60.0], [1.2], [0.6])
+    with pytest.raises(ConfigError, match="amplitudes to 90 deg"):
+        speeds.swim_keys([1.0], [0.0], [60.0], [1.0], [0.6])
+
+
+def swum(key: tuple, box: Domain, robot: str = "fish", beats: float = 0.4) -> dict:
+    """Row of a short swim."""
+    work = speeds.on_device(deque([key]), "cpu", never_stop, tanks=1, box=box, beats=beats, robot=robot, sharpness=PLAIN)
+    ((_, row),) = work
+    return row
+
+
+def test_gaits_side_by_side_swim_as_each_does_alone():
+    keys = [(2.0, 30.0, 60.0, 1.0, 0.48), (2.5, 40.0, 30.0, 0.98, 0.36)]
+    setup = {"box": TINY, "beats": 0.4, "robot": "fish", "sharpness": PLAIN}
+    both = dict(speeds.on_device(deque(keys), "cpu", never_stop, tanks=2, **setup))
+    assert both == {key: swum(key, TINY) for key in keys} and both[keys[0]]["power_W"] != both[keys[1]]["power_W"]
+
+
+def test_rows_without_a_gait_are_of_the_papers(tmp_path):
+    kept = {"frequency": 1.0, "slip": 1.0, "depth": 0.6, "speed_m_s": 0.3}
+    (tmp_path / "speeds.json").write_text(json.dumps({"setup": {}, "rows": [kept]}), encoding="utf-8")
+    assert list(speeds.SpeedTable(tmp_path, {}).rows) == [(1.0, 30.0, 60.0, 1.0, 0.6)]
 
 
 MINNOW = """
@@ -89,8 +114,8 @@ def test_study_swims_another_robot_and_keeps_its_rows_apart(name, minnow, tmp_pa
 
 
 def test_parts_of_a_study_drive_all_joints_of_their_robot(minnow):
-    box = Domain(name="tiny", shape=(40, 28, 18), dx=0.02, dt=0.004, sponge=4)
-    row = speeds.swim_row(box, 2.0, 1.0, 0.1, "cpu", minnow)
+    box = TINY
+    row = swum((2.0, 30.0, 60.0, 1.0, 0.48), box, minnow)
     assert row["status"] == "ok" and row["power_W"] > 0
     options = {"robot": minnow, "slip": 1.0, "device": "cpu", "sharpness": PLAIN}
     assert converge_fish.cruise(box, 0.1, options).status == "ok"

@@ -1,4 +1,4 @@
-"""Independent waters over several devices, a process each: tanks, segments, swims, points of a map.
+"""Independent waters side by side on a device, and over several devices, a process each: segments, swims, points of a map.
 
     def swum(waiting, device, go_on):            a generator: takes keys from the left, yields what it has finished
         while waiting: yield swim(waiting.popleft(), device)
@@ -12,6 +12,7 @@ the caller writes, as each result arrives, so that an interrupted command loses 
 Processes are used because a step is a queue of small launches: in one process a second device would wait for the host's Python.
 """
 
+import gc
 import sys
 import time
 import traceback
@@ -45,6 +46,50 @@ Work = Callable[[Waiting, str, GoOn], Iterator[Any]]  # asks `waiting` only wher
 def never_stop(done: float) -> bool:
     """Returns True: a `go_on` that never ends the work."""
     return True
+
+
+class TankWork(Protocol):
+    """One run of water that gives way to others while its device works. water: its seconds so far."""
+
+    @property
+    def water(self) -> float: ...
+
+    def ticking(self) -> Iterator[None]:
+        """Does all ticks; yields when other tanks can have their turn."""
+        ...
+
+    def finished(self) -> Any:
+        """Returns the result, after `ticking` has ended."""
+        ...
+
+
+def side_by_side(
+    waiting: Waiting, start: Callable[[Any], TankWork], *, tanks: int = 1, go_on: GoOn = never_stop
+) -> Iterator[Any]:
+    """Runs the waiting keys in one process, `tanks` at a time, each at its own pace; a free tank takes the next key.
+
+    Args:
+        waiting: emptied from the left, only when there is room for one more.
+        start: makes the run of a key.
+        go_on: called after every round with the simulated seconds of the unfinished runs; False drops these and ends.
+    """
+    busy: list[tuple[TankWork, Iterator[None]]] = []
+    emptied = 0
+    while busy or waiting:
+        while len(busy) < tanks and waiting:
+            tank = start(waiting.popleft())
+            busy.append((tank, tank.ticking()))
+        for tank, ticks in list(busy):
+            if next(ticks, tank) is tank:
+                busy.remove((tank, ticks))
+                yield tank.finished()
+                emptied += 1
+            del tank, ticks
+        if emptied >= tanks:  # captured launches and their tank hold each other: without this a GPU fills up with old water
+            gc.collect()
+            emptied = 0
+        if not go_on(sum(tank.water for tank, _ in busy)):
+            return
 
 
 def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn = never_stop) -> Iterator[Any]:

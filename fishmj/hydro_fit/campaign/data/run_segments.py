@@ -1,16 +1,16 @@
 """Segments in the flow solver, several tanks side by side: the host works for one tank while the device steps another's water.
 
-    for done in side_by_side(segments, setup, tanks=12): write_record(folder, done.meta, done.arrays)
+    for done in on_device(segments, device, setup=setup, tanks=12): write_record(folder, done.meta, done.arrays)
 
 A segment whose water or fish is no longer finite, or whose fish reaches a wall, is kept as far as it was sound.
 """
 
-import gc
 import hashlib
 import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from math import ceil
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.run_log import flow_at_links, log_tables
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import boundary_entry
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop, side_by_side
 from fishmj.log import SCHEMA, Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
@@ -164,38 +164,13 @@ class SegmentRunner:
         }
 
 
-def side_by_side(waiting: Waiting, setup: Setup, *, tanks: int = 1, go_on: GoOn = never_stop) -> Iterator[Finished]:
-    """Runs the waiting segments, `tanks` at a time, each at its own pace; a free tank takes the next segment.
-
-    Args:
-        waiting: emptied from the left, only when there is room for one more.
-        go_on: called after every round with the simulated seconds of the unfinished segments; False drops these and ends.
+def on_device(waiting: Waiting, device: str, go_on: GoOn = never_stop, *, setup: Setup, tanks: int = 1) -> Iterator[Finished]:
+    """Runs the waiting segments, `tanks` at a time, on one of several devices (`spread`).
 
     Raises:
         ConfigError, OracleUnstable: a segment could not be set up.
     """
-    busy: list[tuple[SegmentRunner, Iterator[None]]] = []
-    emptied = 0
-    while busy or waiting:
-        while len(busy) < tanks and waiting:
-            tank = SegmentRunner(waiting.popleft(), setup)
-            busy.append((tank, tank.ticking()))
-        for tank, ticks in list(busy):
-            if next(ticks, tank) is tank:
-                busy.remove((tank, ticks))
-                yield tank.finished()
-                emptied += 1
-            del tank, ticks
-        if emptied >= tanks:  # captured launches and their tank hold each other: without this a GPU fills up with old water
-            gc.collect()
-            emptied = 0
-        if not go_on(sum(tank.water for tank, _ in busy)):
-            return
-
-
-def on_device(waiting: Waiting, device: str, go_on: GoOn, *, setup: Setup, tanks: int) -> Iterator[Finished]:
-    """Runs `side_by_side` on one of several devices (`spread`)."""
-    return side_by_side(waiting, replace(setup, device=device), tanks=tanks, go_on=go_on)
+    return side_by_side(waiting, partial(SegmentRunner, setup=replace(setup, device=device)), tanks=tanks, go_on=go_on)
 
 
 def _run(segment: Segment, setup: Setup, moved: Drive) -> Run:
