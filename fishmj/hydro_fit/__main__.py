@@ -115,7 +115,7 @@ def options(verb: str) -> console.Parser:
             "--residual",
             type=console.text,
             metavar="NAME",
-            help="keep the learnt residual of this water; fit its share and the strips",
+            help="keep the learnt residual of this water; fit its share and the strips; default: fit a residual",
         )
     if verb in ("fit", "all"):
         swims = console.whole(0, 100_000)

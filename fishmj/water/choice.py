@@ -25,10 +25,10 @@ from fishmj.base.errors import ConfigError, FishmjError, UnknownName
 from fishmj.base.names import split_member
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import strip_forces
-from fishmj.water.water_family import family_of
 
 if TYPE_CHECKING:
     from fishmj.water.hydro_model import HydroModel
+    from fishmj.water.water_family import WaterFamily
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
@@ -193,8 +193,9 @@ def fitted_for(robot: Robot) -> str | None:
 def _fitted(robot: Robot, name: str) -> WaterChoice:
     name = _own(robot, name)
     model = fitted_water(name)
-    stated = {key: robot.water.get(OWN, robot.water).get(key) for key in ("residual",)}
-    coefficients = model.swimmer(robot).water._asdict() | {key: value for key, value in stated.items() if value is not None}
+    coefficients = model.swimmer(robot).water._asdict()
+    if (share := robot.water.get(OWN, robot.water).get("residual")) is not None:
+        coefficients["residual"] = share
     made = _with(robot, coefficients, name)
     if (family := family_of(name)) is not None:
         fits = ", ".join(f"{one.name} {one.slip:g}" for one in family.members)
@@ -223,6 +224,25 @@ def residual_of(robot: Robot):
             f" one for {len(robot.links)} links; 'structured' fits every robot"
         )
     return model.learnt
+
+
+@lru_cache(8)
+def family_of(name: str) -> "WaterFamily | None":
+    """Family of waters by name or file; None if `name` is another water."""
+    if name not in calib.families() and not name.endswith(".toml"):
+        return None
+    from fishmj.water.water_family import SCHEMA, WaterFamily
+
+    files = [Path(name)] if name.endswith(".toml") else [folder / f"{name}.toml" for folder in calib.WATERS]
+    found = next((path for path in files if path.is_file()), None)
+    if found is None or calib.read_toml(found).get("schema") != SCHEMA:
+        return None
+    return WaterFamily.load(found)
+
+
+def family_in(robot: Robot) -> "WaterFamily | None":
+    """Family of waters that each randomised fish of this robot draws from; None if its water is one."""
+    return family_of(str(robot.water.get("model", "")))
 
 
 @lru_cache(8)

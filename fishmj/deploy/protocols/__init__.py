@@ -10,7 +10,7 @@
     servo_bus      servo buses behind one interface: questions, answers, commands
     servo_counts   counts <-> rad, mV, offsets
     watchdog       the robot firmware's watchdog, as a reference for the C code in `firmware/`
-    guard          the faults that the robot's firmware finds and reports, likewise
+    firmware_guard the faults that the robot's firmware finds and reports, likewise
     policy_header  a policy as a C header
 
 Byte tables: docs/tank/protocols.md. NumPy and the standard library only.
