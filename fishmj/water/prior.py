@@ -13,6 +13,8 @@ from fishmj.water.dynamics import strip_forces
 FILE = "hydro_fit.toml"
 FIXED = ("stall_width", "residual")  # never fitted: one keeps gradients finite, the other scales what was fitted
 
+STEEPEST = 40.0  # largest lift_a and lift_b, as bounded in the file: a normal force of the edge needs some k_e
+
 
 @cache
 def table() -> dict:

@@ -1,7 +1,8 @@
 """A family of waters: fits to the flow solver at several slip ratios, between which every episode draws a water of its own.
 
     c = f ((1 - w) A + w B + (A_e - A)),   residual = r
-    A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them
+    A, B   strip coefficients of two members, drawn independently; w = min(max(3/2 u - 1/4, 0), 1) between them, u uniform: every
+           third draw is a member itself
     A_e    member e of A's ensemble: the error bar of that fit
     f      a factor for each coefficient, within `scatter`, except for the shape of the stall and the suction; those of the
            trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0
@@ -21,13 +22,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fishmj.base import names
 from fishmj.base.calib import read_toml
 from fishmj.base.errors import ConfigError, StoreError
+from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
-from fishmj.water.prior import flat, names_of
+from fishmj.water.prior import STEEPEST, flat, names_of, unflat
 
 SCHEMA = "fishmj.water-family/1"
 KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
-EDGE, LEAST_EDGE = ("ke", "lift_a", "lift_b"), 1e-6  # of the trailing edge; k_e of a fit without suction there
+EDGE = ("ke", "lift_a", "lift_b")  # of the trailing edge
 N_FIXED = 5  # uniforms before those of the factors: A, B, w, e, r
 
 
@@ -89,12 +92,18 @@ class WaterFamily:
         u, base, deviation = uniforms, xp.asarray(self.base), xp.asarray(self.deviation)
         count, size = deviation.shape[:2]
         a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
-        drawn = (1.0 - u[:, 2:3]) * base[a] + u[:, 2:3] * base[b] + deviation[a, e]
+        w = xp.clip(1.5 * u[:, 2:3] - 0.25, 0.0, 1.0)
+        drawn = (1.0 - w) * base[a] + w * base[b] + deviation[a, e]
         factor = 1.0 + self.scatter * (2.0 * u[:, N_FIXED:] - 1.0) * xp.asarray(self.factored, dtype=base.dtype)
         low, high = self.residual
         rows = base[0] + strength * (drawn * factor - base[0])
         share = base[0, -1] + strength * (low + (high - low) * u[:, 4] - base[0, -1])
         return self._coefficients(xp, rows, share)
+
+    def swimmer(self, robot: Robot, seed: int) -> planar_chain.Swimmer:
+        """The nominal fish in a water of this family, for `Sim(robot, water=.., swimmer=..)`."""
+        drawn = self.draw(np, np.random.default_rng(seed).random((1, self.width)))
+        return planar_chain.nominal(robot)._replace(water=unflat(drawn[0].tolist()))
 
     def _forces(self, rows: np.ndarray) -> np.ndarray:
         """Coefficients (.., P) with k_e a and k_e b in the place of a and b: forces may be averaged, their ratios may not."""
@@ -107,7 +116,8 @@ class WaterFamily:
         """Inverse of `_forces`, with this share of the residual; passive: k, cn, .. >= 0, a + b >= 1/2."""
         columns = [xp.maximum(rows[:, i], 0.0) for i in range(len(self.names))]
         ke, a, b = (self.names.index(key) for key in EDGE)
-        columns[ke] = xp.maximum(columns[ke], LEAST_EDGE)
+        steepest = xp.maximum(columns[a], columns[b]) / STEEPEST
+        columns[ke] = xp.maximum(xp.maximum(columns[ke], steepest), 1e-6)
         columns[a], columns[b] = columns[a] / columns[ke], columns[b] / columns[ke]
         columns[a] = xp.maximum(columns[a], 0.5 - columns[b])
         columns[-1] = share

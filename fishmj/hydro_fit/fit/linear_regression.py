@@ -17,7 +17,7 @@ from fishmj.hydro_fit.fit.identifiability import Identified, identify
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, added, attachment, mean3
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import planar_chain, strip_forces
-from fishmj.water.prior import Prior, names_of, prior_of
+from fishmj.water.prior import STEEPEST, Prior, names_of, prior_of
 
 HANG = 15.0  # rows that one independent error lasts
 ROUNDS = 3
@@ -176,7 +176,7 @@ def _coefficients(c: strip_forces.Coefficients, theta: np.ndarray, links: int) -
     """theta as coefficients; the edge stays passive, a + b >= 1/2."""
     push = 2 * links + 3  # where the edge begins
     ke, a, b = theta[push : push + 3].tolist()
-    ke = max(ke, 1e-6)
+    ke = max(ke, a / STEEPEST, b / STEEPEST, 1e-6)  # a normal force without suction would need an infinite ratio
     a, b = a / ke, b / ke
     if a + b < 0.5:
         a = 0.5 - b

@@ -1,0 +1,106 @@
+"""A family of waters: what it draws, what it refuses, and that every front end draws it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fishmj import suite
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.mjcf.reading import load_robot
+from fishmj.sim import Sim
+from fishmj.tasks import station_hold as task
+from fishmj.tasks.env import StationHold
+from fishmj.tasks.gym.fish_env import FishEnv
+from fishmj.water.choice import chosen, family_in, family_of
+from fishmj.water.prior import STEEPEST, flat, unflat
+from fishmj.water.water_family import EDGE, WaterFamily
+from fishmj.water.water_identity import water_identity
+
+FISH = chosen(load_robot("fish"), "family").robot
+FAMILY = family_of("swift-family")
+DRAWS = np.random.default_rng(1).random((200, FAMILY.width))
+
+
+def test_a_family_is_chosen_by_its_kind_or_name_and_said_with_its_slip_ratios():
+    said = chosen(load_robot("fish"), "family").said
+    assert "swift 1," in said and "swift-slip098 0.98" in said and "swift-reference 0.99" in said
+    assert family_in(FISH) is FAMILY and family_in(load_robot("fish")) is None and family_of("swift") is None
+    assert water_identity(FISH) == {"name": "swift-family", "kind": "family", "sha256": FAMILY.sha256}
+    with pytest.raises(ConfigError, match="another body|none is fitted|family"):
+        chosen(load_robot("tendon_fish"), "swift-family")
+
+
+def test_a_draw_without_strength_is_the_first_member():
+    nominal = FAMILY.draw(np, DRAWS[:3], 0.0)
+    assert np.allclose(nominal, flat(FAMILY.members[0].base), rtol=1e-12, atol=1e-12)
+
+
+def test_every_third_draw_without_factors_is_a_member():
+    plain = WaterFamily("plain", FAMILY.members, scatter=0.0, residual=(1.0, 1.0))
+    plain.deviation[:] = 0.0
+    drawn = plain._forces(plain.draw(np, DRAWS))[:, :-1]
+    away = np.abs(drawn[:, None] - plain.base[None, :, :-1]).max(-1).min(-1)
+    same = 1 / 3 + 2 / 3 / len(FAMILY.members)  # or both members are the same one
+    assert abs((away < 1e-9).mean() - same) < 0.1
+
+
+def test_all_draws_are_passive_and_a_description_may_state_them():
+    for row in FAMILY.draw(np, DRAWS):
+        c = unflat(row.tolist())
+        assert min(*c.k, *c.cn, c.cf, c.ke, c.lift_a, c.lift_b) >= 0 and c.lift_a + c.lift_b >= 0.5 - 1e-12
+        assert FAMILY.residual[0] <= c.residual <= FAMILY.residual[1]
+        assert max(getattr(c, key) for key in EDGE) <= STEEPEST + 1e-9  # so that a description may state it
+
+
+def test_numpy_and_jax_draw_the_same_fish():
+    import jax.numpy as jnp
+
+    u = np.random.default_rng(2).random((4, task.n_fish(FISH)))
+    ours, theirs = (task.draw_fish(xp, FISH, xp.asarray(u))[0] for xp in (np, jnp))
+    assert np.allclose(ours.water, theirs.water, rtol=2e-5, atol=1e-6) and np.ptp(ours.water, axis=0).max() > 0.1
+
+
+def test_members_of_other_bodies_residuals_or_bounds_are_refused(tmp_path):
+    first, second = FAMILY.members[:2]
+    with pytest.raises(ConfigError, match="another body_sha256"):
+        WaterFamily("x", [first, replace(second, body_sha256="0" * 64)], scatter=0.1, residual=(0.5, 1.0))
+    with pytest.raises(ConfigError, match="another learnt residual.*--residual swift"):
+        WaterFamily("x", [first, replace(second, learnt=None)], scatter=0.1, residual=(0.5, 1.0))
+    with pytest.raises(ConfigError, match="the smaller share first"):
+        WaterFamily("x", [first, second], scatter=0.1, residual=(1.0, 0.5))
+    path = tmp_path / "x-family.toml"
+    path.write_text('schema = "fishmj.water-family/1"\nname = "x"\nmembers = ["a", "b"]\nscatter = 0.1\nresidual = [0, 1]\n')
+    with pytest.raises(StoreError, match="a.toml"):
+        WaterFamily.load(path)
+    path.write_text('schema = "fishmj.water-family/1"\nname = "x"\nmembers = ["a"]\nscatter = 2.0\nresidual = [0, 1]\n')
+    with pytest.raises(ConfigError, match="members"):
+        WaterFamily.load(path)
+
+
+def test_every_front_end_draws_a_water_of_its_own_an_episode():
+    import jax
+
+    rows = StationHold("fish", water="family").reset(jax.random.PRNGKey(0), 3).params.water
+    assert len({float(row[0]) for row in rows}) == 3
+
+    gym = FishEnv(water="family")
+    waters = [gym.reset(seed=seed) and gym.unwrapped.episodes.scenario.params.water[0] for seed in (1, 2)]
+    assert not np.array_equal(*waters)
+
+    dm = suite.load("fish", "station_hold", task_kwargs={"random": 1, "water": "family"})
+    waters = [dm.reset() and np.asarray(dm.task.scenario.params.water) for _ in range(2)]
+    assert not np.array_equal(*waters)
+
+
+def test_a_sim_swims_in_the_first_member_or_in_a_drawn_one():
+    robot = chosen(load_robot("fish"), "family").robot
+    plain, drawn = Sim(robot), Sim(robot, swimmer=FAMILY.swimmer(robot, 3))
+    assert plain.water_name == drawn.water_name == "swift-family"
+    wave = lambda t: 0.5 * np.sin(2 * np.pi * t - np.arange(3))
+    ends = []
+    for sim in (plain, Sim("fish", water="swift"), drawn):
+        for n in range(30):
+            sim.step(wave(0.02 * n))
+        ends.append(np.array(sim.pose))
+    assert np.allclose(ends[0], ends[1], atol=1e-12) and np.abs(ends[0] - ends[2]).max() > 1e-6
