@@ -47,6 +47,7 @@ MOST = 1000  # links, observations: beyond them it is no fish
 LONGEST = 4000  # characters of a training command
 KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files have no last one
 SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md has their figures
+    "station-family": "PPO with a memory of 8 observations, trained in a family of waters: for a robot whose water is not known",
     "station": "PPO, trained in the water fitted to the flow solver",
     "station-sac": "SAC with the paper's budget, trained in the same water",
     "pilot": "PPO, trained in an earlier fit of that water; steered episodes that the present one is fitted to",

@@ -1,8 +1,7 @@
 """A family of waters: fits to the flow solver at several slip ratios, between which every episode draws a water of its own.
 
     c = f ((1 - w) A + w B + (A_e - A)),   residual = r
-    A, B   strip coefficients of two members, drawn independently; w = min(max(3/2 u - 1/4, 0), 1) between them, u uniform: every
-           third draw is a member itself
+    A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them
     A_e    member e of A's ensemble: the error bar of that fit
     f      a factor for each coefficient, within `scatter`, except for the shape of the stall and the suction; those of the
            trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0
@@ -92,7 +91,7 @@ class WaterFamily:
         u, base, deviation = uniforms, xp.asarray(self.base), xp.asarray(self.deviation)
         count, size = deviation.shape[:2]
         a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
-        w = xp.clip(1.5 * u[:, 2:3] - 0.25, 0.0, 1.0)
+        w = u[:, 2:3]
         drawn = (1.0 - w) * base[a] + w * base[b] + deviation[a, e]
         factor = 1.0 + self.scatter * (2.0 * u[:, N_FIXED:] - 1.0) * xp.asarray(self.factored, dtype=base.dtype)
         low, high = self.residual

@@ -26,7 +26,7 @@ from fishmj.water import choice
 from fishmj.water.flow import PRESETS, Flow
 
 FRAME = 0.04  # s between two pictures
-BEST = "station"  # of the shipped controllers
+BEST = "station-family"  # of the shipped controllers
 LATE = 0.2  # s behind real time from which on pictures are skipped
 KEYS = """keys: up, down   current faster, slower            w a s d   target up, left, down, right in the tank
       left, right  turn the current by 15 deg      space     pause        c  next controller
