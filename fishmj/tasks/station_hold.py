@@ -19,7 +19,7 @@ from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.mjcf.description import Robot
 from fishmj.tasks.sensing import Sensors, delayed, estimate
-from fishmj.water import water_family
+from fishmj.water import choice
 
 WEIGHTS = ("wG", "wD", "wS")  # of the reward, in the paper's symbols
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
@@ -52,7 +52,7 @@ def n_fish(robot: Robot, effects=()) -> int:
     """Number of uniforms that `draw_fish` needs."""
     plain = len(robot.links) + 3 * robot.n_joints + 2
     active = Extensions.of(robot).active
-    return plain + (randomise.width(active, effects) if active is not None else 0) + water_family.width(robot.water)
+    return plain + (randomise.width(active, effects) if active is not None else 0) + choice.drawn_width(robot)
 
 
 def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> tuple[FishParams, Any]:
@@ -64,7 +64,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
     Returns:
         (FishParams, camera delay in bus ticks (B,) int).
     """
-    n, j, drawn = len(robot.links), robot.n_joints, water_family.width(robot.water)
+    n, j, drawn = len(robot.links), robot.n_joints, choice.drawn_width(robot)
     m = n_fish(robot) - drawn
     p = nominal_params(robot, 1)
     added = Extensions.of(robot)
@@ -73,7 +73,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
     kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
     delay = _latency(robot.timing.command_latency, get("command_latency"), uniforms[:, m - 2], strength)
     camera = _latency(robot.timing.camera_latency, get("camera_latency"), uniforms[:, m - 1], strength)
-    like, waters = xp.zeros_like(uniforms[:, :1]), water_family.family_of(str(robot.water.get("model", "")))
+    like, waters = xp.zeros_like(uniforms[:, :1]), choice.family_of(str(robot.water.get("model", "")))
     rows = like + p.effects
     if effects and added.active is not None:
         rows = randomise.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)

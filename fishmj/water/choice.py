@@ -25,14 +25,15 @@ from fishmj.base.errors import ConfigError, FishmjError, UnknownName
 from fishmj.base.names import split_member
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import strip_forces
-from fishmj.water.water_family import family_of
 
 if TYPE_CHECKING:
     from fishmj.water.hydro_model import HydroModel
+    from fishmj.water.water_family import WaterFamily
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
 FAMILY = "family"  # the family of the robot's name
+FAMILY = "fishmj.water-family/1"  # schema of the file of a `water_family`
 OWN = "own"  # in `robot.water`: the table of the description
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
@@ -236,3 +237,23 @@ def fitted_water(name: str) -> "HydroModel":
     if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
         raise UnknownName("water", name, (*KINDS, *shipped(), *calib.families()))
     return HydroModel.load(name)
+
+
+@lru_cache(8)
+def family_of(name: str) -> "WaterFamily | None":
+    """Family of waters by name or file; None if `name` is another water."""
+    path = Path(name)
+    if path.suffix != ".toml":
+        found = [folder / f"{name}.toml" for folder in calib.WATERS if (folder / f"{name}.toml").is_file()]
+        path = found[0] if name in calib.families() and found else Path()
+    if not path.is_file() or calib.read_toml(path).get("schema") != FAMILY:
+        return None
+    from fishmj.water.water_family import WaterFamily  # reads files of fits, for which the robot's host lacks a package
+
+    return WaterFamily.load(path)
+
+
+def drawn_width(robot: Robot) -> int:
+    """Number of uniforms of a draw of the robot's water; 0 if it is no family."""
+    family = family_of(str(robot.water.get("model", "")))
+    return 0 if family is None else family.width

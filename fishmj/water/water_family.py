@@ -12,21 +12,19 @@ fish that is not randomised.
 """
 
 import hashlib
-from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fishmj.base import calib, names
+from fishmj.base import names
 from fishmj.base.calib import read_toml
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.water import residual_hooks
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat, names_of
 
-SCHEMA = "fishmj.water-family/1"
 KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
 EDGE, LEAST_EDGE = ("ke", "lift_a", "lift_b"), 1e-6  # of the trailing edge; k_e of a fit without suction there
 N_FIXED = 5  # uniforms before those of the factors: A, B, w, e, r
@@ -135,20 +133,3 @@ class WaterFamily:
 
 def _residual_sha256(model: HydroModel) -> str:
     return "" if model.learnt is None else residual_hooks.sha256(model.learnt)
-
-
-@lru_cache(8)
-def family_of(name: str) -> "WaterFamily | None":
-    """Family by name or file; None if `name` is another water."""
-    path = Path(name)
-    if path.suffix != ".toml":
-        found = [folder / f"{name}.toml" for folder in calib.WATERS if (folder / f"{name}.toml").is_file()]
-        return WaterFamily.load(found[0]) if name in calib.families() and found else None
-    is_family = path.is_file() and read_toml(path).get("schema") == SCHEMA
-    return WaterFamily.load(path) if is_family else None
-
-
-def width(water: dict[str, Any]) -> int:
-    """Number of uniforms of a draw of the robot's water, `robot.water`; 0 if it is no family."""
-    family = family_of(str(water.get("model", "")))
-    return 0 if family is None else family.width

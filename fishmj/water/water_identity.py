@@ -5,8 +5,7 @@ from hashlib import sha256
 
 from fishmj.base.store import plain
 from fishmj.mjcf.description import Robot
-from fishmj.water.choice import STRUCTURED, label, model_of
-from fishmj.water.water_family import family_of
+from fishmj.water.choice import STRUCTURED, family_of, label, model_of
 
 
 def water_identity(robot: Robot) -> dict[str, str]:
