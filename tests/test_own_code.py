@@ -344,6 +344,7 @@ def test_a_wrong_algorithm_is_one_line_before_it_trains(monkeypatch, change, sai
 
     import jax
 
+    from fishmj.tasks.station_hold import input_scale
     from fishmj.train.build import algorithm
     from fishmj.train.settings import change as changed
     from fishmj.train.settings import preset
@@ -352,7 +353,7 @@ def test_a_wrong_algorithm_is_one_line_before_it_trains(monkeypatch, change, sai
     monkeypatch.setitem(plugins._LOADED["algorithm"], "wrong:Wrong", type("Wrong", (good,), change))
     settings = changed(preset("quick"), algo="wrong:Wrong")
     settings = changed(type(settings)(algo="wrong:Wrong"), steps=100)
-    env = SimpleNamespace(n_obs=11, n_act=3, n_input=11, options=SimpleNamespace(memory=1), reset=lambda key, n, stagger: key)
+    env = SimpleNamespace(n_obs=11, n_act=3, n_input=11, input_scale=input_scale(3), reset=lambda key, n, stagger: key)
     with pytest.raises(OwnCodeError, match=re.escape(said)):
         learner = algorithm(settings, env)
         learner.iterate(learner.init(jax.random.key(0)))

@@ -20,7 +20,6 @@ from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
 from fishmj.tasks.gym.fish_env import LARGEST, FishVectorEnv
 from fishmj.tasks.reference import COURSES, EpisodeStart, FigureEightReference, eight, path_length
-from fishmj.train.networks import privileged_scale, scale
 
 ROBOT = mjcf.load_robot("fish")
 QUIET = dict(noise=0.0, turbulence="none")
@@ -278,9 +277,9 @@ def test_the_table_of_the_manual_is_what_a_learner_sees_and_does():
     once = lambda groups, values: [values[end - width] for width, end in zip(groups.values(), ends(groups), strict=True)]
     spans, more = task.spans(3), task.privileged_spans(3)
     expected = {
-        "observation": (spans, once(spans, task.noise_scale(ROBOT)), [*LARGEST], once(spans, scale(3))),
+        "observation": (spans, once(spans, task.noise_scale(ROBOT)), [*LARGEST], once(spans, task.input_scale(3))),
         "action": ({"joint": 3}, [0.0], [1.0], [1.0]),
-        "privileged": (more, [0.0] * len(more), [""] * len(more), once(more, privileged_scale(3))),
+        "privileged": (more, [0.0] * len(more), [""] * len(more), once(more, task.privileged_scale(3))),
     }
     for vector, (groups, noise, bound, divisor) in expected.items():
         told = [row for row in rows if row[0] == vector]
