@@ -1,6 +1,8 @@
 """`Policy.of`: a network of one's own becomes a policy of its environment, with a memory too, and every judge takes it."""
 
 import json
+import re
+from pathlib import Path
 
 import gymnasium
 import jax
@@ -208,6 +210,14 @@ def test_a_policy_with_a_memory_steers_the_host(remembering, tmp_path):
     obs, action = decisions(read_trial(bench.folder))
     assert len(obs) == 10
     np.testing.assert_allclose(replayed(remembering, obs), action, atol=1e-3)  # float32 in logs and batches
+
+
+def test_the_example_of_the_manual_makes_a_policy(tmp_path, monkeypatch):
+    page = (Path(__file__).parent.parent / "docs" / "train" / "training.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page.split("## Your own network as a policy")[1].split("\n## ")[0], re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "docs/train/training.md", "exec"), {})  # noqa: S102  our own text
+    assert control.make("mine.safetensors").notes == () and Policy.load("mine.safetensors").memory == 8
 
 
 # the environment's arguments
