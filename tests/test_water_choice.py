@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from fishmj import engines
+from fishmj.base.calib import WATERS
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
+from fishmj.tasks.station_hold import draw_fish, n_fish
 from fishmj.water import choice
-from fishmj.water.choice import chosen, in_water, label, residual_of
+from fishmj.water.choice import chosen, drawn_width, in_water, label, residual_of
 from fishmj.water.flow import Flow
 
 FISH = load_robot("fish")
@@ -147,3 +149,17 @@ def test_gap_find_refuses_it_on_the_command_line(water, tmp_path, capsys):
 
     assert console.run(main, [str(tmp_path), "--water", water]) == console.BAD_INPUT
     assert "has a learnt force, which it would leave out; take its strips, --water swift-base" in capsys.readouterr().err
+
+
+def test_a_family_draws_a_water_for_each_fish():
+    robot = chosen(FISH, "family").robot
+    assert (
+        label(robot) == "swift-family"
+        and chosen(FISH, next(str(path) for path in (folder / "swift-family.toml" for folder in WATERS) if path.is_file())).kind
+        == "fitted"
+    )
+    assert drawn_width(robot) > 0 and drawn_width(chosen(FISH, "fitted").robot) == 0
+    draws = np.random.default_rng(0).random((5, n_fish(robot)))
+    drawn, nominal = (draw_fish(np, robot, draws, strength)[0].water for strength in (1.0, 0.0))
+    assert (np.ptp(drawn, 0) > 0).sum() > 10
+    np.testing.assert_array_equal(nominal, np.repeat(nominal[:1], 5, 0))

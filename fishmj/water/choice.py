@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
 FAMILY = "family"  # the family of the robot's name
-FAMILY = "fishmj.water-family/1"  # schema of the file of a `water_family`
+FAMILY_SCHEMA = "fishmj.water-family/1"
 OWN = "own"  # in `robot.water`: the table of the description
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
@@ -246,7 +246,7 @@ def family_of(name: str) -> "WaterFamily | None":
     if path.suffix != ".toml":
         found = [folder / f"{name}.toml" for folder in calib.WATERS if (folder / f"{name}.toml").is_file()]
         path = found[0] if name in calib.families() and found else Path()
-    if not path.is_file() or calib.read_toml(path).get("schema") != FAMILY:
+    if not path.is_file() or calib.read_toml(path).get("schema") != FAMILY_SCHEMA:
         return None
     from fishmj.water.water_family import WaterFamily  # reads files of fits, for which the robot's host lacks a package
 
