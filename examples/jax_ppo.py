@@ -173,8 +173,8 @@ def main():
     optimiser = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(rate, eps=1e-5))
     k_actor, k_critic, k_env, key = jax.random.split(jax.random.key(args.seed), 4)
     weights = {
-        "actor": network(k_actor, [env.n_obs, *HIDDEN, env.n_act], 0.01),
-        "critic": network(k_critic, [env.n_obs + env.n_privileged, *HIDDEN, 1], 1.0),
+        "actor": network(k_actor, [env.n_input, *HIDDEN, env.n_act], 0.01),
+        "critic": network(k_critic, [env.n_input + env.n_privileged, *HIDDEN, 1], 1.0),
         "log_sigma": jnp.full(env.n_act, np.log(0.5)),
     }
     learner = Learner(weights, optimiser.init(weights), env.reset(k_env, ENVS, True), jnp.zeros(ENVS), key)

@@ -71,6 +71,11 @@ def test_timing_and_water_of_the_environment_are_those_of_the_policy():
     assert one == two and (one["control_dt"], one["command_path"], one["water"]["name"]) == (0.1, "hold", "swift")
 
 
+def test_water_of_an_engine_is_that_of_the_policy():
+    engine = StationHold(ROBOT, "planar", water="swift").engine
+    assert Policy.of(StationHold(ROBOT, engine), turned(layers())).meta["water"]["name"] == "swift"
+
+
 @pytest.mark.parametrize("memory", [1, 4])
 def test_actions_are_those_of_the_network_in_the_jax_environment(memory):
     """Raw observations in order and one fish's window: what the environment stacks, the policy remembers."""
@@ -235,6 +240,7 @@ def test_the_example_of_the_manual_makes_a_policy(tmp_path, monkeypatch):
         (lambda: StationHold(ROBOT, control_dt=0.15), "control_dt = 0.15 s is not a multiple of bus_dt"),
         (lambda: StationHold(ROBOT, command_path="cubic"), "unknown command path 'cubic'"),
         (lambda: StationHold(ROBOT, StationHold(ROBOT, "planar").engine, control_dt=0.1), "engine's robot has another timing"),
+        (lambda: StationHold(ROBOT, Raft(), water="swift"), "water = 'swift' with an engine, whose fish is in its water already"),
         (lambda: Options(engine="planar"), r"engine is no option but an argument: StationHold\(.., engine=..\)"),
         (lambda: Options(wD=1.0), "wD is no option but an argument"),
         (lambda: Options(speed=1.0), "unknown option of Options 'speed'"),

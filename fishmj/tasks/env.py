@@ -108,22 +108,26 @@ class StationHold:
         robot = with_timing(load_robot(robot), control_dt, command_path, "task")
         if engine is None:
             engine = engines.fastest() if jax.default_backend() == "cpu" else "planar"
-        if isinstance(engine, str):  # else the engine's fish is in its water already
+        if isinstance(engine, str):
             robot = in_water(robot, water, who="the environment in JAX")
-        self.robot = robot = engines.with_effects(robot, options.effects)
+        elif water is not None:
+            raise ConfigError(f"task: water = {water!r} with an engine, whose fish is in its water already; leave it out")
+        robot = engines.with_effects(robot, options.effects)
         self.engine = engines.of(engine, robot)
         if not getattr(self.engine, "jittable", False):
             raise ConfigError(
                 f"task: the engine {engines.name_of(self.engine)} cannot run inside jax.jit; choose compiled, planar or mjx"
             )
-        if getattr(self.engine, "robot", robot).effects != robot.effects:
+        self.robot = getattr(self.engine, "robot", robot)  # in its water
+        if self.robot.effects != robot.effects:
             raise ConfigError(
                 f"task: the engine's robot lacks {', '.join(options.effects)}; make it from engines.with_effects(robot, ..)"
             )
-        if getattr(self.engine, "robot", robot).timing != robot.timing:
+        if self.robot.timing != robot.timing:
             raise ConfigError(
                 "task: the engine's robot has another timing; give control_dt and command_path with an engine's name"
             )
+        robot = self.robot
         self.sensors = Sensors(robot)
         self.options = options
         self.weights = reward
