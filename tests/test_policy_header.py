@@ -147,7 +147,7 @@ HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
 
 def test_another_command_path_is_refused_unless_it_was_asked_for():
     with pytest.raises(
-        ConfigError, match="trained on command path linear, the robot's is hold: steer on linear, or add --anyway"
+        ConfigError, match="trained on command path linear, the robot's is hold: evaluate with --command-path linear, "
     ):
         control.make("paper", HELD)
     (note,) = control.make("paper", HELD, anyway=True).notes

@@ -148,7 +148,8 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
         refused.append(f"sees {a}; the robot gives {b}")
     wanted, path = meta.get("command_path"), robot.command_path
     if wanted not in (None, path) and not anyway:
-        refused.append(f"trained on command path {wanted}, the robot's is {path}: steer on {wanted}, or add --anyway")
+        todo = f"evaluate with --command-path {wanted}, or put it into [timing] of the robot's description, or add --anyway"
+        refused.append(f"trained on command path {wanted}, the robot's is {path}: {todo}")
     if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
         todo = f"evaluate with --control-dt {step:g}, or put control_dt = {step:g} into [timing] of the robot's description"
         refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s: {todo}")
