@@ -82,7 +82,10 @@ def test_a_policy_with_memory_sees_what_sb3_saw():
     shoal = FishVecEnv(run, 5)
     learner = StableSAC(shoal, SACConfig(**{**SMALL, "envs": 5}), 1000)
     training = learner.init(jax.random.key(2))
-    policy, seen = policy_of(learner.policy_layers(training.actor), run, {}), shoal.reset()
+    network, seen = learner.policy_layers(training.actor), shoal.reset()
+    policy = policy_of(network, run, {})
+    mine = Policy.of(shoal, [(np.asarray(w).T, b) for w, b in network.layers], activation=network.activation)
+    assert mine.memory == 3 and all(np.array_equal(a, b) for a, b in zip(mine.weights[0], policy.weights[0], strict=True))
     for _ in range(10):
         action, _ = learner.model.predict(seen, deterministic=True)
         np.testing.assert_allclose(policy(seen[:, :11] * input_scale(3)), action, atol=1e-5)
