@@ -2,6 +2,7 @@
 
     python examples/jax_ppo.py                     learns to swim to its target and stay: 1.5 million steps
     python examples/jax_ppo.py --steps 100000      a look at it
+    fishmj evaluate jax_ppo.safetensors            judges it
 
 Nothing of fishmj.train is used: the environment is a function of (state, action), and the rest stands here, to be changed.
 The actor sees the 11 egocentric numbers, the critic also the stream, which exists in simulation only. Needs jax, optax, numba.
@@ -17,16 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from fishmj.policy import Policy
 from fishmj.tasks.env import Options, StationHold
 
 ENVS, HORIZON, EPOCHS, MINIBATCHES = 256, 32, 4, 8
 GAMMA, LAMBDA, CLIP, ENTROPY, VALUE, RATE = 0.99, 0.95, 0.2, 0.002, 0.5, 1e-3
 REWARD_SCALE = 0.1  # returns of order one suit the critic
 HIDDEN = (64, 64)
-# divisors of the observations: target m, velocity m/s, yaw rate rad/s, joint angles rad, joint rates rad/s
-SCALE = np.array([1, 1, 0.3, 0.3, 1.5, 0.7, 0.7, 0.7, 4, 4, 4], np.float32)
-# the critic's other inputs: the same without noise, stream m/s, share of time left, target m
-SCALE_CRITIC = np.concatenate([SCALE, SCALE, [0.3, 0.3, 1, 0.1, 0.1]]).astype(np.float32)
 
 
 class Learner(NamedTuple):
@@ -72,14 +70,14 @@ def log_density(u, mean, log_sigma):
     return jnp.sum(-0.5 * ((u - mean) * jnp.exp(-log_sigma)) ** 2 - log_sigma - 0.5 * np.log(2 * np.pi), -1)
 
 
-def mean_of(weights, obs):
+def mean_of(env, weights, obs):
     """The actor's mean; the action is tanh of it, without exploration."""
-    return forward(weights["actor"], obs / SCALE)
+    return forward(weights["actor"], obs / env.input_scale)
 
 
-def value_of(weights, obs, privileged):
+def value_of(env, weights, obs, privileged):
     """The critic."""
-    seen = jnp.concatenate([obs, privileged], -1) / SCALE_CRITIC
+    seen = jnp.concatenate([obs / env.input_scale, privileged / env.privileged_scale], -1)
     return forward(weights["critic"], seen)[..., 0]
 
 
@@ -89,12 +87,12 @@ def collect(env, learner, keys):
 
     def step(carry, key):
         state, gain = carry
-        mean = mean_of(weights, state.obs)
+        mean = mean_of(env, weights, state.obs)
         u = mean + jnp.exp(weights["log_sigma"]) * jax.random.normal(key, mean.shape)
         after = env.step(state, jnp.tanh(u))
         # the environment restarts by itself: V(s') is that of the last observation; a time limit is no end, leaving the tank is
-        value = value_of(weights, state.obs, state.privileged)
-        ahead = jnp.where(after.terminated, 0.0, value_of(weights, after.final_obs, after.final_privileged))
+        value = value_of(env, weights, state.obs, state.privileged)
+        ahead = jnp.where(after.terminated, 0.0, value_of(env, weights, after.final_obs, after.final_privileged))
         target = jnp.where(after.diverged, value, REWARD_SCALE * after.reward + GAMMA * ahead)
         done = after.terminated | after.truncated | after.diverged
         gain = gain + after.reward
@@ -118,13 +116,13 @@ def advantages_of(rows):
     return jax.lax.scan(back, jnp.zeros(ENVS), (rows.target - rows.value, rows.done), reverse=True)[1]
 
 
-def loss_of(weights, batch):
+def loss_of(weights, env, batch):
     """The clipped surrogate, the critic's error, the entropy."""
     rows, advantage, returns = batch
-    ratio = jnp.exp(log_density(rows.u, mean_of(weights, rows.obs), weights["log_sigma"]) - rows.log_prob)
+    ratio = jnp.exp(log_density(rows.u, mean_of(env, weights, rows.obs), weights["log_sigma"]) - rows.log_prob)
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-6)
     surrogate = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * advantage).mean()
-    error = jnp.square(value_of(weights, rows.obs, rows.seen) - returns).mean()
+    error = jnp.square(value_of(env, weights, rows.obs, rows.seen) - returns).mean()
     return -surrogate + VALUE * error - ENTROPY * weights["log_sigma"].sum()
 
 
@@ -138,7 +136,7 @@ def iterate(env, optimiser, learner):
 
     def update(carry, rows):
         weights, moments = carry
-        gradient = jax.grad(loss_of)(weights, jax.tree.map(lambda a: a[rows], batch))
+        gradient = jax.grad(loss_of)(weights, env, jax.tree.map(lambda a: a[rows], batch))
         step, moments = optimiser.update(gradient, moments)
         return (optax.apply_updates(weights, step), moments), None
 
@@ -155,7 +153,7 @@ def judge(env, weights, key):
 
     def step(carry, _):
         state, alive = carry
-        after = env.step(state, jnp.tanh(mean_of(weights, state.obs)))
+        after = env.step(state, jnp.tanh(mean_of(env, weights, state.obs)))
         alive = alive & ~(after.terminated | after.diverged)
         return (after, alive), (after.reward * alive, jnp.where(alive, after.distance, 2.0))
 
@@ -167,18 +165,16 @@ def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--steps", type=int, default=1_500_000, help="control steps, all fish together")
     p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--out", default="jax_ppo.safetensors", help="the policy file")
     args = p.parse_args()
-    # the quick closed form; water="fitted" is the water fitted to the flow solver
-    env, tune = (
-        StationHold("fish", options=Options(turbulence="gust", box=box), water="structured") for box in ("train", "tune")
-    )
+    env, tune = (StationHold("fish", options=Options(turbulence="gust", box=box)) for box in ("train", "tune"))
     iterations = max(1, args.steps // (ENVS * HORIZON))
     rate = optax.linear_schedule(RATE, 0.1 * RATE, iterations * EPOCHS * MINIBATCHES)
     optimiser = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(rate, eps=1e-5))
     k_actor, k_critic, k_env, key = jax.random.split(jax.random.key(args.seed), 4)
     weights = {
-        "actor": network(k_actor, [env.n_obs, *HIDDEN, env.n_act], 0.01),
-        "critic": network(k_critic, [env.n_obs + env.n_privileged, *HIDDEN, 1], 1.0),
+        "actor": network(k_actor, [env.n_input, *HIDDEN, env.n_act], 0.01),
+        "critic": network(k_critic, [env.n_input + env.n_privileged, *HIDDEN, 1], 1.0),
         "log_sigma": jnp.full(env.n_act, np.log(0.5)),
     }
     learner = Learner(weights, optimiser.init(weights), env.reset(k_env, ENVS, True), jnp.zeros(ENVS), key)
@@ -191,6 +187,9 @@ def main():
     after = judge(tune, learner.weights, jax.random.key(1))
     for name, (gain, held) in (("untrained", before), ("trained", after)):
         print(f"{name}: return {gain:.1f} of at most {env.limit}, RMS distance of the last 10 s {held:.3f} m")
+    layers = [(w.T, b) for w, b in learner.weights["actor"]]  # a file has (out, in)
+    policy = Policy.of(env, layers, activation="tanh", algorithm="jax_ppo", seed=args.seed, steps=iterations * ENVS * HORIZON)
+    print(f"fishmj evaluate {policy.save(args.out)}")
 
 
 if __name__ == "__main__":

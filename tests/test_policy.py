@@ -85,7 +85,7 @@ def test_a_saved_policy_comes_back_as_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda a, m: a.update(w1=a["w1"].T.copy()), r"layer 1 has weights \(8, 6\) and bias \(6,\), expected 8 inputs"),
+        (lambda a, m: a.update(w1=a["w1"].T.copy()), r"layer 1 has weights \(8, 6\) and bias \(6,\): these are \(in, out\), exp"),
         (lambda a, m: a.update(b0=a["b0"][:-1]), r"layer 0 has weights \(8, 11\) and bias \(7,\)"),
         (lambda a, m: a.update(w0=a["w0"][:, :-1]), "expected 11 inputs"),
         (lambda a, m: a.pop("b1"), "expected w0, b0, w1, b1"),
@@ -95,7 +95,7 @@ def test_a_saved_policy_comes_back_as_it_was(tmp_path):
         (lambda a, m: m.update(schema="fishmj.policy/9"), "schema 'fishmj.policy/9', expected 'fishmj.policy/1'"),
         (lambda a, m: m.pop("schema"), "schema None, expected"),
         (lambda a, m: m.update(activation="gelu"), "activation 'gelu'; known: relu, tanh"),
-        (lambda a, m: m.pop("scale"), "scale None; expected one positive divisor"),
+        (lambda a, m: m.pop("scale"), "the header lacks scale; Policy.of"),
         (lambda a, m: m.update(scale=[0.0] * 11), "expected one positive divisor"),
         (lambda a, m: m.update(memory=0), "memory 0; expected the number"),
         (lambda a, m: m.update(memory=2), "expected 25 inputs"),

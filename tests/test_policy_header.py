@@ -17,7 +17,8 @@ from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, FishmjError, StoreError
 from fishmj.base.store import write_tensors
 from fishmj.control.learned import LearnedController
-from fishmj.control.policy import Policy, structure_sha256
+from fishmj.control.policy import Policy
+from fishmj.control.policy_meta import structure_sha256
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.log import read_trial
 from fishmj.mjcf.geometry import geometry_of
@@ -146,7 +147,7 @@ HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
 
 def test_another_command_path_is_refused_unless_it_was_asked_for():
     with pytest.raises(
-        ConfigError, match="trained on command path linear, the robot's is hold: steer on linear, or add --anyway"
+        ConfigError, match="trained on command path linear, the robot's is hold: evaluate with --command-path linear, "
     ):
         control.make("paper", HELD)
     (note,) = control.make("paper", HELD, anyway=True).notes
@@ -355,7 +356,7 @@ def test_any_header_is_either_a_controller_or_one_line(changes, part, value):
         policy.reset(1)
         assert policy(np.zeros((1, 11))).shape == (1, 3)
         from fishmj.control.learned import body_of
-        from fishmj.control.policy import fit
+        from fishmj.control.policy_meta import fit
 
         assert all("\n" not in note for note in fit(policy.meta, body_of(ROBOT), anyway=False, known={}).notes)
     except FishmjError as error:

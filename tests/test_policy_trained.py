@@ -14,7 +14,8 @@ from policy_files import ROBOT, SHORT, header, stored
 from fishmj import control
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
-from fishmj.control.policy import FOLDER, FORMER, SHIPPED, Policy, _renamed, one_line, shipped
+from fishmj.control.policy import FOLDER, FORMER, SHIPPED, Policy, _renamed, shipped
+from fishmj.control.policy_meta import one_line
 from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.engines import in_water
 from fishmj.evaluate.__main__ import main as evaluate

@@ -13,7 +13,7 @@ from policy_files import header, stored
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.control.policy import structure_sha256
+from fishmj.control.policy_meta import structure_sha256
 from fishmj.deploy.commands import swim_command
 from fishmj.deploy.link.servo_bus_link import ServoBusLink
 from fishmj.deploy.loopback import lockstep_wiring

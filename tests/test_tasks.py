@@ -1,6 +1,8 @@
 """The tasks as pure functions: reward, observation and starts by hand; what the fish must never see; late cameras."""
 
 import re
+from dataclasses import fields
+from inspect import signature
 from math import pi, radians
 from pathlib import Path
 
@@ -18,9 +20,8 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import Episodes, TaskOptions, TaskSpec
-from fishmj.tasks.gym.fish_env import LARGEST, FishVectorEnv
+from fishmj.tasks.gym.fish_env import LARGEST, FishEnv, FishVectorEnv
 from fishmj.tasks.reference import COURSES, EpisodeStart, FigureEightReference, eight, path_length
-from fishmj.train.networks import privileged_scale, scale
 
 ROBOT = mjcf.load_robot("fish")
 QUIET = dict(noise=0.0, turbulence="none")
@@ -278,9 +279,9 @@ def test_the_table_of_the_manual_is_what_a_learner_sees_and_does():
     once = lambda groups, values: [values[end - width] for width, end in zip(groups.values(), ends(groups), strict=True)]
     spans, more = task.spans(3), task.privileged_spans(3)
     expected = {
-        "observation": (spans, once(spans, task.noise_scale(ROBOT)), [*LARGEST], once(spans, scale(3))),
+        "observation": (spans, once(spans, task.noise_scale(ROBOT)), [*LARGEST], once(spans, task.input_scale(3))),
         "action": ({"joint": 3}, [0.0], [1.0], [1.0]),
-        "privileged": (more, [0.0] * len(more), [""] * len(more), once(more, privileged_scale(3))),
+        "privileged": (more, [0.0] * len(more), [""] * len(more), once(more, task.privileged_scale(3))),
     }
     for vector, (groups, noise, bound, divisor) in expected.items():
         told = [row for row in rows if row[0] == vector]
@@ -290,6 +291,39 @@ def test_the_table_of_the_manual_is_what_a_learner_sees_and_does():
         for column, values in ((5, noise), (6, bound), (7, divisor)):
             for row, value in zip(told, values, strict=True):
                 assert row[column] == "" if value == "" else float(row[column]) == pytest.approx(value, rel=1e-3), row
+
+
+def cells_under(heading: str) -> list[list[str]]:
+    """Rows of the first table below a heading of the manual."""
+    part = PAGE.split(f"{heading}\n", 1)[1].split("\n\n|", 1)[1].split("\n\n", 1)[0]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in part.splitlines()[2:]]
+
+
+def test_the_table_of_options_says_who_takes_which():
+    """Every field and argument of the three interfaces, and no other."""
+    named = lambda *kinds: {name for kind in kinds for name in signature(kind).parameters if name not in ("options", "reward")}
+    shared = {one.name for one in fields(TaskOptions)}
+    station, options = named(StationHold) | {*task.WEIGHTS}, {one.name for one in fields(Options)}
+    made = named(FishEnv, FishVectorEnv) - {"num_envs", "max_episode_steps", "task"}
+    found: dict[str, set] = {"dm_control": set(), "Gymnasium": set(), "StationHold": set(), "Options": set(), "make_vec": set()}
+    for names, where, *_ in cells_under("## Options"):
+        for place in where.replace("all", "dm_control, Gymnasium").replace("`", "").split(", "):
+            found[place] |= {*names.replace("`", "").split(", ")}
+    assert found["dm_control"] == shared | {"random", "root", "solver", "hybrid"}
+    assert found["Gymnasium"] | found["make_vec"] == shared | made and found["make_vec"] == {"autoreset_mode"}
+    assert found["StationHold"] == station and found["Options"] == options
+
+
+def test_the_table_of_the_randomisation_has_the_constants():
+    get = lambda key: constant("randomisation", key)
+    spread = lambda key: f"±{100 * get(key):.0f} %"
+    span = lambda key: "{:.0f} to {:.0f} ms".format(*(1000 * bound for bound in get(key)))
+    assert [row[1] for row in cells_under("### Domain randomisation")] == [
+        spread("mass"),
+        f"{spread('kp')}, {spread('kd')}",
+        f"±{get('zero_deg'):.0f} deg",
+        f"{span('command_latency')}, {span('camera_latency')}",
+    ]
 
 
 def test_the_privileged_view_has_its_groups_in_their_order():

@@ -15,7 +15,8 @@ from fishmj import mjcf
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.control.learned import body_of
-from fishmj.control.policy import Policy, fit
+from fishmj.control.policy import Policy
+from fishmj.control.policy_meta import fit
 from fishmj.tasks.env import Options, StationHold
 from fishmj.train.__main__ import options, settings_from
 from fishmj.train.begin import SIGMA, begin_with

@@ -13,9 +13,9 @@ from fishmj.base import console
 from fishmj.base.store import read_tensors
 from fishmj.control.policy import Policy
 from fishmj.tasks.gym.fish_env import FishVectorEnv
+from fishmj.tasks.station_hold import input_scale
 from fishmj.train.__main__ import main
 from fishmj.train.build import policy_of
-from fishmj.train.networks import scale
 from fishmj.train.settings import Settings
 
 SMALL = {"hidden": (32, 32), "envs": 16, "batch": 64, "warmup": 512, "utd": 0.25, "learning_rate": 2e-3}
@@ -43,7 +43,7 @@ def test_sb3_env_is_the_scaled_vector_env_and_bootstraps_time_limits():
     seeds = shoal.seed(3)
     other = FishVectorEnv(6, engine="compiled", autoreset_mode="SameStep", turbulence="gust")
     seen, (raw, _) = shoal.reset(), other.reset(seed=seeds)
-    factor = np.where(np.isin(np.arange(11), [5, 6, 7]), 0, 1) / scale(3)
+    factor = np.where(np.isin(np.arange(11), [5, 6, 7]), 0, 1) / input_scale(3)
     rng, ends = np.random.default_rng(0), []
     for _ in range(160):
         np.testing.assert_allclose(seen, raw * factor, rtol=1e-5)
@@ -82,10 +82,13 @@ def test_a_policy_with_memory_sees_what_sb3_saw():
     shoal = FishVecEnv(run, 5)
     learner = StableSAC(shoal, SACConfig(**{**SMALL, "envs": 5}), 1000)
     training = learner.init(jax.random.key(2))
-    policy, seen = policy_of(learner.policy_layers(training.actor), run, {}), shoal.reset()
+    network, seen = learner.policy_layers(training.actor), shoal.reset()
+    policy = policy_of(network, run, {})
+    mine = Policy.of(shoal, [(np.asarray(w).T, b) for w, b in network.layers], activation=network.activation)
+    assert mine.memory == 3 and all(np.array_equal(a, b) for a, b in zip(mine.weights[0], policy.weights[0], strict=True))
     for _ in range(10):
         action, _ = learner.model.predict(seen, deterministic=True)
-        np.testing.assert_allclose(policy(seen[:, :11] * scale(3)), action, atol=1e-5)
+        np.testing.assert_allclose(policy(seen[:, :11] * input_scale(3)), action, atol=1e-5)
         seen, _, done, _ = shoal.step(action)
         assert not done.any()
 
@@ -148,7 +151,7 @@ def test_stopped_sb3_run_exports_its_policy_and_resumes_with_empty_buffer(tmp_pa
     arrays, meta = read_tensors(stopped[0].checkpoints.paths()[0])
     assert meta["done"] == 1024 and not any("replay" in name for name in arrays)
     obs = np.random.default_rng(0).normal(size=(200, 11)).astype(np.float32)
-    expected, _ = learner.model.predict((obs / scale(3)).astype(np.float32), deterministic=True)
+    expected, _ = learner.model.predict((obs / input_scale(3)).astype(np.float32), deterministic=True)
     np.testing.assert_allclose(Policy.load(made["policy"])(obs), expected, atol=1e-5)
     np.testing.assert_allclose(learner.act(before.actor, obs), expected, atol=1e-5)
 

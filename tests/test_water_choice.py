@@ -10,8 +10,9 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
+from fishmj.tasks.station_hold import draw_fish, n_fish
 from fishmj.water import choice
-from fishmj.water.choice import chosen, in_water, label, residual_of
+from fishmj.water.choice import chosen, family_in, in_water, label, residual_of
 from fishmj.water.flow import Flow
 
 FISH = load_robot("fish")
@@ -147,3 +148,13 @@ def test_gap_find_refuses_it_on_the_command_line(water, tmp_path, capsys):
 
     assert console.run(main, [str(tmp_path), "--water", water]) == console.BAD_INPUT
     assert "has a learnt force, which it would leave out; take its strips, --water swift-base" in capsys.readouterr().err
+
+
+def test_a_family_draws_a_water_for_each_fish():
+    robot = chosen(FISH, "family").robot
+    assert label(robot) == label(chosen(FISH, "swift-family").robot) == "swift-family"
+    assert family_in(robot).width > 0 and family_in(chosen(FISH, "fitted").robot) is None
+    draws = np.random.default_rng(0).random((5, n_fish(robot)))
+    drawn, nominal = (draw_fish(np, robot, draws, strength)[0].water for strength in (1.0, 0.0))
+    assert (np.ptp(drawn, 0) > 0).sum() > 10
+    np.testing.assert_array_equal(nominal, np.repeat(nominal[:1], 5, 0))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from fishmj.tasks import station_hold
 from fishmj.tasks.env import Options
 from fishmj.train.settings import change, preset
 from fishmj.train.training_run import TrainingRun
@@ -74,6 +75,7 @@ class Point:
     """
 
     n_obs, n_act, n_input, n_privileged = 7, 1, 7, 12
+    input_scale, privileged_scale = station_hold.input_scale(1), station_hold.privileged_scale(1)
     options = Options()
     limit = 10
 

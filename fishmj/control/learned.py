@@ -3,12 +3,14 @@
 import os
 from functools import cache
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import nearest
-from fishmj.control.policy import FOLDER, Policy, PolicyBody, PolicyFit, file_of, fit
+from fishmj.control.policy import FOLDER, Policy, file_of
+from fishmj.control.policy_meta import PolicyBody, PolicyFit, fit, structure_sha256
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
@@ -68,7 +70,7 @@ class LearnedController:
 
     def reset(self, n: int) -> None:
         """Starts n episodes: the policy's memory is empty, the last command zero."""
-        self.policy.reset(n)
+        self.policy.reset()
         self.command = np.zeros((n, self.robot.n_joints))
 
     def __call__(self, obs) -> np.ndarray:
@@ -90,6 +92,36 @@ def body_of(robot: Robot) -> PolicyBody:
         command_path=robot.timing.command_path,
         control_dt=robot.timing.control_dt,
     )
+
+
+def robot_in(env: Any) -> Robot:
+    """Robot of an environment, or `env` itself if it is one. Raises ConfigError for anything else."""
+    for part in ("unwrapped", "task", "rules"):  # Gymnasium's wrappers, dm_control's task, the rules of both
+        env = getattr(env, part, env)
+    if not isinstance(robot := getattr(env, "robot", env), Robot):
+        raise ConfigError(
+            f"policy: trained in {type(env).__name__}; expected an environment of fishmj (JAX, Gymnasium, dm_control), or a Robot"
+        )
+    return robot
+
+
+def header_of(robot: Robot) -> dict:
+    """Header of a policy that was trained on this robot, without its network."""
+    body = body_of(robot)
+    return {
+        "robot": body.name,
+        "joints": robot.n_joints,
+        "structure": body.structure,
+        "structure_sha256": structure_sha256(body.structure),
+        "constants_sha256": body.constants_sha256,
+        "water": body.water,
+        "observation": body.observation,
+        "action": f"joint angle over {robot.servo.range:.6f} rad",
+        "control_dt": body.control_dt,
+        "command_path": body.command_path,
+        "command": None,  # called from Python
+        "origin": "synthetic",  # trained in simulation only
+    }
 
 
 @cache

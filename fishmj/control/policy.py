@@ -2,50 +2,34 @@
 
     h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
 
-A file is safetensors (w0, b0, w1, ...) with a JSON header: the robot and its structure, the observations, scale, activation,
-memory, command path (`check_header`), and the training. With memory m > 1 the input is the newest observation followed by m - 1
-pairs (action, observation) back in time; the policy keeps that window itself. The header's keys:
+    policy = Policy.of(env, [(W, b), ..], activation="tanh");  policy.save("mine.safetensors")
+    policy = Policy.load("station");  actions = policy(observations)
 
-    structure         {links, lengths, joints, servo_range, reference_point}, and its `structure_sha256`: another count, order or
-                      range is refused, and a length or reference point that is off by more than 10 %
-    observation       [{name, unit}, ..] in order, with the divisors `scale`: another one is refused
-    control_dt        s between two decisions: another one is refused
-    command_path      path of commands between two decisions: another one is refused, unless the user sets `--anyway`
-    constants_sha256  of the rest of the description without its water, water {name, kind, sha256}, robot, a name: warning
-    seed, command     of the training; the command as it was typed, null if called from Python
-
-Keys that an older file lacks are not compared, with a note; its servo range and joint count are read from `action` and `joints`.
+A file is safetensors (w0, b0, w1, ...) with a JSON header (`control.policy_meta`): the robot and its structure, the observations,
+scale, activation, memory, command path, and the training. With memory m > 1 the input is the newest observation followed by m - 1
+pairs (action, observation) back in time; the policy keeps that window itself, and `reset` says which fish begin anew.
 For the shipped files, whose bytes do not change, headers.json beside them has the keys.
 """
 
-import json
-import math
 import os
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
-from fishmj.base.names import is_name
 from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store import read_json, read_tensors, write_tensors
+from fishmj.control.policy_meta import MOST, check_header, is_number, shown
 
 SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"
 OF_A_RUN = ("best.safetensors", "last.safetensors")  # what a training leaves, the better one first
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
-CLOSE = 0.10  # of a link's length, what calibrations change
-SAME = 1e-3  # of ranges and times: rounding
-MOST = 1000  # links, observations: beyond them it is no fish
-LONGEST = 4000  # characters of a training command
-KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files have no last one
 SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md has their figures
     "station-family": "PPO with a memory of 8 observations, trained in a family of waters: for a robot whose water is not known",
     "station": "PPO, trained in the water fitted to the flow solver",
@@ -56,238 +40,6 @@ SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md 
 }
 FORMER = {"fitted": "station", "fitted-sac": "station-sac"}  # names of shipped policies, old -> new
 ALSO = "headers.json"  # beside the shipped files
-HASHED = {  # what differs by its hash -> what that may be
-    "structure": "lengths or reference point off by less than 10 %",
-    "constants": "other masses, sections, servo, timing or effects",
-}
-
-
-class PolicyFit(NamedTuple):
-    """Result of the comparison of a policy with a robot.
-
-    Attributes:
-        refused: reasons to refuse it. differs: differences from training -> (there, here), short words each.
-        lacks: keys that its header does not have.
-    """
-
-    refused: tuple[str, ...]
-    differs: dict[str, tuple[str, str]]
-    lacks: tuple[str, ...]
-
-    @property
-    def said(self) -> str:
-        """Differences in one clause, "" if there are none."""
-        return "; ".join(HASHED.get(key, f"{key} {there}, here {here}") for key, (there, here) in self.differs.items())
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """One line for the differences and one for the missing keys of the header, each only if there are any."""
-        differs = (f"not as trained: {self.said}",) if self.differs else ()
-        lacks = (f"its header does not say {', '.join(self.lacks)}; that is not compared",) if self.lacks else ()
-        return differs + lacks
-
-
-def check_header(meta: Any, where: str) -> None:
-    """Checks that every key of a header can be used. Raises ConfigError, one line."""
-    if not isinstance(meta, dict):
-        raise ConfigError(f"{where}: the header is {shown(meta)}; expected a table of keys: this is not a policy file")
-    for key in ("robot", "name", "command_path", "algorithm"):
-        if meta.get(key) is not None and not is_label(meta[key], key):
-            raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 1 to 64 letters, digits, '_', '.' or '-'")
-    control_dt, joints = meta.get("control_dt"), meta.get("joints")
-    if control_dt is not None and not (is_number(control_dt) and 0 < control_dt <= 100):
-        raise ConfigError(f"{where}: control_dt {shown(control_dt)}; expected seconds, above 0 to 100")
-    if joints is not None and not (isinstance(joints, int) and not isinstance(joints, bool) and 1 <= joints <= MOST):
-        raise ConfigError(f"{where}: joints {shown(joints)}; expected how many there are, 1 to {MOST}")
-    for key in ("structure_sha256", "constants_sha256"):
-        if meta.get(key) is not None and not _is_digest(meta[key]):
-            raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 64 hex digits")
-    if (structure := meta.get("structure")) is not None:
-        _check_structure(structure, where)
-        if meta.get("structure_sha256") not in (None, structure_sha256(structure)):
-            raise ConfigError(f"{where}: structure and structure_sha256 do not belong together; train or export it again")
-    if meta.get("water") is not None:
-        _check_water(meta["water"], where)
-    command = meta.get("command")
-    if command is not None and not (isinstance(command, str) and len(command) <= LONGEST and command.isprintable()):
-        raise ConfigError(f"{where}: command {shown(command)}; expected one line of at most {LONGEST} printable characters")
-    if meta.get("observation") is not None:
-        _check_observation(meta["observation"], len(meta["scale"]), where)
-
-
-def is_label(value: Any, key: str) -> bool:
-    """Returns True for a name; an algorithm of the user's own is module:Name."""
-    if not isinstance(value, str):
-        return False
-    return is_name(value) or (key == "algorithm" and re.fullmatch(r"[A-Za-z0-9_./:-]{1,200}", value) is not None)
-
-
-def is_number(value: Any) -> bool:
-    """Returns True for a finite number that is not a bool."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and math.isfinite(value)
-
-
-def shown(value: Any) -> str:
-    """Value from a foreign file, shortened for one line of an error."""
-    try:
-        text = repr(value) if not isinstance(value, list) or len(value) <= 20 else f"a list of {len(value)}"
-    except (ValueError, RecursionError):  # an integer of thousands of digits; a table nested without end
-        text = f"a {type(value).__name__}"
-    return text if len(text) <= 80 else text[:76] + "..."
-
-
-class PolicyBody(NamedTuple):
-    """Properties that a policy requires of a robot (mjcf.identity)."""
-
-    name: str
-    structure: dict
-    constants_sha256: str
-    water: dict  # {name, kind} and, where there is one, sha256
-    observation: list[dict]
-    command_path: str
-    control_dt: float  # s
-
-
-def structure_sha256(structure: dict) -> str:
-    """Hex digest of a structure in the form of a header."""
-    return sha256(json.dumps(structure, sort_keys=True).encode()).hexdigest()
-
-
-def one_line(command: str) -> str:
-    """Typed command in the form of a header: printable, and not too long."""
-    return "".join(c if c.isprintable() else "?" for c in command)[:LONGEST]
-
-
-def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFit:
-    """Compares the policy with this checked header to a robot.
-
-    Args:
-        anyway: accept another command path than that of training.
-        known: structures by robot name, for headers that have the name of a robot without its structure.
-    """
-    refused: list[str] = []
-    differs: dict[str, tuple[str, str]] = {}
-    said, name, theirs = meta.get("structure_sha256"), meta.get("robot"), structure_in(meta)
-    if name in known and not said:
-        theirs = known[name] | theirs
-    ours = structure_sha256(robot.structure)
-    refused += _differences(theirs, robot.structure)
-    if said and "links" not in theirs and said != ours:
-        refused.append(f"made for structure {said[:12]}, the robot's is {ours[:12]}")
-    if isinstance(seen := meta.get("observation"), list) and seen != robot.observation:
-        a, b = (", ".join(f"{row['name']} [{row['unit']}]" for row in rows)[:200] for rows in (seen, robot.observation))
-        refused.append(f"sees {a}; the robot gives {b}")
-    wanted, path = meta.get("command_path"), robot.command_path
-    if wanted not in (None, path) and not anyway:
-        refused.append(f"trained on command path {wanted}, the robot's is {path}: steer on {wanted}, or add --anyway")
-    if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
-        todo = f"evaluate with --control-dt {step:g}, or put control_dt = {step:g} into [timing] of the robot's description"
-        refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s: {todo}")
-    for key, there, here in (("robot", name, robot.name), ("command path", wanted, path)):
-        if there not in (None, here):
-            differs[key] = there, here
-    if "reference_point" in theirs:
-        rounded = structure_sha256(theirs | {"servo_range": robot.structure["servo_range"]})  # another range is refused
-        if rounded != ours:
-            differs["structure"] = rounded[:12], ours[:12]
-    if (constants := meta.get("constants_sha256")) not in (None, robot.constants_sha256):
-        differs["constants"] = constants[:12], robot.constants_sha256[:12]
-    if meta.get("water") and (words := _waters(meta["water"], robot.water)):
-        differs["water"] = words
-    has = {
-        "robot": name, "links": "links" in theirs or said, "reference point": "reference_point" in theirs or said,
-        "constants": constants, "water": meta.get("water"), "command path": wanted,
-        "observations": isinstance(meta.get("observation"), list), "seed": meta.get("seed") is not None,
-        "training command": "command" in meta,
-    }  # fmt: skip
-    return PolicyFit(tuple(refused), differs, tuple(key for key, there in has.items() if not there))
-
-
-def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
-    """Short names of two waters if they differ, else None; without a hash on both sides the names decide."""
-    a, b = theirs.get("sha256"), ours.get("sha256")
-    named = theirs["name"] == ours["name"]
-    if theirs["kind"] == ours["kind"] and (a == b if a and b else named):
-        return None
-    there, here = (f"{w['name']} ({w['kind']} {w.get('sha256', '')[:8]})" if named else w["name"] for w in (theirs, ours))
-    return there, here
-
-
-def structure_in(meta: dict) -> dict:
-    """Structure in a checked header; for an older file the joint count as names, and the servo range."""
-    if meta.get("structure") is not None:
-        return dict(meta["structure"])
-    found: dict[str, Any] = {}
-    if meta.get("joints") is not None:
-        found["joints"] = [f"j{i}" for i in range(1, meta["joints"] + 1)]
-    said = re.fullmatch(r"joint angle over (\d{1,3}\.\d{1,9}) rad", str(meta.get("action", ""))[:80])
-    if said:
-        found["servo_range"] = float(said[1])
-    return found
-
-
-def _differences(theirs: dict, ours: dict) -> list[str]:
-    """Differences between two structures, each as one clause with both."""
-    found = []
-    for key in ("joints", "links"):
-        if key in theirs and list(theirs[key]) != list(ours[key]):
-            a, b = (f"{len(x[key])} {key} ({', '.join(x[key][:8])}{', ..' if len(x[key]) > 8 else ''})" for x in (theirs, ours))
-            found.append(f"made for {a}, the robot has {b}")
-            break
-    if not found and "lengths" in theirs:
-        for link, a, b in zip(ours["links"], theirs["lengths"], ours["lengths"], strict=True):
-            if abs(a / b - 1) > CLOSE:
-                found.append(f"made for a {link} of {a:.3g} m, the robot's is {b:.3g} m")
-    if not found and "reference_point" in theirs and abs(theirs["reference_point"] / ours["reference_point"] - 1) > CLOSE:
-        a, b = theirs["reference_point"], ours["reference_point"]
-        found.append(f"made for a reference point {a:.3g} m behind the nose, the robot's is {b:.3g} m")
-    if "servo_range" in theirs and abs(theirs["servo_range"] / ours["servo_range"] - 1) > SAME:
-        found.append(f"made for servos of +-{theirs['servo_range']:.4g} rad, the robot's have +-{ours['servo_range']:.4g} rad")
-    return found
-
-
-def _check_structure(table: Any, where: str) -> None:
-    if not isinstance(table, dict) or not set(KEYS[:-1]) <= set(table) <= set(KEYS):
-        raise ConfigError(f"{where}: structure {shown(table)}; expected {', '.join(KEYS)}")
-    names = all(_list_of(table[key], is_name) for key in ("links", "joints"))
-    positive = _list_of(table["lengths"], lambda x: is_number(x) and 0 < x < 1000)
-    point = table.get("reference_point", 1.0)
-    within = lambda x, most: is_number(x) and 0 < x < most
-    if not (names and positive and within(table["servo_range"], 100) and within(point, 1000)):
-        what = "names, positive lengths in m, a servo range in rad and a reference point in m"
-        raise ConfigError(f"{where}: structure {shown(table)}; expected {what}")
-    n = len(table["links"])
-    if not (len(table["lengths"]) == n and len(table["joints"]) == n - 1):
-        sizes = f"{n} links, {len(table['lengths'])} lengths and {len(table['joints'])} joints"
-        raise ConfigError(f"{where}: structure has {sizes}; a chain of n links has n lengths and n - 1 joints")
-
-
-def _check_water(table: Any, where: str) -> None:
-    whole = isinstance(table, dict) and {"name", "kind"} <= set(table) <= {"name", "kind", "sha256"}
-    if not (whole and is_name(table["name"]) and is_name(table["kind"]) and _is_digest(table.get("sha256", "0" * 64))):
-        raise ConfigError(f"{where}: water {shown(table)}; expected {{name, kind}}, names both, and sha256 where there is one")
-
-
-def _is_digest(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value) is not None
-
-
-def _check_observation(rows: Any, count: int, where: str) -> None:
-    if isinstance(rows, str) and len(rows) <= 1000:
-        return  # an older file: a sentence, for people
-    row = lambda x: isinstance(x, dict) and set(x) == {"name", "unit"} and is_name(x["name"]) and _is_unit(x["unit"])
-    if not _list_of(rows, row) or len(rows) != count:
-        raise ConfigError(
-            f"{where}: observation {shown(rows)}; expected {count} rows {{name, unit}}, one for each divisor of scale"
-        )
-
-
-def _is_unit(text: Any) -> bool:
-    return isinstance(text, str) and re.fullmatch(r"[A-Za-z0-9/^ ]{1,16}", text) is not None
-
-
-def _list_of(value: Any, test) -> bool:
-    return isinstance(value, list) and 1 <= len(value) <= MOST and all(test(item) for item in value)
 
 
 def shipped() -> list[str]:
@@ -335,11 +87,61 @@ def file_of(source: "str | Path") -> Path:
 
 @dataclass
 class Policy:
-    """Network of a policy. weights: list of (W (out, in), b (out,)); meta: the file's header."""
+    """Network of a policy. weights: list of (W (out, in), b (out,)); meta: the file's header, which `of` writes."""
 
     weights: list[tuple[np.ndarray, np.ndarray]]
     meta: dict
     _window: np.ndarray | None = field(default=None, repr=False)
+    _fresh: np.ndarray | None = field(default=None, repr=False)  # (B,) bool, fish that begin anew
+
+    def __post_init__(self):
+        try:
+            self.weights = [(np.asarray(w), np.asarray(b)) for w, b in self.weights]
+        except (TypeError, ValueError) as error:
+            raise ConfigError("policy: layers; expected pairs (weights (out, in), bias (out,)), one for each layer") from error
+        if hasattr(scale := self.meta.get("scale"), "tolist"):  # NumPy's and JAX's arrays
+            self.meta = {**self.meta, "scale": scale.tolist()}
+
+    @classmethod
+    def of(
+        cls, env: Any, layers: Any, *, activation: str = "tanh", scale: Any = None, memory: int | None = None, hide: Any = None,
+        **meta: Any,
+    ) -> "Policy":  # fmt: skip
+        """Makes the policy of a network that was trained in `env`: action = tanh(MLP(observation / scale)).
+
+        The header takes robot, water, control step and command path from the environment.
+
+        Args:
+            env: environment of fishmj (JAX, Gymnasium, dm_control, stable-baselines3), or a `Robot` in its water.
+            layers: (weights (out, in), bias (out,)) of each layer, as PyTorch has them; of JAX's (in, out) the transpose.
+            activation: of the hidden layers, tanh or relu.
+            scale: (5 + 2 J,) divisors of one observation; None: `input_scale` of the environments.
+            memory: observations that the network sees; None: as many as the environment stacks.
+            hide: observation groups that were zero in training; None: those of the environment.
+            meta: more keys of the header, such as algorithm, seed, steps.
+
+        Raises:
+            ConfigError: the layers do not fit the robot and the memory, or `env` is no environment of fishmj.
+        """
+        from fishmj.control.learned import header_of, robot_in  # not on the robot's host
+        from fishmj.tasks.station_hold import input_scale, visible
+
+        robot, given = robot_in(env), getattr(env, "options", env)
+        memory = getattr(given, "memory", 1) if memory is None else memory
+        seen = visible(robot.n_joints, getattr(given, "hide", ()) if hide is None else hide)
+        divisors = np.asarray(input_scale(robot.n_joints) if scale is None else scale)
+        if divisors.shape != (len(seen),):
+            raise ConfigError(f"Policy.of: scale of shape {divisors.shape}; expected ({len(seen)},), divisors of one observation")
+        header = {**header_of(robot), "scale": divisors, "activation": activation, "memory": memory}
+        policy = cls(layers, {**header, **meta})
+        policy.check("Policy.of")
+        if policy.n_act != robot.n_joints:
+            raise ConfigError(f"Policy.of: the last layer gives {policy.n_act}; robot {robot.name} has {robot.n_joints} joints")
+        policy.weights = [(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in policy.weights]
+        (first, bias), *rest = policy.weights
+        seen = seen + ([True] * robot.n_joints + seen) * (memory - 1)
+        policy.weights = [(first * np.asarray(seen, np.float32), bias), *rest]  # what training hid stays hidden on the robot
+        return policy
 
     @classmethod
     def load(cls, source: "str | Path") -> "Policy":
@@ -372,6 +174,8 @@ class Policy:
 
     def check(self, where: str) -> None:
         """Checks that shapes, scale, memory, activation and header fit together; raises one ConfigError."""
+        if lacking := [key for key in ("activation", "scale") if self.meta.get(key) is None]:
+            raise ConfigError(f"{where}: the header lacks {' and '.join(lacking)}; Policy.of(env, layers) writes a whole one")
         scale, memory, activation = (self.meta.get(k) for k in ("scale", "memory", "activation"))
         if not (isinstance(activation, str) and activation in _ACTIVATIONS):
             raise ConfigError(f"{where}: activation {shown(activation)}; known: {', '.join(_ACTIVATIONS)}")
@@ -388,7 +192,9 @@ class Policy:
         width = self.n_obs * self.memory + (self.weights[-1][1].size if self.weights[-1][1].ndim == 1 else 0) * (self.memory - 1)
         for i, (w, b) in enumerate(self.weights):
             if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],) or w.shape[0] == 0:
-                raise ConfigError(f"{where}: layer {i} has weights {w.shape} and bias {b.shape}, expected {width} inputs")
+                turned = w.ndim == 2 and (w.shape[0], b.shape) == (width, w.shape[1:])
+                todo = ": these are (in, out), expected (out, in): transpose" if turned else f", expected {width} inputs"
+                raise ConfigError(f"{where}: layer {i} has weights {w.shape} and bias {b.shape}{todo}")
             width = w.shape[0]
         if not all(np.isfinite(w).all() and np.isfinite(b).all() for w, b in self.weights):
             raise ConfigError(f"{where}: weights are not finite")
@@ -409,9 +215,16 @@ class Policy:
         """Number of observations in the input, 1 without memory."""
         return self.meta.get("memory") or 1
 
-    def reset(self, n: int = 1) -> None:
-        """Clears the memory of n fish."""
-        self._window = None
+    def reset(self, rows: Any = None) -> None:
+        """Clears the memory of the fish `rows` (B,) bool, by default all: their next observation is the first of an episode."""
+        if rows is None or self._window is None:
+            self._window = self._fresh = None
+            return
+        rows = np.asarray(rows)
+        if rows.shape != (len(self._window),) or rows.dtype != bool:
+            expected = f"({len(self._window)},) bool, True for a fish that begins anew"
+            raise ConfigError(f"policy: reset of rows {rows.shape}, {rows.dtype}; expected {expected}")
+        self._fresh = rows if self._fresh is None else rows | self._fresh
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Actions (B, J) in [-1, 1] for observations (B, n_obs)."""
@@ -430,15 +243,17 @@ class Policy:
                 f"policy {self.meta.get('name', '')}: its answer is not finite; the weights are too large, or obs is not"
             )
         if self.memory > 1:
-            self._window = np.concatenate([action, seen], 1)
+            self._window, self._fresh = np.concatenate([action, seen], 1), None
         return action
 
     def _recall(self, sight: np.ndarray) -> np.ndarray:
         """Input of the network: the present observation, then the window; at the start as if the fish had rested here."""
         if self.memory == 1:
             return sight
-        if self._window is None or len(self._window) != len(sight):
-            pair = np.concatenate([np.zeros((len(sight), self.n_act), np.float32), sight], 1)
-            self._window = np.concatenate([pair] * (self.memory - 1), 1)
         width = self.n_obs * self.memory + self.n_act * (self.memory - 1)
-        return np.concatenate([sight, self._window], 1)[:, :width]
+        past = None if self._window is None or len(self._window) != len(sight) else self._window[:, : width - self.n_obs]
+        if past is None or self._fresh is not None:
+            pair = np.concatenate([np.zeros((len(sight), self.n_act), np.float32), sight], 1)
+            rest = np.concatenate([pair] * (self.memory - 1), 1)
+            past = rest if past is None or self._fresh is None else np.where(self._fresh[:, None], rest, past)
+        return np.concatenate([sight, past], 1)

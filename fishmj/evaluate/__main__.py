@@ -1,7 +1,6 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 from fishmj import control, engines
@@ -31,7 +30,7 @@ from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option
 from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
 from fishmj.mjcf.description import COMMAND_PATHS
-from fishmj.mjcf.reading import check_timing, load_robot
+from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.water import choice
 from fishmj.water.flow import PRESETS
 
@@ -131,11 +130,7 @@ def main(argv: list[str]) -> int:
     robot = tank_effects.without(robot, args.leave_out)
     if water.kind == choice.LBM:
         tank_effects.check_effects(robot)
-    if args.command_path is not None:
-        robot = replace(robot, timing=replace(robot.timing, command_path=args.command_path))
-    if args.control_dt is not None:
-        robot = replace(robot, timing=replace(robot.timing, control_dt=args.control_dt))
-        check_timing(robot.timing, "evaluate --control-dt")
+    robot = with_timing(robot, args.control_dt, args.command_path, "evaluate --control-dt")
     trials = protocol.trials(
         speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds,
         turbulence=args.turbulence or "default", intensity=args.intensity, heading=args.heading,

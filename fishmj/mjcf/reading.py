@@ -15,7 +15,8 @@ from fishmj.base import console
 from fishmj.base.calib import calib_folder, read_toml, resolve, shown_path
 from fishmj.base.errors import ConfigError, DescriptionError
 from fishmj.base.names import nearest
-from fishmj.mjcf.description import WATER_NEEDS, Fin, Link, RigSpec, Robot, Servo, Timing
+from fishmj.base.options import checked_name
+from fishmj.mjcf.description import COMMAND_PATHS, WATER_NEEDS, Fin, Link, RigSpec, Robot, Servo, Timing
 
 if TYPE_CHECKING:
     from fishmj.effects.calibration import FittedEffect
@@ -205,6 +206,20 @@ def check_timing(timing: Timing, where: str) -> None:
 
     for finding in findings(vars(timing)):
         raise ConfigError(f"{where}: {finding.key} = {finding.got} is not {finding.expected}; {finding.todo}")
+
+
+def with_timing(robot: Robot, control_dt: float | None, command_path: str | None, where: str) -> Robot:
+    """Robot with another time between decisions [s] and another path of commands; None keeps its own.
+
+    Raises:
+        UnknownName: no such path. ConfigError: the step does not fit the bus; names the nearest that does.
+    """
+    if command_path is not None:
+        checked_name("command path", command_path, COMMAND_PATHS)
+    wanted: dict[str, Any] = {"control_dt": control_dt, "command_path": command_path}
+    timing = replace(robot.timing, **{key: value for key, value in wanted.items() if value is not None})
+    check_timing(timing, where)
+    return replace(robot, timing=timing)
 
 
 def _effects(table: dict, where: str) -> "tuple[FittedEffect, ...]":

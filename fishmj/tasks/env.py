@@ -6,7 +6,7 @@
 The flow is hidden: it is in `state.privileged` (for a critic that trains in simulation only), never in `state.obs`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked, checked_kind, checked_name, checked_names, shown_value
 from fishmj.engines import FishParams, FishState
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.reading import load_robot
+from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import DrawOptions, slide
 from fishmj.tasks.reference import StepTruth, course_of
@@ -29,6 +29,7 @@ from fishmj.water.choice import in_water
 from fishmj.water.flow import Current
 
 MEMORY = 1000  # observations that a policy may see at most
+ARGUMENTS = ("robot", "engine", "options", "water", "control_dt", "command_path")  # of StationHold, besides the reward's weights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +39,12 @@ class Options(DrawOptions):
     memory: int = 1  # observations (with the actions between them) that the policy sees
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
     course: str = "station_hold"  # of tasks.reference, or the text of one's own that was loaded
+
+    def __new__(cls, *given, **options):
+        """Names the place of an argument of `StationHold`; the rest as its base."""
+        if elsewhere := [name for name in options if name in (*ARGUMENTS, *task.WEIGHTS)]:
+            raise ConfigError(f"task: {elsewhere[0]} is no option but an argument: StationHold(.., {elsewhere[0]}=..)")
+        return super().__new__(cls, *given, **options)
 
     def __post_init__(self):
         super().__post_init__()
@@ -80,6 +87,7 @@ class StationHold:
         engine: "compiled" (extra `fast`, CPU), "planar" (gradients, GPU), "mjx", or an engine of this same robot. None takes
             "compiled" on a CPU with numba, else "planar"; `fishmj.engines.name_of(env.engine)` is its name.
         water: for an engine by name, as `fishmj.water.choice` names it.
+        control_dt, command_path: seconds between two decisions, path of the commands between them; the robot's by default.
         reward: weights of the paper's reward, wG, wD [1/m], wS [s2/rad2].
 
     Raises:
@@ -87,26 +95,39 @@ class StationHold:
     """
 
     def __init__(
-        self, robot: "Robot | str" = "fish", engine: Any = None, options: Options | None = None, *, water=None, **reward
-    ):
+        self, robot: "Robot | str" = "fish", engine: Any = None, options: Options | None = None, *,
+        water=None, control_dt: float | None = None, command_path: str | None = None, **reward,
+    ):  # fmt: skip
+        if isinstance(engine, Options):
+            raise ConfigError("task: options stand where the engine is expected; write StationHold(robot, options=Options(..))")
         options = checked_kind("task: options", options, Options) or Options()
         for name, weight in reward.items():
-            checked(f"task: {checked_name('reward weight', name, task.WEIGHTS)}", weight)
-        robot = load_robot(robot)
+            if name in {one.name for one in fields(Options)}:
+                raise ConfigError(f"task: {name} is an option: StationHold(.., options=Options({name}=..))")
+            checked(f"task: {checked_name('argument of StationHold', name, (*ARGUMENTS, *task.WEIGHTS))}", weight)
+        robot = with_timing(load_robot(robot), control_dt, command_path, "task")
         if engine is None:
             engine = engines.fastest() if jax.default_backend() == "cpu" else "planar"
-        if isinstance(engine, str):  # else the engine's fish is in its water already
+        if isinstance(engine, str):
             robot = in_water(robot, water, who="the environment in JAX")
-        self.robot = robot = engines.with_effects(robot, options.effects)
+        elif water is not None:
+            raise ConfigError(f"task: water = {water!r} with an engine, whose fish is in its water already; leave it out")
+        robot = engines.with_effects(robot, options.effects)
         self.engine = engines.of(engine, robot)
         if not getattr(self.engine, "jittable", False):
             raise ConfigError(
                 f"task: the engine {engines.name_of(self.engine)} cannot run inside jax.jit; choose compiled, planar or mjx"
             )
-        if getattr(self.engine, "robot", robot).effects != robot.effects:
+        self.robot = getattr(self.engine, "robot", robot)  # in its water
+        if self.robot.effects != robot.effects:
             raise ConfigError(
                 f"task: the engine's robot lacks {', '.join(options.effects)}; make it from engines.with_effects(robot, ..)"
             )
+        if self.robot.timing != robot.timing:
+            raise ConfigError(
+                "task: the engine's robot has another timing; give control_dt and command_path with an engine's name"
+            )
+        robot = self.robot
         self.sensors = Sensors(robot)
         self.options = options
         self.weights = reward
@@ -134,6 +155,16 @@ class StationHold:
     def n_privileged(self) -> int:
         """Width of a privileged critic's input besides the policy's input."""
         return self.n_obs + 5
+
+    @property
+    def input_scale(self) -> np.ndarray:
+        """Divisors (n_input,) of the policy's input in fishmj's own trainings; `Policy.of` expects them."""
+        return task.input_scale(self.n_act, self.options.memory).astype(np.float32)
+
+    @property
+    def privileged_scale(self) -> np.ndarray:
+        """Divisors (n_privileged,) of the privileged input."""
+        return task.privileged_scale(self.n_act).astype(np.float32)
 
     def reset(self, key, n: int, stagger: bool = False) -> EnvState:
         """Starts n fresh episodes from a key of `jax.random`.

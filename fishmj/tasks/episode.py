@@ -17,17 +17,17 @@ The functional JAX environment (`tasks.env`) is made from the same functions; a 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj import engines
 from fishmj.base.errors import ConfigError, SimDiverged
-from fishmj.base.options import checked, checked_bounds, checked_name, checked_names
+from fishmj.base.options import checked, checked_bounds, checked_name, checked_names, shown_value
 from fishmj.engines import FishParams, FishState, Steps, Trace
 from fishmj.mjcf.description import COMMAND_PATHS, Robot
-from fishmj.mjcf.reading import check_timing, load_robot
+from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, options_of
 from fishmj.tasks.sensing import Sensors, readings
@@ -144,6 +144,14 @@ class DrawOptions:
     box: str = "train"  # which turbulence table: train, tune or judge
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
 
+    def __new__(cls, *given, **options):
+        """Refuses what the class does not take in one line, before Python does."""
+        if given:
+            raise ConfigError(f"task: {cls.__name__} got {shown_value(given[0])} without its name; write {cls.__name__}(NAME=..)")
+        for name in options:
+            checked_name(f"option of {cls.__name__}", name, [one.name for one in fields(cls)])
+        return super().__new__(cls)
+
     def __post_init__(self):
         checked_name("turbulence", self.turbulence, flow.PRESETS)
         checked_name("box", self.box, flow.BOXES)
@@ -191,10 +199,7 @@ class TaskOptions(DrawOptions):
         """The robot with this setting's timing."""
         can = (*SELF_MADE, LBM) if self.water is None else SELF_MADE  # lbm: chosen already, by who has the tanks
         robot = in_water(load_robot(self.robot), self.water, can=can, who="this environment")
-        wanted = {k: v for k in ("control_dt", "command_path") if (v := getattr(self, k)) is not None}
-        timing = replace(robot.timing, **wanted)
-        check_timing(timing, "task")
-        return engines.with_effects(replace(robot, timing=timing), self.effects)
+        return engines.with_effects(with_timing(robot, self.control_dt, self.command_path, "task"), self.effects)
 
 
 def options_for(task: Any, given: dict, also: Iterable[str] = ()) -> tuple[TaskOptions, dict]:

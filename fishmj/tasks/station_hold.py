@@ -23,6 +23,8 @@ from fishmj.water.choice import family_in
 
 WEIGHTS = ("wG", "wD", "wS")  # of the reward, in the paper's symbols
 GROUPS = ("target", "velocity", "yaw_rate", "joint", "joint_rate")
+# divisors that bring observations to order one: target m, the same within reach m, velocity m/s, yaw rate rad/s, joint rad, rad/s
+DIVISORS = {"target": 1.0, "near": 0.1, "velocity": 0.3, "yaw_rate": 1.5, "joint": 0.7, "joint_rate": 4.0}
 LEAST_CAMERA_TICKS = 5  # camera frames remembered at least; 100 ms at 50 Hz
 N_START, N_FLOW = 7, 4
 
@@ -116,6 +118,18 @@ def noise_scale(robot: Robot):
     get = lambda key: constant("noise", key)
     each = [get("position"), get("velocity"), get("yaw_rate"), radians(get("joint_deg")), get("joint_rate")]
     return np.repeat(each, [*spans(robot.n_joints).values()])
+
+
+def input_scale(joints: int, memory: int = 1) -> np.ndarray:
+    """Divisors of a policy's whole input: observation, then `memory` - 1 pairs (action, observation)."""
+    # fixed numbers, no running statistics: a policy file holds them, and the robot uses the same divisors as training
+    one = np.repeat([DIVISORS[group] for group in GROUPS], [*spans(joints).values()])
+    return np.concatenate([one] + [np.concatenate([np.ones(joints), one])] * (memory - 1))
+
+
+def privileged_scale(joints: int) -> np.ndarray:
+    """Divisors of a privileged critic's additional inputs: true observation, flow, share of time left, target within reach."""
+    return np.concatenate([input_scale(joints), [DIVISORS["velocity"]] * 2, [1.0], [DIVISORS["near"]] * 2])
 
 
 def visible(joints: int, hide=()) -> list[bool]:

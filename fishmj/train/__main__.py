@@ -240,7 +240,7 @@ def main(argv: list[str]) -> int:
     """Runs the verb `train`; returns the exit code."""
     args = options().parse_args(argv)
     from fishmj.base.store import Checkpoints
-    from fishmj.control.policy import one_line
+    from fishmj.control.policy_meta import one_line
     from fishmj.train import training_cost
     from fishmj.train.begin import begin_with
     from fishmj.train.build import referred, settled, water_for

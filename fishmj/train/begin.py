@@ -13,8 +13,8 @@ import numpy as np
 from fishmj.base.errors import ConfigError
 from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy
+from fishmj.tasks.station_hold import input_scale
 from fishmj.train.build import robot_for
-from fishmj.train.networks import scale
 from fishmj.train.settings import Settings, change
 
 SIGMA = 0.2  # initial standard deviation of u
@@ -44,7 +44,7 @@ def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tup
     made = change(settings, command_path=path, control_dt=step, task={"memory": policy.memory}, algorithm=network)
     robot = robot_for(made)
     LearnedController(robot, source)  # refuses one for another structure
-    if not np.allclose(policy.meta["scale"], scale(robot.n_joints)):
+    if not np.allclose(policy.meta["scale"], input_scale(robot.n_joints)):
         raise ConfigError(f"--begin {source}: it divides its observations by other numbers than trainings of this version do")
     return policy, made
 

@@ -9,18 +9,14 @@ import numpy as np
 from fishmj.base import plugins
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, OwnCodeError, UnknownName
-from fishmj.control.policy import Policy, structure_sha256
+from fishmj.control.policy import Policy
 from fishmj.engines import fastest, with_effects
-from fishmj.mjcf.description import COMMAND_PATHS
-from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
-from fishmj.mjcf.reading import check_timing, load_robot
+from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks.reference import COURSES, course_of
-from fishmj.tasks.station_hold import N_START, episode_steps, visible
+from fishmj.tasks.station_hold import N_START, episode_steps
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
-from fishmj.train.networks import scale
 from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, referred
 from fishmj.water.choice import SELF_MADE, WaterChoice, chosen
-from fishmj.water.water_identity import water_identity
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
@@ -42,14 +38,8 @@ def robot_for(settings: Settings):
     Raises:
         UnknownName, ConfigError: no such command path, or a control step that does not fit the bus.
     """
-    if settings.command_path not in COMMAND_PATHS:
-        raise UnknownName("command path", settings.command_path, COMMAND_PATHS)
     robot = with_effects(water_for(settings).robot, settings.task.get("effects", ()))
-    timing = replace(robot.timing, command_path=settings.command_path)
-    if settings.control_dt:
-        timing = replace(timing, control_dt=settings.control_dt)
-        check_timing(timing, "train --control-dt")
-    return replace(robot, timing=timing)
+    return with_timing(robot, settings.control_dt or None, settings.command_path, "train --control-dt")
 
 
 def water_for(settings: Settings) -> WaterChoice:
@@ -143,34 +133,16 @@ def from_table(what: str, kind, table: dict):
 
 def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
     """NumPy policy from `Learner.policy_layers` of a trained actor."""
-    robot = robot_for(settings)
-    joints, memory = robot.n_joints, settings.task.get("memory", 1)
-    layers = [(np.asarray(w, np.float32).T, np.asarray(b, np.float32)) for w, b in network.layers]
-    seen = visible(joints, settings.task.get("hide", ()))
-    seen = seen + ([True] * joints + seen) * (memory - 1)
-    layers[0] = (layers[0][0] * np.asarray(seen, np.float32), layers[0][1])  # what training hid stays hidden on the robot
-    structure = structure_of(robot)
-    header = {
-        "robot": robot.name,
-        "joints": joints,
-        "structure": structure,
-        "structure_sha256": structure_sha256(structure),
-        "constants_sha256": constants_sha256(robot),
-        "water": water_identity(robot),
-        "observation": observation_of(joints),
-        "action": f"joint angle over {robot.servo.range:.6f} rad",
-        "scale": scale(joints).tolist(),
-        "activation": network.activation,
-        "memory": memory,
-        "control_dt": robot.timing.control_dt,
-        "command_path": settings.command_path,
-        "algorithm": settings.algo if settings.algo in ALGORITHMS else plugins.name_of(settings.algo),
-        "seed": settings.seed,
-        "command": None,  # called from Python
-        "origin": "synthetic",  # trained in simulation only
+    return Policy.of(
+        robot_for(settings),
+        [(np.asarray(w).T, b) for w, b in network.layers],
+        activation=network.activation,
+        memory=settings.task.get("memory", 1),
+        hide=settings.task.get("hide", ()),
+        algorithm=settings.algo if settings.algo in ALGORITHMS else plugins.name_of(settings.algo),
+        seed=settings.seed,
         **meta,
-    }
-    return Policy(layers, header)
+    )
 
 
 class OwnAlgorithm:
@@ -237,11 +209,11 @@ class OwnAlgorithm:
     def _check(self, training) -> None:
         try:
             policy = policy_of(self.policy_layers(training.actor), self.settings, {})
-            policy.check("what it would write")
         except Exception as error:
+            said = " ".join(str(error).split())[:200]
             raise OwnCodeError(
                 f"{self.what}: init gave no training whose `actor` is a list of (weights (in, out), bias (out,)) from "
-                f"{self.env.n_input} inputs to {self.env.n_act} actions: {' '.join(str(error).split())[:200]}"
+                f"{self.env.n_input} inputs to {self.env.n_act} actions; turned for the file: {said}"
             ) from error
         if self.settings.task.get("memory", 1) > 1 or self.settings.task.get("hide"):
             return  # a window of past observations, or weights that are cut: not one observation in, one action out
@@ -251,5 +223,5 @@ class OwnAlgorithm:
             off = f"shape {theirs.shape}" if theirs.shape != ours.shape else f"differs by {np.abs(theirs - ours).max():.3g}"
             raise OwnCodeError(
                 f"{self.what}: act is not the policy that would be written ({off}): expected tanh(MLP(obs / scale)) with "
-                f"activation {policy.meta['activation']!r}; fishmj.train.networks has forward and input_scale"
+                f"activation {policy.meta['activation']!r}; fishmj.train.networks has forward, env.input_scale the divisors"
             )

@@ -19,7 +19,7 @@ import optax
 
 from fishmj.train.hyperparameters import OffPolicyConfig
 from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, metrics_of, record_of
-from fishmj.train.networks import forward, input_scale
+from fishmj.train.networks import forward
 
 
 class Transition(NamedTuple):
@@ -88,7 +88,7 @@ class OffPolicy:
         self.updates_per_step = max(1, round(config.utd * config.envs))
         self.capacity = max(config.envs, min(config.buffer, steps) // config.envs * config.envs)
         self.optimiser = optax.adam(config.learning_rate)
-        self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
+        self.obs_scale = jnp.asarray(env.input_scale)
 
     def diagnostics(self, agent) -> dict:
         """Additional metrics of the algorithm."""

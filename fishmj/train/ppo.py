@@ -17,7 +17,7 @@ import optax
 
 from fishmj.train.hyperparameters import PPOConfig
 from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, metrics_of, record_of
-from fishmj.train.networks import forward, input_scale, mlp, privileged_scale
+from fishmj.train.networks import forward, mlp
 
 FAR = 80.0  # of a log ratio: one fish far outside its tank would else make exp or log infinite, and end the run
 SHUFFLE = 1_000_000_000  # added to the iteration's number: the keys of its minibatches are none of its exploration
@@ -60,8 +60,8 @@ class PPO:
         updates = iterations * config.epochs * config.minibatches
         rate = optax.exponential_decay(config.learning_rate, updates, config.final_rate)
         self.optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(rate, eps=config.adam_eps))
-        self.obs_scale = jnp.asarray(input_scale(env.n_act, env.options.memory), jnp.float32)
-        self.privileged_scale = jnp.asarray(privileged_scale(env.n_act), jnp.float32)
+        self.obs_scale = jnp.asarray(env.input_scale)
+        self.privileged_scale = jnp.asarray(env.privileged_scale)
 
     @partial(jax.jit, static_argnums=0)
     def init(self, key) -> PPOTrainState:

@@ -20,11 +20,11 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from fishmj.base import console
 from fishmj.tasks.gym.fish_env import FishVectorEnv, observation_space
-from fishmj.tasks.station_hold import visible
+from fishmj.tasks.station_hold import input_scale, visible
 from fishmj.train.build import config_of, environment, pick_engine, robot_for
 from fishmj.train.hyperparameters import SACConfig
 from fishmj.train.learner import PolicyLayers, StepRecord, metrics_of
-from fishmj.train.networks import forward, input_scale, scale
+from fishmj.train.networks import forward
 from fishmj.train.settings import Settings, change
 from fishmj.train.training_run import Assessment, TrainingRun
 
@@ -35,20 +35,21 @@ UPDATES = 256  # gradient steps between two reports, about
 class FishVecEnv(VecEnv):
     """n fish with the run's task, reward and engine (any engine, MuJoCo's `batch` too), with the policy's input as observation.
 
-    Observations are scaled to order one (`networks.input_scale`), hidden groups are zero, and with memory m > 1 the newest is
+    Observations are scaled to order one (`station_hold.input_scale`), hidden groups are zero, and with memory m > 1 the newest is
     followed by m - 1 pairs (action, observation) back in time. An episode that ends at its time limit has `TimeLimit.truncated`,
     so that it bootstraps from `terminal_observation`; one that left the tank does not. `tally`: steps since the last `metrics`.
     """
 
     def __init__(self, settings: Settings, n: int, box: str = "train", reward_scale: float = 1.0):
         task, robot = dict(settings.task), robot_for(settings)
-        self.memory, hide = task.pop("memory", 1), task.pop("hide", ())
+        self.robot, self.memory, self.hide = robot, task.pop("memory", 1), task.pop("hide", ())
         course = task.pop("course", "station_hold")
         options = {**task, **settings.reward, "robot": robot, "box": box}
         self.fish = FishVectorEnv(n, course, engine=pick_engine(settings), autoreset_mode="SameStep", **options)
         self.joints, self.reward_scale = robot.n_joints, reward_scale
-        self.factor = np.array(visible(self.joints, hide), np.float32) / scale(self.joints).astype(np.float32)
-        one = observation_space(self.fish.rules).high / scale(self.joints)
+        scale = input_scale(self.joints)
+        self.factor = np.array(visible(self.joints, self.hide), np.float32) / scale.astype(np.float32)
+        one = observation_space(self.fish.rules).high / scale
         high = np.concatenate([one] + [np.ones(self.joints), one] * (self.memory - 1)).astype(np.float32)
         self.render_mode = None
         super().__init__(n, spaces.Box(-high, high, dtype=np.float32), self.fish.single_action_space)

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
 RENAMED = {"surrogate": FITTED}  # old names
 FAMILY = "family"  # the family of the robot's name
+FAMILY_SCHEMA = "fishmj.water-family/1"
 OWN = "own"  # in `robot.water`: the table of the description
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
@@ -231,11 +232,11 @@ def family_of(name: str) -> "WaterFamily | None":
     """Family of waters by name or file; None if `name` is another water."""
     if name not in calib.families() and not name.endswith(".toml"):
         return None
-    from fishmj.water.water_family import SCHEMA, WaterFamily
+    from fishmj.water.water_family import WaterFamily
 
     files = [Path(name)] if name.endswith(".toml") else [folder / f"{name}.toml" for folder in calib.WATERS]
     found = next((path for path in files if path.is_file()), None)
-    if found is None or calib.read_toml(found).get("schema") != SCHEMA:
+    if found is None or calib.read_toml(found).get("schema") != FAMILY_SCHEMA:
         return None
     return WaterFamily.load(found)
 

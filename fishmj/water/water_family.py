@@ -27,7 +27,6 @@ from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import STEEPEST, flat, names_of, unflat
 
-SCHEMA = "fishmj.water-family/1"
 KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
 EDGE = ("ke", "lift_a", "lift_b")  # of the trailing edge
 N_FIXED = 5  # uniforms before those of the factors: A, B, w, e, r

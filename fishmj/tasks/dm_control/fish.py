@@ -127,6 +127,11 @@ class FishTask(base.Task):
         self.rules = rules
         self._start(rules.scenario(rules.draws(np.random.RandomState(0), 1)), np.zeros((1, rules.n_obs)))
 
+    @property
+    def input_scale(self) -> np.ndarray:
+        """Divisors (n_obs,) of the flat observation in fishmj's own trainings; `Policy.of` expects them."""
+        return task.input_scale(self.rules.n_act)
+
     def initialize_episode(self, physics: Physics) -> None:
         """Draws fish, flow, start and target; everything at rest over ground."""
         self.begin(physics, self.rules.scenario(self.rules.draws(self.random, 1)))

@@ -27,7 +27,7 @@ from fishmj.mjcf.from_above import FromAbove, coarse_skin
 from fishmj.tasks.episode import LARGEST as LARGEST_OPTIONS
 from fishmj.tasks.episode import Draws, EpisodeDraw, Episodes, StepResult, TaskSpec, options_for
 from fishmj.tasks.reference import named
-from fishmj.tasks.station_hold import spans
+from fishmj.tasks.station_hold import input_scale, spans
 
 SIDE = 480  # pixels
 # Bounds of the observations, which Gymnasium requires to be finite: several times the values inside the domain, so that clipping
@@ -149,6 +149,11 @@ class _Fish:
     def engine(self) -> str:
         """Name of the engine in use."""
         return name_of(self.episodes.engine)
+
+    @property
+    def input_scale(self) -> np.ndarray:
+        """Divisors (n_obs,) of the observations in fishmj's own trainings; `Policy.of` expects them."""
+        return input_scale(self.rules.n_act).astype(np.float32)
 
     @property
     def spec(self) -> EnvSpec | None:
