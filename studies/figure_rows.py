@@ -14,6 +14,7 @@ import numpy as np
 
 from fishmj.control.policy import FORMER
 from fishmj.evaluate.metrics import difference, estimate
+from fishmj.gap.bench import family_score, power
 
 HERE = Path(__file__).resolve().parent
 SOLVED, FITTED, SEARCHED = HERE / "solver" / "rows", HERE / "fitted_water" / "rows", HERE / "gap_benchmark" / "rows"
@@ -34,6 +35,17 @@ SCORES = {  # row of a page -> key of a benchmark's score
     "pairs, both found": "pairs_both_found",
     "intervals that hold": "interval_coverage",
 }
+OF_FAMILIES = {  # row of a page -> key of the families' score
+    "false alarms": "false_alarms",
+    "healthy: AGREES": "agrees",
+    "precision": "precision",
+    "coverage": "coverage",
+    "the same, with twins": "coverage_or_twins",
+    "misnamed": "misnamed_off_catalogue",
+    "pairs, both found": "pairs_both_found",
+    "intervals that hold": "intervals_hold",
+}
+FAMILIES = ("ellipsoid", "foil", "morison", "second_robot")
 FORCES = {"drag, N": "drag_N", "lateral, N": "lateral_N", "yaw, N m": "yaw_Nm"}
 
 
@@ -125,6 +137,39 @@ def second_robot(label: str) -> list[float]:
 def flow_solver(label: str) -> list[float]:
     """A row of the benchmark in the flow solver."""
     return shares("bench_lbm.json", label)
+
+
+@cache
+def searches(file: str) -> list[dict]:
+    """Rows of a benchmark, one a search."""
+    return [json.loads(line) for line in (SEARCHED / file).read_text(encoding="utf-8").splitlines()]
+
+
+def families(label: str) -> list[float]:
+    """Share over all families with its bounds [%], then hits and number of each family in alphabetical order."""
+    key, rows = OF_FAMILIES[label], searches("families_611.jsonl")
+    pooled = family_score.figures(rows)[key]
+    apart = [family_score.figures([row for row in rows if row["family"] == name])[key] for name in FAMILIES]
+    return [*(100 * pooled[k] for k in ("value", "low", "high")), *(one[k] for one in apart for k in ("hits", "n"))]
+
+
+def strengths(label: str) -> list[float]:
+    """`5 times` or `nothing` -> searches, those named, in a class, agreed and others; strengths that were not reached."""
+    rows = searches("power_741.jsonl")
+    if label == "nothing":
+        answers = [row["answer"] for row in rows if row["kind"] == "none" and row["answer"] != "DIVERGED"]
+        counts = [answers.count(answer) for answer in ("NAMED", "CLASS", "AGREES")]
+        return [len(answers), *counts, len(answers) - sum(counts)]
+    some = [row for row in rows if row.get("times") == float(label.split()[0])]
+    swum = [power.found(row) for row in some if row["answer"] not in ("DIVERGED", power.NOT_REACHED)]
+    return [len(swum), *(swum.count(what) for what in ("named", "class", "agrees", "other")), len(some) - len(swum)]
+
+
+def front_page(label: str) -> list[float]:
+    """Figures of the README: `station` in the solver, in the reference water and in its fitted water [m]; right names."""
+    rows = json.loads((HERE / "training" / "rows" / "judged" / "swift.json").read_text(encoding="utf-8"))["results"]
+    fitted = next(row for row in rows if row["controller"] == "station")["overall"]["rmse_after_arrival"]["value"]
+    return [judged("station, plain")[2], judged("station, reference-2")[2], fitted, *second_robot("precision")[:3]]
 
 
 def shapes(label: str) -> list[float]:
