@@ -35,6 +35,7 @@ def test_the_packages_that_run_this_test_are_right():
         "logs",
         "sb3",
         "ray",
+        "onnx",
         "train",
         "suite",
         "solver",

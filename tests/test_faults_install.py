@@ -117,7 +117,7 @@ def test_extras_of_packages_are_those_of_the_project():
         "tornado": ["meshcat"],
         "zstandard": ["mcap"],
         "ruamel": ["rosbags"],
-        **{name: [name] for name in ("pysindy", "ray", "torch", "stable_baselines3")},
+        **{name: [name] for name in ("pysindy", "onnx", "ray", "torch", "stable_baselines3")},
     }
     distributions["dm_env"] = ["dm-control"]
     for name, extra in extras.EXTRA_OF.items():

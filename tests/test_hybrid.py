@@ -1,6 +1,5 @@
 """A water that is corrected while MuJoCo swims in it. The better water is made up here: the same closed form, changed."""
 
-import dataclasses
 import json
 import time
 
@@ -15,7 +14,6 @@ from fishmj.engines.hybrid.engine import HybridEngine
 from fishmj.engines.hybrid.hybrid_segment import FreeSwim, Replay
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol, run_trials
-from fishmj.evaluate.hybrid_trials import hybrid_trials_command
 from fishmj.log import read_dataset, read_trial, write_trial
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
@@ -302,89 +300,6 @@ def test_the_flow_solver_agrees_with_the_water_that_was_fitted_to_it():
     told = sim.hybrid.report()
     assert not told["off"] and len(told["segments"]) == 1 and told["domain"] == "laptop"
     assert 0 < told["segments"][0]["before"] < 3.0 and sim.hybrid._thread is not None
-
-
-# ---- the measurement ----
-
-
-def arguments(*more):
-    args = hybrid_trials_command.options().parse_args(["--device", "cpu", "--tanks", "1", *more])
-    return args, {name: hybrid_trials_command.condition(name, args) for name in hybrid_trials_command.WRONG}
-
-
-def test_what_is_wrong_is_wrong_about_the_water_or_the_tank_alone():
-    args, all_of_them = arguments()
-    right = all_of_them["none"]
-    for name, one in all_of_them.items():
-        assert one.options(args).box(one.robot) == "window_coarse" and one.options(args).slip == (0.98 if name == "slip" else 1.0)
-        assert choice.label(one.robot) == ("swift-noslip" if name == "tail" else "swift")
-    k, wrong = (np.array(one.robot.water["k"]) for one in (right, all_of_them["added_mass"]))
-    np.testing.assert_allclose(wrong / k, [1, 1, 1, 0.7])
-    short = all_of_them["tail"].chain
-    assert (
-        short._replace(strips=right.chain.strips) == right.chain and short.strips.mu[-1][0] < 0.95 * right.chain.strips.mu[-1][0]
-    )
-    assert all_of_them["stream"].options(args).tank.speed == pytest.approx(0.25)
-
-
-def test_a_shorter_tail_swims_slower():
-    """The same commands in the water of another chain."""
-    _, all_of_them = arguments()
-    tail = all_of_them["tail"]
-    whole = dataclasses.replace(tail, chain=planar_chain.chain_of(tail.robot))
-    far = [-swum(one.engine(), flows=(Flow(),))[0, -1, 0] for one in (tail, whole)]
-    assert 0.0 < far[0] < far[1]
-
-
-def test_the_trials_go_round_before_they_repeat():
-    args, _ = arguments("--episodes", "12")
-    items = hybrid_trials_command.trials_of(args).items
-    assert len({item.los for item in items[:8]}) == 8 and [item.repeat for item in items] == [0] * 8 + [1] * 4
-    told, tank = (
-        hybrid_trials_command.trials_of(args),
-        hybrid_trials_command.TankTrials(**vars(hybrid_trials_command.trials_of(args)), faster=0.05),
-    )
-    points = np.random.default_rng(2).normal(size=(20, 3))
-    for slow, fast in zip(told.flows(), tank.flows(), strict=True):
-        np.testing.assert_allclose(fast.at(points, 0.0) - slow.at(points, 0.0), np.tile([0.05, 0, 0], (20, 1)), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("alone", "hybrid", "first", "ok"), [(0.1, 0.04, True, True), (0.1, 0.06, True, False), (0, 0, False, True)]
-)
-def test_hybrid_verdict_needs_half_of_a_clear_error_else_no_worse_error(alone, hybrid, first, ok):
-    noise = np.random.default_rng(4).normal(size=(3, 12)) * 0.01
-    rows = {}
-    for swim, more, wobble in zip(("solver", "alone", "hybrid"), (0.0, alone, hybrid), noise, strict=True):
-        rows[swim] = {"rmse": 0.2 + more + wobble, "speed": np.full(12, 0.3), "place": 0.5 + np.zeros(12)}
-    if not first:
-        rows["alone"]["rmse"] = rows["solver"]["rmse"][::-1]
-        rows["hybrid"]["rmse"] = 1.04 * rows["alone"]["rmse"]
-    found = hybrid_trials_command.verdict(rows)
-    assert (found["first_kind"], found["ok"]) == (first, ok)
-    rows["hybrid"]["place"] = 0.53 + np.zeros(12)
-    assert hybrid_trials_command.verdict(rows)["ok"] is (ok and first)
-
-
-@pytest.mark.slow
-def test_the_verb_swims_three_times_and_goes_on_where_it_was(made_up, tmp_path, monkeypatch, capsys):
-    """The solver's trials are MuJoCo's own in the faster stream: the stream alone is wrong, and the correction finds it."""
-    swum_before: list = []
-
-    def solved(brain, robot, trials, folder, **water):
-        swum_before.append(water)
-        return run_trials.run(brain, robot, trials, engines.make("batch", robot))
-
-    monkeypatch.setattr(hybrid_trials_command.run_trials, "judge_in_solver", solved)
-    asked = "--wrong stream --episodes 2 --seconds 35 --own 0.5 --device cpu --json --out".split()
-    code = hybrid_trials_command.main([*asked, str(tmp_path)])
-    found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-    assert swum_before[0]["domain"] == "window_coarse" and made_up[0]["stream"].speed == pytest.approx(0.25)
-    assert code == (0 if found["ok"] else 1) and found["solver_share"] == pytest.approx(0.1, rel=0.01)
-    assert all(report["segments"][0]["moved"] and report["stream"][0] > 0.03 for report in found["reports"])
-    place = found["same"][1]
-    assert place["hybrid"] < place["alone"]
-    assert hybrid_trials_command.main([*asked, str(tmp_path)]) == code and len(swum_before) == 1
 
 
 def test_a_free_root_is_refused():

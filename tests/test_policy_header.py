@@ -321,7 +321,7 @@ def test_a_header_nested_without_end_is_refused(tmp_path):
 
 
 def test_weights_too_large_to_multiply_are_one_line(tmp_path):
-    some = {k: np.full_like(v, 3e38) * (1 if k[0] == "w" else 0) for k, v in arrays().items()}
+    some = {k: np.full_like(v, 1e200, dtype=np.float64) * (1 if k[0] == "w" else 0) for k, v in arrays().items()}
     some["w1"][:, ::2] *= -1
     brain = LearnedController(ROBOT, stored(tmp_path, header(), some))
     brain.reset(1)

@@ -30,6 +30,7 @@ EXTRA_OF = {  # import name -> the extra that installs it
     "ruamel": "logs",
     "pysindy": "bench",
     "ray": "ray",
+    "onnx": "onnx",
     "torch": "sb3",
     "stable_baselines3": "sb3",
     "matplotlib": "all",  # a package of every install, but not of the computer beside the tank

@@ -227,17 +227,18 @@ class Policy:
         self._fresh = rows if self._fresh is None else rows | self._fresh
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Actions (B, J) in [-1, 1] for observations (B, n_obs)."""
+        """Actions (B, J) in [-1, 1] for observations (B, n_obs); sums in double precision, as in firmware and ONNX."""
         obs = np.atleast_2d(np.asarray(obs, np.float32))
         if obs.shape[1] != self.n_obs:
             raise ConfigError(f"policy {self.meta.get('name', '')}: got {obs.shape[1]} observations, expected {self.n_obs}")
         sight = obs / np.asarray(self.meta["scale"], np.float32)
-        x = seen = self._recall(sight)
+        seen = self._recall(sight)
+        x = seen.astype(np.float64)
         f = _ACTIVATIONS[self.meta["activation"]]
         for w, b in self.weights[:-1]:
             x = f(x @ w.T + b)
         w, b = self.weights[-1]
-        action = np.tanh(x @ w.T + b)
+        action = np.tanh(x @ w.T + b).astype(np.float32)
         if not np.isfinite(action).all():
             raise ConfigError(
                 f"policy {self.meta.get('name', '')}: its answer is not finite; the weights are too large, or obs is not"

@@ -21,6 +21,7 @@ from fishmj.evaluate.trial_report import (
     not_as_trained,
     overall,
     paired,
+    provenance,
     save,
     unbounded,
     write,
@@ -109,6 +110,7 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """Runs the verb `evaluate`; returns the exit code."""
     args = options().parse_args(argv)
+    args.argv = argv
     args.again = shlex.join(["fishmj", "evaluate", *argv, *([] if args.log else ["--log"])])
     given = [o for o in (*SOLVER, *REFERENCE, EVERY) if any(word == o or word.startswith(f"{o}=") for word in argv)]
     of = ((SOLVER, (choice.LBM, choice.HYBRID)), (REFERENCE, (choice.LBM,)), ((EVERY,), (choice.HYBRID,)))
@@ -154,7 +156,7 @@ def main(argv: list[str]) -> int:
             for brain in brains:
                 results.append(judge_in_tanks(brain, robot, trials, args)._replace(left_out=tuple(args.leave_out)))
                 if args.out is not None and len(results) < len(brains):
-                    save(args.out, results, findings(results))
+                    save(args.out, results, findings(results, args))
             return report(results, args)
     args.hybrid = hybrid_options(args, robot, trials, len(brains)) if water.kind == choice.HYBRID else None
     begin(water, brains)
@@ -214,7 +216,7 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
             found = judge(brain, robot, trials, engine)
         results.append(kept.keep(brain, found)._replace(left_out=tuple(args.leave_out)))
         if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
-            save(args.out, results, findings(results) | {"unfinished": kept.unfinished})
+            save(args.out, results, findings(results, args) | {"unfinished": kept.unfinished})
     return results
 
 
@@ -287,13 +289,14 @@ def judge_in_tanks(brain, robot, trials, args) -> Result:
         return judge_in_solver(brain, robot, trials, args.out, water=args.solver, **options)
 
 
-def findings(results: list[Result]) -> dict:
+def findings(results: list[Result], args) -> dict:
     """Content of results.json."""
     a = results[0]
     return {
         "condition": condition(a),
         **({"left_out": list(a.left_out)} if a.left_out else {}),
-        "results": [summary(r) for r in results],
+        "command": shlex.join(["fishmj", "evaluate", *args.argv]),
+        "results": [summary(r) | provenance(r, args.argv, args.controllers, k) for k, r in enumerate(results)],
         **({"hybrid": found} if (found := {r.controller: corrections(r) for r in results if r.corrections is not None}) else {}),
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }
@@ -303,7 +306,7 @@ def report(results: list[Result], args) -> int:
     """Writes the requested files, then prints the tables, also if a part of the report could not be written."""
     from fishmj.view.replay import write_html
 
-    found, replay = findings(results), write_html if args.log else None
+    found, replay = findings(results, args), write_html if args.log else None
     try:
         written = args.out and write(args.out, results, found, plots=args.plots, logs=args.log, replay=replay, again=args.again)
     finally:

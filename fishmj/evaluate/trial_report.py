@@ -6,9 +6,11 @@ Tables have the same rows in the terminal and on the page: with units and interv
 import csv
 import io
 import json
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from itertools import chain
 from math import ceil, isfinite
 from pathlib import Path
 
@@ -27,8 +29,10 @@ from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import identity
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
+from fishmj.water.choice import HYBRID, LBM
 from fishmj.water.dynamics.planar_chain import chain_of
 from fishmj.water.flow import sample, stack
+from fishmj.water.water_identity import water_identity
 
 SHORT = {  # key -> heading, digits
     "arrival": ("arrival", 3),
@@ -332,6 +336,56 @@ def worst(r: Result) -> int:
     return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
 
 
+def held(r: Result) -> int | None:
+    """Number of trials that arrive and stay within the arrival radius (RMS after arrival); None if too short to judge."""
+    found = figures(r)
+    after = found["rmse_after_arrival"]
+    within = (found["arrival"] > 0) & (after <= constant("protocol", "arrival_radius"))
+    return int(within.sum()) if np.isfinite(after).all() else None
+
+
+def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> dict:
+    """Weights, water, engine and worst trial of a judgement, for results.json.
+
+    Args:
+        argv: words of `fishmj evaluate`. named: its controllers as the user gave them. k: number of this one.
+    Returns:
+        {"policy_sha256", "water": {name, kind, sha256}, "engine", "held", "worst": {trial, seed, rmse_after_arrival, replay}}
+    """
+    i = worst(r)
+    item, after = r.trials.items[i], figures(r)["rmse_after_arrival"][i]
+    one = {
+        "--speeds": f"{item.speed:g}",
+        "--los": f"{np.degrees(item.los):g}",
+        "--repeats": str(item.repeat + 1),
+        "--out": f"runs/worst_{Path(r.controller).stem}",
+    }
+    replay = shlex.join(["fishmj", "evaluate", named[k], *_other_options(argv, named, one), *chain(*one.items()), "--log"])
+    solved = {LBM: {"name": LBM, "kind": LBM}, HYBRID: {"kind": HYBRID}}.get(r.water, {})
+    return {
+        "policy_sha256": r.policy_sha256,
+        "water": solved if r.water == LBM else water_identity(r.robot) | solved,
+        "engine": r.engine,
+        "held": held(r),
+        "worst": {"trial": name_of(r, i), "seed": int(item.seed[0]), "rmse_after_arrival": float(after), "replay": replay},
+    }
+
+
+def _other_options(argv: Sequence[str], named: Sequence[str], replaced: Iterable[str]) -> list[str]:
+    """Words of a command without its controllers, its flags for files, and options that are replaced, with their values."""
+    words, n = list(argv), len(named)
+    first = next((i for i in range(len(words)) if words[i : i + n] == list(named)), len(words))
+    words, kept, skip = words[:first] + words[first + n :], [], False
+    for word in words:
+        if skip or word in ("--plots", "--log", "--json"):
+            skip = False
+        elif word in replaced:
+            skip = True
+        elif word.partition("=")[0] not in replaced:
+            kept.append(word)
+    return kept
+
+
 def replay_of_worst(r: Result, out: Path, write_page: ReplayWriter) -> Path:
     """Writes the page that plays `worst`."""
     i = worst(r)
@@ -346,8 +400,7 @@ def headline(results: list[Result]) -> str:
     words = f"{first.controller} arrives in {int(found['arrival'].sum())} of {n} trials"
     if not np.isfinite(after).all():
         return f"{words}, which are too short to judge how it holds."
-    held = int(np.sum((found["arrival"] > 0) & (after <= radius)))
-    words += f" and holds station in {held} (stays within {radius:g} m RMS), at {after.mean():.3f} m RMS on average"
+    words += f" and holds station in {held(first)} (stays within {radius:g} m RMS), at {after.mean():.3f} m RMS on average"
     other = baseline(results)
     return f"{words}; {against(first, other)}." if other else f"{words}."
 

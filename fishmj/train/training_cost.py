@@ -57,6 +57,13 @@ def widths(settings: Settings) -> tuple[int, int, int]:
     return seen, memory * seen + (memory - 1) * joints, joints
 
 
+def machine() -> str:
+    """Device of a training, `NVIDIA H100 80GB HBM3`, or the number of CPU cores."""
+    import jax
+
+    return f"{usable_cores()} CPU cores" if _kind() == CPU else jax.devices()[0].device_kind
+
+
 def _kind() -> str:
     import jax
 

@@ -28,6 +28,7 @@ from fishmj.base.source import made_by
 from fishmj.control.policy import Policy
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
+from fishmj.train import training_cost
 from fishmj.train.begin import begun
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers, reported
@@ -407,7 +408,7 @@ def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) ->
     """Writes a policy file with a header about its training."""
     said = as_dict(settings)
     made = {"engine": pick_engine(settings), "preset": settings.preset, "task": said["task"], "reward": said["reward"]}
-    made |= {"hyperparameters": said["algorithm"], MADE_BY: made_by(*PACKAGES)}
+    made |= {"hyperparameters": said["algorithm"], MADE_BY: made_by(*PACKAGES), "machine": training_cost.machine()}
     policy_of(network, settings, {**made, **meta}).save(path)
 
 

@@ -1,6 +1,6 @@
 """Does the flow solver mend MuJoCo's water while it swims? A policy holds station, against a solver that never stops.
 
-    python -m fishmj.hydro_fit hybrid --wrong stream --device cuda     12 trials of 60 s at 0.2 m/s in turbulence; resumable
+    python -m fishmj.hydro_fit hybrid --wrong stream --device cuda     12 trials of 120 s at 0.2 m/s in turbulence; resumable
     python -m fishmj.hydro_fit hybrid --wrong all ...                  every condition, one after the other
     python -m fishmj.hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
 
@@ -13,6 +13,10 @@ and in the flow solver, closed loop. Solved trials are kept in --out and serve e
 the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial. Speed is over ground,
 averaged over a beat; place is the distance from the solver's fish. Both are means from the end of the first segment on, because
 nothing is corrected before that.
+
+`none` is the control, and is swum with every other condition. A figure is off if it differs from the solver's by two standard
+errors and by more than the right water's does (bound of its 95 % interval). It holds if less than half of that is left, or no
+more than the right water's. What is not off must stay so, and the right water's place and RMSE must not grow by more than 5 %.
 """
 
 import contextlib
@@ -36,6 +40,7 @@ from fishmj.engines.hybrid.hybrid_segment import Replay
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.metrics import Result, beat_mean, difference
 from fishmj.evaluate.protocol import Trials
+from fishmj.evaluate.rank_waters.rank import GAP
 from fishmj.hydro_fit.campaign.data.collect import ON_GPU
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
@@ -51,6 +56,8 @@ from fishmj.water.flow import DrawnFlow, Flow, shifted
 SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.98  # of the tail's length, of its added mass; m/s; slip
 WRONG = ("none", "slip", "tail", "added_mass", "stream")
 RENAMED = {"both": "tail"}  # old names
+CONTROL = "none"  # the right water
+RIGHT = {"rmse": GAP, "speed": 0.01}  # m, m/s: most that it may be off; 0.01 is the tolerance of movement at 0.2 m/s
 FIRST_KIND = 2.0  # standard errors by which a figure must be off before it is asked to be mended
 MUST, TARGET, WORSE, SHARE = (
     0.5,
@@ -59,7 +66,7 @@ MUST, TARGET, WORSE, SHARE = (
     0.10,
 )  # of the difference that may stay; of figures where nothing is wrong; of the time
 LEAST = 0.02  # m/s of the stream: `Flow` cannot be slower than still
-SHOWN = ("figure", "solver", "alone - solver", "hybrid - solver", "left", "mended")
+SHOWN = ("figure", "solver", "alone - solver", "hybrid - solver", "right water", "left", "mended")
 
 
 def options() -> console.Parser:
@@ -74,7 +81,7 @@ def options() -> console.Parser:
     wrong = "what is wrong about MuJoCo's water, or about the tank"
     add("--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help=wrong)
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
-    add("--seconds", type=console.number(1, 600), default=60.0, help="of each trial")
+    add("--seconds", type=console.number(1, 600), default=120.0, help="of each trial; 120 hold three segments")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
     console.add_settings(parser, HybridOptions, "every", "first", "lead", "own")
     add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
@@ -96,7 +103,8 @@ def main(argv: list[str]) -> int:
         raise ConfigError(
             f"hydro_fit hybrid: --seconds {args.seconds:g}: the first segment ends at {least:g} s; take longer trials"
         )
-    conditions = [condition(name, args) for name in (WRONG if args.wrong == "all" else (args.wrong,))]
+    asked = WRONG if args.wrong == "all" else dict.fromkeys((CONTROL, args.wrong))
+    conditions = [condition(name, args) for name in asked]
     args.tanks = args.tanks or (ON_GPU if str(device_of(args.device)).startswith("cuda") else 1)
     trials = trials_of(args)
     box, solved = conditions[0].options(args).box(conditions[0].robot), {(c.slip, c.faster) for c in conditions}
@@ -106,13 +114,13 @@ def main(argv: list[str]) -> int:
     solver_cost.agree("hydro_fit hybrid", args.device, [(preset(box), water)], instead=less, tanks=min(args.tanks, len(trials)))
     if box in PREVIEWS:
         console.warn(f"hydro_fit hybrid: the box {box} is a preview, no judgement")
-    found = []
+    found: list[dict] = []
     with interrupt.keeping(lambda: f"{args.out} holds what is finished; {interrupt.again()}"):
         for one in conditions:
-            found.append(kept(one, trials, args))
+            found.append(kept(one, trials, args, found[0] if found else None))
             told(found[-1])
     if args.json:
-        console.emit_json(found[0] if len(found) == 1 else {"ok": all(f["ok"] for f in found), "conditions": found})
+        console.emit_json({"ok": all(f["ok"] for f in found), "conditions": found})
     return console.OK if all(f["ok"] for f in found) else console.FAILED_CHECK
 
 
@@ -192,8 +200,8 @@ def trials_of(args) -> Trials:
     return replace(made, items=tuple(sorted(made.items, key=lambda item: (item.repeat, item.los))[: args.episodes]))
 
 
-def kept(one: StudyCondition, trials: Trials, args) -> dict:
-    """Figures of a condition: those in --out if they were made with the same options, else measured."""
+def kept(one: StudyCondition, trials: Trials, args, right: dict | None) -> dict:
+    """Figures of a condition: those in --out if they were made with the same options, else measured; judged by the control."""
     path = Path(args.out) / f"{one.name}.json"
     made = {"robot": repr(one.robot), "chain": repr(one.chain), "hybrid": repr(one.options(args)), "policy": args.policy}
     made |= {"trials": asdict(trials), "code": package_sha256()}
@@ -201,7 +209,8 @@ def kept(one: StudyCondition, trials: Trials, args) -> dict:
     row = read_json(path) if path.is_file() else {}
     if row.get("made") != made:
         row = measured(one, trials, args) | {"made": made}
-        write_json(path, row)
+    row = judged(row, right)
+    write_json(path, row)
     return row
 
 
@@ -231,13 +240,12 @@ def measured(one: StudyCondition, trials: Trials, args) -> dict:
     wall["solver"] = time.perf_counter() - began
     reports = [corrected.hybrid.report(i) for i in range(len(trials))]
     since = hybrid.first + hybrid.lead + hybrid.span
-    found = verdict({name: figures(swim, swims["solver"], since) for name, swim in swims.items()})
+    found = compared({name: figures(swim, swims["solver"], since) for name, swim in swims.items()})
     share = max(report["solver_share"] for report in reports)
     real = {name: args.seconds * len(trials) / seconds for name, seconds in wall.items()}
     about = {"condition": one.name, "water": choice.label(one.robot), "policy": args.policy, "n": len(trials)}
     about |= {"options": repr(hybrid), "solver": solver_sha256(), "device": str(device_of(args.device))}
-    ok = found.pop("ok") and share <= SHARE + 1e-9
-    return {"ok": ok, **about, **found, "solver_share": share, "wall_s": wall, "times_real_time": real, "reports": reports}
+    return {**about, **found, "solver_share": share, "wall_s": wall, "times_real_time": real, "reports": reports}
 
 
 def _on_cpu() -> contextlib.AbstractContextManager:
@@ -258,27 +266,43 @@ def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]
     return {"rmse": sound * rmse, "speed": sound * np.hypot(*over_ground).mean(1), "place": sound * apart}
 
 
-def verdict(found: dict[str, dict[str, np.ndarray]]) -> dict:
-    """Figures that are off without the correction, the remaining share with it, and the judgement of that share."""
+def compared(found: dict[str, dict[str, np.ndarray]]) -> dict:
+    """Differences of both swims in MuJoCo from the solver's, `off`, and what they hold without that comparison, `same`."""
     rows: list[dict[str, Any]] = []
     same: list[dict[str, Any]] = []
-    off: list[bool] = []
     for name in ("rmse", "speed"):
         solver, alone, hybrid = (found[swim][name] for swim in ("solver", "alone", "hybrid"))
         before, after = difference(name, solver, alone), difference(name, solver, hybrid)
         both = (alone - solver)[np.isfinite(alone - solver)]
         error = float(np.std(both, ddof=1) / np.sqrt(len(both))) if len(both) > 1 else float("nan")
-        first = bool(abs(before.value) > FIRST_KIND * error)
-        left = abs(after.value) / max(abs(before.value), 1e-12)
-        if first:
-            off.append(left < MUST)
         row = {"figure": name, "solver": float(np.nanmean(solver)), "alone": before._asdict(), "hybrid": after._asdict()}
-        rows.append(row | {"standard_error": error, "first_kind": first, "left": left, "target": bool(first and left < TARGET)})
+        rows.append(row | {"standard_error": error, "left": abs(after.value) / max(abs(before.value), 1e-12)})
     for name in ("rmse", "place"):
         one, two = (float(np.nanmean(found[swim][name])) for swim in ("alone", "hybrid"))
         same.append({"figure": name, "alone": one, "hybrid": two, "ratio": two / max(one, 1e-12)})
-    no_worse = all(row["ratio"] <= WORSE for row in same)
-    return {"first_kind": bool(off), "ok": all(off) if off else no_worse, "no_worse": no_worse, "off": rows, "same": same}
+    return {"off": rows, "same": same}
+
+
+def judged(row: dict, right: dict | None) -> dict:
+    """Row of a condition with the judgement of its correction.
+
+    Args:
+        row: figures of a condition, as of `compared`. right: row of the control; None if this is the control.
+    Returns:
+        the row with "ok", "first_kind" (something is off), "no_worse"; each figure with "margin", "first_kind", "held", "target"
+    """
+    rows = []
+    for one, usual in zip(row["off"], (right or row)["off"], strict=True):
+        bounds = [abs(x) for key in ("value", "low", "high") if (x := usual["alone"][key]) is not None and np.isfinite(x)]
+        margin, before, after = max(bounds, default=0.0), abs(one["alone"]["value"]), abs(one["hybrid"]["value"])
+        first = right is not None and before > margin and before > FIRST_KIND * (one["standard_error"] or np.inf)
+        sound = right is not None or before <= RIGHT[one["figure"]]
+        held = sound and (after <= margin or (one["left"] < MUST if first else after <= WORSE * before))
+        more = {"margin": margin, "first_kind": bool(first), "held": bool(held), "target": bool(first and one["left"] < TARGET)}
+        rows.append(one | more)
+    off, no_worse = any(one["first_kind"] for one in rows), all(one["ratio"] <= WORSE for one in row["same"])
+    ok = all(one["held"] for one in rows) and (off or no_worse) and row["solver_share"] <= SHARE + 1e-9
+    return {**row, "ok": ok, "first_kind": off, "no_worse": no_worse, "off": rows}
 
 
 def told(row: dict) -> None:
@@ -291,6 +315,7 @@ def told(row: dict) -> None:
             f"{one['solver']:.4f}",
             between(one["alone"]),
             between(one["hybrid"]),
+            f"{one['margin']:.4f}",
             f"{100 * one['left']:.0f} %",
         )
         lines.append(dict(zip(SHOWN, (*cells, _said(one)), strict=True)))
@@ -310,5 +335,6 @@ def told(row: dict) -> None:
 
 def _said(one: dict) -> str:
     if not one["first_kind"]:
-        return "not asked"
-    return "more than three quarters" if one["target"] else "more than half" if one["left"] < MUST else "NO"
+        return "not asked" if one["held"] else "WORSE"
+    left = "more than three quarters" if one["target"] else "more than half" if one["left"] < MUST else "as the right water"
+    return left if one["held"] else "NO"

@@ -1,0 +1,184 @@
+"""Figures of the results pages from stored rows: each function returns the numbers of one row of a table, in its units and order.
+
+`studies.figures` gives it the row's first cell without Markdown, and compares the numbers with those on the page.
+"""
+
+import csv
+import json
+import re
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from fishmj.control.policy import FORMER
+from fishmj.evaluate.metrics import difference, estimate
+from fishmj.gap.bench import family_score, power
+
+HERE = Path(__file__).resolve().parent
+SOLVED, FITTED, SEARCHED = HERE / "solver" / "rows", HERE / "fitted_water" / "rows", HERE / "gap_benchmark" / "rows"
+FILMED = {"flow observer": "dob", "vector PI": "pi", "PD": "pd", "PNL + ADRC-C1": "adrc-c1"}  # names of a page -> of the rows
+ABLATION = {
+    "MuJoCo's ellipsoids, fitted, inertia added": "ellipsoid-inertia",
+    "strips: forces, swims": "base",
+    "strips and residual": "whole",
+    "the same, no wake": "memoryless",
+    "the same, residual taught by forces alone": "forces-only",
+}
+SCORES = {  # row of a page -> key of a benchmark's score
+    "precision": "precision",
+    "coverage": "coverage",
+    "the same, or a CLASS of the effect and its twins": "coverage_or_twins",
+    "false alarms": "false_alarm_rate",
+    "misnamed outside the catalogue": "misnamed_off_catalogue",
+    "pairs, both found": "pairs_both_found",
+    "intervals that hold": "interval_coverage",
+}
+OF_FAMILIES = {  # row of a page -> key of the families' score
+    "false alarms": "false_alarms",
+    "healthy: AGREES": "agrees",
+    "precision": "precision",
+    "coverage": "coverage",
+    "the same, with twins": "coverage_or_twins",
+    "misnamed": "misnamed_off_catalogue",
+    "pairs, both found": "pairs_both_found",
+    "intervals that hold": "intervals_hold",
+}
+FAMILIES = ("ellipsoid", "foil", "morison", "second_robot")
+FORCES = {"drag, N": "drag_N", "lateral, N": "lateral_N", "yaw, N m": "yaw_Nm"}
+
+
+@cache
+def table(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file."""
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def column(rows: Sequence[dict[str, str]], key: str) -> np.ndarray:
+    """One column of rows; NaN where a cell is empty."""
+    return np.array([float(row[key] or "nan") for row in rows])
+
+
+def judged(label: str) -> list[float]:
+    """`station, plain` -> arrivals, trials, RMSE after arrival with its interval, RMSE of the last 20 s, power."""
+    name, _, water = label.partition(", ")
+    former = {new: old for old, new in FORMER.items()}.get(name, name)
+    if water == "reference-2":
+        rows = [row for row in table(SOLVED / "judged_reference.csv") if (row["water"], row["controller"]) == (water, name)]
+    else:
+        rows = [row for row in table(SOLVED / "judged_trials.csv") if row["controller"] == former]
+    after = estimate("rmse_after_arrival", column(rows, "rmse_after_arrival"))
+    means = [float(np.nanmean(column(rows, key))) for key in ("rmse_last20", "power")]
+    return [float(column(rows, "arrival").sum()), len(rows), after.value, after.low, after.high, *means]
+
+
+def ranked(label: str) -> list[float]:
+    """`PPO (station)` -> RMSE after arrival in the solver and in the fitted water, their difference with its interval."""
+    inside = re.search(r"\((.*)\)", label)
+    name = inside[1] if inside else FILMED[label]
+    name = {new: old for old, new in FORMER.items()}.get(name, FILMED.get(label.partition(" (")[0], name))
+    rows = [row for row in table(FITTED / "ranked_trials.csv") if row["controller"] == name]
+    solver, fitted = (column(rows, f"rmse_after_arrival_{water}") for water in ("solver", "surrogate"))
+    apart = difference("rmse_after_arrival", solver, fitted)
+    both = np.isfinite(solver) & np.isfinite(fitted)
+    return [float(solver[both].mean()), float(fitted[both].mean()), apart.value, apart.low, apart.high]
+
+
+def ablation(label: str) -> list[float]:
+    """Errors of speed, yaw rate and power [%] and of the place [m], means over seeds."""
+    rows = [row for row in table(FITTED / "ablation.csv") if row["row"] == ABLATION[label]]
+    shares = [100 * float(column(rows, f"{key}_error_mean").mean()) for key in ("speed", "yaw_rate", "power")]
+    return [*shares, float(column(rows, "freerun_position_error").mean())]
+
+
+def converged(label: str) -> list[float]:
+    """`2 cm, 4 ms` -> cruise, drag and broadside force at slips 0, 0.98, 0.99, 1; `2 cm off 6.7 mm, %` -> their differences."""
+    if label.endswith("%"):
+        coarse, fine = (np.array(converged(grid)) for grid in ("2 cm, 4 ms", "6.7 mm, 1.33 ms"))
+        return (100 * (coarse / fine - 1)).tolist()
+    cell, step = (float(part.split()[0]) for part in label.split(", "))
+    size = {"dx": cell / (100 if "cm" in label else 1000), "dt": step / 1000}
+    rows = [row for row in table(SOLVED / "converge.csv") if all(abs(float(row[k]) / size[k] - 1) < 0.01 for k in size)]
+    value = lambda what, slip: next(float(row["value"]) for row in rows if row["what"] == what and float(row["slip"]) == slip)
+    return [value(what, slip) for what in ("cruise", "drag", "broadside") for slip in (0.0, 0.98, 0.99, 1.0)]
+
+
+def force_map(label: str) -> list[float]:
+    """Force or moment at 0.3 m/s and angle of attack 0 over the joint angles 0, 10 .. 60 deg."""
+    rows = [row for row in table(SOLVED / "forcemap.csv") if row["what"] == "joint" and float(row["speed"]) == 0.3]
+    return [float(row[FORCES[label]]) for row in sorted(rows, key=lambda row: float(row["joint_deg"]))]
+
+
+def hybrid(label: str) -> list[float]:
+    """`nothing (none)` -> RMSE minus the solver's, alone and corrected, each with its interval [m]; share that is left [%]."""
+    (name,) = re.findall(r"\((\w+)\)", label)
+    found = json.loads((FITTED / "hybrid" / f"{name}.json").read_text(encoding="utf-8"))
+    (rmse,) = [row for row in found["off"] if row["figure"] == "rmse"]
+    pair = [rmse[which][key] for which in ("alone", "hybrid") for key in ("value", "low", "high")]
+    return [*pair, 100 * rmse["left"]]
+
+
+def shares(file: str, label: str) -> list[float]:
+    """Share with hits, number and bounds [%] of one row of a benchmark's score."""
+    score = json.loads((SEARCHED / file).read_text(encoding="utf-8"))["score"]
+    if label.startswith("error of the value"):
+        return [100 * score["parameter_error_median"], 100 * score["parameter_error_p90"]]
+    row = score[SCORES[label]]
+    return [100 * row["value"], row["hits"], row["n"], 100 * row["low"], 100 * row["high"]]
+
+
+def second_robot(label: str) -> list[float]:
+    """A row of the second robot's benchmark, weighed and not weighed."""
+    return [*shares("bench_2011_weighed.json", label), *shares("bench_2011.json", label)]
+
+
+def flow_solver(label: str) -> list[float]:
+    """A row of the benchmark in the flow solver."""
+    return shares("bench_lbm.json", label)
+
+
+@cache
+def searches(file: str) -> list[dict]:
+    """Rows of a benchmark, one a search."""
+    return [json.loads(line) for line in (SEARCHED / file).read_text(encoding="utf-8").splitlines()]
+
+
+def families(label: str) -> list[float]:
+    """Share over all families with its bounds [%], then hits and number of each family in alphabetical order."""
+    key, rows = OF_FAMILIES[label], searches("families_611.jsonl")
+    pooled = family_score.figures(rows)[key]
+    apart = [family_score.figures([row for row in rows if row["family"] == name])[key] for name in FAMILIES]
+    return [*(100 * pooled[k] for k in ("value", "low", "high")), *(one[k] for one in apart for k in ("hits", "n"))]
+
+
+def strengths(label: str) -> list[float]:
+    """`5 times` or `nothing` -> searches, those named, in a class, agreed and others; strengths that were not reached."""
+    rows = searches("power_741.jsonl")
+    if label == "nothing":
+        answers = [row["answer"] for row in rows if row["kind"] == "none" and row["answer"] != "DIVERGED"]
+        counts = [answers.count(answer) for answer in ("NAMED", "CLASS", "AGREES")]
+        return [len(answers), *counts, len(answers) - sum(counts)]
+    some = [row for row in rows if row.get("times") == float(label.split()[0])]
+    swum = [power.found(row) for row in some if row["answer"] not in ("DIVERGED", power.NOT_REACHED)]
+    return [len(swum), *(swum.count(what) for what in ("named", "class", "agrees", "other")), len(some) - len(swum)]
+
+
+def front_page(label: str) -> list[float]:
+    """Figures of the README: `station` in the solver, in the reference water and in its fitted water [m]; right names."""
+    rows = json.loads((HERE / "training" / "rows" / "judged" / "swift.json").read_text(encoding="utf-8"))["results"]
+    fitted = next(row for row in rows if row["controller"] == "station")["overall"]["rmse_after_arrival"]["value"]
+    return [judged("station, plain")[2], judged("station, reference-2")[2], fitted, *second_robot("precision")[:3]]
+
+
+def shapes(label: str) -> list[float]:
+    """Swims of the shapes whose speeds agree within a factor of 1.5, and their number, at the slip ratios 0.99 and 1."""
+    rows = [row for row in table(FITTED / "new_shapes_laptop.csv") if row["ratio"] and not row["measured_m_s"]]
+    ratios = [[float(row["ratio"]) for row in rows if float(row["slip"]) == slip] for slip in (0.99, 1.0)]
+    return [count for some in ratios for count in (sum(1 / 1.5 <= ratio <= 1.5 for ratio in some), len(some))]
+
+
+def monitored(label: str) -> list[float]:
+    """Hours of twelve healthy robots under the monitor."""
+    return [json.loads((HERE / "monitor" / "rows" / "loopback.json").read_text(encoding="utf-8"))["hours"]]
