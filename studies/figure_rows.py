@@ -166,10 +166,9 @@ def strengths(label: str) -> list[float]:
 
 
 def front_page(label: str) -> list[float]:
-    """Figures of the README: `station` in the solver, in the reference water and in its fitted water [m]; right names."""
-    rows = json.loads((HERE / "training" / "rows" / "judged" / "swift.json").read_text(encoding="utf-8"))["results"]
-    fitted = next(row for row in rows if row["controller"] == "station")["overall"]["rmse_after_arrival"]["value"]
-    return [judged("station, plain")[2], judged("station, reference-2")[2], fitted, *second_robot("precision")[:3]]
+    """Figures of the README: `station-family` and `station` in the reference water, `station` at slip 1 [m]; right names."""
+    held = [judged(f"{name}, reference-2")[2] for name in ("station-family", "station")]
+    return [*held, judged("station, plain")[2], *second_robot("precision")[:3]]
 
 
 def shapes(label: str) -> list[float]:

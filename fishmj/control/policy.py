@@ -216,8 +216,11 @@ class Policy:
         return self.meta.get("memory") or 1
 
     def reset(self, rows: Any = None) -> None:
-        """Clears the memory of the fish `rows` (B,) bool, by default all: their next observation is the first of an episode."""
-        if rows is None or self._window is None:
+        """Clears the memory of the fish `rows` (B,) bool, by default all: their next observation is the first of an episode.
+
+        A number of fish means all, too. Raises ConfigError for other rows.
+        """
+        if rows is None or np.ndim(rows) == 0 or self._window is None:
             self._window = self._fresh = None
             return
         rows = np.asarray(rows)
