@@ -19,6 +19,7 @@ SECTIONS = {
     "policies": {
         "train": "train.__main__",
         "evaluate": "evaluate.__main__",
+        "experiments": "evaluate.experiments.__main__",
         "replay": "view.replay.__main__",
         "play": "view.play.__main__",
     },

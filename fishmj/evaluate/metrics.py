@@ -200,12 +200,15 @@ def rms(r: Result, start, end: float) -> np.ndarray:
     return np.where((r.t[-1] >= end - 1e-9) & inside.any(1), np.sqrt(mean), np.nan)
 
 
-def rheotaxis(r: Result) -> tuple[np.ndarray, np.ndarray]:
-    """Rheotactic indices (RI_cos, RI_lin) over the hold phase, each (n,)."""
-    start, end = constant("protocol", "rheotaxis_window")
+def rheotaxis(r: Result, window: tuple[float, float] | None = None, bounded: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Rheotactic indices (RI_cos, RI_lin), each (n,).
+
+    window: s, default the hold phase. bounded: headings count until a trial leaves the domain.
+    """
+    start, end = constant("protocol", "rheotaxis_window") if window is None else window
     heading = beat_mean(r.pose[:, :, 2], r.robot.timing.bus_dt)
     off = wrap(np, heading - r.trials.upstream)
-    inside = (r.t >= start) & (r.t <= end + 1e-9) & (np.arange(len(r.t)) < r.left[:, None])
+    inside = (r.t >= start) & (r.t <= end + 1e-9) & ((np.arange(len(r.t)) < r.left[:, None]) | (not bounded))
     count = np.where((r.t[-1] >= end - 1e-9) & inside.any(1), inside.sum(1), np.nan)
     mean = lambda x: np.sum(x * inside, 1) / count
     return mean(np.cos(off)), 1 - mean(np.abs(off)) / (np.pi / 2)
@@ -294,6 +297,16 @@ def difference(key: str, a, b) -> PairedDifference:
         one, two = ((x.mean(), x.std(ddof=1), len(x)) for x in (b, a))
         t, p = ttest_ind_from_stats(*one, *two, equal_var=False)
     return PairedDifference(key, value, low, high, len(a), float(t), float(p))
+
+
+def holm(p) -> np.ndarray:
+    """P values (m,) adjusted for m tests by Holm's step-down method; NaN where a test has none, which counts as no test."""
+    p = np.asarray(p, float)
+    there = np.flatnonzero(np.isfinite(p))
+    order = there[np.argsort(p[there])]
+    adjusted = np.full(len(p), np.nan)
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0)
+    return adjusted
 
 
 def _resampled(x) -> np.ndarray:

@@ -94,7 +94,12 @@ def distance(results: list[Result], path: Path) -> Path:
 
 
 def radar(results: list[Result], path: Path) -> Path:
-    """Draws approach time, RMSE and power over the directions: rows speeds, columns figures, lines controllers."""
+    """Draws `radar_figure` into a file."""
+    return save(radar_figure(results), path, **AROUND)
+
+
+def radar_figure(results: list[Result]):
+    """Figure of approach time, RMSE and power over the directions: rows speeds, columns figures, lines controllers."""
     speeds = speeds_of(results)
     figure, axes = canvas(len(speeds), 3, (12, 3.9 * len(speeds) + 0.5), subplot_kw={"projection": "polar"})
     found = [(figures(r), r, c, d) for r, c, d in looks(results)]
@@ -116,7 +121,7 @@ def radar(results: list[Result], path: Path) -> Path:
             axis.set_rlim(LOGARITHMIC.get(key, 0.0), _ceiling(found, key, results))
             axis.set_title(f"{title}\nflow {speed:g} m/s", pad=14)
     legend(figure, results, fontsize=11)
-    return save(figure, path, **AROUND)
+    return figure
 
 
 def _means(values, r: Result, speed: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from math import ceil
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import COURSES, EpisodeStart
 from fishmj.water import flow as background
-from fishmj.water.flow import Flow
+from fishmj.water.flow import Current, Flow
 
 HEADINGS = ("upstream", "uniform")
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
@@ -57,6 +57,7 @@ class Trials:
     noise: float
     duration: float  # s
     task: str = HOLD
+    steady: ClassVar[bool] = True  # the mean stream does not change within a trial
 
     def __len__(self) -> int:
         return len(self.items)
@@ -116,6 +117,10 @@ class Trials:
             )
             for t in self.items
         ]
+
+    def stream(self, current: Current, t: float) -> Current:
+        """Flow of all trials from time t [s] on, given that before; of a steady stream the same."""
+        return current
 
     @property
     def flow_seeds(self) -> list:

@@ -84,6 +84,8 @@ def running(controller, robot: Robot, trials: Trials, engine, shift, progress: C
     rows: list[tuple] = []
     controller.reset(n)
     for k in range(steps):
+        now = loop.scenario.current
+        loop.scenario = loop.scenario._replace(current=trials.stream(now, k * robot.timing.control_dt))
         obs = loop.observe(aims[:, k], noise[:, k])
         command = _checked(controller, controller(obs), (n, loop.ticks, robot.n_joints))
         try:
@@ -268,8 +270,10 @@ def judge_in_solver(
         progress: called with the number of control steps done, summed over trials.
 
     Raises:
-        OracleUnstable, ConfigError: the set-up would not run.
+        OracleUnstable, ConfigError: the set-up would not run, or the stream changes within a trial.
     """
+    if not trials.steady:
+        raise ConfigError("judge_in_solver: the solver's stream is steady; trials whose stream changes run in the fitted water")
     from fishmj.lbm_oracle.fluid.device import devices_of
     from fishmj.lbm_oracle.run.solver_water import PLAIN
     from fishmj.lbm_oracle.run.spread import spread
