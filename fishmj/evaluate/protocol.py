@@ -58,6 +58,7 @@ class Trials:
     duration: float  # s
     task: str = HOLD
     steady: ClassVar[bool] = True  # the mean stream does not change within a trial
+    drawn_as: ClassVar[str] = ""  # of a subclass whose draws are not those of the items' seeds
 
     def __len__(self) -> int:
         return len(self.items)

@@ -12,12 +12,14 @@ from fishmj.evaluate.experiments import MODULES, experiment_of
 from fishmj.evaluate.experiments import experiments_report as report
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
 from fishmj.evaluate.experiments.paper_experiment import ExperimentPart, ExperimentSetup, PaperExperiment
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
 from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
 
-ALL, RATE = "all", 2000.0  # simulated seconds that two cores do in one of CPU, without the flow solver; measured
+ALL, RATE = "all", 1000.0  # simulated seconds in one second of CPU, without the flow solver; measured
+TRAINED = ("stages", "ablations")  # that train
 OUT = "runs/experiments"
 EXAMPLES = f"""examples:
   fishmj experiments                              the list, with the cost of each
@@ -58,11 +60,13 @@ def main(argv: list[str]) -> int:
         if args.json:
             console.emit_json({"experiments": listed(setup)})
         return console.OK
-    names = list(MODULES) if ALL in args.names else args.names
+    names = possible(setup) if ALL in args.names else args.names
+    parts = [(name, part) for name in names for part in experiment_of(name).parts(setup)]
+    agree(setup, sum(part.seconds for name, part in parts if name not in TRAINED))
     kept = {name: ExperimentRows(args.out, name, identity_of(setup)) for name in MODULES}
     console.say(f"water: {condition(setup)}")
     with interrupt.keeping(lambda: f"{args.out} holds {sum(len(k.rows) for k in kept.values())} parts; {interrupt.again()}"):
-        run_parts(setup, [(name, part) for name in names for part in experiment_of(name).parts(setup)], kept)
+        run_parts(setup, parts, kept)
         finished = [done for name in MODULES if (done := finish(setup, experiment_of(name), kept[name], name in names))]
         found = {"policy": setup.leader, "condition": condition(setup), "experiments": report.as_json(finished)}
         store.write_json(args.out / "experiments.json", console.plain(found))
@@ -88,16 +92,35 @@ def setup_of(args) -> ExperimentSetup:
     return ExperimentSetup(**common, solver=solver, device=args.device, tanks=args.tanks)
 
 
+def agree(setup: ExperimentSetup, seconds: float) -> None:
+    """Asks before the flow solver takes a CPU too long for so many seconds of trials. Raises TooMuch."""
+    if setup.solver is not None:
+        work = [(level, seconds) for level in setup.solver.box.levels]
+        solver_cost.agree("experiments", setup.device, work, instead="--quick, or the fitted water", tanks=setup.tanks)
+
+
 def condition(setup: ExperimentSetup) -> str:
     """Line that names water, seed and size."""
     water = choice.label(setup.robot) if setup.solver is None else f"flow solver, {setup.solver.said}"
     return f"{water}, seed {setup.seed}{', quick: few trials' if setup.quick else ''}"
 
 
+def possible(setup: ExperimentSetup) -> list[str]:
+    """Names of the experiments that this policy allows; warns of the others."""
+    names = []
+    for name in MODULES:
+        try:
+            experiment_of(name).parts(setup)
+            names.append(name)
+        except ConfigError as error:
+            console.warn(f"left out: {error}")
+    return names
+
+
 def listed(setup: ExperimentSetup) -> list[dict]:
     """Rows of the list of experiments, with the estimated CPU time of the surrogate."""
     rows = []
-    for name in MODULES:
+    for name in possible(setup):
         one = experiment_of(name)
         seconds = lambda quick, one=one: sum(part.seconds for part in one.parts(replace(setup, quick=quick)))
         costs = {"CPU time": seconds(False), "--quick": seconds(True)}
@@ -126,9 +149,11 @@ def _tell(bar: console.Progress, part: str, before: float, done: float) -> None:
 
 
 def finish(setup: ExperimentSetup, one: PaperExperiment, kept: ExperimentRows, asked: bool) -> report.FinishedExperiment | None:
-    """Findings of an experiment whose rows are all there; None for one that was not asked and has none."""
+    """Findings of an experiment, asked for now or finished before; None if rows are missing."""
+    if not asked and not kept.rows:
+        return None
     keys = [part.key for part in one.parts(setup)]
-    if not asked and not all(key in kept.rows for key in keys):
+    if not all(key in kept.rows for key in keys):
         return None
     rows = {key: kept.rows[key] for key in keys}
     return report.FinishedExperiment(one, one.findings(setup, rows), sum(kept.cpu[key] for key in keys))

@@ -26,7 +26,7 @@ COLOURS = {"downstream": BLUE, "upstream": VERMILION}
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
     """Eight trials of each side."""
     row = lambda result: figures_row(result) | series_row(result, until=30.0)
-    speed, n = constant("experiments", "transfer_speed"), setup.of(constant("experiments", "stage_trials"), 4)
+    speed, n = constant("experiments", "transfer_speed"), constant("experiments", "stage_trials")
     trials = {side: setup.trials(speeds=[speed], los_deg=[los], repeats=n) for side, los in SIDES.items()}
     return [setup.part(side, setup.policy, some, row) for side, some in trials.items()]
 

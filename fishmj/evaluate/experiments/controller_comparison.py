@@ -89,9 +89,10 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
     for name, _ in others:
         if said := {"adrc-c3": "p_adrc_c3", "koopman": "p_koopman"}.get(name):
             p = next(row["Holm p"] for row in tests["power"] if row["controller"] == name)
-            found.append(PaperFinding(f"power against {name}, p", f"{constant('power', said)}", f"{p}"))
+            found.append(PaperFinding(f"power against {name}, p", f"{constant('power', said)}", f"{p}", n=len(first["los"])))
     apart = [row["Holm p"] < 0.001 for row in tests["rmse_after_arrival"] if row["Holm p"] is not None]
-    found.append(PaperFinding("controllers worse in RMSE with p < 0.001", "all", f"{sum(apart)} of {len(others)}"))
+    worse = f"{sum(apart)} of {len(others)}"
+    found.append(PaperFinding("controllers that differ in RMSE with p < 0.001", "all", worse, n=len(first["los"])))
     lacks = [name for name in PAPER if not any(other.startswith(name) for other in rows)]
     notes = [f"No controller of this name here, so not compared: {', '.join(lacks)}."] if lacks else []
     title = f"minus {leader}, paired bootstrap (95 %), Welch's p and Holm's over the controllers; * = excludes 0"

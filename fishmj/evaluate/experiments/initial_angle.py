@@ -1,6 +1,7 @@
 """Angle of attack: the fish starts on its target, turned by -180, -90, 0 or 90 deg from upstream, at 0.2 m/s."""
 
 from dataclasses import fields
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ LATERAL = {"target": (1, -1), "velocity": (1, -1), "yaw_rate": (-1,)}  # signs o
 class MirroredTrials(Trials):
     """Trials without turbulence, each the mirror image of another about the stream: start, joint zeros and noise."""
 
+    drawn_as: ClassVar[str] = "mirrored"
+
     @classmethod
     def of(cls, some: Trials) -> "MirroredTrials":
         """Mirror images of trials, with the draws of those."""
@@ -51,7 +54,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
     row = lambda result: figures_row(result) | series_row(result)
     calm = setup.trials(task=ANGLE, repeats=setup.of(8, 2), turbulence="none")
     return [
-        setup.part("turbulent", setup.policy, setup.trials(task=ANGLE, repeats=setup.of(16, 4)), row),
+        setup.part("turbulent", setup.policy, setup.trials(task=ANGLE, repeats=setup.of(16, 6)), row),
         setup.part("calm", setup.policy, calm, row),
         setup.part("mirrored", setup.policy, MirroredTrials.of(calm), row),
     ]

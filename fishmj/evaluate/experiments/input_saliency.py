@@ -20,7 +20,6 @@ from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentPart,
     ExperimentSetup,
     PaperExperiment,
-    PaperFinding,
     Row,
     compared,
     kept,
@@ -32,6 +31,8 @@ from fishmj.tasks.station_hold import spans
 
 SPEEDS, SIDES = (0.1, 0.2, 0.3), {"downstream": 225, "upstream": 45}
 STEPS = 24  # of the integral
+WORK = 60  # cost of a trial with its derivatives, in trials; measured
+OWN = 2  # inputs before those of the fish's own state
 MEANT = 3  # control steps of one kept sample
 METHODS = ("sensitivity", "integrated")
 
@@ -77,7 +78,8 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
     if not isinstance(brain, LearnedController):
         raise ConfigError(f"experiment saliency: {brain.name} is no policy file, so it has no derivatives; take a trained policy")
     trials = setup.trials(speeds=SPEEDS, los_deg=list(SIDES.values()), repeats=setup.of(8, 2), duration=30)
-    return [setup.part("policy", brain, trials, lambda result: saliency_row(result, brain.policy))]
+    part = setup.part("policy", brain, trials, lambda result: saliency_row(result, brain.policy))
+    return [part._replace(seconds=(WORK if setup.solver is None else 1) * part.seconds)]
 
 
 def saliency_row(result: Result, policy: Policy) -> Row:
@@ -97,7 +99,8 @@ def saliency_row(result: Result, policy: Policy) -> Row:
         for speed in SPEEDS:
             some = (degrees == los) & (result.trials.speed == speed)
             means = {method: kept(_meant(x[some].mean(0)), 4) for method, x in found.items()}
-            row["maps"][f"{side}, {speed:g} m/s"] = means | {"correlation": kept(_meant(same[some].mean(0)), 3)}
+            own = {f"own, {method}": kept(x[some][..., OWN:].sum(-1).mean(1), 4) for method, x in found.items()}
+            row["maps"][f"{side}, {speed:g} m/s"] = means | own | {"correlation": kept(_meant(same[some].mean(0)), 3)}
     return row
 
 
@@ -128,13 +131,13 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
             means = {name: f"{read(one[method])[:, c].sum(1).mean():.2f}" for name, c in groups_of(joints).items()}
             table.append({"condition": key, "method": method} | means)
     slow, fast = (f"{side}, {speed:g} m/s" for side, speed in (("downstream", SPEEDS[0]), ("upstream", SPEEDS[-1])))
-    own = lambda key, method: read(row["maps"][key][method])[:, 2:].sum(1).mean()
     for method in METHODS:
-        text = f"{own(slow, method):.2f} to {own(fast, method):.2f}"
-        found.append(PaperFinding(f"share of own state, {method}: {slow} to {fast}", "grows substantially", text))
+        for key, paper in ((slow, "target dominates"), (fast, "own state grows substantially")):
+            found.append(compared(f"share of own state, {method}, {key}", paper, row["maps"][key][f"own, {method}"], digits=2))
+    notes = ["Sensitivity weighs what an input could change, integrated gradients what its present value does."]
     shown = [(picture(row, method), f"Share of each input over time, {method}.") for method in METHODS]
     shown.append((agreement(row), "Rank correlation of both methods over time, mean over trials."))
-    return ExperimentFindings(found, shown, [("Mean share over 30 s", table)])
+    return ExperimentFindings(found, shown, [("Mean share over 30 s", table)], notes)
 
 
 @style(STYLE)

@@ -23,7 +23,7 @@ EVERY = 0.2  # s between two kept samples of a time series
 
 
 class ExperimentPart(NamedTuple):
-    """A piece of an experiment that is kept as soon as it ends. seconds: simulated time, for the time left."""
+    """A piece of an experiment that is kept as soon as it ends. seconds: simulated time of trials that cost as much."""
 
     key: str
     seconds: float

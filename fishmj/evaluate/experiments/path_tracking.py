@@ -35,7 +35,7 @@ def controllers(setup: ExperimentSetup) -> list[str]:
 
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
     """One part for each controller."""
-    trials = setup.trials(task=EIGHT, repeats=setup.of(8, 2))
+    trials = setup.trials(task=EIGHT, repeats=setup.of(8, 5))
     return [setup.part(name, name, trials, path_row) for name in controllers(setup)]
 
 
@@ -83,6 +83,9 @@ def tracks(rows: dict[str, Row]) -> bytes:
         for axis, speed in zip(line, speeds, strict=True):
             eight_panel(axis, [read(row["track"][speed])], colour)
             axis.set_title(f"{name}, {speed} m/s")
+        line[0].set_ylabel("upstream [m]")
+    for axis in axes[-1]:
+        axis.set_xlabel("right, facing upstream [m]")
     return png(figure)
 
 
@@ -95,7 +98,8 @@ def by_arc(rows: dict[str, Row]) -> bytes:
     for axis, speed in zip(axes[0], speeds, strict=True):
         for (name, row), colour in zip(rows.items(), COLOURS, strict=False):
             axis.plot(arc, read(row["by_arc"][speed]), color=colour, linewidth=2, label=name)
-        axis.set(title=f"flow {speed} m/s", xlabel="arc length of the target [m]", ylim=(0, None))
+        axis.set(title=f"flow {speed} m/s", xlabel="arc length of the target [m]")
+    axes[0, 0].set_ylim(bottom=0)
     axes[0, 0].set_ylabel("cross-track error [m]")
     axes[0, 0].legend(frameon=False)
     return png(figure)

@@ -29,7 +29,7 @@ RENEWED = 25  # control steps of a random gait
 class RandomGait:
     """Null model: a CPG whose frequency, amplitude and bias are drawn anew every five seconds, whatever it observes."""
 
-    name = "random gait"
+    name = "random-gait"
 
     def __init__(self, robot: Robot, seed: int):
         self.cpg, self.seed = cpg_of(robot, gait_of(robot, self.name)), seed
