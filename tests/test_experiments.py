@@ -312,6 +312,11 @@ def test_command_reports_and_continues_with_the_parts_that_are_there(tmp_path, c
     assert again["experiments"]["approach"]["compared"] == told["experiments"]["approach"]["compared"]
 
 
+def test_policy_of_another_water_is_said_on_the_page(tmp_path, capsys):
+    code, _, err = run_command(capsys, "approach", "--water", "structured", "--out", str(tmp_path))
+    assert code == 0 and "not as trained" in err and "not as trained" in (tmp_path / "report.html").read_text()
+
+
 def test_command_lists_all_experiments_with_their_cost(capsys):
     code, out, _ = run_command(capsys)
     assert code == 0 and all(name in out for name in MODULES) and "CPU time" in out

@@ -64,13 +64,16 @@ def main(argv: list[str]) -> int:
     parts = [(name, part) for name in names for part in experiment_of(name).parts(setup)]
     agree(setup, sum(part.seconds for name, part in parts if name not in TRAINED))
     kept = {name: ExperimentRows(args.out, name, identity_of(setup)) for name in MODULES}
-    console.say(f"water: {condition(setup)}")
+    told = [condition(setup), *getattr(setup.brain, "notes", ())]
+    console.say(f"water: {told[0]}")
+    for note in told[1:]:
+        console.warn(note)
     with interrupt.keeping(lambda: f"{args.out} holds {sum(len(k.rows) for k in kept.values())} parts; {interrupt.again()}"):
         run_parts(setup, parts, kept)
         finished = [done for name in MODULES if (done := finish(setup, experiment_of(name), kept[name], name in names))]
-        found = {"policy": setup.leader, "condition": condition(setup), "experiments": report.as_json(finished)}
+        found = {"policy": setup.leader, "condition": told, "experiments": report.as_json(finished)}
         store.write_json(args.out / "experiments.json", console.plain(found))
-        store.write_text(args.out / "report.html", report.page(finished, setup.leader, [condition(setup)]))
+        store.write_text(args.out / "report.html", report.page(finished, setup.leader, told))
     for one in finished:
         if one.experiment.name in names:
             console.say("", f"{one.experiment.name}: {one.experiment.about}", console.table(report.rows_of(one)))
@@ -135,6 +138,7 @@ def run_parts(setup: ExperimentSetup, parts: list[tuple[str, ExperimentPart]], k
         console.warn(f"{there} of {len(parts)} parts were run before under the same conditions: taken from {setup.out}")
     total, before = sum(part.seconds for _, part in waiting), 0.0
     with console.Progress(total, "experiments", "sim s") as bar:
+        bar.stage("engines compile in the first step")
         for name, part in waiting:
             began = time.process_time()
             row = part.run(partial(_tell, bar, f"{name}, {part.key}", before))

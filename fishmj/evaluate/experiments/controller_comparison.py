@@ -7,6 +7,7 @@ import numpy as np
 from fishmj import control
 from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
+from fishmj.base.pages import drawn
 from fishmj.base.units import wrap
 from fishmj.evaluate import metrics
 from fishmj.evaluate.experiments.paper_experiment import (
@@ -141,7 +142,7 @@ def curves(rows: dict[str, Row]) -> bytes:
         axis.plot(t, distance.T, color=colour, linewidth=0.4, alpha=0.4)
         axis.plot(t, np.median(distance, 0), color=colour, linewidth=2.2)
         axis.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
-        axis.set(title=name, ylim=(0, 2.5), xlabel="time [s]")
+        axis.set(title=drawn(name), ylim=(0, 2.5), xlabel="time [s]")
     axes[0, 0].set_ylabel("distance [m]")
     return png(figure)
 
@@ -158,7 +159,7 @@ def bars(rows: dict[str, Row]) -> bytes:
         ends = np.nan_to_num(np.abs(np.array([[e.low, e.high] for e in some]).T - middle))
         axis.errorbar(middle, place, xerr=ends, fmt="o", color=COLOURS[0], capsize=3)
         axis.set(xlabel=f"{key.replace('_', ' ')} [{metrics.UNITS[key]}]", xscale="log" if KEYS.get(key) == "m" else "linear")
-        axis.set_yticks(place, labels=list(rows))
+        axis.set_yticks(place, labels=[drawn(name) for name in rows])
         axis.grid(axis="x", color=FAINT, linewidth=0.6)
     return png(figure)
 
@@ -191,7 +192,7 @@ def attitudes(rows: dict[str, Row]) -> bytes:
             axis.set(ylim=(0, 1))
             axis.set_yticks(np.sqrt([0.1, 0.4, 0.9]), labels=["10 %", "40 %", "90 %"])
             spread = "-" if row["spread"][side] is None else f"{row['spread'][side]:.0f}"
-            axis.set_title(f"{name}\n{side}\nspread {spread} deg", fontsize=9)
+            axis.set_title(f"{drawn(name)}\n{side}\nspread {spread} deg", fontsize=9)
             axis.set_xticklabels([])
     return png(figure)
 

@@ -4,7 +4,6 @@ import json
 from hashlib import sha256
 from pathlib import Path
 
-from fishmj import control
 from fishmj.base import store
 from fishmj.base.source import package_sha256
 from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup, Row
@@ -13,9 +12,8 @@ from fishmj.water.water_identity import water_identity
 
 def identity_of(setup: ExperimentSetup) -> str:
     """Sixteen characters that change with everything that would change a row: policy, robot, water, seed, size, code."""
-    brain = control.chosen(setup.policy, setup.robot)
     what = {
-        "policy": [brain.name, getattr(brain, "sha256", "")],
+        "policy": [setup.leader, getattr(setup.brain, "sha256", "")],
         "robot": [repr(setup.robot), repr(setup.robot.effects)],
         "water": [water_identity(setup.robot), repr(setup.solver)],
         "seed": [setup.seed, setup.quick],

@@ -10,7 +10,6 @@ memory counts with all its remembered values.
 import numpy as np
 from scipy.stats import rankdata
 
-from fishmj import control
 from fishmj.base.errors import ConfigError
 from fishmj.base.figures import BLUE, VERMILION, canvas, png, style
 from fishmj.control.learned import LearnedController
@@ -74,7 +73,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
     Raises:
         ConfigError: a controller that is not a policy of `fishmj.control.policy`.
     """
-    brain = control.chosen(setup.policy, setup.robot)
+    brain = setup.brain
     if not isinstance(brain, LearnedController):
         raise ConfigError(f"experiment saliency: {brain.name} is no policy file, so it has no derivatives; take a trained policy")
     trials = setup.trials(speeds=SPEEDS, los_deg=list(SIDES.values()), repeats=setup.of(8, 2), duration=30)

@@ -89,9 +89,14 @@ class ExperimentSetup:
         return protocol.trials(**{"seed": self.seed, **options})
 
     @cached_property
+    def brain(self) -> Controller:
+        """The policy."""
+        return control.chosen(self.policy, self.robot)
+
+    @property
     def leader(self) -> str:
-        """Name of the policy in rows and pictures."""
-        return control.chosen(self.policy, self.robot).name
+        """Name of the policy in results."""
+        return self.brain.name
 
     @cached_property
     def engine(self) -> Any:

@@ -5,6 +5,7 @@ import numpy as np
 from fishmj import control
 from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
+from fishmj.base.pages import drawn
 from fishmj.evaluate import metrics
 from fishmj.evaluate.experiments.paper_experiment import (
     EVERY,
@@ -82,7 +83,7 @@ def tracks(rows: dict[str, Row]) -> bytes:
     for line, (name, row), colour in zip(axes, rows.items(), COLOURS, strict=False):
         for axis, speed in zip(line, speeds, strict=True):
             eight_panel(axis, [read(row["track"][speed])], colour)
-            axis.set_title(f"{name}, {speed} m/s")
+            axis.set_title(f"{drawn(name)}, {speed} m/s")
         line[0].set_ylabel("upstream [m]")
     for axis in axes[-1]:
         axis.set_xlabel("right, facing upstream [m]")
@@ -97,7 +98,7 @@ def by_arc(rows: dict[str, Row]) -> bytes:
     arc = (np.arange(BINS) + 0.5) / BINS * path_length()
     for axis, speed in zip(axes[0], speeds, strict=True):
         for (name, row), colour in zip(rows.items(), COLOURS, strict=False):
-            axis.plot(arc, read(row["by_arc"][speed]), color=colour, linewidth=2, label=name)
+            axis.plot(arc, read(row["by_arc"][speed]), color=colour, linewidth=2, label=drawn(name))
         axis.set(title=f"flow {speed} m/s", xlabel="arc length of the target [m]")
     axes[0, 0].set_ylim(bottom=0)
     axes[0, 0].set_ylabel("cross-track error [m]")

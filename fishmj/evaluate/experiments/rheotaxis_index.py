@@ -4,6 +4,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.figures import GREY, ORANGE, VERMILION, canvas, png, style
+from fishmj.base.pages import drawn
 from fishmj.control import gait_of
 from fishmj.control.cpg import cpg_of
 from fishmj.evaluate import metrics
@@ -97,7 +98,7 @@ def picture(rows: dict[str, Row]) -> bytes:
         some = [metrics.estimate("", read(row["cosine"])[speeds == speed]) for speed in np.unique(speeds)]
         middle = np.array([e.value for e in some])
         ends = np.abs(np.array([[e.low, e.high] for e in some]).T - middle)
-        axis.errorbar(100 * np.unique(speeds), middle, ends, color=colour, marker="o", capsize=3, linewidth=2, label=name)
+        axis.errorbar(100 * np.unique(speeds), middle, ends, color=colour, marker="o", capsize=3, linewidth=2, label=drawn(name))
     axis.set(xlabel="flow speed [cm/s]", ylabel="rheotactic index", ylim=(-1, 1.05))
     axis.legend(frameon=False, loc="lower right")
     return png(figure)

@@ -7,6 +7,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
+from fishmj.base.pages import drawn
 from fishmj.evaluate import metrics
 from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentFindings,
@@ -130,7 +131,7 @@ def by_speed(rows: dict[str, Row], brains: list[str]) -> bytes:
         some = [metrics.estimate("", read(row["figures"]["rmse_last20"])[np.isclose(row["speed"], speed)]) for speed in SPEEDS]
         middle = np.array([e.value for e in some])
         ends = np.nan_to_num(np.abs(np.array([[e.low, e.high] for e in some]).T - middle))
-        axis.errorbar(SPEEDS, middle, ends, color=colour, marker="o", capsize=3, label=brain)
+        axis.errorbar(SPEEDS, middle, ends, color=colour, marker="o", capsize=3, label=drawn(brain))
     axis.axvspan(*constant("task", "flow_speed"), color=FAINT, alpha=0.4, linewidth=0, label="speeds of the paper")
     axis.set(xlabel="flow speed [m/s]", ylabel="RMS distance, last 20 s [m]", yscale="log")
     axis.legend(frameon=False)
@@ -146,7 +147,7 @@ def changes(rows: dict[str, Row], brains: list[str]) -> bytes:
             row = rows[f"{name}, {brain}"]
             low, middle, high = np.nanquantile(read(row["distance"]), [0.25, 0.5, 0.75], axis=0)
             axis.fill_between(read(row["t"]), low, high, color=colour, alpha=0.2, linewidth=0)
-            axis.plot(read(row["t"]), middle, color=colour, label=brain)
+            axis.plot(read(row["t"]), middle, color=colour, label=drawn(brain))
         axis.axvspan(BEGINS, BEGINS + LASTS, color=FAINT, alpha=0.6, linewidth=0)
         axis.set(title=name, xlabel="time [s]", ylim=(0.005, 3), yscale="log")
     axes[0, 0].set_ylabel("distance [m]")
