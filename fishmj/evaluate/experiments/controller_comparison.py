@@ -22,9 +22,10 @@ from fishmj.evaluate.experiments.paper_experiment import (
     figures_row,
     kept,
     read,
+    series_row,
 )
 from fishmj.evaluate.metrics import Result
-from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, STYLE, polar, radar_figure
+from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, STYLE, polar, radar_figure
 from fishmj.evaluate.run_trials import OF_A_TRIAL
 
 KEYS = {"rmse_after_arrival": "m", "rmse_last20": "m", "approach_time": "s", "power": "W"}  # that are tested
@@ -54,6 +55,10 @@ def comparison_row(result: Result) -> Row:
     ticks = np.arange(0, round(UNTIL / result.robot.timing.bus_dt) + 1, round(SAMPLE / result.robot.timing.bus_dt))
     ticks = ticks[ticks < len(result.t)]
     row = figures_row(result) | {"t": kept(result.t[ticks], 2), "distance": kept(result.distance[:, ticks], 3)}
+    seen = series_row(result, UNTIL)
+    some = (result.trials.speed == constant("experiments", "transfer_speed")) & (np.sin(2 * result.trials.los) ** 2 > 0.99)
+    diagonal = [i for i in np.flatnonzero(some) if result.trials.items[i].repeat == 0]
+    row["tracks"] = [[seen["side"][i], seen["upstream"][i]] for i in diagonal]
     start, end = constant("protocol", "rheotaxis_window")
     off = np.degrees(wrap(np, metrics.beat_mean(result.pose[:, :, 2], result.robot.timing.bus_dt) - result.trials.upstream))
     inside = (result.t >= start) & (result.t <= end) & (np.arange(len(result.t)) < result.left[:, None])
@@ -103,6 +108,7 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
     tables.append(("Spread of the heading, 30 to 60 s", attitude))
     shown = [
         (curves(rows), "Distance to the target: all trials, and the median."),
+        (tracks(rows), "Tracks at 0.2 m/s from four diagonals, seen from the target; the water flows down the page."),
         (bars(rows), "Arrival, RMSE after arrival and power with 95 % intervals."),
         (radars(setup, rows), "Means over repeats, by direction of the target and flow speed; upstream is up."),
         (attitudes(rows), "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
@@ -144,6 +150,21 @@ def curves(rows: dict[str, Row]) -> bytes:
         axis.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
         axis.set(title=drawn(name), ylim=(0, 2.5), xlabel="time [s]")
     axes[0, 0].set_ylabel("distance [m]")
+    return png(figure)
+
+
+@style(STYLE)
+def tracks(rows: dict[str, Row]) -> bytes:
+    """Tracks to the target, one panel for each controller."""
+    wide = 4
+    figure, axes = canvas(-(-len(rows) // wide), wide, (12, 3.2 * -(-len(rows) // wide)), sharex=True, sharey=True)
+    for axis in axes.ravel()[len(rows) :]:
+        axis.set_axis_off()
+    for axis, (name, row), colour in zip(axes.ravel(), rows.items(), COLOURS * 3, strict=False):
+        for side, upstream in row["tracks"]:
+            axis.plot(-read(side), read(upstream), color=colour, linewidth=1)
+        axis.plot(0, 0, "+", color=INK, markersize=10)
+        axis.set(title=drawn(name), xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
     return png(figure)
 
 

@@ -6,6 +6,11 @@ from typing import NamedTuple
 from fishmj.base.pages import Section, figure, part, report, table
 from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, PaperExperiment
 
+ELSEWHERE = {  # figures of the paper that other commands remake
+    "flow_impact": "fishmj lbm_oracle forcemap --device cuda --fields",
+    "flow": "fishmj lbm_oracle drift --device cuda",
+    "calibration": "fishmj calibrate servo",
+}
 ABOUT = "Value (95 % interval over trials), n trials. Everything measured here is simulated."
 
 
@@ -40,7 +45,8 @@ def sections(every: Iterable[FinishedExperiment]) -> list[Section]:
         parts += [*one.findings.notes, f"Needs the real robot: {one.experiment.robot}."]
         about = f"{one.experiment.about[0].upper()}{one.experiment.about[1:]}. Figure of the paper: {one.experiment.figure}."
         made.append(Section(one.experiment.name, f"{about} {one.cpu:.0f} s of CPU.", parts))
-    return made
+    others = [{"figure of the paper": label, "command": line} for label, line in ELSEWHERE.items()]
+    return [*made, Section("Other figures of the paper", "Remade by commands of their own.", [table(others, left=2)])]
 
 
 def page(every: Iterable[FinishedExperiment], policy: str, notes: Iterable[str]) -> str:

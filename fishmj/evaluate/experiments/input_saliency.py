@@ -30,7 +30,7 @@ from fishmj.tasks.station_hold import spans
 
 SPEEDS, SIDES = (0.1, 0.2, 0.3), {"downstream": 225, "upstream": 45}
 STEPS = 24  # of the integral
-WORK = 60  # cost of a trial with its derivatives, in trials; measured
+WORK = 15  # cost of a trial with its derivatives, in trials; measured
 OWN = 2  # inputs before those of the fish's own state
 MEANT = 3  # control steps of one kept sample
 METHODS = ("sensitivity", "integrated")
@@ -43,10 +43,10 @@ def slopes(policy: Policy, inputs: np.ndarray) -> np.ndarray:
 
 def integrated(policy: Policy, inputs: np.ndarray) -> np.ndarray:
     """Integrated gradients (B, J, N) from zero input; without memory they sum over N to the action minus that at zero."""
-    total = np.zeros((len(inputs), policy.n_act, inputs.shape[1]))
-    for share in (np.arange(STEPS) + 0.5) / STEPS:
-        total += policy.jacobian(share * inputs)[1]
-    return _by_observation(policy, total / STEPS * inputs[:, None])
+    share = ((np.arange(STEPS) + 0.5) / STEPS).astype(inputs.dtype)
+    points = (share[:, None, None] * inputs).reshape(-1, inputs.shape[1])
+    mean = policy.jacobian(points)[1].reshape(STEPS, len(inputs), policy.n_act, -1).mean(0)
+    return _by_observation(policy, mean * inputs[:, None])
 
 
 def _by_observation(policy: Policy, columns: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
     brain = setup.brain
     if not isinstance(brain, LearnedController):
         raise ConfigError(f"experiment saliency: {brain.name} is no policy file, so it has no derivatives; take a trained policy")
-    trials = setup.trials(speeds=SPEEDS, los_deg=list(SIDES.values()), repeats=setup.of(8, 2), duration=30)
+    trials = setup.trials(speeds=SPEEDS, los_deg=list(SIDES.values()), repeats=setup.of(8, 5), duration=30)
     part = setup.part("policy", brain, trials, lambda result: saliency_row(result, brain.policy))
     return [part._replace(seconds=(WORK if setup.solver is None else 1) * part.seconds)]
 
