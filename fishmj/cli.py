@@ -20,6 +20,7 @@ SECTIONS = {
         "train": "train.__main__",
         "evaluate": "evaluate.__main__",
         "policy": "evaluate.policy_command",
+        "experiments": "evaluate.experiments.__main__",
         "replay": "view.replay.__main__",
         "play": "view.play.__main__",
     },

@@ -12,12 +12,13 @@ from fishmj.evaluate.metrics import Result, compare, summary
 from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
 from fishmj.evaluate.trial_report import (
     CORRECTED,
-    REST,
     STARRED,
     by_condition,
     condition,
+    conditions_of,
     corrected,
     corrections,
+    energy_rows,
     not_as_trained,
     overall,
     paired,
@@ -36,7 +37,7 @@ from fishmj.water import choice
 from fishmj.water.flow import PRESETS
 
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm and hybrid
-REFERENCE = ("--reference", "--boundary", "--storage")  # of lbm alone
+REFERENCE = ("--reference", "--boundary", "--storage", "--dx")  # of lbm alone
 EVERY = "--every"  # of hybrid alone
 FALLBACKS = ("compiled", "planar")
 HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
@@ -44,6 +45,7 @@ EXAMPLES = f"""examples:
   fishmj evaluate dob                                      the decided 72 trials
   fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two, paired, with pictures
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
+  fishmj evaluate station adrc-c1 --task figure_eight      a path in place of a station, without training for it
   fishmj evaluate station --water hybrid --tanks 12 --device cuda         the water corrected by the solver while it swims
 
 {control.shipped_lines()}
@@ -57,12 +59,16 @@ def options() -> console.Parser:
     brains = f"{', '.join(control.NAMES)}; a shipped policy ({', '.join(control.shipped_policies())}); a policy file, the"
     brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
+    courses = "figure_eight: follow a moving target; angle_of_attack: start on the target, turned from upstream by --los"
+    add("--task", choices=protocol.TASKS, default=protocol.HOLD, help=f"{courses}; default station_hold, the 72 trials")
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     solved = "hybrid: fitted, and corrected by segments of the flow solver while it swims; lbm: the flow solver itself"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}, hours without a GPU")
     add("--reference", action="store_true", help=f"with --water lbm: {JUDGING.said}; default: --domain and --slip")
     box = f"box of water of --water lbm, default {PLAIN.domain}, or hybrid, default that of the fitted water"
     add("--domain", choices=BOXES, help=f"{box}; laptop is a preview, _refined has finer cells round the fish")
+    cell = "of the cells of --water lbm; the box keeps its size, a box round the fish its half cells; default that of --domain"
+    add("--dx", type=console.number(0.002, 0.1), metavar="M", help=cell)
     slip = "of the hull in the flow solver, at the paper's grid: 1 slides, 0 sticks; default 1"
     add("--slip", type=console.number(0, 1), help=slip)
     boundary_option(add, default=None)
@@ -78,14 +84,15 @@ def options() -> console.Parser:
     tank = "a tank's, of fishmj deploy flow-map: TI at every speed, and the kind with the nearest length scale; default none"
     add("--flow-map", type=console.path, metavar="FILE", help=tank)
     speeds = console.Listed(console.number(0, 1))
-    add("--speeds", type=speeds, metavar="M/S,..", help="speeds of the current; default 0.1,0.2,0.3")
+    add("--speeds", type=speeds, metavar="M/S,..", help="speeds of the current; default 0.1,0.2,0.3, of angle_of_attack 0.2")
     los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
-    angle = "lines of sight, fish to target at the start: 0 straight upstream, 90 to its left; default 0,45,..,315"
+    angle = "lines of sight, fish to target at the start: 0 straight upstream, 90 to its left; default 0,45,..,315; of"
+    angle += " angle_of_attack the start's heading from upstream, default -180,-90,0,90"
     add("--los", type=los, metavar="DEG,..", help=angle)
     add("--repeats", type=console.whole(1, 1000), metavar="N", help="trials of every speed and direction; default 3")
     add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start; uniform: drawn")
     add("--engine", choices=engines.NAMES, default="batch", help="what moves the fish; batch (MuJoCo in C) judges")
-    add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
+    add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60, of the other tasks 61 and 30")
     add("--seed", type=console.SEED, default=0, help="of all draws")
     add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
     path = "servo commands between two decisions, as of train; default the robot's. Policies of another need --anyway"
@@ -137,6 +144,7 @@ def main(argv: list[str]) -> int:
         speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds,
         turbulence=args.turbulence or "default", intensity=args.intensity, heading=args.heading,
         randomisation=0.0 if args.no_randomisation else 1.0, noise=0.0 if args.no_noise else 1.0, duration=args.duration,
+        task=args.task,
     )  # fmt: skip
     if args.flow_map is not None:
         trials = in_a_tank(trials, args)
@@ -146,7 +154,7 @@ def main(argv: list[str]) -> int:
         from fishmj.lbm_oracle.run import solver_cost
 
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
-        edge = {"boundary": args.boundary, "storage": args.storage}
+        edge = {"boundary": args.boundary, "storage": args.storage, "dx": args.dx}
         args.solver = asked_for("evaluate", args.reference, args.domain, args.slip, **edge)
         work = [(level, trials.duration * len(trials) * len(brains)) for level in args.solver.box.levels]
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
@@ -322,11 +330,10 @@ def say_tables(results: list[Result], summaries: list[dict]) -> None:
     """Prints the figures of all controllers."""
     console.say("", condition(results[0]), *not_as_trained(summaries), "value (95 % bootstrap interval over trials)", "")
     console.say(console.table(overall(summaries)), "")
-    console.say(console.table(overall(summaries, ("arrival", *REST))), *unbounded(summaries))
+    console.say(*map(console.table, energy_rows(summaries)), *unbounded(summaries))
     for s in summaries:
-        console.say("", f"{s['controller']} by flow speed", console.table(by_condition(s, "by_speed")))
-        what = "by direction (0 = target straight upstream)"
-        console.say("", f"{s['controller']} {what}", console.table(by_condition(s, "by_los")))
+        for which, what in conditions_of(s).items():
+            console.say("", f"{s['controller']} {what}", console.table(by_condition(s, which)))
     for r in results:
         if r.corrections is not None:
             console.say("", f"{r.controller}: {CORRECTED}", console.table(corrected(r)))

@@ -8,6 +8,18 @@
     energy_per_metre    J/m of way through the water;  cost_of_transport = that / (m g)
     rheotactic_index    mean of cos(psi - upstream) over 30 to 60 s; rheotactic_index_linear = 1 - mean |psi - upstream| / 90 deg
 
+The course angle_of_attack, with rmse_total and power as above:
+
+    settled             1 if the fish is within 0.1 m for the last 5 s
+    settling_time       s, from which on it stays within 0.1 m until the end
+    furthest            m, largest distance
+
+The course figure_eight, with power and the energies as above:
+
+    cross_track         m, RMS distance to the path: to its nearest point within a quarter of the figure of the target
+    on_path             share of the time within 0.1 m of the path
+    tracking_rmse       m, RMS distance to the moving target
+
 A figure is NaN if a trial has none. psi and the speed through the water are averaged over 1 s, so that the beat does not count as
 turning or as way. A trial that leaves the domain keeps its distance from then on; power, way and heading count until it leaves.
 Means have bootstrap intervals, by condition, and in paired comparisons:
@@ -19,7 +31,7 @@ Means have bootstrap intervals, by condition, and in paired comparisons:
     told apart    the interval excludes 0, for `APART` pairs or more: with fewer pairs even two equal controllers give all
                   differences the same sign in 2^(1 - n) > 5 % of the draws, so that no 95 % interval can decide
 
-Approach time is a median over the trials that arrive; every other key is a mean over the trials that have it.
+Approach and settling time are medians over the trials that have one; every other key is a mean over the trials that have it.
 """
 
 from typing import NamedTuple
@@ -29,14 +41,16 @@ import numpy as np
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.base.units import G, wrap
-from fishmj.evaluate.protocol import Trials
+from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD, Trials
 from fishmj.mjcf.description import Robot
+from fishmj.tasks.reference import eight, path_length
 from fishmj.water.choice import HYBRID, LBM, label
 
 BEAT = 1.0  # s, averaging window
 RESAMPLES, SEED, LEVEL = 10_000, 20210, 0.95
 ENOUGH, APART = 5, 6  # trials
-MEDIANS = ("approach_time",)
+MEDIANS = ("approach_time", "settling_time")
+NEAR, POINTS = 0.25, 201  # part of a figure eight, to each side of the target, and its points, among which the nearest is sought
 UNITS = {
     "arrival": "1",
     "approach_time": "s",
@@ -49,6 +63,19 @@ UNITS = {
     "rheotactic_index": "1",
     "rheotactic_index_linear": "1",
 }
+COURSE_UNITS = {
+    "settled": "1",
+    "settling_time": "s",
+    "furthest": "m",
+    "cross_track": "m",
+    "on_path": "1",
+    "tracking_rmse": "m",
+}
+LEADING = {
+    HOLD: "rmse_after_arrival",
+    ANGLE: "rmse_total",
+    EIGHT: "cross_track",
+}  # task -> distance that ranks controllers, trials
 
 
 class Result(NamedTuple):
@@ -95,13 +122,16 @@ def figures(r: Result) -> dict[str, np.ndarray]:
     """Figures (n,), one for each trial, by key."""
     if r.known is not None:
         return r.known
+    return {HOLD: hold_figures, ANGLE: settling_figures, EIGHT: path_figures}[r.trials.task](r)
+
+
+def hold_figures(r: Result) -> dict[str, np.ndarray]:
+    """Figures (n,) of station holding."""
     window = lambda key: constant("protocol", key)
     end = window("arrival_time")
     first = arrival_tick(r)
     arrived = first >= 0
     since = np.where(arrived, r.t[first], window("missed_window")[0])
-    way, energy = _way(r), _until_left(r, r.power).sum(1) * r.robot.timing.bus_dt
-    per_metre = energy / np.maximum(way, 1e-6)
     cosine, linear = rheotaxis(r)
     return {
         "arrival": arrived.astype(float),
@@ -109,12 +139,57 @@ def figures(r: Result) -> dict[str, np.ndarray]:
         "rmse_after_arrival": rms(r, since, end),
         "rmse_last20": rms(r, *window("steady_window")),
         "rmse_total": rms(r, 0.0, end),
-        "power": energy / (np.maximum(np.minimum(r.left, r.power.shape[1]), 1) * r.robot.timing.bus_dt),
-        "energy_per_metre": per_metre,
-        "cost_of_transport": per_metre / (r.robot.mass * G),
+        **energies(r),
         "rheotactic_index": cosine,
         "rheotactic_index_linear": linear,
     }
+
+
+def energies(r: Result) -> dict[str, np.ndarray]:
+    """Power and energies (n,) until a trial ends or leaves."""
+    energy = _until_left(r, r.power).sum(1) * r.robot.timing.bus_dt
+    per_metre = energy / np.maximum(_way(r), 1e-6)
+    return {
+        "power": energy / (np.maximum(np.minimum(r.left, r.power.shape[1]), 1) * r.robot.timing.bus_dt),
+        "energy_per_metre": per_metre,
+        "cost_of_transport": per_metre / (r.robot.mass * G),
+    }
+
+
+def settling_figures(r: Result) -> dict[str, np.ndarray]:
+    """Figures (n,) of angle_of_attack."""
+    outside = ~(r.distance <= constant("protocol", "arrival_radius")) | (np.arange(len(r.t)) >= r.left[:, None])
+    last = len(r.t) - 1 - outside[:, ::-1].argmax(1)  # the last tick outside
+    since = np.where(outside.any(1), r.t[np.minimum(last + 1, len(r.t) - 1)], 0.0)
+    settled = since <= r.t[-1] - constant("experiments", "aoa_converge")
+    return {
+        "settled": settled.astype(float),
+        "settling_time": np.where(settled, since, np.nan),
+        "furthest": r.distance.max(1),
+        "rmse_total": rms(r, 0.0, float(r.t[-1])),
+        "power": energies(r)["power"],
+    }
+
+
+def path_figures(r: Result) -> dict[str, np.ndarray]:
+    """Figures (n,) of figure_eight."""
+    off = cross_track(r)
+    mean = lambda x: np.sqrt(np.mean(x**2, 1))
+    on = np.mean(off <= constant("protocol", "arrival_radius"), 1)
+    return {"cross_track": mean(off), "on_path": on, "tracking_rmse": mean(r.distance), **energies(r)}
+
+
+def cross_track(r: Result) -> np.ndarray:
+    """Distance (n, T + 1) m to the figure eight, near the moving target; it stays as it is where a trial leaves the domain."""
+    speed, off = constant("experiments", "figure8_speed"), np.empty(r.pose.shape[:2])
+    along = np.linspace(-NEAR, NEAR, POINTS) * path_length()
+    for k, t in enumerate(r.t):
+        points, _ = eight(np, speed * t + along)
+        chord, from_a = np.diff(points, axis=0), r.pose[:, k, None, :2] - points[:-1]
+        share = np.clip(np.sum(from_a * chord, -1) / np.sum(chord**2, -1), 0.0, 1.0)
+        off[:, k] = np.linalg.norm(from_a - share[..., None] * chord, axis=-1).min(1)
+    tick = np.minimum(np.arange(len(r.t)), r.left[:, None])
+    return np.take_along_axis(off, np.minimum(tick, len(r.t) - 1), 1)
 
 
 def rms(r: Result, start, end: float) -> np.ndarray:
@@ -125,12 +200,15 @@ def rms(r: Result, start, end: float) -> np.ndarray:
     return np.where((r.t[-1] >= end - 1e-9) & inside.any(1), np.sqrt(mean), np.nan)
 
 
-def rheotaxis(r: Result) -> tuple[np.ndarray, np.ndarray]:
-    """Rheotactic indices (RI_cos, RI_lin) over the hold phase, each (n,)."""
-    start, end = constant("protocol", "rheotaxis_window")
+def rheotaxis(r: Result, window: tuple[float, float] | None = None, bounded: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Rheotactic indices (RI_cos, RI_lin), each (n,).
+
+    window: s, default the hold phase. bounded: headings count until a trial leaves the domain.
+    """
+    start, end = constant("protocol", "rheotaxis_window") if window is None else window
     heading = beat_mean(r.pose[:, :, 2], r.robot.timing.bus_dt)
     off = wrap(np, heading - r.trials.upstream)
-    inside = (r.t >= start) & (r.t <= end + 1e-9) & (np.arange(len(r.t)) < r.left[:, None])
+    inside = (r.t >= start) & (r.t <= end + 1e-9) & ((np.arange(len(r.t)) < r.left[:, None]) | (not bounded))
     count = np.where((r.t[-1] >= end - 1e-9) & inside.any(1), inside.sum(1), np.nan)
     mean = lambda x: np.sum(x * inside, 1) / count
     return mean(np.cos(off)), 1 - mean(np.abs(off)) / (np.pi / 2)
@@ -221,6 +299,16 @@ def difference(key: str, a, b) -> PairedDifference:
     return PairedDifference(key, value, low, high, len(a), float(t), float(p))
 
 
+def holm(p) -> np.ndarray:
+    """P values (m,) adjusted for m tests by Holm's step-down method; NaN where a test has none, which counts as no test."""
+    p = np.asarray(p, float)
+    there = np.flatnonzero(np.isfinite(p))
+    order = there[np.argsort(p[there])]
+    adjusted = np.full(len(p), np.nan)
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0)
+    return adjusted
+
+
 def _resampled(x) -> np.ndarray:
     """(RESAMPLES, n) draws with replacement, the same for every key and controller of n trials."""
     return x[np.random.default_rng(SEED).integers(len(x), size=(RESAMPLES, len(x)))]
@@ -237,7 +325,7 @@ def summary(result: Result) -> dict:
 
     Returns:
         {"controller", "policy", "n", "overall": {key: {value, low, high, n, why, unit}}, "by_speed": {"0.1": ..},
-        "by_los": {"45": ..}, "left_domain"}; policy as in `Result`
+        "by_los": {"45": ..}, "left_domain"}; policy as in `Result`; "task" if it is not station holding
     """
     found = figures(result)
     trials = result.trials
@@ -245,6 +333,7 @@ def summary(result: Result) -> dict:
     return {
         "controller": result.controller,
         "policy": result.policy,
+        **({} if trials.task == HOLD else {"task": trials.task}),
         "n": len(trials),
         "overall": gather(found),
         "by_speed": {f"{u:g}": gather(found, trials.speed == u) for u in np.unique(trials.speed)},
@@ -255,7 +344,7 @@ def summary(result: Result) -> dict:
 
 def gather(found: dict, rows=slice(None)) -> dict:
     """Estimates {key: {value, low, high, n, why, unit}} of some trials."""
-    return {key: {**estimate(key, x[rows])._asdict(), "unit": UNITS[key]} for key, x in found.items()}
+    return {key: {**estimate(key, x[rows])._asdict(), "unit": (UNITS | COURSE_UNITS)[key]} for key, x in found.items()}
 
 
 def compare(first: Result, second: Result) -> list[PairedDifference]:
@@ -263,4 +352,4 @@ def compare(first: Result, second: Result) -> list[PairedDifference]:
     if [t.seed for t in first.trials.items] != [t.seed for t in second.trials.items]:
         raise ConfigError(f"compare: {first.controller} and {second.controller} were judged on different trials")
     a, b = figures(first), figures(second)
-    return [difference(key, a[key], b[key]) for key in UNITS]
+    return [difference(key, a[key], b[key]) for key in a]

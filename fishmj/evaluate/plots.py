@@ -14,8 +14,10 @@ from fishmj.base.figures import BLUE, GREEN, GREY, OPEN, ORANGE, PURPLE, SKY, VE
 from fishmj.base.pages import drawn
 from fishmj.base.units import wrap
 from fishmj.evaluate.metrics import Result, beat_mean, figures
+from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
+from fishmj.tasks.reference import eight, path_length
 
-PICTURES = ("distance.png", "radar.png", "heading.png", "tracks.png")  # files of `pictures`
+PICTURES = ("distance.png", "radar.png", "heading.png", "tracks.png", "path.png")  # files of `pictures`
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY, "#8C564B")
 DASHES = ("-", "--", "-.", (0, (1, 1.2)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 2)), (0, (2, 3)))
 INK, FAINT = "#222222", "#C9CED6"
@@ -37,13 +39,18 @@ AROUND = {"bbox_inches": "tight", "pad_inches": 0.15}  # of a saved picture
 @style(STYLE)
 def pictures(results: list[Result], folder: Path) -> list[tuple[Path, str]]:
     """Draws all pictures into `folder`: (file, caption)."""
+    distances = (distance, "Distance to the target: median and the middle half of the trials, by flow speed.")
+    seen = (tracks, "Tracks seen from the target (cross, with the 0.1 m circle); the water flows down the page.")
     panels = (
-        (distance, "Distance to the target: median and the middle half of the trials, by flow speed."),
+        distances,
         (radar, "Means over repeats, by direction of the target; upstream is up."),
         (headings, "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
-        (tracks, "Tracks seen from the target (cross, with the 0.1 m circle); the water flows down the page."),
+        seen,
+        (paths, "Path of the target (grey) and tracks of all trials; the water flows down the page."),
     )
-    return [(draw(results, folder / name), caption) for name, (draw, caption) in zip(PICTURES, panels, strict=True)]
+    of_task = {HOLD: panels[:4], ANGLE: (distances, seen), EIGHT: (panels[4],)}[results[0].trials.task]
+    files = dict(zip(panels, PICTURES, strict=True))
+    return [(panel[0](results, folder / files[panel]), panel[1]) for panel in of_task]
 
 
 def looks(results: list[Result]):
@@ -87,7 +94,12 @@ def distance(results: list[Result], path: Path) -> Path:
 
 
 def radar(results: list[Result], path: Path) -> Path:
-    """Draws approach time, RMSE and power over the directions: rows speeds, columns figures, lines controllers."""
+    """Draws `radar_figure` into a file."""
+    return save(radar_figure(results), path, **AROUND)
+
+
+def radar_figure(results: list[Result]):
+    """Figure of approach time, RMSE and power over the directions: rows speeds, columns figures, lines controllers."""
     speeds = speeds_of(results)
     figure, axes = canvas(len(speeds), 3, (12, 3.9 * len(speeds) + 0.5), subplot_kw={"projection": "polar"})
     found = [(figures(r), r, c, d) for r, c, d in looks(results)]
@@ -109,7 +121,7 @@ def radar(results: list[Result], path: Path) -> Path:
             axis.set_rlim(LOGARITHMIC.get(key, 0.0), _ceiling(found, key, results))
             axis.set_title(f"{title}\nflow {speed:g} m/s", pad=14)
     legend(figure, results, fontsize=11)
-    return save(figure, path, **AROUND)
+    return figure
 
 
 def _means(values, r: Result, speed: float) -> np.ndarray:
@@ -192,3 +204,28 @@ def tracks(results: list[Result], path: Path) -> Path:
     for axis in axes[-1]:
         axis.set_xlabel("to the right, facing upstream [m]")
     return save(figure, path, **AROUND)
+
+
+def paths(results: list[Result], path: Path) -> Path:
+    """Draws tracks on the figure eight: rows controllers, columns speeds."""
+    speeds = speeds_of(results)
+    figure, axes = canvas(len(results), len(speeds), (3.4 * len(speeds), 3.0 * len(results)), sharex=True, sharey=True)
+    looked = zip(axes, looks(results), strict=True)
+    for row, (r, colour, _) in looked:
+        for axis, speed in zip(row, speeds, strict=True):
+            some = np.flatnonzero(r.trials.speed == speed)
+            eight_panel(axis, [r.pose[i, : min(r.left[i] + 1, len(r.t)), :2] for i in some], colour)
+            axis.set_title(f"{drawn(r.controller)}, {speed:g} m/s")
+        row[0].set_ylabel("upstream [m]")
+    for axis in axes[-1]:
+        axis.set_xlabel("to the right, facing upstream [m]")
+    return save(figure, path, **AROUND)
+
+
+def eight_panel(axis, tracks, colour: str) -> None:
+    """Draws tracks, each (T, 2) m in the tank, over the path; upstream is up, as in `tracks`."""
+    points, _ = eight(np, np.linspace(0, path_length(), 400))
+    axis.plot(points[:, 1], -points[:, 0], color=FAINT, linewidth=5, zorder=1)
+    for track in tracks:
+        axis.plot(track[:, 1], -track[:, 0], color=colour, linewidth=0.8, alpha=0.8)
+    axis.set(xlim=(-1.5, 1.5), ylim=(-1.3, 1), aspect="equal")

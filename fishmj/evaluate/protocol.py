@@ -4,12 +4,16 @@
 los = 0: target straight upstream; positive: to the left of a fish that faces upstream. The water moves to tank +x, so upstream is
 -x; the direction of the axes is a convention, because all figures are relative to the stream. A trial's draws depend on (seed,
 box, speed, los, repeat) only: a subset has exactly the same trials.
+
+The other two tasks are the courses of `fishmj.tasks.reference`. angle_of_attack: `los` is the start's angle from upstream.
+figure_eight: the fish starts at the crossing, and the target follows the path by arc length.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
-from typing import NamedTuple
+from math import ceil
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -17,11 +21,13 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.reference import COURSES, EpisodeStart
 from fishmj.water import flow as background
-from fishmj.water.flow import Flow
+from fishmj.water.flow import Current, Flow
 
 HEADINGS = ("upstream", "uniform")
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
+HOLD, EIGHT, ANGLE = TASKS = ("station_hold", "figure_eight", "angle_of_attack")
 
 
 class TrialSpec(NamedTuple):
@@ -50,6 +56,9 @@ class Trials:
     randomisation: float
     noise: float
     duration: float  # s
+    task: str = HOLD
+    steady: ClassVar[bool] = True  # the mean stream does not change within a trial
+    drawn_as: ClassVar[str] = ""  # of a subclass whose draws are not those of the items' seeds
 
     def __len__(self) -> int:
         return len(self.items)
@@ -61,7 +70,7 @@ class Trials:
 
     @property
     def los(self) -> np.ndarray:
-        """Direction of the target in each trial, (n,) rad."""
+        """Direction of the target in each trial, (n,) rad; of angle_of_attack the start's angle from upstream."""
         return np.array([t.los for t in self.items])
 
     @property
@@ -70,13 +79,31 @@ class Trials:
         return self.direction + np.pi
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """Start pose (n, 3) and target (n, 2), tank frame, m and rad."""
+        """Start pose (n, 3) and target (n, 2) at the start, tank frame, m and rad."""
+        if self.task != HOLD:
+            start = self._launch().start
+            return start.pose, start.target
         bearing = self.upstream + self.los
         target = 0.5 * constant("protocol", "distance") * np.stack([np.cos(bearing), np.sin(bearing)], -1)
         heading = np.full(len(self), self.upstream)
         if self.heading == "uniform":
             heading += 2 * np.pi * np.array([t.draw(2).random() for t in self.items])
         return np.concatenate([-target, heading[:, None]], 1), target
+
+    def targets(self, t) -> np.ndarray:
+        """Target of each trial at times t (T,) [s], (n, T, 2) m."""
+        if self.task != EIGHT:
+            return np.repeat(self.ends()[1][:, None], len(t), 1)
+        launch, course = self._launch(), course_of_trial(self.task)
+        return np.stack([course.target(np, launch, np.full(len(self), at)) for at in t], 1)
+
+    def _launch(self) -> EpisodeStart:
+        """Starts of a course in the trials' own stream; its other draws are at their middle."""
+        uniforms = np.full((1, task.N_START), 0.5)
+        uniforms[:, 6] = (self.direction / np.pi + 1) / 2
+        starts = [course_of_trial(self.task, t.los).launch(np, uniforms) for t in self.items]
+        start = task.Start(*(np.concatenate(column) for column in zip(*(one.start for one in starts), strict=True)))
+        return EpisodeStart(start, np.concatenate([one.phase for one in starts]))
 
     def flows(self) -> list[Flow]:
         """Background flow of each trial."""
@@ -91,6 +118,10 @@ class Trials:
             )
             for t in self.items
         ]
+
+    def stream(self, current: Current, t: float) -> Current:
+        """Flow of all trials from time t [s] on, given that before; of a steady stream the same."""
+        return current
 
     @property
     def flow_seeds(self) -> list:
@@ -144,6 +175,11 @@ class MeasuredTrials(Trials):
         return f"measured turbulence {measured} %" if self.seen else f"{self.turbulence} turbulence {measured} % as measured"
 
 
+def course_of_trial(name: str, los: float = 0.0):
+    """Course of a task other than station holding; los: angle [rad] from upstream at which a fish starts on its target."""
+    return COURSES[name](**({"phase": 0.0} if name == EIGHT else {"angle": los}))
+
+
 def measured(some: Trials, intensities: Mapping[float, float], turbulence: str, seen: bool = False) -> MeasuredTrials:
     """The same trials, speeds and draws, in turbulence of this kind and of a measured TI for each speed [m/s]."""
     known = {field.name: getattr(some, field.name) for field in fields(Trials)} | {"turbulence": turbulence}
@@ -166,27 +202,40 @@ def trials(
     randomisation: float = 1.0,
     noise: float = 1.0,
     duration: float | None = None,
+    task: str = HOLD,
 ) -> Trials:
-    """The standard 72 trials, or a part of them.
+    """The standard 72 trials, or a part of them; those of another task with the paper's speeds, angles and cycles.
 
     Args:
         speeds: some of 0.1, 0.2, 0.3 m/s (others are possible; the tables mark them).
-        los_deg: some of 0, 45, .. 315. repeats: 1 to 3 (more are possible).
+        los_deg: some of 0, 45, .. 315; of angle_of_attack angles from upstream, -180, -90, 0, 90.
+        repeats: 1 to 3 (more are possible).
         heading: of the start, "upstream" or "uniform".
         randomisation, noise: 0 switches them off.
 
     Raises:
         ConfigError, UnknownName: an invalid setting.
     """
-    get = lambda key: constant("protocol", key)
-    speeds = tuple(get("speeds") if speeds is None else speeds)
-    los_deg = tuple(get("bearings_deg") if los_deg is None else los_deg)
-    repeats = get("repeats") if repeats is None else repeats
-    duration = get("duration") if duration is None else duration
-    names = (("heading", heading, HEADINGS), ("seeds", box, SETS), ("turbulence", turbulence, background.PRESETS))
+    get, of_paper = (lambda key: constant("protocol", key)), (lambda key: constant("experiments", key))
+    names: list[tuple[str, str, tuple[str, ...]]] = [("heading", heading, HEADINGS), ("seeds", box, SETS), ("task", task, TASKS)]
+    names.append(("turbulence", turbulence, background.PRESETS))
     for kind, name, known in names:
         if name not in known:
             raise UnknownName(kind, name, known)
+    if task != HOLD and heading != HEADINGS[0]:
+        raise ConfigError(f"trials: heading = {heading!r} with the task {task}, which states its own; leave one of them out")
+    if task == EIGHT and los_deg is not None:
+        raise ConfigError(
+            f"trials: directions {list(los_deg)} with the task {task}, whose fish starts on its path; leave them out"
+        )
+    standard = {
+        HOLD: lambda: (get("speeds"), get("bearings_deg"), get("duration")),
+        EIGHT: lambda: (of_paper("figure8_flows"), (0.0,), ceil(course_of_trial(EIGHT).seconds)),
+        ANGLE: lambda: ((of_paper("aoa_speed"),), of_paper("aoa_deg"), course_of_trial(ANGLE).seconds),
+    }[task]()
+    speeds, los_deg, duration = (b if a is None else a for a, b in zip((speeds, los_deg, duration), standard, strict=True))
+    speeds, los_deg = tuple(speeds), tuple(los_deg)
+    repeats = get("repeats") if repeats is None else repeats
     if not speeds or not los_deg or repeats < 1:
         raise ConfigError(f"trials: {len(speeds)} speeds x {len(los_deg)} directions x {repeats} repeats is nothing to judge")
     if not all(0 <= u <= 1 for u in speeds):
@@ -209,4 +258,5 @@ def trials(
         randomisation=randomisation,
         noise=noise,
         duration=duration,
+        task=task,
     )

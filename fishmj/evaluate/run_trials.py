@@ -78,12 +78,15 @@ def running(controller, robot: Robot, trials: Trials, engine, shift, progress: C
     n, steps = len(trials), task.control_steps(trials.duration, robot)
     params, camera = trials.fish(robot)
     (start, target), noise = trials.ends(), trials.sensor_noise(robot, steps)
+    aims = trials.targets(np.arange(steps) * robot.timing.control_dt)
     loop.start(start, Scenario(params, camera, stack(trials.flows())))
     loop.fish.q[:, :2] += shift
     rows: list[tuple] = []
     controller.reset(n)
     for k in range(steps):
-        obs = loop.observe(target, noise[:, k])
+        now = loop.scenario.current
+        loop.scenario = loop.scenario._replace(current=trials.stream(now, k * robot.timing.control_dt))
+        obs = loop.observe(aims[:, k], noise[:, k])
         command = _checked(controller, controller(obs), (n, loop.ticks, robot.n_joints))
         try:
             trace = yield from loop.acting(command)
@@ -101,7 +104,8 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     pose, joint, rate, velocity = first(start, join(0)), first(0.0, join(1)), first(0.0, join(2)), first(0.0, join(3))
     out = task.outside(np, pose)
     left = np.where(out.any(1), out.argmax(1), pose.shape[1])
-    distance = np.linalg.norm(pose[:, :, :2] - target[:, None], axis=-1)
+    t = np.arange(pose.shape[1]) * robot.timing.bus_dt
+    distance = np.linalg.norm(pose[:, :, :2] - trials.targets(t), axis=-1)
     tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
     name, hybrid = engines.name_of(engine), getattr(engine, "hybrid", None)
     return Result(
@@ -111,7 +115,7 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
         robot=robot,
         trials=trials,
         engine=name,
-        t=np.arange(pose.shape[1]) * robot.timing.bus_dt,
+        t=t,
         target=target,
         pose=pose,
         velocity=velocity,
@@ -266,8 +270,10 @@ def judge_in_solver(
         progress: called with the number of control steps done, summed over trials.
 
     Raises:
-        OracleUnstable, ConfigError: the set-up would not run.
+        OracleUnstable, ConfigError: the set-up would not run, or the stream changes within a trial.
     """
+    if not trials.steady:
+        raise ConfigError("judge_in_solver: the solver's stream is steady; trials whose stream changes run in the fitted water")
     from fishmj.lbm_oracle.fluid.device import devices_of
     from fishmj.lbm_oracle.run.solver_water import PLAIN
     from fishmj.lbm_oracle.run.spread import spread
@@ -277,6 +283,7 @@ def judge_in_solver(
     water = water._replace(domain=domain or water.domain, slip=water.slip if slip is None else slip)
     label = "_".join(filter(None, (fingerprint(brain, robot, trials, water), variation.name)))
     box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "finer": variation.finer} | water.immersed
+    box |= {} if water.dx is None else {"dx": water.dx}
     paths = [None if folder is None else folder / KEPT / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
     found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
     waiting = [i for i in range(len(trials)) if i not in found]
@@ -397,10 +404,13 @@ def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> st
     what = {
         "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],
         "robot": repr(robot),
-        "trials": {k: v for k, v in asdict(replace(trials, items=())).items() if k != "items"},
+        "trials": {
+            k: v for k, v in asdict(replace(trials, items=())).items() if k != "items" and (k, v) != ("task", protocol.HOLD)
+        },
         "seed": trials.items[0].seed[:2],
-        "water": [water.domain, water.slip, HELD],
+        "water": [water.domain, water.slip, HELD, *([] if water.dx is None else [water.dx])],
         **({"immersed": {k: repr(v) for k, v in water.immersed.items()}} if water.immersed != PLAIN.immersed else {}),
         **({"effects": repr(robot.effects)} if robot.effects else {}),
+        **({"drawn": trials.drawn_as} if trials.drawn_as else {}),
     }
     return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]

@@ -23,8 +23,9 @@ from fishmj.base.pages import Section, figure, part, report, table
 from fishmj.base.source import made_by
 from fishmj.base.store import Manifest, clear, write_text
 from fishmj.engines.hybrid.online_correction import KINDS
-from fishmj.evaluate.metrics import APART, UNITS, Result, compare, figures, rms
+from fishmj.evaluate.metrics import APART, LEADING, MEDIANS, Result, compare, figures, rms
 from fishmj.evaluate.plots import PICTURES
+from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import identity
@@ -45,11 +46,22 @@ SHORT = {  # key -> heading, digits
     "cost_of_transport": ("CoT", 2),
     "rheotactic_index": ("RI cos", 3),
     "rheotactic_index_linear": ("RI lin", 3),
+    "settled": ("settled", 3),
+    "settling_time": ("settling [s]", 1),
+    "furthest": ("furthest [m]", 3),
+    "cross_track": ("cross-track [m]", 3),
+    "on_path": ("on path", 3),
+    "tracking_rmse": ("rmse target [m]", 3),
 }
 CORRECTED = "what the flow solver corrected, standard deviations in brackets (of a factor: of its logarithm)"
 STARRED = f"* = the interval excludes 0, of {APART} pairs or more"
-MAIN = ("arrival", "approach_time", "rmse_after_arrival", "rmse_last20", "rmse_total", "power", "rheotactic_index")
+FIRST = ("arrival", "settled", "on_path")  # of each task
+MAIN = (
+    *FIRST, "approach_time", "settling_time", "cross_track", "tracking_rmse", "furthest", "rmse_after_arrival", "rmse_last20",
+    "rmse_total", "power", "rheotactic_index",
+)  # fmt: skip
 REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
+MARKS = {HOLD: "STATION HOLDING", ANGLE: "ANGLE OF ATTACK", EIGHT: "FIGURE EIGHT"}
 ReplayWriter = Callable[[list[Trial], Path, Robot, str], Path]  # (trials, page, robot, title) -> page
 WORST = "worst.html"  # the replay of the first controller's worst trial, beside the report
 # parts of an older report that may be missing in a new one
@@ -62,6 +74,12 @@ MEANING = {
     "rmse after": "RMS distance from first entry to 30 s; a trial without arrival counts with 10 to 30 s",
     "rmse last 20 s": "RMS distance over 40 to 60 s, all trials",
     "rmse total": "RMS distance over 0 to 30 s",
+    "settled": "share of trials within 0.1 m for the last 5 s",
+    "settling": "time from which on the fish stays within 0.1 m, median over the n trials that settle",
+    "furthest": "largest distance from the target",
+    "on path": "share of the time within 0.1 m of the figure eight",
+    "cross-track": "RMS distance to the figure eight, near the moving target",
+    "rmse target": "RMS distance to the moving target",
     "power": "mean electrical power, idle included",
     "RI": "rheotactic index over 30 to 60 s, heading averaged over a beat; 1 = always upstream",
 }
@@ -84,7 +102,7 @@ def trial_of(r: Result, i: int) -> Trial:
     tables = {
         **logged(r.robot, *swum, params, camera, start=r.pose[i, 0], random=item.draw(4), strength=r.trials.noise),
         "obs": {"t": decisions, **numbered("o#", r.obs[i, : len(decisions)])},
-        "target": {"t": np.zeros(1), "x": r.target[i, :1], "y": r.target[i, 1:]},
+        "target": _targets(r, i, decisions),
         "flow": {"t": start, **_flow_at_links(r, i, ticks)},
     }
     if r.action is not None:
@@ -106,7 +124,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "seed": int(item.seed[0]),
         "condition": {"speed": item.speed, "los_deg": round(float(np.degrees(item.los)), 3), "repeat": item.repeat},
         "randomisation": r.trials.randomisation,
-        "excitation": "station holding",
+        "excitation": MARKS[r.trials.task].lower(),
         **({"left_out": list(r.left_out)} if r.left_out else {}),
         **logged_meta(r.robot, tables, params, camera, r.pose[i, 0], r.trials.noise),
         **made_by("numpy", "mujoco"),
@@ -115,6 +133,14 @@ def trial_of(r: Result, i: int) -> Trial:
         "notes": NOTE if ticks == len(r.t) - 1 else f"{NOTE}; the tank stopped after {ticks * r.robot.timing.bus_dt:.2f} s",
     }
     return Trial(meta, tables)
+
+
+def _targets(r: Result, i: int, decisions) -> dict:
+    """Target at each decision; one row if it stays."""
+    if r.trials.task != EIGHT:
+        return {"t": np.zeros(1), "x": r.target[i, :1], "y": r.target[i, 1:]}
+    x, y = replace(r.trials, items=(r.trials.items[i],)).targets(decisions)[0].T
+    return {"t": decisions, "x": x, "y": y}
 
 
 def name_of(r: Result, i: int) -> str:
@@ -166,8 +192,9 @@ def condition(result: Result) -> str:
     dt = result.robot.timing.control_dt
     step = f", control step {dt:g} s" if dt != constant("task", "control_dt") else ""
     without = f", without the effects {', '.join(result.left_out)}" if result.left_out else ""
+    course = "" if t.task == HOLD else f", task {t.task}"
     return (
-        f"{len(t)} trials of {t.duration:g} s, flow {speeds} m/s, {t.turbulence_said}, water {result.water}, "
+        f"{len(t)} trials of {t.duration:g} s{course}, flow {speeds} m/s, {t.turbulence_said}, water {result.water}, "
         f"engine {result.engine}, command path {result.robot.timing.command_path}{step}, start heading {t.heading}, "
         f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
@@ -179,7 +206,13 @@ def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
     if not_as_trained(summaries):
         for row, s in zip(rows, summaries, strict=True):
             row["not as trained"] = ", ".join((s["policy"] or {}).get("differs", ())) or "-"
-    return [row | {SHORT[k][0]: cell(k, s["overall"][k]) for k in keys} for row, s in zip(rows, summaries, strict=True)]
+    there = lambda s: {SHORT[k][0]: cell(k, s["overall"][k]) for k in keys if k in s["overall"]}
+    return [row | there(s) for row, s in zip(rows, summaries, strict=True)]
+
+
+def energy_rows(summaries: list[dict]) -> list[list[dict]]:
+    """Rows of the second table; none if the task has no such figures."""
+    return [overall(summaries, (*FIRST, *REST))] if any(key in summaries[0]["overall"] for key in REST) else []
 
 
 def not_as_trained(summaries: list[dict]) -> list[str]:
@@ -196,7 +229,7 @@ def cell(key: str, e: dict, interval: bool = True) -> str:
     text = f"{e['value']:.{digits}f}"
     if interval and not e["why"]:
         text += f" ({e['low']:.{digits}f} {e['high']:.{digits}f})"
-    return f"{text} n={e['n']}" if key == "approach_time" else text
+    return f"{text} n={e['n']}" if key in MEDIANS else text
 
 
 def unbounded(summaries: list[dict]) -> list[str]:
@@ -216,9 +249,16 @@ def number(x: float, form: str) -> str:
 
 def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
     """Rows by speed (`by_speed`) or by direction (`by_los`) of one controller, values only."""
-    head = {"by_speed": "flow [m/s]", "by_los": "los [deg]"}[which]
-    order = sorted(summary[which], key=float)
-    return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in keys}} for name in order]
+    head = {"by_speed": "flow [m/s]", "by_los": "los [deg]" if summary.get("task") != ANGLE else "angle [deg]"}[which]
+    order, has = sorted(summary[which], key=float), [k for k in keys if k in summary["overall"]]
+    return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in has}} for name in order]
+
+
+def conditions_of(summary: dict) -> dict[str, str]:
+    """Key and title of each table by condition."""
+    task = summary.get("task", HOLD)
+    by_los = {HOLD: "by direction (0 = target straight upstream)", ANGLE: "by the start's angle from upstream"}
+    return {"by_speed": "by flow speed"} | ({"by_los": by_los[task]} if task in by_los else {})
 
 
 def corrections(r: Result) -> list[dict]:
@@ -319,20 +359,21 @@ def trials_csv(results: list[Result]) -> str:
     """CSV text, one row for each trial and controller: condition, seed, every figure."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
-    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *UNITS])
+    keys = list(figures(results[0]))
+    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *keys])
     for r in results:
         found, seeds = figures(r), r.trials.flow_seeds
         for i, t in enumerate(r.trials.items):
             left = f"{r.t[r.left[i]]:.2f}" if r.left[i] < len(r.t) else ""
             name = f"'{r.controller}" if r.controller[:1] in FORMULA else r.controller  # as spreadsheets mark text
             row = [name, f"{t.speed:g}", f"{np.degrees(t.los):g}", t.repeat, t.seed[0], seeds[i], left]
-            out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in UNITS)])
+            out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in keys)])
     return text.getvalue()
 
 
 def worst(r: Result) -> int:
-    """Index of the trial with the largest RMS distance after arrival; in a shorter judgement, over all of it."""
-    after = figures(r)["rmse_after_arrival"]
+    """Index of the trial with the largest RMS distance, of `LEADING`; in a judgement too short for it, over all of it."""
+    after = figures(r)[LEADING[r.trials.task]]
     return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
 
 
@@ -395,7 +436,15 @@ def replay_of_worst(r: Result, out: Path, write_page: ReplayWriter) -> Path:
 def headline(results: list[Result]) -> str:
     """Result in one sentence: number of trials held by the first controller, its distance, and the comparison with `baseline`."""
     first, radius = results[0], constant("protocol", "arrival_radius")
-    found = figures(first)
+    found, task = figures(first), first.trials.task
+    if task != HOLD:
+        other, far = baseline(results), f"{found[LEADING[task]].mean():.3f} m RMS"
+        words = f"{first.controller} is {far} from the path on average"
+        if task == ANGLE:
+            words = (
+                f"{first.controller} settles in {found['settled'].sum():.0f} of {len(first.trials)} trials, {far} from the target"
+            )
+        return f"{words}; {against(first, other)}." if other else f"{words}."
     after, n = found["rmse_after_arrival"], len(first.trials)
     words = f"{first.controller} arrives in {int(found['arrival'].sum())} of {n} trials"
     if not np.isfinite(after).all():
@@ -412,11 +461,13 @@ def baseline(results: list[Result]) -> Result | None:
 
 def against(first: Result, other: Result) -> str:
     """Clause on the difference in distance to the target between two controllers, or on its absence."""
-    d = next(d for d in compare(first, other) if d.key == "rmse_after_arrival")
+    key = LEADING[first.trials.task]
+    d = next(d for d in compare(first, other) if d.key == key)
     if not d.apart:
         return f"these trials do not tell it from {other.controller}"
-    side = "nearer to the target than" if d.value > 0 else "farther from the target than"
-    mean = figures(other)["rmse_after_arrival"].mean()
+    to = "the path" if first.trials.task == EIGHT else "the target"
+    side = f"nearer to {to} than" if d.value > 0 else f"farther from {to} than"
+    mean = figures(other)[key].mean()
     without = "no control, " if other.controller == BASELINE else ""
     return f"{abs(d.value):.3f} m {side} {other.controller} ({without}{mean:.3f} m)"
 
@@ -432,18 +483,19 @@ def page(
     alone: hint on how to add a comparison, if there is only one controller.
     """
     first, summaries, told = results[0], found["results"], baseline(results)
-    named = f"{', '.join(s['controller'] for s in summaries)}: station holding"
+    mark = MARKS[first.trials.task]
+    named = f"{', '.join(s['controller'] for s in summaries)}: {mark.lower()}"
     notes = [found["condition"], *not_as_trained(summaries)]
     if told is None:
         notes.append(f"Judged alone. {alone}")
-    elif np.isfinite(figures(first)["rmse_after_arrival"]).all():
+    elif np.isfinite(figures(first)[LEADING[first.trials.task]]).all():
         notes += [f"Against {other.controller}: {against(first, other)}." for other in results[1:] if other is not told]
     worst_name = name_of(first, worst(first))
     if replay:
         notes.append(part("link", replay, "Replay of the worst trial", worst_name))
     elif again:
         notes.append(part("command", f"The worst trial is {worst_name}. Its replay is written by", again))
-    every = [overall(summaries), overall(summaries, ("arrival", *REST))]
+    every = [overall(summaries), *energy_rows(summaries)]
     about = "value (95 % bootstrap interval over trials)"
     sections = [Section("All trials", about, [*map(table, every), *unbounded(summaries)])]
     sections += [
@@ -454,8 +506,9 @@ def page(
         sections.append(Section(title, STARRED, [table(paired(first, other))]))
     sections.append(Section("", "", [figure(path.read_bytes(), caption) for path, caption in shown]))
     for s in summaries:
-        conditions = [table(by_condition(s, which)) for which in ("by_speed", "by_los")]
+        conditions = [table(by_condition(s, which)) for which in conditions_of(s)]
         sections.append(Section(f"{s['controller']} by condition", "", conditions))
-    meant = [{"figure": key, "meaning": value} for key, value in MEANING.items()]
+    heads = "".join(every[0][0])
+    meant = [{"figure": key, "meaning": value} for key, value in MEANING.items() if key in heads]
     sections.append(Section("What the figures mean", "", [table(meant, left=2)]))
-    return report(named, headline(results), sections, mark="STATION HOLDING", notes=notes)
+    return report(named, headline(results), sections, mark=mark, notes=notes)

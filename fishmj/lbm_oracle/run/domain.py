@@ -140,6 +140,16 @@ class Domain:
         nx, ny, nz = (max(1, round(s / dx_new)) for s in (x, y, length.get("depth", z)))
         return replace(self, shape=(nx, ny, nz), dx=dx_new, dt=length.get("dt", self.dt * dx_new / self.dx), **more)
 
+    def with_cells(self, dx: float | None) -> "Domain":
+        """The same box with cells of dx [m]; None: as it is.
+
+        The time step is nearest to the same dx / dt, divides a bus tick and is no longer than the robot's.
+        """
+        if dx is None:
+            return self
+        tick, longest = constant("timing", "bus_dt"), constant("timing", "physics_dt")
+        return self.changed(dx=dx, dt=tick / max(round(tick / longest), round(tick * self.dx / (dx * self.dt))))
+
 
 def tank(name: str, size, dx: float, dt: float, **more: Any) -> Domain:
     """Fixed box of `size` (3,) m. Raises ConfigError for a length that is not positive."""

@@ -53,6 +53,7 @@ class SolverWater(NamedTuple):
     """Boxes of water by name, for a tank and for a fish that swims away; slip ratio of the hull at the paper's grid.
 
     width, passes, sharpness: of the immersed boundary (`SwimSetup`). storage: type of the populations, float32 or float16.
+    dx: m, cells of the tank in place of its domain's.
     """
 
     name: str
@@ -63,11 +64,12 @@ class SolverWater(NamedTuple):
     passes: int = 2
     sharpness: Sharpness = markers.PLAIN
     storage: str = "float32"
+    dx: float | None = None
 
     @property
     def box(self) -> Domain:
         """Domain of the tank."""
-        return preset(self.domain)
+        return preset(self.domain).with_cells(self.dx)
 
     @property
     def immersed(self) -> dict[str, Any]:
@@ -81,7 +83,8 @@ class SolverWater(NamedTuple):
         named = "" if self.name == PLAIN.name else f"{self.name}, "
         edge = "" if self.sharpness == markers.PLAIN else f", boundary {boundary_name(self.sharpness)}"
         stored = "" if self.storage == "float32" else f", {self.storage}"
-        return f"{named}{self.domain}, slip {self.slip:g}{edge}{stored}"
+        cells = "" if self.dx is None else f", cells of {1e3 * self.dx:g} mm"
+        return f"{named}{self.domain}{cells}, slip {self.slip:g}{edge}{stored}"
 
     @property
     def said(self) -> str:
@@ -96,13 +99,13 @@ REFERENCE = SolverWater("reference-2", "paper_refined", "window_coarse_refined",
 
 def asked_for(
     who: str, reference: bool, domain: str | None, slip: float | None, plain: str | None = None, *, boundary: str | None = None,
-    storage: str | None = None,
+    storage: str | None = None, dx: float | None = None,
 ) -> SolverWater:  # fmt: skip
     """Water that the options select.
 
     Args:
         who: the verb, for the message.
-        domain, slip, boundary, storage: the options, None if not given.
+        domain, slip, boundary, storage, dx: the options, None if not given.
         plain: the verb's default box.
 
     Raises:
@@ -111,8 +114,8 @@ def asked_for(
     if not reference:
         box, edge = domain or plain or PLAIN.domain, BOUNDARIES[boundary or "plain"]
         water = PLAIN._replace(domain=box, slip=PLAIN.slip if slip is None else slip, sharpness=edge)
-        return water._replace(storage=storage or PLAIN.storage)
-    options = {"--domain": domain, "--slip": slip, "--boundary": boundary, "--storage": storage}
+        return water._replace(storage=storage or PLAIN.storage, dx=dx)
+    options = {"--domain": domain, "--slip": slip, "--boundary": boundary, "--storage": storage, "--dx": dx}
     if given := " ".join(f"{name} {value}" for name, value in options.items() if value is not None):
         raise ConfigError(f"{who}: {given} beside --reference, which is {REFERENCE.said}; leave one of them out")
     return REFERENCE

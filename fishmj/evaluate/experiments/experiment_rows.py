@@ -1,0 +1,54 @@
+"""Kept rows of an experiment, one JSON line each: an interrupted command continues with the parts that are not there."""
+
+import json
+from hashlib import sha256
+from pathlib import Path
+
+from fishmj.base import store
+from fishmj.base.source import package_sha256
+from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup, Row
+from fishmj.water.water_identity import water_identity
+
+
+def identity_of(setup: ExperimentSetup) -> str:
+    """Sixteen characters that change with everything that would change a row: policy, robot, water, seed, size, code."""
+    what = {
+        "policy": [setup.leader, getattr(setup.brain, "sha256", "")],
+        "robot": [repr(setup.robot), repr(setup.robot.effects)],
+        "water": [water_identity(setup.robot), repr(setup.solver)],
+        "seed": [setup.seed, setup.quick],
+        "code": package_sha256(),
+    }
+    return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+class ExperimentRows:
+    """Rows of one experiment in `<folder>/<name>.jsonl`, rewritten as a whole with each new row.
+
+    Lines of another identity, and lines that are not whole, are not used; the first new row drops them.
+    """
+
+    def __init__(self, folder: Path, name: str, identity: str):
+        self.path, self.identity = folder / f"{name}.jsonl", identity
+        self.rows: dict[str, Row] = {}
+        self.cpu: dict[str, float] = {}  # s of each part
+        try:
+            text = self.path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            text = ""
+        for line in text.splitlines():
+            try:
+                one = json.loads(line)
+                if one["identity"] == identity:
+                    self._add(one["key"], one["row"], one["cpu_s"])
+            except (ValueError, KeyError, TypeError):
+                continue
+
+    def add(self, key: str, row: Row, cpu: float) -> None:
+        """Keeps a row. Raises StoreError."""
+        self._add(key, json.loads(json.dumps(row, allow_nan=False)), round(cpu, 2))
+        lines = [{"key": k, "identity": self.identity, "cpu_s": self.cpu[k], "row": r} for k, r in self.rows.items()]
+        store.write_text(self.path, "".join(json.dumps(one) + "\n" for one in lines))
+
+    def _add(self, key: str, row: Row, cpu: float) -> None:
+        self.rows[key], self.cpu[key] = row, cpu

@@ -1,0 +1,70 @@
+"""Report of the paper's experiments: what the paper reports beside what was measured here."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from fishmj.base.pages import Section, figure, part, report, table
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, PaperExperiment
+
+ELSEWHERE = {  # figures of the paper that other commands remake
+    "flow_impact": "fishmj lbm_oracle forcemap --device cuda --fields",
+    "flow": "fishmj lbm_oracle drift --device cuda",
+    "calibration": "fishmj calibrate servo",
+}
+ABOUT = "Value (95 % interval over trials), n trials. Everything measured here is simulated."
+
+
+class FinishedExperiment(NamedTuple):
+    """An experiment whose rows are all there. cpu: s that its rows took."""
+
+    experiment: PaperExperiment
+    findings: ExperimentFindings
+    cpu: float
+
+
+def rows_of(finished: FinishedExperiment, named: bool = False) -> list[dict]:
+    """Table of one experiment; named: with the experiment's name in front."""
+    front = {"experiment": finished.experiment.name} if named else {}
+    return [
+        front | {"figure": one.what, "the paper reports": one.paper, "measured here": one.measured, "n": one.n or ""}
+        for one in finished.findings.compared
+    ]
+
+
+def sections(every: Iterable[FinishedExperiment]) -> list[Section]:
+    """Sections of the page: all figures in one table, then each experiment with its pictures."""
+    every = list(every)
+    made = [Section("The paper and fishmj", ABOUT, [table([row for one in every for row in rows_of(one, True)], left=4)])]
+    for one in every:
+        parts: list[str] = [
+            table(rows_of(one), left=3),
+            *(figure(picture, caption) for picture, caption in one.findings.pictures),
+        ]
+        for title, rows in one.findings.tables:
+            parts += [part("heading", title), table(rows)]
+        parts += [*one.findings.notes, f"Needs the real robot: {one.experiment.robot}."]
+        about = f"{one.experiment.about[0].upper()}{one.experiment.about[1:]}. Figure of the paper: {one.experiment.figure}."
+        made.append(Section(one.experiment.name, f"{about} {one.cpu:.0f} s of CPU.", parts))
+    others = [{"figure of the paper": label, "command": line} for label, line in ELSEWHERE.items()]
+    return [*made, Section("Other figures of the paper", "Remade by commands of their own.", [table(others, left=2)])]
+
+
+def page(every: Iterable[FinishedExperiment], policy: str, notes: Iterable[str]) -> str:
+    """The report as one HTML text."""
+    every = list(every)
+    heading = f"{policy}: {len(every)} of the paper's experiments"
+    return report(f"Experiments of {policy}", heading, sections(every), mark="EXPERIMENTS", notes=tuple(notes))
+
+
+def as_json(every: Iterable[FinishedExperiment]) -> dict:
+    """Findings by experiment, in plain types."""
+    return {
+        one.experiment.name: {
+            "figure": one.experiment.figure,
+            "cpu_s": round(one.cpu, 1),
+            "compared": [found._asdict() for found in one.findings.compared],
+            "tables": dict(one.findings.tables),
+            "notes": one.findings.notes,
+        }
+        for one in every
+    }

@@ -1,0 +1,107 @@
+"""Angle of attack: the fish starts on its target, turned by -180, -90, 0 or 90 deg from upstream, at 0.2 m/s."""
+
+from dataclasses import fields
+from typing import ClassVar
+
+import numpy as np
+
+from fishmj.base.calib import constant
+from fishmj.base.figures import canvas, png, style
+from fishmj.evaluate.experiments.paper_experiment import (
+    ExperimentFindings,
+    ExperimentPart,
+    ExperimentSetup,
+    PaperExperiment,
+    Row,
+    compared,
+    counted,
+    figures_row,
+    read,
+    series_row,
+)
+from fishmj.evaluate.plots import COLOURS, FAINT, INK, STYLE
+from fishmj.evaluate.protocol import ANGLE, Trials
+from fishmj.mjcf.description import Robot
+from fishmj.tasks.station_hold import spans
+
+LATERAL = {"target": (1, -1), "velocity": (1, -1), "yaw_rate": (-1,)}  # signs of a mirrored observation; of joints all -1
+
+
+class MirroredTrials(Trials):
+    """Trials without turbulence, each the mirror image of another about the stream: start, joint zeros and noise."""
+
+    drawn_as: ClassVar[str] = "mirrored"
+
+    @classmethod
+    def of(cls, some: Trials) -> "MirroredTrials":
+        """Mirror images of trials, with the draws of those."""
+        known = {field.name: getattr(some, field.name) for field in fields(Trials)}
+        return cls(**known | {"items": tuple(item._replace(los=-item.los) for item in some.items)})
+
+    def fish(self, robot: Robot):
+        """Randomised fish of the originals with their joint zeros on the other side."""
+        params, camera = super().fish(robot)
+        return params._replace(zero=-params.zero), camera
+
+    def sensor_noise(self, robot: Robot, steps: int) -> np.ndarray:
+        """Noise of the originals, mirrored."""
+        signs = [LATERAL.get(name, (-1,) * width) for name, width in spans(robot.n_joints).items()]
+        return super().sensor_noise(robot, steps) * np.concatenate(signs)
+
+
+def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
+    """Trials in turbulence, and pairs of mirrored trials without."""
+    row = lambda result: figures_row(result) | series_row(result)
+    calm = setup.trials(task=ANGLE, repeats=setup.of(8, 2), turbulence="none")
+    return [
+        setup.part("turbulent", setup.policy, setup.trials(task=ANGLE, repeats=setup.of(16, 6)), row),
+        setup.part("calm", setup.policy, calm, row),
+        setup.part("mirrored", setup.policy, MirroredTrials.of(calm), row),
+    ]
+
+
+def asymmetry(one: Row, other: Row) -> np.ndarray:
+    """RMS distance (n,) m between tracks and the mirror images of others."""
+    off = [read(one[key]) - sign * read(other[key]) for key, sign in (("upstream", 1), ("side", -1))]
+    return np.sqrt(np.nanmean(off[0] ** 2 + off[1] ** 2, 1))
+
+
+def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings:
+    """Settling times by angle, and the difference of mirrored pairs."""
+    row, limit = rows["turbulent"], constant("experiments", "aoa_converge")
+    angles, times = np.array(row["los"]), read(row["figures"]["settling_time"])
+    found = [
+        compared(f"settling time from {angle:d} deg", f"about {limit:g} s", times[angles == angle], "s", digits=1, median=True)
+        for angle in np.unique(angles)
+    ]
+    found.append(counted("trials that settle", "all", row["figures"]["settled"]))
+    found.append(counted("trials that leave the tank", "none", np.arange(len(angles)) < row["left"]))
+    off = asymmetry(rows["calm"], rows["mirrored"])
+    found.append(compared("distance between mirrored tracks, RMS", "symmetric", off, "m"))
+    apart = read(rows["calm"]["figures"]["settling_time"]) - read(rows["mirrored"]["figures"]["settling_time"])
+    found.append(compared("settling time, mirrored pairs", "symmetric", apart, "s"))
+    return ExperimentFindings(found, [(picture(row), "Distance to the target, and tracks seen from it; upstream is up.")])
+
+
+@style(STYLE)
+def picture(row: Row) -> bytes:
+    """Distance over time and tracks, one panel for each angle."""
+    angles, t = np.array(row["los"]), read(row["t"])
+    every = np.unique(angles)
+    figure, axes = canvas(2, len(every), (3.4 * len(every), 6.4))
+    for k, (angle, colour) in enumerate(zip(every, COLOURS, strict=False)):
+        some, (above, below) = angles == angle, axes[:, k]
+        distance = read(row["distance"])[some]
+        above.plot(t, distance.T, color=colour, linewidth=0.5, alpha=0.5)
+        above.plot(t, np.nanmedian(distance, 0), color=colour, linewidth=2.2)
+        above.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
+        above.set(title=f"{angle:d} deg", xlabel="time [s]", ylim=(0, None), ylabel="distance [m]" if k == 0 else "")
+        below.plot(-read(row["side"])[some].T, read(row["upstream"])[some].T, color=colour, linewidth=0.8, alpha=0.7)
+        below.plot(0, 0, "x", color=INK, markersize=9)
+        below.set(xlim=(-1, 1), ylim=(-1.2, 0.8), aspect="equal", xlabel="right [m]", ylabel="upstream [m]" if k == 0 else "")
+    return png(figure)
+
+
+EXPERIMENT = PaperExperiment(
+    ANGLE, "aoa", "starts on the target at four angles to the stream, with mirrored pairs", "none of it", parts, findings
+)

@@ -1,0 +1,176 @@
+"""Common interface of the paper's experiments, and the setting in which they run."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj import control, engines
+from fishmj.control import Controller
+from fishmj.evaluate import metrics, protocol
+from fishmj.evaluate.metrics import Result, figures
+from fishmj.evaluate.protocol import Trials
+from fishmj.evaluate.run_trials import judge_in_solver, run
+from fishmj.lbm_oracle.run.solver_water import SolverWater
+from fishmj.mjcf.description import Robot
+
+Row = dict[str, Any]  # what one part found, in JSON's own types
+Done = Callable[[float], None]  # takes the simulated seconds that are done
+EVERY = 0.2  # s between two kept samples of a time series
+
+
+class ExperimentPart(NamedTuple):
+    """A piece of an experiment that is kept as soon as it ends. seconds: simulated time of trials that cost as much."""
+
+    key: str
+    seconds: float
+    run: Callable[[Done], Row]
+
+
+class PaperFinding(NamedTuple):
+    """One figure of the paper beside the one measured here. value, low, high: NaN where there is none; n: trials."""
+
+    what: str
+    paper: str
+    measured: str
+    value: float = float("nan")
+    low: float = float("nan")
+    high: float = float("nan")
+    n: int = 0
+
+
+class ExperimentFindings(NamedTuple):
+    """Result of an experiment. tables: (title, rows); pictures: (PNG, caption)."""
+
+    compared: list[PaperFinding]
+    pictures: list[tuple[bytes, str]]
+    tables: list[tuple[str, list[dict]]] = []  # noqa: RUF012
+    notes: list[str] = []  # noqa: RUF012
+
+
+class PaperExperiment(NamedTuple):
+    """One experiment.
+
+    Attributes:
+        figure: label of the paper's figure. about: one line. robot: what only the real robot can show.
+        parts: pieces, each with a key of its own. findings: figures and pictures, from the rows by key.
+    """
+
+    name: str
+    figure: str
+    about: str
+    robot: str
+    parts: "Callable[[ExperimentSetup], list[ExperimentPart]]"
+    findings: "Callable[[ExperimentSetup, dict[str, Row]], ExperimentFindings]"
+
+
+@dataclass(kw_only=True)
+class ExperimentSetup:
+    """Setting of all experiments. robot: in its water. quick: fewer trials. solver: water of the flow solver, or None."""
+
+    robot: Robot
+    policy: str
+    seed: int
+    quick: bool
+    out: Path
+    solver: SolverWater | None = None
+    device: str = "auto"
+    tanks: int = 1
+
+    def of(self, full: Any, quick: Any) -> Any:
+        """First value, or with `quick` the second."""
+        return quick if self.quick else full
+
+    def trials(self, **options: Any) -> Trials:
+        """Trials as `protocol.trials` with this seed."""
+        return protocol.trials(**{"seed": self.seed, **options})
+
+    @cached_property
+    def brain(self) -> Controller:
+        """The policy."""
+        return control.chosen(self.policy, self.robot)
+
+    @property
+    def leader(self) -> str:
+        """Name of the policy in results."""
+        return self.brain.name
+
+    @cached_property
+    def engine(self) -> Any:
+        """Engine of the fitted water, compiled at the first use."""
+        return engines.make(engines.fastest(), self.robot)
+
+    def judge(self, brain: "Controller | str", trials: Trials, done: Done) -> Result:
+        """Judges a controller, or one that the user named, in this water."""
+        brain = control.chosen(brain, self.robot) if isinstance(brain, str) else brain
+        step = self.robot.timing.control_dt
+        if self.solver is None:
+            return run(brain, self.robot, trials, self.engine, progress=lambda k: done(k * step * len(trials)))
+        options: dict[str, Any] = {"water": self.solver, "device": self.device, "tanks": self.tanks}
+        return judge_in_solver(brain, self.robot, trials, self.out, progress=lambda k: done(k * step), **options)
+
+    def part(self, key: str, brain: "Controller | str", trials: Trials, row: Callable[[Result], Row]) -> ExperimentPart:
+        """Part that judges one controller over trials and keeps `row` of its result."""
+        return ExperimentPart(key, trials.duration * len(trials), lambda done: row(self.judge(brain, trials, done)))
+
+
+def figures_row(result: Result) -> Row:
+    """Figures of every trial by key, and the trials' conditions."""
+    found = {key: kept(values, 6) for key, values in figures(result).items()}
+    degrees = [round(float(np.degrees(t.los))) for t in result.trials.items]
+    left = int(np.sum(result.left < len(result.t)))
+    return {"figures": found, "speed": kept(result.trials.speed, 3), "los": degrees, "left": left}
+
+
+def series_row(result: Result, until: float = np.inf) -> Row:
+    """Time series of every trial seen from its target: t (T,) s; upstream, side (to the left), distance m, heading deg (n, T).
+
+    The heading is measured from upstream, not wrapped. A trial that left the domain has no values from then on.
+    """
+    step = round(EVERY / result.robot.timing.bus_dt)
+    ticks = np.arange(0, np.sum(result.t <= until + 1e-9), step)
+    away = result.pose[:, ticks, :2] - result.trials.targets(result.t[ticks])
+    c, s = np.cos(result.trials.upstream), np.sin(result.trials.upstream)
+    rows = {
+        "upstream": c * away[..., 0] + s * away[..., 1],
+        "side": c * away[..., 1] - s * away[..., 0],
+        "heading": np.degrees(result.pose[:, ticks, 2] - result.trials.upstream),
+        "distance": np.linalg.norm(away, axis=-1),
+    }
+    inside = ticks < result.left[:, None]
+    digits = {"heading": 1}
+    return {"t": kept(result.t[ticks], 2)} | {k: kept(np.where(inside, x, np.nan), digits.get(k, 3)) for k, x in rows.items()}
+
+
+def kept(values: Any, digits: int) -> Any:
+    """Rounded numbers as lists; None for NaN."""
+    if np.ndim(values):
+        return [kept(x, digits) for x in values]
+    return round(float(values), digits) if np.isfinite(values) else None
+
+
+def read(values: Any) -> np.ndarray:
+    """Inverse of `kept`: an array with NaN for None."""
+    return np.array(values, float)
+
+
+def compared(what: str, paper: str, values: Any, unit: str = "", *, digits: int = 3, median: bool = False) -> PaperFinding:
+    """Finding from the figures of single trials: mean, or median, with its interval."""
+    found = metrics.estimate("approach_time" if median else "", read(values).ravel())
+    text = f"{found.value:.{digits}f}" if found.n else "none"
+    if not found.why:
+        text += f" ({found.low:.{digits}f} {found.high:.{digits}f})"
+    return PaperFinding(what, paper, f"{text} {unit}".strip(), *found[:4])
+
+
+def counted(what: str, paper: str, flags: Sequence[Any] | np.ndarray) -> PaperFinding:
+    """Finding of the number of trials for which a flag holds, with Wilson's interval of the share."""
+    from scipy.stats import binomtest
+
+    some = read(flags).ravel()
+    hits, n = int(np.nansum(some)), len(some)
+    low, high = binomtest(hits, n).proportion_ci(method="wilson") if n else (np.nan, np.nan)
+    return PaperFinding(what, paper, f"{hits} of {n}", hits / max(n, 1), float(low), float(high), n)
