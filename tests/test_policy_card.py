@@ -11,7 +11,7 @@ from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import read_json, sha256
 from fishmj.control.policy import FOLDER, Policy, file_of, shipped
 from fishmj.evaluate.policy_card import POINTS, card_path, make_card, read_card, waters_of
-from fishmj.water.water_family import family_of
+from fishmj.water.choice import family_of
 
 TRIALS = "--water structured --engine compiled --speeds 0.1,0.3 --los 0,180 --repeats 2 --duration 31".split()
 

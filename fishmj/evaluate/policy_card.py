@@ -18,8 +18,7 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import read_json, sha256, write_text
 from fishmj.control.policy import Policy, file_of
-from fishmj.water.choice import fitted_water
-from fishmj.water.water_family import family_of
+from fishmj.water.choice import family_of, fitted_water
 
 SCHEMA = "fishmj.policy-card/1"
 ENDING = ".card.json"  # in place of the weights' .safetensors
