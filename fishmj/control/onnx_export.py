@@ -89,14 +89,14 @@ def largest_difference(policy: Policy, answer) -> float:
         obs = (rng.normal(size=(FISH, policy.n_obs)) * rng.choice([1.0, 3.0], (FISH, 1)) * scale).astype(np.float32)
         first = k % (STEPS // 2) == 0
         if first:
-            policy.reset(FISH)
+            policy.reset()
         given = {"observation": obs}
         if policy.memory > 1:
             given |= {"window": window, "restart": np.full((FISH, 1), first)}
         action, *after = answer(given)
         window = after[0] if after else window
         worst = max(worst, float(np.abs(action - policy(obs)).max()))
-    policy.reset(FISH)
+    policy.reset()
     return worst
 
 
