@@ -18,7 +18,7 @@ from fishmj.base.store import write_bytes
 from fishmj.engines import Trace
 from fishmj.engines.lbm import LbmEngine
 from fishmj.evaluate import protocol, run_trials
-from fishmj.evaluate.trial_report import trial_of
+from fishmj.evaluate.trial_logs import trial_of
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE
 from fishmj.lbm_oracle.output.record_fields import FieldRecorder
 from fishmj.lbm_oracle.run import solver_cost

@@ -11,7 +11,7 @@ from fishmj.base import console
 from fishmj.base.calib import constant
 from fishmj.base.errors import LogError
 from fishmj.engines.extensions import with_effects
-from fishmj.evaluate.trial_report import trial_of, write_logs
+from fishmj.evaluate.trial_logs import trial_of, write_logs
 from fishmj.gap.calibrate import calibration_logs as calibrate_logs
 from fishmj.gap.commands import admission
 from fishmj.gap.records.datasets import readable_trials

@@ -13,7 +13,7 @@ import pytest
 from fishmj import engines, evaluate
 from fishmj.base import console
 from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import metrics, trial_report
+from fishmj.evaluate import metrics, trial_logs, trial_report
 from fishmj.log import read_trial, stacked
 from fishmj.mjcf.reading import load_robot
 from fishmj.view.replay import write_html
@@ -29,7 +29,7 @@ def engine():
 def test_a_judged_trial_can_be_read_back(tmp_path, engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[45], repeats=1, duration=4)
     r = evaluate.run("dob", ROBOT, trials, engine)
-    (folder,) = trial_report.write_logs(r, tmp_path)
+    (folder,) = trial_logs.write_logs(r, tmp_path)
     trial = read_trial(folder)
     assert folder.name == "dob_u0.2_los045_r0"
     assert trial.value("flow.seed") == trials.flows()[0].seed and trial.value("origin") == "synthetic"
@@ -141,9 +141,9 @@ def test_the_report_leads_with_its_result_and_links_the_worst_trial(tmp_path, en
     lead = re.search("<h1[^>]*>(.*?)</h1>", lead_of(text))[1]
     assert f"of 4 trials and holds station in {held} (" in lead and f"{after.mean():.3f} m RMS" in lead and "drift" in lead
     i = int(np.argmax(after))
-    assert text.count("<a href=") == 1 and '<a href="worst.html">' in text and trial_report.name_of(pd, i) in text
+    assert text.count("<a href=") == 1 and '<a href="worst.html">' in text and trial_logs.name_of(pd, i) in text
     assert "<code>" not in text
-    assert f"worst of 4 trials: {trial_report.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
+    assert f"worst of 4 trials: {trial_logs.name_of(pd, i)}" in (tmp_path / "worst.html").read_text(encoding="utf-8")
 
 
 def test_report_without_replay_names_worst_trial_and_command_to_show_it(capsys, tmp_path):

@@ -9,7 +9,7 @@ from fishmj import evaluate
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.evaluate import __main__ as command
-from fishmj.evaluate import metrics, trial_report
+from fishmj.evaluate import metrics, trial_logs, trial_report
 from fishmj.evaluate.metrics import Result
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import asked_for
@@ -98,7 +98,7 @@ def test_report_of_a_task_names_it_and_has_its_own_columns(tmp_path):
     assert "FIGURE EIGHT" in page and "0.000 m RMS from the path" in page and "cross-track" in page
     assert (tmp_path / "path.png").is_file() and not (tmp_path / "radar.png").exists()
     assert "cross_track" in (tmp_path / "trials.csv").read_text().splitlines()[0]
-    log = trial_report.trial_of(two[0], 0)
+    log = trial_logs.trial_of(two[0], 0)
     assert len(log.table("target")["t"]) == 305 and log.table("target")["x"].max() == pytest.approx(0.5, abs=1e-3)
 
 

@@ -118,7 +118,8 @@ def judge(args, policy: str):
 def show(args, result) -> dict:
     """Writes the report with pictures, and the replay of one trial against the stream."""
     from fishmj.evaluate import summary
-    from fishmj.evaluate.trial_report import condition, trial_of, write
+    from fishmj.evaluate.trial_logs import trial_of
+    from fishmj.evaluate.trial_report import condition, write
     from fishmj.log import write_trial
     from fishmj.view.replay import write_html
 
