@@ -1,6 +1,7 @@
 """Judging the paper's other two tasks: starts, moving targets, and figures with known answers."""
 
 import json
+from argparse import Namespace
 
 import numpy as np
 import pytest
@@ -93,7 +94,9 @@ def test_settling_time_is_the_end_of_the_last_excursion():
 
 def test_report_of_a_task_names_it_and_has_its_own_columns(tmp_path):
     two = [swim(on_path(aside=a), "figure_eight")._replace(controller=name) for a, name in ((0.0, "near"), (0.3, "far"))]
-    trial_report.write(tmp_path, two, command.findings(two), plots=True)
+    trial_report.write(
+        tmp_path, two, command.findings(two, Namespace(argv=["near", "far"], controllers=["near", "far"])), plots=True
+    )
     page = (tmp_path / "report.html").read_text()
     assert "FIGURE EIGHT" in page and "0.000 m RMS from the path" in page and "cross-track" in page
     assert (tmp_path / "path.png").is_file() and not (tmp_path / "radar.png").exists()

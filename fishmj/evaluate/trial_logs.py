@@ -1,5 +1,6 @@
 """Trials of a judgement as logs: one trial in the log's schema, trial folders."""
 
+import json
 from dataclasses import asdict, replace
 from math import ceil
 from pathlib import Path
@@ -9,13 +10,14 @@ import numpy as np
 from fishmj.base.source import made_by
 from fishmj.base.store import Manifest
 from fishmj.evaluate.metrics import Result
-from fishmj.evaluate.protocol import EIGHT
+from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
 from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.tasks.sensing import NOTE, logged, logged_meta
 from fishmj.water.dynamics.planar_chain import chain_of
 from fishmj.water.flow import sample, stack
 
+MARKS = {HOLD: "STATION HOLDING", ANGLE: "ANGLE OF ATTACK", EIGHT: "FIGURE EIGHT"}
 BLOCK = 200  # ticks whose flow is looked up at once
 
 
@@ -115,3 +117,8 @@ def _flow_at_links(r: Result, i: int, ticks: int) -> dict:
         rows.append(sample(np, many, link_centres(np, chain, some), tick)[0])
     u = np.concatenate(rows)
     return {**numbered("u#x", u[:, :, 0]), **numbered("u#y", u[:, :, 1])}
+
+
+def corrections(r: Result) -> list[dict]:
+    """Corrections by the solver in each trial (`fishmj.engines.hybrid.Hybrid.report`); empty for waters other than hybrid."""
+    return [] if r.corrections is None else [json.loads(str(text)) for text in r.corrections]

@@ -24,7 +24,7 @@ from fishmj.engines.hybrid.online_correction import KINDS
 from fishmj.evaluate.metrics import APART, LEADING, MEDIANS, Result, compare, figures, rms
 from fishmj.evaluate.plots import PICTURES
 from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
-from fishmj.evaluate.trial_logs import name_of, trial_of, write_logs
+from fishmj.evaluate.trial_logs import MARKS, corrections, name_of, trial_of, write_logs
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.water.choice import HYBRID, LBM
@@ -56,7 +56,6 @@ MAIN = (
     "rmse_total", "power", "rheotactic_index",
 )  # fmt: skip
 REST = ("energy_per_metre", "cost_of_transport", "rheotactic_index_linear")
-MARKS = {HOLD: "STATION HOLDING", ANGLE: "ANGLE OF ATTACK", EIGHT: "FIGURE EIGHT"}
 ReplayWriter = Callable[[list[Trial], Path, Robot, str], Path]  # (trials, page, robot, title) -> page
 WORST = "worst.html"  # the replay of the first controller's worst trial, beside the report
 # parts of an older report that may be missing in a new one
@@ -155,11 +154,6 @@ def conditions_of(summary: dict) -> dict[str, str]:
     task = summary.get("task", HOLD)
     by_los = {HOLD: "by direction (0 = target straight upstream)", ANGLE: "by the start's angle from upstream"}
     return {"by_speed": "by flow speed"} | ({"by_los": by_los[task]} if task in by_los else {})
-
-
-def corrections(r: Result) -> list[dict]:
-    """Corrections by the solver in each trial (`fishmj.engines.hybrid.Hybrid.report`); empty for waters other than hybrid."""
-    return [] if r.corrections is None else [json.loads(str(text)) for text in r.corrections]
 
 
 def corrected(r: Result) -> list[dict]:
@@ -274,8 +268,10 @@ def worst(r: Result) -> int:
 
 
 def held(r: Result) -> int | None:
-    """Number of trials that arrive and stay within the arrival radius (RMS after arrival); None if too short to judge."""
+    """Number of trials that arrive and stay within the arrival radius (RMS); None if too short to judge, or another task."""
     found = figures(r)
+    if "rmse_after_arrival" not in found:
+        return None
     after = found["rmse_after_arrival"]
     within = (found["arrival"] > 0) & (after <= constant("protocol", "arrival_radius"))
     return int(within.sum()) if np.isfinite(after).all() else None
@@ -287,10 +283,10 @@ def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> 
     Args:
         argv: words of `fishmj evaluate`. named: its controllers as the user gave them. k: number of this one.
     Returns:
-        {"policy_sha256", "water": {name, kind, sha256}, "engine", "held", "worst": {trial, seed, rmse_after_arrival, replay}}
+        {"policy_sha256", "water": {name, kind, sha256}, "engine", "held", "worst": {trial, seed, the key of `LEADING`, replay}}
     """
     i = worst(r)
-    item, after = r.trials.items[i], figures(r)["rmse_after_arrival"][i]
+    item, key = r.trials.items[i], LEADING[r.trials.task]
     one = {
         "--speeds": f"{item.speed:g}",
         "--los": f"{np.degrees(item.los):g}",
@@ -304,7 +300,7 @@ def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> 
         "water": solved if r.water == LBM else water_identity(r.robot) | solved,
         "engine": r.engine,
         "held": held(r),
-        "worst": {"trial": name_of(r, i), "seed": int(item.seed[0]), "rmse_after_arrival": float(after), "replay": replay},
+        "worst": {"trial": name_of(r, i), "seed": int(item.seed[0]), key: float(figures(r)[key][i]), "replay": replay},
     }
 
 
