@@ -4,11 +4,11 @@
     python -m studies.figures --list         names, costs and commands
     python -m studies.figures NAME ..        these, at any cost
     python -m studies.figures --rows         from stored rows alone, seconds
-    python -m studies.figures --write        the tables of docs/reference/figures.md
+    python -m studies.figures --write        the tables of studies/FIGURES.md
 
 An entry of studies/figures.toml is one figure or one table:
 
-    name, page, says, command    as docs/reference/figures.md lists it
+    name, page, says, command    as studies/FIGURES.md lists it
     machine, minutes, cost       cpu, gpu or data (recordings that are not here); minutes of it; both in words
     place                        page on which the numbers stand, if it is another
     header, columns, rows        table of the page by the start of its header; its columns that `figure_rows.<rows>` remakes
@@ -38,7 +38,7 @@ from studies import figure_rows
 
 ROOT = Path(__file__).resolve().parent.parent
 ENTRIES = ROOT / "studies" / "figures.toml"
-PAGE = ROOT / "docs" / "reference" / "figures.md"
+PAGE = ROOT / "studies" / "FIGURES.md"
 BEGIN, END = "<!-- python -m studies.figures --write -->", "<!-- end -->"
 NUMBER = re.compile(r"(?<![\w.])(?<!\w[-+])[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e-?\d+)?")
 CHEAP = 10.0  # CPU minutes that a command may take by default
@@ -191,12 +191,12 @@ def paired(what: str, shown: Iterable[str], made: Iterable[float], tolerance: fl
 
 
 def listing(some: list[FigureEntry]) -> str:
-    """Tables of docs/reference/figures.md, one for each folder of pages."""
+    """Tables of studies/FIGURES.md, one for each folder of pages."""
     parts = []
     for folder in dict.fromkeys(Path(entry.page).parent.name for entry in some):
         mine = [entry for entry in some if Path(entry.page).parent.name == folder]
         lines = [
-            f"[{folder.capitalize()}](../{folder}/{Path(mine[0].page).name}):",
+            f"[{folder.capitalize()}](../docs/{folder}/{Path(mine[0].page).name}):",
             "",
             "| number | command | cost |",
             "|---|---|---|",
@@ -254,7 +254,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help="figures to check; default: all, commands below ten CPU minutes")
     parser.add_argument("--list", action="store_true", help="names, costs and commands, nothing is run")
     parser.add_argument("--rows", action="store_true", help="from stored rows alone")
-    parser.add_argument("--write", action="store_true", help="write the tables of docs/reference/figures.md, nothing is run")
+    parser.add_argument("--write", action="store_true", help="write the tables of studies/FIGURES.md, nothing is run")
     args = parser.parse_args(argv)
     found = entries()
     if args.write:
