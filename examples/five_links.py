@@ -15,6 +15,7 @@ from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.mjcf import geometry_of, load_robot
 from fishmj.mjcf.new.__main__ import main as new
 from fishmj.mjcf.new.swim_check import swim_of
+from fishmj.sim import Sim
 from fishmj.train.__main__ import main as train
 from fishmj.view.replay.__main__ import main as replay
 
@@ -48,7 +49,7 @@ def call(command, *arguments: str) -> None:
 def physics(folder: Path) -> None:
     """What holds of the described fish whatever the policy does."""
     robot = load_robot(folder / "pike.toml")
-    g, swim = geometry_of(robot), swim_of(robot)
+    g, swim = geometry_of(robot), swim_of(Sim(robot))
     assert len(robot.links) == 5 and abs(sum(g.displaced) - robot.mass) < 1e-9, "it floats"
     assert abs(sum(g.displaced * (g.origin + g.buoyancy))) < 1e-3 * robot.mass * robot.length, "it lies level"
     assert 0.2 < swim.speed < robot.length and swim.torque < robot.servo.torque, "a wave swims ahead, within its servos"

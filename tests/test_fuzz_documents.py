@@ -1,6 +1,6 @@
 """Fuzzing of what fishmj reads: JSON and TOML with anything in the place of anything raise our errors and no other.
 
-FISHMJ_FUZZ_SECONDS sets how long each test tries (default 2 s); FISHMJ_FUZZ_FIRST is the first seed (default 0).
+FISHMJ_FUZZ_SECONDS makes each test try for that long; FISHMJ_FUZZ_FIRST is the first seed (default 0).
 """
 
 import json
@@ -50,14 +50,14 @@ def test_a_description_with_anything_in_it(tmp_path):
         path.write_text(toml.dumps(finite(document)), encoding="utf-8")
         mjcf.build(mjcf.load_robot(path))
 
-    assert fuzz(read, whole(), FishmjError) > 5
+    fuzz(read, whole(), FishmjError, 200)
 
 
 @pytest.mark.slow
 def test_a_description_of_damaged_bytes(tmp_path):
     path, raw = tmp_path / "fish.toml", toml.dumps(whole()).encode()
-    number, until = first_seed(), time.monotonic() + seconds(2.0)
-    while time.monotonic() < until:
+    number, until = first_seed(), time.monotonic() + seconds(0.0)
+    while number < first_seed() + 50 or time.monotonic() < until:
         path.write_bytes(lab_files.mutated(raw, random.Random(number)))
         try:
             mjcf.build(mjcf.load_robot(path))
@@ -67,7 +67,6 @@ def test_a_description_of_damaged_bytes(tmp_path):
             raise AssertionError(f"seed {number}: {type(error).__name__}: {error}") from error
         number += 1
     tell("description_bytes", number - first_seed())
-    assert number - first_seed() > 5
 
 
 @pytest.mark.slow
@@ -76,7 +75,7 @@ def test_a_fitted_water_with_anything_in_it(water):
         write_text(water, toml.dumps(finite(document)))
         HydroModel.load(water)
 
-    assert fuzz(read, tomllib.loads(water.read_text(encoding="utf-8")), FishmjError) > 5
+    fuzz(read, tomllib.loads(water.read_text(encoding="utf-8")), FishmjError, 200)
 
 
 @pytest.mark.slow
@@ -89,7 +88,7 @@ def test_a_manifest_with_anything_in_it(tmp_path):
         write_text(tmp_path / "manifest.json", json.dumps(document))
         Manifest.read(tmp_path).verify(tmp_path)
 
-    assert fuzz(read, document, FishmjError, least=1) > 50
+    fuzz(read, document, FishmjError, 150)
 
 
 @pytest.mark.slow
@@ -111,7 +110,7 @@ def test_a_page_of_weighings_with_anything_in_it(tmp_path):
         write_text(tmp_path / "measurements.toml", toml.dumps(finite(document)))
         measurements.read(tmp_path)
 
-    assert fuzz(read, tomllib.loads(text), FishmjError, least=1) > 50
+    fuzz(read, tomllib.loads(text), FishmjError, 150)
 
 
 @pytest.mark.slow
@@ -136,4 +135,4 @@ def test_a_segment_of_a_campaign_with_anything_in_it(tmp_path):
             for record in data.records(split):
                 assert np.isfinite(record.t).all()
 
-    assert fuzz(read, about[0], FishmjError) > 5
+    fuzz(read, about[0], FishmjError, 200)
