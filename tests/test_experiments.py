@@ -92,14 +92,18 @@ def test_rheotactic_index_of_a_fixed_heading_is_its_cosine(angle):
     assert row["linear"] == pytest.approx([1 - angle / (np.pi / 2)], abs=1e-4)
 
 
-def test_random_gait_is_renewed_and_the_same_for_a_seed():
-    swims = []
-    for seed in (1, 1, 2):
+def test_random_gait_is_renewed_and_the_same_alone_and_in_a_batch():
+    obs = np.random.default_rng(0).normal(size=(3, 11))
+
+    def swim_of(seed: int, seen) -> np.ndarray:
         brain = rheotaxis_index.RandomGait(ROBOT, seed)
-        brain.reset(3)
-        swims.append(np.stack([brain(np.zeros((3, 11))) for _ in range(60)], 1))
-    assert np.array_equal(swims[0], swims[1]) and not np.array_equal(swims[0], swims[2])
-    assert np.ptp(swims[0], axis=(1, 2, 3)).min() > 0.1 and np.abs(swims[0]).max() < np.radians(50)
+        brain.reset(len(seen))
+        return np.stack([brain(seen) for _ in range(60)], 1)
+
+    every = swim_of(1, obs)
+    assert np.array_equal(swim_of(1, obs[1:2]), every[1:2]) and not np.array_equal(swim_of(2, obs), every)
+    assert not np.array_equal(every[0], every[1]) and np.abs(every).max() < np.radians(50)
+    assert np.ptp(every, axis=(1, 2, 3)).min() > 0.1
 
 
 def test_saliency_of_a_linear_policy_is_its_weight():
