@@ -121,7 +121,7 @@ def test_integrated_gradients_sum_to_the_change_of_the_action(memory):
     policy, random = Policy.load("station"), np.random.default_rng(0)
     if memory > 1:
         policy = linear_policy(random.normal(size=(2, 2 * memory + 2 * (memory - 1))), memory)
-    policy.reset(5)
+    policy.reset()
     obs = random.normal(size=(5, policy.n_obs)) * policy.meta["scale"]
     inputs = policy.inputs(obs)
     action, slope = policy.jacobian(inputs.astype(float))
@@ -262,7 +262,14 @@ def test_comparison_with_itself_finds_no_difference(tmp_path):
     (same,) = controller_comparison.tested({"one": row, "other": row})["power"]
     assert same["difference"] == "+0.000 (+0.000 +0.000)" and same["Welch p"] == 1.0 and same["pairs"] == 24
     assert controller_comparison.paper_count("adrc-c2") == "70 of 72" and controller_comparison.paper_count("pd") == ""
-    assert controller_comparison.paper_count("koopman-still") == "6 of 72"
+    assert controller_comparison.paper_count("koopman") == "6 of 72" and controller_comparison.paper_count("koopman-flow") == ""
+
+
+def test_gap_to_a_bound_is_closed_by_the_share_between():
+    errors = {"p": 0.3, "a": 0.5, "b": 0.7, "privileged": 0.1}
+    rows = {name: {"figures": {"rmse_after_arrival": [x] * 8}} for name, x in errors.items()}
+    found = controller_comparison.gap_closed(rows)
+    assert (found.value, found.low, found.high, found.n) == pytest.approx((0.5, 0.5, 0.5, 8)) and "(a)" in found.what
 
 
 def test_findings_have_value_interval_and_number_of_trials():
