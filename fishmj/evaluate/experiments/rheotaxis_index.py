@@ -5,8 +5,7 @@ import numpy as np
 from fishmj.base.calib import constant
 from fishmj.base.figures import GREY, ORANGE, VERMILION, canvas, png, style
 from fishmj.base.pages import drawn
-from fishmj.control import gait_of
-from fishmj.control.cpg import cpg_of
+from fishmj.control.cpg import Cpg, Rates
 from fishmj.evaluate import metrics
 from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentFindings,
@@ -25,6 +24,7 @@ from fishmj.mjcf.description import Robot
 START = 30.0  # s, after which the hold phase begins
 ABOVE = 0.08  # m/s, from which on the index is compared with the paper's plateau
 RENEWED = 25  # control steps of a random gait
+RATES = Rates(frequency=4.0, amplitude=np.radians(90), bias=np.radians(240))  # of its changes
 
 
 class RandomGait:
@@ -36,7 +36,8 @@ class RandomGait:
     name = "random-gait"
 
     def __init__(self, robot: Robot, seed: int):
-        self.cpg, self.seed = cpg_of(robot, gait_of(robot, self.name)), seed
+        _, behind, *_ = np.radians(constant("baselines", "cpg_phase_deg"))
+        self.cpg, self.seed = Cpg(robot, -behind * np.arange(robot.n_joints), RATES), seed
 
     def reset(self, n: int) -> None:
         """Starts n fish."""
