@@ -92,14 +92,18 @@ def test_rheotactic_index_of_a_fixed_heading_is_its_cosine(angle):
     assert row["linear"] == pytest.approx([1 - angle / (np.pi / 2)], abs=1e-4)
 
 
-def test_random_gait_is_renewed_and_the_same_for_a_seed():
-    swims = []
-    for seed in (1, 1, 2):
+def test_random_gait_is_renewed_and_the_same_alone_and_in_a_batch():
+    obs = np.random.default_rng(0).normal(size=(3, 11))
+
+    def swim_of(seed: int, seen) -> np.ndarray:
         brain = rheotaxis_index.RandomGait(ROBOT, seed)
-        brain.reset(3)
-        swims.append(np.stack([brain(np.zeros((3, 11))) for _ in range(60)], 1))
-    assert np.array_equal(swims[0], swims[1]) and not np.array_equal(swims[0], swims[2])
-    assert np.ptp(swims[0], axis=(1, 2, 3)).min() > 0.1 and np.abs(swims[0]).max() < np.radians(50)
+        brain.reset(len(seen))
+        return np.stack([brain(seen) for _ in range(60)], 1)
+
+    every = swim_of(1, obs)
+    assert np.array_equal(swim_of(1, obs[1:2]), every[1:2]) and not np.array_equal(swim_of(2, obs), every)
+    assert not np.array_equal(every[0], every[1]) and np.abs(every).max() < np.radians(50)
+    assert np.ptp(every, axis=(1, 2, 3)).min() > 0.1
 
 
 def test_saliency_of_a_linear_policy_is_its_weight():
@@ -117,7 +121,7 @@ def test_integrated_gradients_sum_to_the_change_of_the_action(memory):
     policy, random = Policy.load("station"), np.random.default_rng(0)
     if memory > 1:
         policy = linear_policy(random.normal(size=(2, 2 * memory + 2 * (memory - 1))), memory)
-    policy.reset(5)
+    policy.reset()
     obs = random.normal(size=(5, policy.n_obs)) * policy.meta["scale"]
     inputs = policy.inputs(obs)
     action, slope = policy.jacobian(inputs.astype(float))
@@ -258,7 +262,14 @@ def test_comparison_with_itself_finds_no_difference(tmp_path):
     (same,) = controller_comparison.tested({"one": row, "other": row})["power"]
     assert same["difference"] == "+0.000 (+0.000 +0.000)" and same["Welch p"] == 1.0 and same["pairs"] == 24
     assert controller_comparison.paper_count("adrc-c2") == "70 of 72" and controller_comparison.paper_count("pd") == ""
-    assert controller_comparison.paper_count("koopman-still") == "6 of 72"
+    assert controller_comparison.paper_count("koopman") == "6 of 72" and controller_comparison.paper_count("koopman-flow") == ""
+
+
+def test_gap_to_a_bound_is_closed_by_the_share_between():
+    errors = {"p": 0.3, "a": 0.5, "b": 0.7, "privileged": 0.1}
+    rows = {name: {"figures": {"rmse_after_arrival": [x] * 8}} for name, x in errors.items()}
+    found = controller_comparison.gap_closed(rows)
+    assert (found.value, found.low, found.high, found.n) == pytest.approx((0.5, 0.5, 0.5, 8)) and "(a)" in found.what
 
 
 def test_findings_have_value_interval_and_number_of_trials():

@@ -30,7 +30,6 @@ SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"
 OF_A_RUN = ("best.safetensors", "last.safetensors")  # what a training leaves, the better one first
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
-_SLOPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda y: y > 0.0, "tanh": lambda y: 1.0 - y * y}  # from output
 SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md has their figures
     "station-family": "PPO with a memory of 8 observations, trained in a family of waters: for a robot whose water is not known",
     "station": "PPO, trained in the water fitted to the flow solver",
@@ -201,6 +200,27 @@ class Policy:
             raise ConfigError(f"{where}: weights are not finite")
         check_header(self.meta, where)
 
+    def inputs(self, obs: np.ndarray) -> np.ndarray:
+        """Inputs of the network (B, width) at observations (B, n_obs): scaled, the memory behind them. Raises ConfigError."""
+        obs = np.atleast_2d(np.asarray(obs, np.float32))
+        if obs.shape[1] != self.n_obs:
+            raise ConfigError(f"policy {self.meta.get('name', '')}: got {obs.shape[1]} observations, expected {self.n_obs}")
+        return self._recall(obs / np.asarray(self.meta["scale"], np.float32))
+
+    def jacobian(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Actions (B, J) at inputs of the network (B, width), and their derivatives (B, J, width)."""
+        layers = [np.asarray(inputs)]
+        f = _ACTIVATIONS[self.meta["activation"]]
+        slope = (lambda y: y > 0.0) if self.meta["activation"] == "relu" else (lambda y: 1.0 - y * y)  # from the output
+        for w, b in self.weights[:-1]:
+            layers.append(f(layers[-1] @ w.T + b))
+        w, b = self.weights[-1]
+        action = np.tanh(layers[-1] @ w.T + b)
+        back = (1 - action**2)[:, :, None] * w
+        for (w, _), out in zip(self.weights[-2::-1], layers[:0:-1], strict=True):
+            back = (back * slope(out)[:, None]) @ w
+        return action, back
+
     @property
     def n_obs(self) -> int:
         """Number of observations."""
@@ -257,7 +277,8 @@ class Policy:
     def jacobian(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Actions (B, J) at inputs of the network (B, width), and their derivatives (B, J, width)."""
         layers = [np.asarray(inputs)]
-        f, slope = _ACTIVATIONS[self.meta["activation"]], _SLOPES[self.meta["activation"]]
+        f = _ACTIVATIONS[self.meta["activation"]]
+        slope = (lambda y: y > 0.0) if self.meta["activation"] == "relu" else (lambda y: 1.0 - y * y)  # from the output
         for w, b in self.weights[:-1]:
             layers.append(f(layers[-1] @ w.T + b))
         w, b = self.weights[-1]

@@ -29,11 +29,8 @@ from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, STYLE, polar, rad
 from fishmj.evaluate.run_trials import OF_A_TRIAL
 
 KEYS = {"rmse_after_arrival": "m", "rmse_last20": "m", "approach_time": "s", "power": "W"}  # that are tested
-PAPER = {
-    "koopman": "arrival_koopman",
-    "mpc": "arrival_mpc",
-    "rl": "arrival_rl",
-}  # beginning of a name -> key of the paper's count
+PAPER = {"koopman": "arrival_koopman", "mpc": "arrival_mpc", "rl": "arrival_rl"}  # name -> key of the paper's count
+BOUND = "privileged"  # a controller that is told the flow: a bound, no rival
 SAMPLE, UNTIL, SECTOR = 0.5, 30.0, 10  # s between samples of a curve, s of it, deg of a histogram
 SIDES = {"target upstream": 1, "target downstream": -1}
 
@@ -77,7 +74,7 @@ def paper_count(name: str) -> str:
     """Arrivals of a controller in the paper, as text; empty for one that it does not have."""
     if name.startswith("adrc-c"):
         return f"{constant('results', 'arrival_adrc')[int(name[-1]) - 1]} of 72"
-    return next((f"{constant('results', key)} of 72" for start, key in PAPER.items() if name.startswith(start)), "")
+    return f"{constant('results', PAPER[name])} of 72" if name in PAPER else ""
 
 
 def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings:
@@ -97,9 +94,11 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
             p = next(row["Holm p"] for row in tests["power"] if row["controller"] == name)
             found.append(PaperFinding(f"power against {name}, p", f"{constant('power', said)}", f"{p}", n=len(first["los"])))
     apart = [row["Holm p"] < 0.001 for row in tests["rmse_after_arrival"] if row["Holm p"] is not None]
-    worse = f"{sum(apart)} of {len(others)}"
+    worse = f"{sum(apart)} of {len(apart)}"
     found.append(PaperFinding("controllers that differ in RMSE with p < 0.001", "all", worse, n=len(first["los"])))
-    lacks = [name for name in PAPER if not any(other.startswith(name) for other in rows)]
+    if BOUND in rows:
+        found.append(gap_closed(rows))
+    lacks = [name for name in PAPER if name not in rows]
     notes = [f"No controller of this name here, so not compared: {', '.join(lacks)}."] if lacks else []
     title = f"minus {leader}, paired bootstrap (95 %), Welch's p and Holm's over the controllers; * = excludes 0"
     tables = [(f"{key} [{KEYS[key]}] {title}", table) for key, table in tests.items()]
@@ -116,9 +115,23 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
     return ExperimentFindings(found, shown, tables, notes)
 
 
+def gap_closed(rows: dict[str, Row]) -> PaperFinding:
+    """Share of the gap between the best rival and the bound that the policy closes, by RMSE after arrival; paired bootstrap."""
+    leader = next(iter(rows))
+    errors = {name: read(row["figures"]["rmse_after_arrival"]) for name, row in rows.items()}
+    best = min((name for name in rows if name not in (leader, BOUND)), key=lambda name: errors[name].mean())
+    share = lambda rival, ours, bound, axis=-1: (rival.mean(axis) - ours.mean(axis)) / (rival.mean(axis) - bound.mean(axis))
+    three, n = (errors[best], errors[leader], errors[BOUND]), len(errors[leader])
+    draws = np.random.default_rng(metrics.SEED).integers(n, size=(metrics.RESAMPLES, n))
+    low, high = np.quantile(share(*(x[draws] for x in three)), [0.025, 0.975])
+    what = f"share of the gap from the best rival ({best}) to {BOUND} that is closed"
+    return PaperFinding(what, "", f"{share(*three):.2f} ({low:.2f} {high:.2f})", float(share(*three)), float(low), float(high), n)
+
+
 def tested(rows: dict[str, Row]) -> dict[str, list[dict[str, Any]]]:
     """Rows of tests for each figure: every controller against the first, p values adjusted over the controllers."""
-    (_, first), *others = rows.items()
+    (_, first), *every = rows.items()
+    others = [(name, row) for name, row in every if name != BOUND]
     tables = {}
     for key in KEYS:
         each = [metrics.difference(key, read(first["figures"][key]), read(row["figures"][key])) for _, row in others]

@@ -84,7 +84,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
 def saliency_row(result: Result, policy: Policy) -> Row:
     """Shares of each condition over time, means over its trials; correlation of each trial. The policy sees its swims again."""
     sigma, steps = result.obs.std((0, 1)), []
-    policy.reset(len(result.obs))
+    policy.reset()
     for k in range(result.obs.shape[1]):
         inputs = policy.inputs(result.obs[:, k])
         steps.append([np.abs(found(policy, inputs)).sum(1) for found in (slopes, integrated)])
