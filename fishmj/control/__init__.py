@@ -4,8 +4,9 @@
     controller.reset(n)
     commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
 
-A controller sees the 11 observations only, noisy and late: no flow, no pose. Their constants of the fish are in
-data/calib/controllers.toml; docs/train/controllers.md describes how their gains were found.
+A controller sees the 11 observations only, noisy and late: no flow, no pose. `privileged` alone is also told the flow, and
+steers only where `set_flow` is called (tasks.episode). Gains are in data/calib/controllers.toml; the hand-made ones measure the
+gaits of their fish in its surrogate (gait_table.py).
 
 A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS`.
 
@@ -60,9 +61,11 @@ CONTROLLERS = {
     "pd": Entry("line_of_sight", "CPG + PD on the line of sight"),
     "pi": Entry("line_of_sight", "CPG + PI on the position vector"),
     "dob": Entry("observer", "CPG + flow observer: the bar"),
+    "pnl": Entry("adrc", "proportional navigation alone"),
     "adrc-c1": Entry("adrc", "proportional navigation + ADRC"),
     "adrc-c2": Entry("adrc", "the same with other gains"),
     "adrc-c3": Entry("adrc", "the same with other gains"),
+    "privileged": Entry("observer", "dob, told the true flow: a bound, in simulations alone"),
 }
 NAMES = tuple(CONTROLLERS)
 
@@ -180,21 +183,6 @@ def gains_of(section: str, changes: dict | None = None) -> dict:
         if key not in values:
             raise UnknownName(f"gain of {section}", key, values)
     return {**values, **(changes or {})}
-
-
-def gait_of(robot: Robot, name: str) -> dict:
-    """Section `gait` for the controller `name` of this robot; `lag` is in rad.
-
-    Raises:
-        ConfigError: the robot's joints are not those of the gait.
-    """
-    gait = gains_of("gait")
-    lag = np.radians(gait["lag_deg"])
-    if len(lag) != robot.n_joints:
-        raise ConfigError(
-            f"controller {name}: its gait is for {len(lag)} joints, {robot.name} has {robot.n_joints}; use drift or a policy"
-        )
-    return {**gait, "lag": lag}
 
 
 __all__ = [

@@ -84,6 +84,7 @@ def running(controller, robot: Robot, trials: Trials, engine, shift, progress: C
     controller.reset(n)
     for k in range(steps):
         obs = loop.observe(target, noise[:, k])
+        loop.inform(controller)
         command = _checked(controller, controller(obs), (n, loop.ticks, robot.n_joints))
         try:
             trace = yield from loop.acting(command)
