@@ -65,6 +65,11 @@ CONTROLLERS = {
     "adrc-c1": Entry("adrc", "proportional navigation + ADRC"),
     "adrc-c2": Entry("adrc", "the same with other gains"),
     "adrc-c3": Entry("adrc", "the same with other gains"),
+    "koopman": Entry("koopman", "Koopman-LQR of still water"),
+    "koopman-flow": Entry("koopman", "Koopman-LQR that estimates the flow"),
+    "koopman-rls": Entry("koopman", "the same, adapting its model"),
+    "mpc": Entry("mpc", "sampling MPC with a model of still water"),
+    "mpc-flow": Entry("mpc", "sampling MPC that estimates the flow"),
     "privileged": Entry("observer", "dob, told the true flow: a bound, in simulations alone"),
 }
 NAMES = tuple(CONTROLLERS)

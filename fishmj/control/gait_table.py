@@ -53,13 +53,13 @@ def gait_of(robot: Robot) -> dict:
     """
     gait = gains_of("gait")
     lag = np.radians(gait["lag_deg"]) / max(robot.n_joints - 1, 2) * np.arange(robot.n_joints)
-    model = _surrogate(robot)
+    model = surrogate(robot)
     asked = dict(lag=lag, frequency=gait["frequency"], amplitude_deg=gait["amplitude_deg"])
     found = kept("gaits", model, lambda: measure(model, **asked), asked)
     return {**gait, "lag": lag, **{key: value if value.ndim else float(value) for key, value in found.items()}}
 
 
-def _surrogate(robot: Robot) -> Robot:
+def surrogate(robot: Robot) -> Robot:
     """The robot in a water that every engine swims: in place of the flow solver its fitted water, or the strips."""
     if choice.label(robot) not in choice.SOLVED:
         return robot

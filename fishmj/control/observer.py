@@ -21,6 +21,13 @@ from fishmj.control.line_of_sight import HeadingSpeedController, capped
 from fishmj.mjcf.description import Robot
 
 
+def glided(surge, steady, glide: float, dt: float):
+    """Speed through the water (B,) m/s after dt [s] of a gait with a steady speed (B,), by the glide length [m]."""
+    for _ in range(10):
+        surge = surge + dt / 10 * (steady**2 - surge**2) / glide
+    return surge
+
+
 class FlowObserver:
     """Disturbance observer over the CPG. Egocentric: flow and target are in axes fixed at reset."""
 
@@ -60,10 +67,8 @@ class FlowObserver:
 
     def _observe(self, fix) -> None:
         """One step of the glide model and of the flow estimate."""
-        k, steps = self.k, 10
-        goal = self.steering.steady
-        for _ in range(steps):
-            self.surge = self.surge + self.dt / steps * (goal**2 - self.surge**2) / self.glide
+        k = self.k
+        self.surge = glided(self.surge, self.steering.steady, self.glide, self.dt)
         ahead = turned(np.stack([self.surge, 0 * self.surge], -1), fix.heading)
         self.age = min(self.age + self.dt, k["observer_time"])
         self.flow = self.flow + self.dt / self.age * (fix.velocity - ahead - self.flow)
