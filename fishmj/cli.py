@@ -19,6 +19,7 @@ SECTIONS = {
     "policies": {
         "train": "train.__main__",
         "evaluate": "evaluate.__main__",
+        "tune": "evaluate.tune_gains",
         "replay": "view.replay.__main__",
         "play": "view.play.__main__",
     },

@@ -16,6 +16,7 @@ from a file.
 
 import argparse
 from functools import cache
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -73,6 +74,7 @@ CONTROLLERS = {
     "privileged": Entry("observer", "dob, told the true flow: a bound, in simulations alone"),
 }
 NAMES = tuple(CONTROLLERS)
+GAINS = "controllers.toml"  # in data/calib
 
 
 class _FormerOption(argparse.Action):
@@ -111,8 +113,8 @@ def make(
     any_command_path: bool | None = None,
     **options: Any,
 ) -> Controller:
-    """Makes a controller by name, or from a policy by name, file or folder. It runs only fishmj's code: the name may be from a
-    file.
+    """Makes a controller by name, with gains of a file as FILE.toml:NAME, or from a policy by name, file or folder. It runs only
+    fishmj's code: the name may be from a file.
 
     Args:
         anyway: a policy may steer on another command path than it was trained on; `any_command_path` is its former name.
@@ -123,9 +125,12 @@ def make(
         ConfigError: the robot's joints are not those of the gains, or it is not the robot of the policy.
     """
     robot, name = _swimming(robot), str(name)
+    file, name = _split(name)
     entry = CONTROLLERS.get(name)
     if entry is None and not is_policy(name):
         raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
+    if file is not None and not (entry and entry.tuned):
+        raise ConfigError(f"{file}: {name} has no gains; expected one of {', '.join(tuned_names())}")
     if options and not (entry and entry.tuned):
         raise ConfigError(f"controller {name}: has no gains, got {', '.join(options)}")
     if entry is None:
@@ -134,8 +139,22 @@ def make(
         if any_command_path is not None:
             console.warn("any_command_path= is now anyway=; the old name goes with the release after this one")
         return LearnedController(robot, name, anyway or bool(any_command_path))
-    gains = gains_of(name, options) if entry.tuned else {}
-    return import_module(f"fishmj.control.{entry.module}").build(robot, name, gains)
+    gains = gains_of(name, options, file) if entry.tuned else {}
+    made = import_module(f"fishmj.control.{entry.module}").build(robot, name, gains)
+    if file is not None:
+        made.sha256 = sha256(repr(gains).encode()).hexdigest()
+    return made
+
+
+def tuned_names() -> tuple[str, ...]:
+    """Names of the controllers with gains."""
+    return tuple(name for name, entry in CONTROLLERS.items() if entry.tuned)
+
+
+def _split(text: str) -> tuple[Path | None, str]:
+    """File of gains and name of `FILE.toml:NAME`; no file for any other text."""
+    file, _, name = text.rpartition(":")
+    return (Path(file), name) if file.endswith(".toml") else (None, text)
 
 
 def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> Controller:
@@ -148,7 +167,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
     """
     robot, text = _swimming(robot), str(text)
     own = plugins.is_reference(text) or text in plugins.listed("controller")
-    known = text in NAMES or is_policy(text)
+    known = text in NAMES or is_policy(text) or _split(text)[0] is not None
     if known or not (own or ".py" in text or ":" in text):
         if not known and (extra := plugins.listed("controller")):
             raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))
@@ -171,22 +190,31 @@ def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Control
 
 
 @cache
-def _file() -> dict:
-    return read_toml(calib_folder() / "controllers.toml")
+def shipped_gains() -> dict[str, dict]:
+    """Sections of data/calib/controllers.toml: {section: {gain: {value, unit, source}}}."""
+    return {name: table for name, table in read_toml(calib_folder() / GAINS).items() if isinstance(table, dict)}
 
 
-def gains_of(section: str, changes: dict | None = None) -> dict:
+def gains_of(section: str, changes: dict | None = None, file: "Path | None" = None) -> dict:
     """Values of one section, some of them changed.
 
-    A section with `like = "other"` starts from that section. Raises UnknownName for a gain that does not exist.
+    Args:
+        file: of `fishmj tune`, whose gains replace the shipped ones.
+    Raises:
+        UnknownName: a gain that does not exist. ConfigError: the file has no such section, or a gain of another form.
     """
-    table = dict(_file()[section])
-    base = table.pop("like", None)
-    values = gains_of(base) if base else {}
-    values.update({key: entry["value"] for key, entry in table.items()})
-    for key in changes or {}:
+    values = {key: entry["value"] for key, entry in shipped_gains()[section].items()}
+    if file is not None:
+        table = read_toml(file).get(section)
+        if not isinstance(table, dict):
+            raise ConfigError(f"{file}: has no section [{section}]; fishmj tune {section} --out {file} writes it")
+        stated = {key: entry.get("value") if isinstance(entry, dict) else entry for key, entry in table.items()}
+        changes = {**stated, **(changes or {})}
+    for key, value in (changes or {}).items():
         if key not in values:
             raise UnknownName(f"gain of {section}", key, values)
+        if np.shape(value) != np.shape(values[key]) or not np.issubdtype(np.asarray(value).dtype, np.number):
+            raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected the form of {values[key]!r}")
     return {**values, **(changes or {})}
 
 

@@ -5,13 +5,13 @@
     u  = u_d - L (x - x_d),   x = (psi, z),   x_d steady at speed |W| and course of W
     W  = v_d - U^,   v_d = k r, at most `approach`,   r from the fish to the target
 
-Mamakoukas et al. 2021 (IEEE T-RO, arXiv 2010.05778): basis of products of velocities, Q on heading and forward speed. Positions are
-left out of z: they follow from the velocities and have no weight. v1, v2 are body-frame velocities without the beat.
+Mamakoukas et al. 2021 (IEEE T-RO, arXiv 2010.05778): basis of products of velocities, Q on heading and forward speed. Positions
+are left out of z: they follow from the velocities and have no weight. v1, v2 are body-frame velocities without the beat.
 
     koopman         still water: v over ground and U^ = 0, as in the paper
     koopman-flow    v through the water; U^ <- U^ + dt / tau (v - v^ - U^) with the model's v^
-    koopman-rls     the same; K and B also follow each fish by recursive least squares that forgets towards the EDMD model, and the
-                    regulator takes one step of the Riccati recursion in each control step
+    koopman-rls     the same; K and B also follow each fish by recursive least squares that forgets towards the EDMD model, and
+                    the regulator takes one step of the Riccati recursion in each control step
 """
 
 import numpy as np
@@ -25,6 +25,7 @@ from fishmj.control.cpg import Cpg, cpg_of
 from fishmj.control.estimator import StateEstimator, turned
 from fishmj.control.gait_table import SpeedToGait, gait_of, kept, surrogate, throttle_of
 from fishmj.control.line_of_sight import capped
+from fishmj.control.observer import FlowEstimate
 from fishmj.mjcf.description import Robot
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.water.flow import Flow, stack
@@ -32,6 +33,7 @@ from fishmj.water.flow import Flow, stack
 FISH, STEPS, HELD = 96, 100, (5, 16)  # of the swims: fish, control steps, control steps that an input is held
 BIAS = np.radians(120)  # largest of the swims
 RIDGE = 1e-6
+FAR = 100  # times as large as the model of the swims: an adapted model that diverged
 
 
 def lifted(v1, v2, turn, before) -> np.ndarray:
@@ -49,7 +51,7 @@ def edmd(x, u, y) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lqr(a, b, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Regulator L (M, P) of u = -L x for x+ = a x + b u and the cost x q x + u r u, and the solution (P, P) of its Riccati equation.
+    """Regulator L (M, P) of u = -L x for x+ = a x + b u and cost x q x + u r u, and the solution (P, P) of its Riccati equation.
 
     Raises:
         ConfigError: no such regulator exists.
@@ -130,8 +132,9 @@ class KoopmanLqr:
     def __init__(self, name: str, cpg: Cpg, throttle: SpeedToGait, navigator: StateEstimator, model: KoopmanModel, gains):
         self.name, self.cpg, self.throttle, self.navigator, self.model, self.k = name, cpg, throttle, navigator, model, gains
         self.dt, self.p = navigator.dt, model.rows.shape[1] - 2
+        self.estimate = FlowEstimate(gains.get("observer_time", 1.0), self.dt)
         self.line = throttle.low + throttle.u[:, None] * (throttle.high - throttle.low)  # (f, A) from slow to fast
-        self.drive = np.prod(self.line, 1)
+        self.drive = np.maximum.accumulate(np.prod(self.line, 1))
         self.q = np.zeros((self.p + 1, self.p + 1))
         self.q[0, 0], self.q[1, 1] = gains["weight_heading"], gains["weight_speed"]
         self.r = np.diag([gains["weight_drive"], gains["weight_turn"]])
@@ -141,7 +144,8 @@ class KoopmanLqr:
         """Starts n fish with the model of the swims and a flow estimate of zero."""
         self.cpg.reset(n)
         self.navigator.reset(n)
-        self.flow, self.through, self.age = np.zeros((n, 2)), np.zeros((n, 2)), 0.0  # m/s, m/s, s
+        self.estimate.reset(n)
+        self.flow, self.through = np.zeros((n, 2)), np.zeros((n, 2))  # m/s
         self.rows = np.repeat(self.model.rows[None], n, 0)
         self.gain, self.riccati = (np.repeat(first[None], n, 0) for first in self.first)
         self.before: tuple | None = None
@@ -186,9 +190,9 @@ class KoopmanLqr:
         if self.before is not None:
             z = lifted(self.through[:, 0], self.through[:, 1], self.before[0][:, 2], self.before[0][:, -2:])
             both = np.concatenate([z, self.before[1]], 1)
-            self.through = (self.rows[:, 1:3] @ both[..., None])[..., 0]
-        self.age = min(self.age + self.dt, self.k["observer_time"])
-        self.flow = self.flow + self.dt / self.age * (fix.velocity - turned(self.through, fix.heading) - self.flow)
+            most = 2 * self.throttle.top  # the lifted model is not stable far from its swims
+            self.through = np.clip((self.rows[:, 1:3] @ both[..., None])[..., 0], -most, most)
+        self.flow = self.estimate(fix.velocity, turned(self.through, fix.heading))
 
     def _adapt(self, z, heading) -> None:
         """One step of recursive least squares and of the Riccati recursion; a model that diverges falls back on the swims'."""
@@ -201,12 +205,13 @@ class KoopmanLqr:
         self.gram = keep * self.gram + both[:, :, None] * both[:, None] + anchor
         self.moment = keep * self.moment + both[:, :, None] * result[:, None] + anchor @ self.model.rows.T
         self.rows = np.linalg.solve(self.gram, self.moment).transpose(0, 2, 1)
+        wrong = ~(np.abs(self.rows).max((1, 2)) < FAR * np.abs(self.model.rows).max())
+        self.rows[wrong] = self.model.rows
         a, b = of_state(self.rows, self.p)
         across = b.transpose(0, 2, 1) @ self.riccati
         self.gain = np.linalg.solve(self.r + across @ b, across @ a)
         self.riccati = self.q + a.transpose(0, 2, 1) @ self.riccati @ (a - b @ self.gain)
-        size = np.abs(self.riccati).max((1, 2))
-        wrong = ~(size < 100 * np.abs(self.first[1]).max())
+        wrong |= ~(np.abs(self.riccati).max((1, 2)) < FAR * np.abs(self.first[1]).max())
         self.rows[wrong], self.gain[wrong], self.riccati[wrong] = self.model.rows, *self.first
 
 

@@ -4,9 +4,10 @@
     cost = mean over the horizon of d + effort (A f)^3,  + final d at its end;   d = |r - p|
     plan <- sum of samples weighted by exp(-(cost - least) / temperature)
 
-Averaged model with amplitude and bias as controls: Castano & Tan 2019 (J. Dyn. Syst. Meas. Control 141, 071012); sampling: Williams et al.
-2017 (J. Guid. Control Dyn. 40, 344). s, g and l are measured (`gait_table`). A plan has three knots of (f, A, bias), straight lines
-between them. One decision for one fish: 96 samples of 12 steps of the model, 0.5 ms on one core; 72 fish together: 9 ms.
+Averaged model with amplitude and bias as controls: Castano & Tan 2019 (J. Dyn. Syst. Meas. Control 141, 071012). Sampling:
+Williams et al. 2017 (J. Guid. Control Dyn. 40, 344). s, g and l are measured (`gait_table`). A plan has three knots of (f, A,
+bias) and straight lines between them. A decision, 96 samples of 12 steps of the model, takes 0.3 ms on one core, 6 ms for 72
+fish together.
 
     mpc        still water, as in the paper: U = 0, w the measured forward speed over ground
     mpc-flow   U and w from the flow observer of `dob`
@@ -17,7 +18,7 @@ import numpy as np
 from fishmj.control.cpg import Cpg, cpg_of
 from fishmj.control.estimator import StateEstimate, StateEstimator, turned
 from fishmj.control.gait_table import SpeedToGait, gait_of, throttle_of
-from fishmj.control.observer import glided
+from fishmj.control.observer import FlowEstimate, forward, glided
 from fishmj.mjcf.description import Robot
 
 KNOTS, STEPS, FINE = 3, 12, 64  # knots of a plan, steps of the model, cells of its table of speeds a side
@@ -63,6 +64,7 @@ class SamplingMpc:
     def __init__(self, name: str, cpg: Cpg, model: AveragedModel, navigator: StateEstimator, gains):
         self.name, self.cpg, self.model, self.navigator, self.k = name, cpg, model, navigator, gains
         self.dt = navigator.dt
+        self.estimate = FlowEstimate(gains.get("observer_time", 1.0), self.dt)
         times, knots = model.step * (np.arange(STEPS) + 0.5), np.linspace(0, model.step * STEPS, KNOTS)
         lines = lambda at: np.stack([np.interp(at, knots, unit) for unit in np.eye(KNOTS)], -1)
         self.between, self.shift = lines(times), lines(knots + self.dt)  # (H, K), (K, K)
@@ -74,7 +76,8 @@ class SamplingMpc:
         self.navigator.reset(n)
         self.rng = np.random.default_rng(0)
         self.plan = np.tile(np.append(self.model.low[:2], 0.0), (n, KNOTS, 1))
-        self.surge, self.flow, self.age = np.zeros(n), np.zeros((n, 2)), 0.0
+        self.estimate.reset(n)
+        self.surge, self.flow = np.zeros(n), np.zeros((n, 2))
 
     def __call__(self, obs) -> np.ndarray:
         """Commands (B, T, J) rad."""
@@ -99,9 +102,7 @@ class SamplingMpc:
             return
         steady = self.model.speed(np.clip(np.stack([self.cpg.frequency, self.cpg.amplitude], -1), *self.bounds))
         self.surge = glided(self.surge, steady, self.model.glide, self.dt)
-        self.age = min(self.age + self.dt, self.k["observer_time"])
-        through = turned(np.stack([self.surge, 0 * self.surge], -1), fix.heading)
-        self.flow = self.flow + self.dt / self.age * (fix.velocity - through - self.flow)
+        self.flow = self.estimate(fix.velocity, forward(self.surge, fix.heading))
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -113,6 +114,7 @@ def build(robot: Robot, name: str, gains: dict) -> SamplingMpc:
     """Makes the controller for a robot, from its gains in controllers.toml."""
     gait, most = gait_of(robot), np.radians(gains["bias_deg"])
     throttle = throttle_of(gait, gains)
-    low, high = np.append(throttle.low, -most), np.append(throttle.high, most)
+    ends = np.stack([throttle.low, throttle.high])
+    low, high = np.append(ends.min(0), -most), np.append(ends.max(0), most)
     model = AveragedModel(throttle, low, high, gait["turn"], gait["glide"], gains["horizon"] / STEPS)
     return SamplingMpc(name, cpg_of(robot, gait), model, StateEstimator(robot, gait["wobble"], gait["sway"]), gains)
