@@ -21,6 +21,7 @@ SECTIONS = {
         "evaluate": "evaluate.__main__",
         "policy": "evaluate.policy_command",
         "experiments": "evaluate.experiments.__main__",
+        "tune": "evaluate.tune_gains",
         "replay": "view.replay.__main__",
         "play": "view.play.__main__",
     },

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,14 +10,17 @@ import pytest
 from fishmj import control, engines, evaluate
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.control import gains_of, gait_table
-from fishmj.control.adrc import ExtendedStateObserver
+from fishmj.control.adrc import ExtendedStateObserver, navigation
 from fishmj.control.cpg import Cpg, Rates
 from fishmj.control.estimator import StateEstimator, hermite, turned
 from fishmj.control.policy import FOLDER, Policy
 from fishmj.mjcf.reading import load_robot
+from fishmj.tasks.episode import ControlLoop, Scenario
+from fishmj.water.choice import in_water
+from fishmj.water.flow import Flow, stack
 
 ROBOT = load_robot("fish")
-LAG = np.radians(gains_of("gait")["lag_deg"])
+LAG = np.radians([0.0, 60.0, 120.0])
 STEADY = Rates(frequency=4.0, amplitude=1.5, bias=4.0)
 
 
@@ -30,12 +34,19 @@ def noisy_observations(steps: int, n: int) -> np.ndarray:
     return np.random.default_rng(3).normal(0, 0.4, (steps, n, 11))
 
 
+def answer(brain, obs):
+    """The controller's commands; one that wants the flow is told a flow along its target."""
+    if hasattr(brain, "set_flow"):
+        brain.set_flow(0.3 * obs[:, :2])
+    return brain(obs)
+
+
 @pytest.mark.parametrize("name", control.NAMES)
 def test_a_controller_answers_every_observation_with_finite_angles(name):
     brain = control.make(name, ROBOT)
     brain.reset(5)
     for obs in noisy_observations(40, 5):
-        command = brain(obs)
+        command = answer(brain, obs)
         assert command.shape == (5, 10, 3)
         assert np.isfinite(command).all() and np.abs(command).max() < np.pi
 
@@ -46,7 +57,7 @@ def test_reset_forgets_everything(name):
     runs = []
     for _ in range(2):
         brain.reset(4)
-        runs.append([brain(obs) for obs in observations])
+        runs.append([answer(brain, obs) for obs in observations])
     assert np.array_equal(*runs)
 
 
@@ -54,9 +65,9 @@ def test_reset_forgets_everything(name):
 def test_fish_do_not_see_each_other(name):
     brain, observations = control.make(name, ROBOT), noisy_observations(20, 4)
     brain.reset(4)
-    together = np.array([brain(obs) for obs in observations])
+    together = np.array([answer(brain, obs) for obs in observations])
     brain.reset(1)
-    alone = np.array([brain(obs[2:3]) for obs in observations])
+    alone = np.array([answer(brain, obs[2:3]) for obs in observations])
     assert np.allclose(together[:, 2:3], alone, atol=1e-12)
 
 
@@ -101,7 +112,7 @@ def test_cubic_interpolation_is_exact_for_a_cubic():
 
 def test_the_beat_does_not_show_in_the_heading():
     """A fish swimming straight yaws its head by tens of degrees; the navigator's heading hardly moves."""
-    navigator, n = StateEstimator(ROBOT, gains_of("gait")["wobble"], gains_of("gait")["sway"]), 3
+    navigator, n = StateEstimator(ROBOT, gait_table.gait_of(ROBOT)["wobble"], gait_table.gait_of(ROBOT)["sway"]), 3
     pose, joint, _ = gait_table.swim(
         ROBOT, LAG, np.full(n, 1.0), np.radians([15.0, 20.0, 25.0]), np.zeros(n), seconds=12.0, engine="compiled"
     )
@@ -121,12 +132,12 @@ def test_the_beat_does_not_show_in_the_heading():
 def test_a_positive_bias_turns_to_the_right():
     pose, _, _ = gait_table.swim(ROBOT, LAG, np.ones(2), np.full(2, 0.35), np.array([0.5, -0.5]), seconds=6.0, engine="compiled")
     assert pose[0, -1, 2] < -0.7 and pose[1, -1, 2] > 0.7
-    assert gains_of("gait")["turn"] < 0
+    assert gait_table.gait_of(ROBOT)["turn"] < 0
 
 
 def test_the_gait_map_is_what_the_water_gives():
     """Two points of the map, swum again."""
-    known = gains_of("gait")
+    known = gait_table.gait_of(ROBOT)
     for i, j in ((1, 2), (5, 4)):
         f, a = known["frequency"][i], np.radians(known["amplitude_deg"][j])
         pose, _, _ = gait_table.swim(ROBOT, LAG, np.array([f]), np.array([a]), np.zeros(1), engine="compiled")
@@ -137,7 +148,7 @@ def test_the_gait_map_is_what_the_water_gives():
 def test_the_throttle_gives_the_speed_that_was_asked():
     k = gains_of("dob")
     low, high = ((f, np.radians(a)) for f, a in zip(k["frequency"], k["amplitude_deg"], strict=True))
-    throttle = gait_table.SpeedToGait(gains_of("gait"), low, high)
+    throttle = gait_table.SpeedToGait(gait_table.gait_of(ROBOT), low, high)
     wanted = np.linspace(throttle.speeds[0], 0.98 * throttle.top, 20)
     assert throttle.speed(*throttle(wanted)) == pytest.approx(wanted, abs=0.004)
 
@@ -209,12 +220,68 @@ def test_wrong_names_say_the_nearest_right_one():
         control.make("drift", ROBOT, position=1.0)
 
 
-def test_a_gait_for_three_joints_is_refused_by_another_fish():
-    with pytest.raises(ConfigError, match="joints"):
-        control.make("dob", "tendon_fish")
-    drift = control.make("drift", "tendon_fish")
-    joints = load_robot("tendon_fish").n_joints
-    assert drift(np.zeros((2, 5 + 2 * joints))).shape == (2, 10, joints)
+@pytest.mark.parametrize("name", control.NAMES)
+def test_every_controller_steers_a_fish_of_two_joints(name):
+    robot = load_robot("tendon_fish")
+    brain = control.make(name, robot)
+    brain.reset(2)
+    for obs in np.random.default_rng(1).normal(0, 0.4, (10, 2, 9)):
+        command = answer(brain, obs)
+        assert command.shape == (2, 10, 2) and np.isfinite(command).all()
+
+
+def test_the_measured_gaits_are_of_the_robots_own_water():
+    fitted, strips = (gait_table.gait_of(in_water(ROBOT, water)) for water in ("fitted", "structured"))
+    solved = gait_table.gait_of(in_water(ROBOT, "lbm", can=("lbm",)))
+    assert fitted["speed"][3][3] > 1.5 * strips["speed"][3][3], "the fitted water is twice as fast"
+    assert np.array_equal(solved["speed"], fitted["speed"]), "a controller does not measure in the solver"
+
+
+def test_a_fish_that_does_not_swim_has_no_gaits():
+    with pytest.raises(ConfigError, match="no hand-made controller can steer it"):
+        control.make("pi", in_water(ROBOT, "none"))
+
+
+def test_proportional_navigation_turns_three_times_as_fast_as_the_sight():
+    """Crossing: a target 2 m ahead drifts to the left at 0.3 m/s: the sight turns at 0.15 rad/s."""
+    k = {"navigation": 3.0, "pursuit": 0.0, "navigation_max": 9.0, "hover_radius": 0.1}
+    sight = np.arctan2([0.0, 0.3 * 0.2], [2.0, 2.0])
+    turn = navigation(k, sight[1:], sight[:1], np.zeros(1), np.full(1, 2.0), 0.2)
+    assert turn == pytest.approx(3 * 0.15, rel=1e-3)
+    assert navigation({**k, "pursuit": 1.0}, sight[1:], sight[1:], np.full(1, -0.5), np.full(1, 2.0), 0.2) == pytest.approx(
+        0.53, rel=1e-3
+    )
+
+
+def test_the_privileged_controller_is_told_the_flow_in_body_axes():
+    """A stream along +x, met by fish that head to +y and to -x."""
+    loop = ControlLoop(ROBOT, "compiled")
+    stream = stack([Flow(speed=0.2, direction=0.0, turbulence="none")] * 2)
+    loop.start(
+        np.array([[0.0, 0.0, np.pi / 2], [0.0, 0.0, np.pi]]), Scenario(engines.nominal_params(ROBOT, 2), np.full(2, 3), stream)
+    )
+    heard = SimpleNamespace(set_flow=lambda flow: setattr(heard, "flow", flow))
+    loop.inform(heard)
+    assert heard.flow == pytest.approx(np.array([[0.0, -0.2], [-0.2, 0.0]]), abs=1e-9)
+
+
+def test_the_privileged_controller_steers_only_where_the_flow_is_known():
+    brain = control.make("privileged", ROBOT)
+    brain.reset(1)
+    with pytest.raises(ConfigError, match="was not told the flow"):
+        brain(np.zeros((1, 11)))
+
+
+@pytest.mark.parametrize("name", [n for n in control.NAMES if n != "drift"])
+def test_a_turned_world_does_not_change_a_controller(name, engine):
+    """Stream, starts and targets are turned together by 130 deg: the fish swims the same way."""
+    swum = []
+    for direction in (0.0, np.radians(130)):
+        calm = evaluate.trials(
+            speeds=[0.2], los_deg=[45], repeats=1, direction=direction, turbulence="none", randomisation=0, noise=0, duration=3
+        )
+        swum.append(evaluate.run(control.make(name, ROBOT), ROBOT, calm, engine).distance)
+    assert swum[0] == pytest.approx(swum[1], abs=1e-3)  # rounding grows as a fish swims
 
 
 def test_every_gain_has_unit_and_source():
@@ -224,9 +291,6 @@ def test_every_gain_has_unit_and_source():
         if not isinstance(table, dict):
             continue
         for key, entry in table.items():
-            if key == "like":
-                assert entry in control.NAMES
-                continue
             assert set(entry) == {"value", "unit", "source"}, f"{name}.{key}"
             assert entry["source"].partition(": ")[0] in ("default", "derived", "tuned"), f"{name}.{key}"
 

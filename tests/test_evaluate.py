@@ -5,7 +5,7 @@ import pytest
 
 from fishmj import engines, evaluate
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.control import gains_of
+from fishmj.control.gait_table import gait_of
 from fishmj.evaluate import metrics
 from fishmj.evaluate.metrics import Result
 from fishmj.mjcf.reading import load_robot
@@ -160,7 +160,7 @@ def test_drift_goes_with_the_flow_and_arrives_only_straight_downstream(engine):
     found = metrics.figures(r)
     assert np.array_equal(found["arrival"] == 1, np.isclose(r.trials.los, np.pi))
     speed, t = r.trials.speed, r.t[1000]
-    carried = speed - speed / (1 + speed * t / gains_of("gait")["glide"])
+    carried = speed - speed / (1 + speed * t / gait_of(ROBOT)["glide"])
     assert r.velocity[:, 1000, 0] == pytest.approx(carried, rel=0.05)
     assert found["power"] == pytest.approx(ROBOT.servo.idle_power, abs=0.02)
 

@@ -286,12 +286,14 @@ def test_a_data_sheet_gives_the_servo_by_options_and_by_file(tmp_path, capsys):
 # a fish of five links elsewhere
 
 
-def test_what_cannot_serve_five_links_says_so():
+def test_controllers_serve_five_links_and_what_cannot_says_so():
     assert new("pike", *FIVE) == console.OK
     robot = load_robot("pike.toml")
-    for name in ("pd", "pi", "dob", "adrc-c1"):
-        with pytest.raises(ConfigError, match="for 3 joints, pike has 4"):
-            control.make(name, robot)
+    for name in control.NAMES:
+        brain = control.make(name, robot)
+        brain.reset(1)
+        getattr(brain, "set_flow", lambda flow: None)(np.zeros((1, 2)))
+        assert brain(np.full((1, 13), 0.1)).shape == (1, 10, 4)
     with pytest.raises(FishmjError, match="pike has 4 joints"):
         Sim(robot).step(np.zeros(3))
 

@@ -14,6 +14,7 @@ EXTRA_OF = {  # import name -> the extra that installs it
     "optax": "train",
     "gymnasium": "train",
     "mujoco.mjx": "train",
+    "cmaes": "train",
     "numba": "fast",
     "dm_control": "suite",
     "dm_env": "suite",

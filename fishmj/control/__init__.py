@@ -4,8 +4,9 @@
     controller.reset(n)
     commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
 
-A controller sees the 11 observations only, noisy and late: no flow, no pose. Their constants of the fish are in
-data/calib/controllers.toml; docs/train/controllers.md describes how their gains were found.
+A controller sees the 11 observations only, noisy and late: no flow, no pose. `privileged` alone is also told the flow, and
+steers only where `set_flow` is called (tasks.episode). Gains are in data/calib/controllers.toml; the hand-made ones measure the
+gaits of their fish in its surrogate (gait_table.py).
 
 A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS`.
 
@@ -15,6 +16,7 @@ from a file.
 
 import argparse
 from functools import cache
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -60,11 +62,19 @@ CONTROLLERS = {
     "pd": Entry("line_of_sight", "CPG + PD on the line of sight"),
     "pi": Entry("line_of_sight", "CPG + PI on the position vector"),
     "dob": Entry("observer", "CPG + flow observer: the bar"),
+    "pnl": Entry("adrc", "proportional navigation alone"),
     "adrc-c1": Entry("adrc", "proportional navigation + ADRC"),
     "adrc-c2": Entry("adrc", "the same with other gains"),
     "adrc-c3": Entry("adrc", "the same with other gains"),
+    "koopman": Entry("koopman", "Koopman-LQR of still water"),
+    "koopman-flow": Entry("koopman", "Koopman-LQR that estimates the flow"),
+    "koopman-rls": Entry("koopman", "the same, adapting its model"),
+    "mpc": Entry("mpc", "sampling MPC with a model of still water"),
+    "mpc-flow": Entry("mpc", "sampling MPC that estimates the flow"),
+    "privileged": Entry("mpc", "mpc-flow, told the true flow: a bound, in simulations alone"),
 }
 NAMES = tuple(CONTROLLERS)
+GAINS = "controllers.toml"  # in data/calib
 
 
 class _FormerOption(argparse.Action):
@@ -103,8 +113,8 @@ def make(
     any_command_path: bool | None = None,
     **options: Any,
 ) -> Controller:
-    """Makes a controller by name, or from a policy by name, file or folder. It runs only fishmj's code: the name may be from a
-    file.
+    """Makes a controller by name, with gains of a file as FILE.toml:NAME, or from a policy by name, file or folder. It runs only
+    fishmj's code: the name may be from a file.
 
     Args:
         anyway: a policy may steer on another command path than it was trained on; `any_command_path` is its former name.
@@ -115,9 +125,12 @@ def make(
         ConfigError: the robot's joints are not those of the gains, or it is not the robot of the policy.
     """
     robot, name = _swimming(robot), str(name)
+    file, name = _split(name)
     entry = CONTROLLERS.get(name)
     if entry is None and not is_policy(name):
         raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
+    if file is not None and not (entry and entry.tuned):
+        raise ConfigError(f"{file}: {name} has no gains; expected one of {', '.join(tuned_names())}")
     if options and not (entry and entry.tuned):
         raise ConfigError(f"controller {name}: has no gains, got {', '.join(options)}")
     if entry is None:
@@ -126,8 +139,22 @@ def make(
         if any_command_path is not None:
             console.warn("any_command_path= is now anyway=; the old name goes with the release after this one")
         return LearnedController(robot, name, anyway or bool(any_command_path))
-    gains = gains_of(name, options) if entry.tuned else {}
-    return import_module(f"fishmj.control.{entry.module}").build(robot, name, gains)
+    gains = gains_of(name, options, file) if entry.tuned else {}
+    made = import_module(f"fishmj.control.{entry.module}").build(robot, name, gains)
+    if file is not None:
+        made.sha256 = sha256(repr(gains).encode()).hexdigest()
+    return made
+
+
+def tuned_names() -> tuple[str, ...]:
+    """Names of the controllers with gains."""
+    return tuple(name for name, entry in CONTROLLERS.items() if entry.tuned)
+
+
+def _split(text: str) -> tuple[Path | None, str]:
+    """File of gains and name of `FILE.toml:NAME`; no file for any other text."""
+    file, _, name = text.rpartition(":")
+    return (Path(file), name) if file.endswith(".toml") else (None, text)
 
 
 def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> Controller:
@@ -140,7 +167,7 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
     """
     robot, text = _swimming(robot), str(text)
     own = plugins.is_reference(text) or text in plugins.listed("controller")
-    known = text in NAMES or is_policy(text)
+    known = text in NAMES or is_policy(text) or _split(text)[0] is not None
     if known or not (own or ".py" in text or ":" in text):
         if not known and (extra := plugins.listed("controller")):
             raise UnknownName("controller", text, (*NAMES, *shipped_policies(), *extra))
@@ -163,38 +190,32 @@ def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Control
 
 
 @cache
-def _file() -> dict:
-    return read_toml(calib_folder() / "controllers.toml")
+def shipped_gains() -> dict[str, dict]:
+    """Sections of data/calib/controllers.toml: {section: {gain: {value, unit, source}}}."""
+    return {name: table for name, table in read_toml(calib_folder() / GAINS).items() if isinstance(table, dict)}
 
 
-def gains_of(section: str, changes: dict | None = None) -> dict:
+def gains_of(section: str, changes: dict | None = None, file: "Path | None" = None) -> dict:
     """Values of one section, some of them changed.
 
-    A section with `like = "other"` starts from that section. Raises UnknownName for a gain that does not exist.
+    Args:
+        file: of `fishmj tune`, whose gains replace the shipped ones.
+    Raises:
+        UnknownName: a gain that does not exist. ConfigError: the file has no such section, or a gain of another form.
     """
-    table = dict(_file()[section])
-    base = table.pop("like", None)
-    values = gains_of(base) if base else {}
-    values.update({key: entry["value"] for key, entry in table.items()})
-    for key in changes or {}:
+    values = {key: entry["value"] for key, entry in shipped_gains()[section].items()}
+    if file is not None:
+        table = read_toml(file).get(section)
+        if not isinstance(table, dict):
+            raise ConfigError(f"{file}: has no section [{section}]; fishmj tune {section} --out {file} writes it")
+        stated = {key: entry.get("value") if isinstance(entry, dict) else entry for key, entry in table.items()}
+        changes = {**stated, **(changes or {})}
+    for key, value in (changes or {}).items():
         if key not in values:
             raise UnknownName(f"gain of {section}", key, values)
+        if np.shape(value) != np.shape(values[key]) or not np.issubdtype(np.asarray(value).dtype, np.number):
+            raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected the form of {values[key]!r}")
     return {**values, **(changes or {})}
-
-
-def gait_of(robot: Robot, name: str) -> dict:
-    """Section `gait` for the controller `name` of this robot; `lag` is in rad.
-
-    Raises:
-        ConfigError: the robot's joints are not those of the gait.
-    """
-    gait = gains_of("gait")
-    lag = np.radians(gait["lag_deg"])
-    if len(lag) != robot.n_joints:
-        raise ConfigError(
-            f"controller {name}: its gait is for {len(lag)} joints, {robot.name} has {robot.n_joints}; use drift or a policy"
-        )
-    return {**gait, "lag": lag}
 
 
 __all__ = [

@@ -1,23 +1,25 @@
-"""Proportional navigation with active disturbance rejection: the baselines ADRC-C1, C2, C3.
+"""Proportional navigation, alone (PNL) and with active disturbance rejection: the baselines ADRC-C1, C2, C3.
 
     psi_r' = N lambda' + k wrap(lambda - psi_r)                       lambda the line of sight [rad], N and k: navigation
     psi''  = f + b0 bias                                              f: everything else, estimated as z3
     bias   = (wc^2 (psi_r - z1) - 2 wc z2 - z3) / b0                  linear ADRC, poles at wc, observer poles at wo
     d'     = f_d + b_d s,   s = (-wd d - z_d) / b_d                   first-order linear ADRC on the distance; s: gait speed
+    PNL    psi' = N lambda' + k wrap(lambda - psi) by the bias that turns its gait so in still water;  s = cruise
 
 Guelman 1971 (proportional navigation); Gao 2003 (bandwidth parametrisation). The observers are discrete current estimators
 with poles exp(-wo T) (Miklosovic, Radke, Gao 2006): at T = 0.2 s an Euler step of wo = 8 rad/s would not be stable.
 Departures: heading and target come from the same `StateEstimator` as every other baseline (a heading with the beat in it
-saturates the loop); inside `hover_radius` the gait idles at `hover_speed`.
+saturates the loop); inside `hover_radius` the gait idles at `hover_speed`, which for PNL is the line's slow end.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from fishmj.base.units import wrap
-from fishmj.control import gait_of
 from fishmj.control.cpg import Cpg, cpg_of
 from fishmj.control.estimator import StateEstimator
-from fishmj.control.gait_table import SpeedToGait, throttle_of
+from fishmj.control.gait_table import SpeedToGait, gait_of, throttle_of
 from fishmj.mjcf.description import Robot
 
 
@@ -47,6 +49,47 @@ class ExtendedStateObserver:
         return self.z
 
 
+def navigation(k: Mapping, sight, before, heading, distance, dt: float):
+    """Turning rate (B,) rad/s of proportional navigation with pursuit.
+
+    Args:
+        k: gains navigation, pursuit, navigation_max [rad/s] and hover_radius [m], within which the sight's rate counts as zero.
+        sight, before: (B,) rad, line of sight now and dt [s] ago. heading: (B,) rad. distance: (B,) m.
+    """
+    rate = np.where(distance > k["hover_radius"], wrap(np, sight - before) / dt, 0.0)
+    turn = k["navigation"] * rate + k["pursuit"] * wrap(np, sight - heading)
+    return np.clip(turn, -k["navigation_max"], k["navigation_max"])
+
+
+class ProportionalNavigation:
+    """Proportional navigation alone over the shared CPG: no feedback but the line of sight.
+
+    Args:
+        authority: yaw rate a rad of bias and m/s of gait speed, 1/m.
+    """
+
+    def __init__(self, name: str, cpg: Cpg, throttle: SpeedToGait, navigator: StateEstimator, authority: float, gains):
+        self.name, self.cpg, self.throttle, self.navigator, self.k = name, cpg, throttle, navigator, gains
+        self.authority = authority
+
+    def reset(self, n: int) -> None:
+        """Starts n fish."""
+        self.cpg.reset(n)
+        self.navigator.reset(n)
+        self.sight: np.ndarray | None = None
+
+    def __call__(self, obs) -> np.ndarray:
+        """Commands (B, T, J) rad."""
+        k, fix = self.k, self.navigator(obs)
+        sight = np.arctan2(fix.target[:, 1], fix.target[:, 0])
+        d = np.linalg.norm(fix.target, axis=-1)
+        turn = navigation(k, sight, sight if self.sight is None else self.sight, fix.heading, d, self.navigator.dt)
+        self.sight = sight
+        f, a = self.throttle(np.where(d > k["hover_radius"], k["cruise"], 0.0))
+        most = np.radians(k["bias_deg"])
+        return self.cpg(f, a, np.clip(turn / (self.authority * self.throttle.speed(f, a)), -most, most))
+
+
 class Adrc:
     """Proportional navigation and ADRC over the shared CPG."""
 
@@ -72,11 +115,8 @@ class Adrc:
             self.sight, self.reference = sight, fix.heading.copy()
             self.heading.start(fix.heading)
             self.distance.start(d)
-        rate = np.where(d > k["hover_radius"], wrap(np, sight - self.sight) / self.dt, 0.0)
-        self.sight = sight
-        most = k["navigation_max"]
-        turn = k["navigation"] * rate + k["pursuit"] * wrap(np, sight - self.reference)
-        self.reference = self.reference + self.dt * np.clip(turn, -most, most)
+        turn = navigation(k, sight, self.sight, self.reference, d, self.dt)
+        self.sight, self.reference = sight, self.reference + self.dt * turn
         z = self.heading(fix.heading, self.bias)
         want = (k["wc"] ** 2 * (self.reference - z[:, 0]) - 2 * k["wc"] * z[:, 1] - z[:, 2]) / -k["b0"]
         limit = np.radians(k["bias_deg"])
@@ -88,7 +128,8 @@ class Adrc:
         return self.cpg(f, a, self.bias)
 
 
-def build(robot: Robot, name: str, gains: dict) -> Adrc:
+def build(robot: Robot, name: str, gains: dict) -> Adrc | ProportionalNavigation:
     """Makes the controller for a robot, from its gains in controllers.toml."""
-    gait = gait_of(robot, name)
-    return Adrc(name, cpg_of(robot, gait), throttle_of(gait, gains), StateEstimator(robot, gait["wobble"], gait["sway"]), gains)
+    gait = gait_of(robot)
+    parts = name, cpg_of(robot, gait), throttle_of(gait, gains), StateEstimator(robot, gait["wobble"], gait["sway"])
+    return Adrc(*parts, gains) if "wc" in gains else ProportionalNavigation(*parts, gait["turn"], gains)

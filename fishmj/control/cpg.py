@@ -1,6 +1,6 @@
 """Central pattern generator: one travelling wave for every model-based controller, 50 Hz commands, continuous in phase.
 
-    phi' = 2 pi f,     c_i = A sin(phi - lag_i) + bias / J                    [rad], i = 1..J
+    phi' = 2 pi f,     c_i = min(1, 3 / J) A sin(phi - lag_i) + bias / J      [rad], i = 1..J
 
 Frequency f, amplitude A and bias (summed over the joints; positive bends the tail to the right, which turns the fish to
 the right) move towards their goals at a limited rate, so that no chunk starts with a jump.
@@ -35,6 +35,7 @@ class Cpg:
 
     def __init__(self, robot: Robot, lag, rates: Rates):
         self.lag, self.rates = np.asarray(lag, float), rates
+        self.share = min(1.0, 3 / len(self.lag))  # many joints together bend as far as three
         self.ticks = ticks_per(robot)[1]
         self.dt = robot.timing.bus_dt
         self.hold = robot.timing.command_path == "hold"
@@ -50,7 +51,7 @@ class Cpg:
         a = self._towards(self.amplitude, amplitude, self.rates.amplitude)
         b = self._towards(self.bias, bias, self.rates.bias)
         phase = self.phase[:, None] + 2 * np.pi * self.dt * np.cumsum(f, 1)
-        wave = a[..., None] * np.sin(phase[..., None] - self.lag) + b[..., None] / len(self.lag)
+        wave = self.share * a[..., None] * np.sin(phase[..., None] - self.lag) + b[..., None] / len(self.lag)
         self.phase, self.frequency, self.amplitude, self.bias = phase[:, -1] % (2 * np.pi), f[:, -1], a[:, -1], b[:, -1]
         return np.repeat(wave[:, [self.ticks // 2 - 1]], self.ticks, 1) if self.hold else wave
 
@@ -65,6 +66,6 @@ class Cpg:
 
 
 def cpg_of(robot: Robot, gait: Mapping) -> Cpg:
-    """The oscillators of a robot's gait (`controllers.gait_of`)."""
+    """The oscillators of a robot's gait (`gait_table.gait_of`)."""
     amplitude, bias = np.radians(gait["amplitude_rate"]), np.radians(gait["bias_rate"])
     return Cpg(robot, gait["lag"], Rates(frequency=gait["frequency_rate"], amplitude=amplitude, bias=bias))

@@ -25,6 +25,7 @@ class StateEstimate(NamedTuple):
     velocity: np.ndarray  # (B, 2) m/s over ground, without the beat
     heading: np.ndarray  # (B,) rad, of the swimming direction, not wrapped, extrapolated to now
     turn: np.ndarray  # (B,) rad/s, its rate
+    head: np.ndarray  # (B,) rad, of the body axes now: heading with the beat
 
 
 class StateEstimator:
@@ -63,7 +64,8 @@ class StateEstimator:
         seen, met = self.heading + (self.rate_age - self.pose_age) * turn, self.heading
         place = turned(target, seen - bend @ self.wobble) + across(seen, bend @ self.sway)
         motion = turned(velocity, met - bend_rates @ self.wobble) - across(met, speed @ self.sway)
-        return StateEstimate(place, motion, self.heading + self.rate_age * turn, turn)
+        heading = self.heading + self.rate_age * turn
+        return StateEstimate(place, motion, heading, turn, heading - joint @ self.wobble)
 
 
 def hermite(a, da, b, db, h: float, s: float):

@@ -1,28 +1,33 @@
-"""Steady gaits of the structured water: the flow observer's model of its own fish.
+"""Steady gaits of a robot in its own water: the controllers' model of their fish.
 
-`measure` swims the nominal fish in still water over a grid of frequency and amplitude, and with bias; the numbers that the
-controllers read are in data/calib/controllers.toml [gait]. Remake them with
-
-    python -m fishmj.control.gait_table                 prints the block
+`measure` swims the nominal fish in still water over a grid of frequency and amplitude, and with bias: four seconds of computing
+for any description. `gait_of` keeps the result in the cache, by robot, water and source of fishmj.
 
 A throttle u in [0, 1] moves along one line of the map, f = f0 + u (f1 - f0), A = A0 + u (A1 - A0), on which speed rises.
 """
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from fishmj import engines
-from fishmj.base import console
+from fishmj.base import console, store
+from fishmj.base.compile_cache import cache_folder
+from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.source import package_sha256
+from fishmj.control import gains_of
 from fishmj.control.cpg import Cpg, Rates
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
+from fishmj.water import choice
 from fishmj.water.flow import Flow, stack
+from fishmj.water.water_identity import water_identity
 
-FREQUENCIES = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # Hz
-AMPLITUDES_DEG = (5, 10, 15, 20, 25, 30, 35)
 QUICK = Rates(frequency=20.0, amplitude=10.0, bias=10.0)  # start-up does not matter here
 SETTLE, WATCH = 10.0, 10.0  # s
+BEATS = (0.1, 0.85)  # body lengths/s of the gaits from which wobble and sway are taken; of slower fish the faster half
+SLOWEST = 0.05  # body lengths/s of the fastest gait, below which a fish does not swim
 
 
 def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=SETTLE + WATCH, engine="batch"):
@@ -41,31 +46,77 @@ def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=S
     return tuple(np.concatenate([np.asarray(a) for a in column], 1) for column in zip(*rows, strict=True))
 
 
-def measure(robot: "Robot | str" = "fish", lag_deg=(0.0, 60.0, 120.0), engine: str = "batch") -> dict:
+def gait_of(robot: Robot) -> dict:
+    """Rates and grids of controllers.toml [gait], with the lag [rad] and the measured gaits of this robot in its water.
+
+    Raises:
+        ConfigError: the robot does not swim.
+    """
+    gait = gains_of("gait")
+    lag = np.radians(gait["lag_deg"]) / max(robot.n_joints - 1, 2) * np.arange(robot.n_joints)
+    model = surrogate(robot)
+    asked = dict(lag=lag, frequency=gait["frequency"], amplitude_deg=gait["amplitude_deg"])
+    found = kept("gaits", model, lambda: measure(model, **asked), asked)
+    return {**gait, "lag": lag, **{key: value if value.ndim else float(value) for key, value in found.items()}}
+
+
+def surrogate(robot: Robot) -> Robot:
+    """The robot in a water that every engine swims: in place of the flow solver its fitted water, or the strips."""
+    if choice.label(robot) not in choice.SOLVED:
+        return robot
+    return choice.in_water(robot, choice.FITTED if choice.fitted_for(robot) else choice.STRUCTURED)
+
+
+def kept(what: str, robot: Robot, make: Callable[[], Mapping], asked=None) -> dict[str, np.ndarray]:
+    """Arrays that `make` computes from a robot's surrogate, from the cache where they are.
+
+    Args:
+        what: folder in the cache. asked: all else on which the result depends.
+    """
+    mark = repr((robot, robot.effects, water_identity(robot), asked, package_sha256()))
+    path = cache_folder() / what / f"{robot.name}_{hashlib.sha256(mark.encode()).hexdigest()[:16]}.npz"
+    try:
+        return store.read_npz(path)
+    except StoreError:  # absent or damaged
+        made = {key: np.asarray(value, float) for key, value in make().items()}
+    try:
+        store.write_npz(path, made)
+    except StoreError as error:
+        console.warn(f"{what} of {robot.name} are computed anew each time: {error}")
+    return made
+
+
+def measure(robot: "Robot | str", lag, frequency, amplitude_deg, engine: str = "batch") -> dict:
     """Measures steady speed over the grid, head yaw and sway a joint angle, turning rate a bias, gliding length.
 
+    Args:
+        lag: (J,) rad. frequency: (F,) Hz. amplitude_deg: (A,) deg.
     Returns:
-        speed (F, A) m/s; power (F, A) W, servos; wobble (J,) rad/rad; sway (J,) m/rad; turn rad/s a rad of bias and m/s of
-        speed; glide m; residual: parts of head yaw and sway that the joints do not explain.
+        speed (F, A) m/s; wobble (J,) rad/rad; sway (J,) m/rad; turn rad/s a rad of bias and m/s of speed; glide m; residual (2,):
+        parts of head yaw and sway that the joints do not explain.
+    Raises:
+        ConfigError: no gait of the grid swims.
     """
-    robot, lag = load_robot(robot), np.radians(lag_deg)
-    f, a = (g.ravel() for g in np.meshgrid(FREQUENCIES, np.radians(AMPLITUDES_DEG), indexing="ij"))
-    pose, joint, power = swim(robot, lag, f, a, np.zeros(len(f)), engine=engine)
-    late = round(SETTLE / robot.timing.bus_dt)
-    shift = np.linalg.norm(pose[:, -1, :2] - pose[:, late, :2], axis=-1)
-    speed = shift / ((pose.shape[1] - 1 - late) * robot.timing.bus_dt)
-    grid = (len(FREQUENCIES), len(AMPLITUDES_DEG))
-    keep = (speed > 0.05) & (speed < 0.45)
-    wobble, sway, residual = _beat(pose[keep, late:], joint[keep, late:])
-    return {
-        "speed": speed.reshape(grid),
-        "power": power[:, late:].mean(1).reshape(grid),
-        "wobble": wobble,
-        "sway": sway,
-        "residual": residual,
-        "turn": _turn(robot, lag, engine),
-        "glide": _glide(robot, lag, engine),
-    }
+    robot = load_robot(robot)
+    f, a = (g.ravel() for g in np.meshgrid(frequency, np.radians(amplitude_deg), indexing="ij"))
+    with console.Progress(3, f"gaits of {robot.name}", unit="parts") as bar:
+        pose, joint, _ = swim(robot, lag, f, a, np.zeros(len(f)), engine=engine)
+        bar.update(1)
+        late = round(SETTLE / robot.timing.bus_dt)
+        shift = np.linalg.norm(pose[:, -1, :2] - pose[:, late, :2], axis=-1)
+        speed = shift / ((pose.shape[1] - 1 - late) * robot.timing.bus_dt)
+        if not (top := speed.max()) > (least := SLOWEST * robot.length):
+            raise ConfigError(
+                f"robot {robot.name} in water {choice.label(robot)}: {len(f)} gaits swim {top:.3g} m/s at most, expected"
+                f" {least:.3g} m/s or more; no hand-made controller can steer it"
+            )
+        keep = (speed > min(BEATS[0] * robot.length, top / 2)) & (speed < BEATS[1] * robot.length)
+        wobble, sway, residual = _beat(pose[keep, late:], joint[keep, late:])
+        turn = _turn(robot, lag, engine)
+        bar.update(2)
+        glide = _glide(robot, lag, engine)
+    grid = (len(frequency), len(amplitude_deg))
+    return {"speed": speed.reshape(grid), "wobble": wobble, "sway": sway, "residual": residual, "turn": turn, "glide": glide}
 
 
 def _beat(pose, joint):
@@ -94,7 +145,7 @@ def _turn(robot: Robot, lag, engine) -> float:
 
 def _glide(robot: Robot, lag, engine) -> float:
     """Length l in v' = -v^2 / l for a straight fish: the distance over which a glide loses the factor e of its speed, m."""
-    start = 0.3
+    start = 0.56 * robot.length
     pose, _, _ = swim(robot, lag, np.zeros(1), np.zeros(1), np.zeros(1), np.full(1, start), seconds=3.0, engine=engine)
     speed = np.diff(pose[0, :, 0]) / robot.timing.bus_dt
     gone = np.cumsum(speed) * robot.timing.bus_dt
@@ -144,23 +195,3 @@ def _cell(axis, x):
     x = np.clip(x, axis[0], axis[-1])
     i = np.clip(np.searchsorted(axis, x, "right") - 1, 0, len(axis) - 2)
     return i, (x - axis[i]) / (axis[i + 1] - axis[i])
-
-
-def main(argv: list[str]) -> int:
-    """Measures the gaits and prints the block for controllers.toml; returns the exit code."""
-    parser = console.parser("controllers.gait", "Measure the steady gaits of the structured water.", json=False)
-    parser.add_argument("--robot", default="fish")
-    parser.add_argument("--engine", default="batch")
-    args = parser.parse_args(argv)
-    m = measure(args.robot, engine=args.engine)
-    rounded = lambda a, n: [rounded(r, n) for r in a] if np.ndim(a) else round(float(a), n)
-    source = 'source = "derived: python -m fishmj.control.gait_table"'
-    told = (("speed", "m/s", 4), ("wobble", "1", 3), ("sway", "m/rad", 4), ("turn", "1/m", 3), ("glide", "m", 3))
-    for key, unit, digits in told:
-        console.say(f'{key} = {{ value = {rounded(m[key], digits)}, unit = "{unit}", {source} }}')
-    console.say(f"# not explained by the joints: {m['residual'][0]:.2f} of the head's yaw, {m['residual'][1]:.2f} of the sway")
-    return console.OK
-
-
-if __name__ == "__main__":
-    raise SystemExit(console.run(main))

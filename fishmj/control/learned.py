@@ -9,6 +9,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import nearest
+from fishmj.control import CONTROLLERS
 from fishmj.control.policy import FOLDER, Policy, file_of
 from fishmj.control.policy_meta import PolicyBody, PolicyFit, fit, structure_sha256
 from fishmj.mjcf.description import Robot
@@ -34,6 +35,9 @@ class LearnedController:
     """
 
     def __init__(self, robot: Robot, source: str, anyway: bool = False):
+        if source in CONTROLLERS:
+            why = "is told the true flow, which no robot knows" if source == "privileged" else "is for simulations"
+            raise ConfigError(f"controller {source}: {why}; expected a policy: shipped, a file, or the folder of a training")
         self.robot, self.policy = robot, Policy.load(source)
         path, of_a_run = file_of(source), os.path.isdir(source)
         shipped = path.resolve().parent == FOLDER

@@ -10,10 +10,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from fishmj.base.units import wrap
-from fishmj.control import gait_of
 from fishmj.control.cpg import Cpg, cpg_of
 from fishmj.control.estimator import StateEstimate, StateEstimator
-from fishmj.control.gait_table import throttle_of
+from fishmj.control.gait_table import gait_of, throttle_of
 from fishmj.mjcf.description import Robot
 
 
@@ -86,6 +85,6 @@ class LineOfSight:
 
 def build(robot: Robot, name: str, gains: dict) -> LineOfSight:
     """Makes the controller for a robot, from its gains in controllers.toml."""
-    gait = gait_of(robot, name)
+    gait = gait_of(robot)
     steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
     return LineOfSight(name, steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains)

@@ -12,32 +12,65 @@ speed = the part of W along it.
 
 import numpy as np
 
+from fishmj.base.errors import ConfigError
 from fishmj.base.units import wrap
-from fishmj.control import gait_of
 from fishmj.control.cpg import cpg_of
 from fishmj.control.estimator import StateEstimator, turned
+from fishmj.control.gait_table import gait_of
 from fishmj.control.line_of_sight import HeadingSpeedController, capped
 from fishmj.mjcf.description import Robot
+
+
+def forward(speed, heading):
+    """Vectors (B, 2) of length `speed` (B,) along `heading` (B,)."""
+    return speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+
+
+def glided(surge, steady, glide: float, dt: float):
+    """Speed through the water (B,) m/s after dt [s] of a gait with a steady speed (B,), by the glide length [m]."""
+    for _ in range(10):
+        surge = surge + dt / 10 * (steady**2 - surge**2) / glide
+    return surge
+
+
+class FlowEstimate:
+    """Flow (B, 2) m/s as the rest of the velocity over ground, by a first-order filter that learns fast at first.
+
+    Args:
+        time: s, of the filter, which grows from 0 to it. dt: control step, s.
+    """
+
+    def __init__(self, time: float, dt: float):
+        self.time, self.dt = time, dt
+
+    def reset(self, n: int) -> None:
+        """Starts n estimates of zero."""
+        self.flow, self.age = np.zeros((n, 2)), 0.0
+
+    def __call__(self, velocity, through) -> np.ndarray:
+        """Flow after a step with velocities (B, 2) over ground and through the water, in axes that do not turn."""
+        self.age = min(self.age + self.dt, self.time)
+        self.flow = self.flow + self.dt / self.age * (velocity - through - self.flow)
+        return self.flow
 
 
 class FlowObserver:
     """Disturbance observer over the CPG. Egocentric: flow and target are in axes fixed at reset."""
 
-    name = "dob"
-
-    def __init__(self, steering: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
-        self.steering, self.navigator, self.k, self.glide = steering, navigator, gains, glide
+    def __init__(self, name: str, steering: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
+        self.name, self.steering, self.navigator, self.k, self.glide = name, steering, navigator, gains, glide
         self.dt = navigator.dt
+        self.estimate = FlowEstimate(gains["observer_time"], self.dt)
 
     def reset(self, n: int) -> None:
         """Starts n fish with a flow estimate of zero."""
         self.steering.reset(n)
         self.navigator.reset(n)
+        self.estimate.reset(n)
         self.surge = np.zeros(n)  # v_w, m/s
         self.flow = np.zeros((n, 2))  # U^, m/s
         self.offset = np.zeros((n, 2))  # m/s
         self.holding = np.zeros(n, bool)
-        self.age = 0.0  # s
 
     def __call__(self, obs) -> np.ndarray:
         """Commands (B, T, J) rad."""
@@ -61,17 +94,12 @@ class FlowObserver:
 
     def _observe(self, fix) -> None:
         """One step of the glide model and of the flow estimate."""
-        k, steps = self.k, 10
-        goal = self.steering.steady
-        for _ in range(steps):
-            self.surge = self.surge + self.dt / steps * (goal**2 - self.surge**2) / self.glide
-        ahead = turned(np.stack([self.surge, 0 * self.surge], -1), fix.heading)
-        self.age = min(self.age + self.dt, k["observer_time"])
-        self.flow = self.flow + self.dt / self.age * (fix.velocity - ahead - self.flow)
+        self.surge = glided(self.surge, self.steering.steady, self.glide, self.dt)
+        self.flow = self.estimate(fix.velocity, forward(self.surge, fix.heading))
 
 
 def build(robot: Robot, name: str, gains: dict) -> FlowObserver:
     """Makes the controller for a robot, from its gains in controllers.toml."""
-    gait = gait_of(robot, name)
+    gait = gait_of(robot)
     steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
-    return FlowObserver(steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains, gait["glide"])
+    return FlowObserver(name, steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains, gait["glide"])

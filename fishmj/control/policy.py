@@ -200,27 +200,6 @@ class Policy:
             raise ConfigError(f"{where}: weights are not finite")
         check_header(self.meta, where)
 
-    def inputs(self, obs: np.ndarray) -> np.ndarray:
-        """Inputs of the network (B, width) at observations (B, n_obs): scaled, the memory behind them. Raises ConfigError."""
-        obs = np.atleast_2d(np.asarray(obs, np.float32))
-        if obs.shape[1] != self.n_obs:
-            raise ConfigError(f"policy {self.meta.get('name', '')}: got {obs.shape[1]} observations, expected {self.n_obs}")
-        return self._recall(obs / np.asarray(self.meta["scale"], np.float32))
-
-    def jacobian(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Actions (B, J) at inputs of the network (B, width), and their derivatives (B, J, width)."""
-        layers = [np.asarray(inputs)]
-        f = _ACTIVATIONS[self.meta["activation"]]
-        slope = (lambda y: y > 0.0) if self.meta["activation"] == "relu" else (lambda y: 1.0 - y * y)  # from the output
-        for w, b in self.weights[:-1]:
-            layers.append(f(layers[-1] @ w.T + b))
-        w, b = self.weights[-1]
-        action = np.tanh(layers[-1] @ w.T + b)
-        back = (1 - action**2)[:, :, None] * w
-        for (w, _), out in zip(self.weights[-2::-1], layers[:0:-1], strict=True):
-            back = (back * slope(out)[:, None]) @ w
-        return action, back
-
     @property
     def n_obs(self) -> int:
         """Number of observations."""

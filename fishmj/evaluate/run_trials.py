@@ -87,6 +87,7 @@ def running(controller, robot: Robot, trials: Trials, engine, shift, progress: C
         now = loop.scenario.current
         loop.scenario = loop.scenario._replace(current=trials.stream(now, k * robot.timing.control_dt))
         obs = loop.observe(aims[:, k], noise[:, k])
+        loop.inform(controller)
         command = _checked(controller, controller(obs), (n, loop.ticks, robot.n_joints))
         try:
             trace = yield from loop.acting(command)

@@ -104,6 +104,17 @@ class ControlLoop:
         senses = (self.window.pose, now.camera, self.window.joint)
         return task.observe_with_sensors(np, self.robot, self.sensors, now.params, *senses, target, noise)
 
+    def inform(self, controller) -> None:
+        """Tells a controller with `set_flow` the true flow (B, 2) m/s at each fish's reference point, in its body axes."""
+        if (told := getattr(controller, "set_flow", None)) is None:
+            return
+        q = self.fish.q
+        (u, v), c, s = self._flow_at(q[:, :2]).T, np.cos(q[:, 2]), np.sin(q[:, 2])
+        told(np.stack([c * u + s * v, c * v - s * u], -1))
+
+    def _flow_at(self, place) -> np.ndarray:
+        return flow.sample(np, self.scenario.current, place[:, None], self.count * self.ticks)[0][:, 0]
+
     def act(self, commands) -> Trace:
         """Swims one control step of bus commands (B, T, J) rad. Raises SimDiverged."""
         self.fish, trace = self.advance(self.fish, commands)

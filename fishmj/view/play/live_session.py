@@ -120,6 +120,7 @@ class LiveSession:
         """One control step of 0.2 s."""
         noise = self.noise * self._random.standard_normal((1, 5 + 2 * self.robot.n_joints))
         obs = self.loop.observe(self.target[None], noise)
+        self.loop.inform(self.controller)
         command = np.asarray(self.controller(obs), float)
         ticks = self.loop.count * self.loop.ticks + 1 + np.arange(self.loop.ticks)
         trace = self.loop.act(command)

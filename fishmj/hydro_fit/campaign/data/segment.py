@@ -231,7 +231,7 @@ class ClosedLoop:
         # leaves effects out. With effects on the sensors, one segment would be two swims.
         self.robot = replace(robot, effects=())
         self.target = np.asarray(target, float)[None]
-        self.controller = control.make(controller, robot)
+        self.controller = control.make(controller, self.robot)
         self.controller.reset(1)
         self.ticks = ticks_per(robot)[1]
         self.sensors, self.params = Sensors(self.robot), nominal_params(self.robot, 1)

@@ -1,0 +1,199 @@
+"""Tune the gains of hand-made controllers in a water or a family of waters: CMA-ES, the same budget for each.
+
+    score = mean over trials of rmse_after_arrival + rmse_last20 + 0.2 rmse_total + 0.2 (1 - arrival) + 0.01 power / W
+
+Each candidate swims 24 tuning trials with sensor noise and randomised fish; every generation has new draws, in turn with the
+default turbulence and in gusts of 10 %. The search runs over the logarithms of the gains whose source says `tuned`. The centre of
+the last generation is kept if it beats the first gains on 144 trials that no candidate swam, 72 of each turbulence; else the
+first gains are.
+"""
+
+import re
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj import control, engines
+from fishmj.base import console, interrupt, store
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import ConfigError, SimDiverged
+from fishmj.base.source import package_sha256
+from fishmj.control import gains_of, shipped_gains, tuned_names
+from fishmj.evaluate import metrics, protocol
+from fishmj.evaluate.run_trials import run
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
+from fishmj.water import choice
+from fishmj.water.water_identity import water_identity
+
+WEIGHTS = {"rmse_after_arrival": 1.0, "rmse_last20": 1.0, "rmse_total": 0.2, "arrival": -0.2, "power": 0.01}
+GENERATION, SPREAD, REACH = 16, 0.35, 6.0  # candidates; first standard deviation of a logarithm; largest factor on a gain
+LOST = 10.0  # score of gains with which nothing swims
+HELD_OUT = 999_983  # seed of the trials that decide, added to the seed of the command
+EXAMPLES = """examples:
+  fishmj tune dob --water family --out gains.toml          then: fishmj evaluate gains.toml:dob dob --water family
+  fishmj tune all --budget 640 --seed 1 --out gains.toml   every hand-made controller, the same budget for each
+  fishmj tune pi --robot pike.toml --out pike_gains.toml   for a fish of your own
+"""
+
+
+class GainSearch(NamedTuple):
+    """Gains of one controller that are searched."""
+
+    name: str
+    first: dict[str, Any]  # gain -> value or list of values
+
+    @classmethod
+    def of(cls, name: str, file: Path | None) -> "GainSearch":
+        """Searched gains of a controller, from a file of gains where it has them, else the shipped ones.
+
+        Raises:
+            ConfigError: none of them may be changed.
+        """
+        entries = shipped_gains()[name]
+        values = gains_of(name, file=file)
+        free = [key for key, entry in entries.items() if entry["source"].startswith("tuned")]
+        first = {key: values[key] for key in free if np.all(values[key])}
+        if not first:
+            raise ConfigError(f"tune {name}: none of its gains has a source `tuned`; expected one in controllers.toml [{name}]")
+        return cls(name, first)
+
+    def point(self) -> np.ndarray:
+        """Logarithms of the first gains."""
+        return np.log(np.concatenate([np.ravel(value) for value in self.first.values()]))
+
+    def gains(self, point) -> dict[str, Any]:
+        """Gains at a point, rounded to four digits."""
+        given, values = {}, iter(np.exp(point))
+        for key, value in self.first.items():
+            some = [float(f"{next(values):.4g}") for _ in np.ravel(value)]
+            given[key] = some if np.ndim(value) else some[0]
+        return given
+
+
+def tuning_trials(seed: int, gust: bool, repeats: int = 1) -> protocol.Trials:
+    """Tuning trials of a seed: 24 a repeat, with the default turbulence or in gusts of 10 %."""
+    how: dict[str, Any] = {"turbulence": "gust", "intensity": 0.1} if gust else {}
+    return protocol.trials(seed=seed, repeats=repeats, box="tune", **how)
+
+
+def score(search: GainSearch, point, robot: Robot, engine, *sets: protocol.Trials) -> float:
+    """Score of the gains at a point on sets of trials; `LOST` if no controller can be made of them or the physics diverges."""
+    try:
+        brain = control.make(search.name, robot, **search.gains(point))
+        found = [metrics.figures(run(brain, robot, some, engine)) for some in sets]
+    except (ConfigError, SimDiverged):
+        return LOST
+    values = {key: np.concatenate([figures[key] for figures in found]) for key in WEIGHTS}
+    return float(0.2 + sum(weight * np.mean(values[key]) for key, weight in WEIGHTS.items()))
+
+
+class Tuning(NamedTuple):
+    """Result of a search."""
+
+    controller: str
+    gains: dict[str, Any]
+    first_score: float  # of the gains before, on the trials that decide
+    score: float  # of these gains, there
+    candidates: int
+
+
+def tune(search: GainSearch, robot: Robot, budget: int, seed: int, kept: Path | None, bar: console.Progress) -> Tuning:
+    """Searches by CMA-ES. kept: file of finished generations, from which the same search continues. Raises MissingExtra."""
+    from cmaes import CMA
+
+    start = search.point()
+    reach = np.stack([start - np.log(REACH), start + np.log(REACH)], 1)
+    generations = max(1, budget // GENERATION)
+    mark = {
+        "controller": search.name, "first": search.first, "robot": sha256(repr((robot, robot.effects)).encode()).hexdigest(),
+        "water": water_identity(robot), "budget": budget, "seed": seed, "code": package_sha256(),
+    }  # fmt: skip
+    done: list[list[float]] = []
+    if kept is not None and kept.is_file() and (old := store.read_json(kept)).get("mark") == mark:
+        done = old["scores"]
+    optimiser = CMA(start, SPREAD, bounds=reach, seed=seed, population_size=GENERATION)
+    engine = engines.make(engines.fastest(), robot)
+    for g in range(generations):
+        points = [optimiser.ask() for _ in range(GENERATION)]
+        if g == len(done):
+            scores, drawn = [], tuning_trials(1000 * (seed + 1) + g, gust=g % 2 == 1)
+            for i, point in enumerate(points):
+                scores.append(score(search, point, robot, engine, drawn))
+                bar.update(g * GENERATION + i + 1, best=min(scores))
+            done.append(scores)
+            if kept is not None:
+                store.write_json(kept, {"mark": mark, "scores": done})
+        optimiser.tell(list(zip(points, done[g], strict=True)))
+    held_out = [tuning_trials(HELD_OUT + seed, gust, 3) for gust in (False, True)]
+    before, after = (score(search, point, robot, engine, *held_out) for point in (start, optimiser.mean))
+    better = after < before
+    gains = search.gains(optimiser.mean) if better else search.first
+    return Tuning(search.name, gains, before, after if better else before, generations * GENERATION)
+
+
+def with_gains(text: str, name: str, gains: dict, source: str) -> str:
+    """Text of a file of gains with the section of a controller replaced or added; values that were not searched stay."""
+    entries = {key: dict(entry) for key, entry in shipped_gains()[name].items()}
+    entries |= {key: {**entries[key], "value": value, "source": source} for key, value in gains.items()}
+    wide = max(map(len, entries))
+    quoted = lambda entry: f'{{ value = {entry["value"]}, unit = "{entry["unit"]}", source = "{entry["source"]}" }}'
+    block = f"[{name}]\n" + "".join(f"{key:<{wide}} = {quoted(entry)}\n" for key, entry in entries.items())
+    own = re.compile(rf"^\[{re.escape(name)}\]\n.*?(?=^\[|\Z)", re.MULTILINE | re.DOTALL)
+    if own.search(text):
+        return own.sub(lambda _: f"{block}\n", text).rstrip() + "\n"
+    return f"{text.rstrip()}\n\n{block}"
+
+
+def options() -> console.Parser:
+    """Parser of the verb `tune`."""
+    parser = console.parser("tune", __doc__ or "", examples=EXAMPLES)
+    add = parser.add_argument
+    names = f"{', '.join(tuned_names())}; all: every one"
+    add("controllers", nargs="+", choices=(*tuned_names(), "all"), metavar="CONTROLLER", help=names)
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    add("--water", type=console.text, help=choice.HELP)
+    add("--budget", type=console.whole(GENERATION, 10**6), default=320, metavar="N", help="candidates for each controller")
+    add("--seed", type=console.SEED, default=0, help="of the search and its tuning trials")
+    out = "file of gains: sections of these controllers are replaced, and the search starts at those that are there"
+    add("--out", type=console.path, default=Path("gains.toml"), metavar="FILE", help=out)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Runs the verb `tune`; returns the exit code."""
+    args = options().parse_args(argv)
+    if args.out.suffix != ".toml":
+        raise ConfigError(f"tune --out {args.out}: expected a file .toml")
+    water = choice.chosen(load_robot(args.robot), args.water).within(choice.SELF_MADE, "tune")
+    robot, names = water.robot, tuned_names() if "all" in args.controllers else tuple(dict.fromkeys(args.controllers))
+    console.say(f"water: {water.said}", f"{len(names)} controllers, {args.budget} candidates of 24 trials each")
+    text = args.out.read_text(encoding="utf-8") if args.out.is_file() else 'schema = "fishmj.controllers/1"\n'
+    there = read_toml(args.out) if args.out.is_file() else {}
+    source = f"tuned: fishmj tune {{}} --water {choice.label(robot)} --budget {args.budget} --seed {args.seed}"
+    rows: list[Tuning] = []
+    for name in names:
+        kept = args.out.with_suffix(f".{name}.json")
+        search = GainSearch.of(name, args.out if name in there else None)
+        with console.Progress(args.budget, f"tune {name}", unit="candidates") as bar:
+            bar.stage("first candidate; engines compile in it")
+            words = lambda kept=kept: f"{kept} holds the finished generations; {interrupt.again()}"
+            with interrupt.keeping(words):
+                found = tune(search, robot, args.budget, args.seed, kept, bar)
+        text = with_gains(text, name, found.gains, source.format(name))
+        store.write_text(args.out, text)
+        kept.unlink(missing_ok=True)
+        rows.append(found)
+        console.say(f"{name}: score {found.first_score:.3f} before, {found.score:.3f} now, on 144 tuning trials of no candidate")
+    console.say(f"wrote {args.out}; fishmj evaluate {args.out}:{rows[0].controller} judges it")
+    if args.out.resolve().parent == calib_folder().resolve():
+        console.warn("shipped gains changed: make manifest")
+    if args.json:
+        console.emit_json({"file": str(args.out), "water": choice.label(robot), "tuned": [row._asdict() for row in rows]})
+    return console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))
