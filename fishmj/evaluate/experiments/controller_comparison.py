@@ -178,6 +178,8 @@ def tracks(rows: dict[str, Row]) -> bytes:
             axis.plot(-read(side), read(upstream), color=colour, linewidth=1)
         axis.plot(0, 0, "+", color=INK, markersize=10)
         axis.set(title=drawn(name), xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
+    figure.supxlabel("right of the target, facing upstream [m]")
+    figure.supylabel("upstream of it [m]")
     return png(figure)
 
 
