@@ -12,7 +12,6 @@ speed = the part of W along it.
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError
 from fishmj.base.units import wrap
 from fishmj.control.cpg import cpg_of
 from fishmj.control.estimator import StateEstimator, turned
