@@ -18,7 +18,6 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.store import read_json, sha256, write_text
-from fishmj.control import NAMES
 from fishmj.control.policy import FORMER, Policy, file_of, shipped
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.evaluate.metrics import gather
@@ -29,6 +28,7 @@ STORED = ROOT / "studies" / "training" / "rows" / "judged"
 SOLVED = ROOT / "studies" / "solver" / "rows"
 CURVES = ROOT / "studies" / "training" / "rows"
 PAGE = ROOT / "docs" / "train" / "results.md"
+CONTROLLERS = ("dob", "koopman-rls", "mpc-flow", "pi", "privileged", "drift")  # the page has a table of all
 WATERS = {  # of the CPU: name -> heading
     "structured": "structured",
     "swift": "fitted, slip 1",
@@ -85,7 +85,7 @@ def run(waters: list[str]) -> None:
     """Judges all controllers and policies over the 72 trials in waters of the CPU, and stores the rows."""
     for water in waters:
         folder = ROOT / "runs" / "leaderboard" / water
-        argv = [*NAMES, *shipped(), "--water", water, "--engine", "compiled"]
+        argv = [*CONTROLLERS, *shipped(), "--water", water, "--engine", "compiled"]
         evaluate([*argv, "--out", str(folder)])
         found = read_json(folder / "results.json")
         rows = [less(row) | {"worst": relative(row["worst"])} for row in found["results"]]
