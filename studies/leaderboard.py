@@ -150,7 +150,7 @@ def stored() -> dict[str, dict[str, dict]]:
         table = read_json(STORED / f"{water}.json")
         common = {key: table[key] for key in ("condition", "command")}
         of = lambda name: sha256(file_of(name)) if name in shipped() else ""
-        rows = [row for row in table["results"] if row["controller"] in (*NAMES, *shipped())]
+        rows = [row for row in table["results"] if row["controller"] in (*CONTROLLERS, *shipped())]
         found[heading] = {row["controller"]: common | row for row in rows if row["policy_sha256"] == of(row["controller"])}
     return found | {rows.heading: solved(rows) for rows in SOLVER}
 
@@ -216,7 +216,7 @@ def main(argv: list[str]) -> int:
     console.say(made, "", "need a GPU, read from stored rows:")
     for rows in SOLVER:
         console.say(f"  fishmj evaluate {' '.join(rows.controllers)} {rows.options}")
-        if missing := [name for name in (*shipped(), *NAMES) if name not in found[rows.heading]]:
+        if missing := [name for name in (*shipped(), *CONTROLLERS) if name not in found[rows.heading]]:
             console.say(f"  not run: {' '.join(missing)}")
     if args.write:
         write_text(PAGE, on_page(page, made))
