@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from fishmj.effects import Effect, Parameter
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.engines import own_effects
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim

@@ -9,7 +9,7 @@ from effect_swim import CHAIN, JOINTS, SWIMMER
 
 from fishmj import effects
 from fishmj.effects import EffectStack
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.gap.commands.mjcf_patch import mjcf
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics.hooks import Effects

@@ -13,7 +13,7 @@ numba = pytest.importorskip("numba", reason='the compiled engine needs pip insta
 
 from fishmj import engines
 from fishmj.effects import get
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.engines import batch, compiled, fast_math, numba_build, planar, residual_lanes
 from fishmj.engines.single import HookedWater, closed_form
 from fishmj.mjcf import load_robot

@@ -27,7 +27,7 @@ from fishmj.deploy.loop.open_loop_experiment import SineGait
 from fishmj.deploy.loop.supervisor import SwimState
 from fishmj.deploy.loopback import lockstep_wiring
 from fishmj.deploy.loopback.camera_frames import FishLook
-from fishmj.deploy.tracker.camera_calibration import overhead
+from fishmj.deploy.tracker.calibration import overhead
 from fishmj.deploy.tracker.colour import PAPER_FISH
 from fishmj.log import read_trial
 from fishmj.log.excitation import LEAD

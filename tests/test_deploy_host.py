@@ -70,7 +70,7 @@ assert outcome.complete, outcome.words
 trial = read_trial(bench.folder)
 assert len(trial.tables["obs"]["t"]) == 15
 from fishmj.deploy.tracker.apriltag import AprilTagTracker
-from fishmj.deploy.tracker.camera_calibration import overhead
+from fishmj.deploy.tracker.calibration import overhead
 tracker = AprilTagTracker(overhead((640, 480), 0.0028, 3.0))
 assert tracker.locate(np.full((480, 640, 3), 90, np.uint8), 0.0) is None
 print("\\n".join(sorted({name.partition(".")[0] for name in sys.modules})))

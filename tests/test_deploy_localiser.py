@@ -20,7 +20,7 @@ from fishmj.deploy.loop.supervisor import Condition
 from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, TagPlate
 from fishmj.deploy.loopback.shared_frames import FrameWriter
 from fishmj.deploy.tracker.apriltag import AprilTagTracker
-from fishmj.deploy.tracker.camera_calibration import overhead
+from fishmj.deploy.tracker.calibration import overhead
 from fishmj.deploy.tracker.fix import Fix
 from fishmj.mjcf.reading import load_robot
 from tests.deploying import Bench

@@ -12,7 +12,7 @@ from fishmj.deploy.__main__ import main
 from fishmj.deploy.commands.print_command import board_page, options, pdf, tag_page
 from fishmj.deploy.loop import wiring
 from fishmj.deploy.tracker.apriltag import AprilTagTracker
-from fishmj.deploy.tracker.camera_calibration import overhead
+from fishmj.deploy.tracker.calibration import overhead
 
 DOTS = 4  # px/mm
 

@@ -8,7 +8,7 @@ import pytest
 from fishmj.base import console
 from fishmj.deploy.__main__ import main
 from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, TagPlate
-from fishmj.deploy.tracker.camera_calibration import Calibration, overhead
+from fishmj.deploy.tracker.calibration import Calibration, overhead
 from fishmj.log import read_trial
 
 cv2 = pytest.importorskip("cv2")

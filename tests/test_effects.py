@@ -14,10 +14,10 @@ from fishmj import effects
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.effects import EffectStack, ambiguity, calibration
+from fishmj.effects import EffectStack, ambiguity, effect_calibration
 from fishmj.effects import __main__ as verb
-from fishmj.effects.calibration import FittedEffect, Interval
 from fishmj.effects.effect import Effect, Parameter
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.effects.randomise import draw
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
 from fishmj.effects.stack import arrivals, delivered, gusts, noise
@@ -262,19 +262,19 @@ def test_calibration_blocks_survive_a_round_trip_and_leave_the_rest_alone(tmp_pa
     path = tmp_path / "mine.toml"
     text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
     path.write_text(text, encoding="utf-8")
-    assert calibration.read(path) == ()
+    assert effect_calibration.read(path) == ()
     listed = (
         FittedEffect("coulomb_friction", {"torque": Interval(0.081, 0.074, 0.089)}, 'the "blue" pool', "ab12"),
         FittedEffect("command_latency", {"delay": Interval(0.038, 0.035, 0.041)}),
     )
-    calibration.write(path, listed)
-    assert calibration.read(path) == listed
+    effect_calibration.write(path, listed)
+    assert effect_calibration.read(path) == listed
     assert path.read_text(encoding="utf-8").startswith(text.rstrip("\n"))
     assert replace(load_robot(path), effects=()) == load_robot("fish")
-    active, row = calibration.activate(listed, 3)
+    active, row = effect_calibration.activate(listed, 3)
     assert active.names == [("coulomb_friction", "torque"), ("command_latency", "delay")] and list(row) == [0.081, 0.038]
-    assert calibration.fitted(active, row, [0.074, 0.035], [0.089, 0.041])[1] == listed[1]
-    calibration.write(path, [])
+    assert effect_calibration.fitted(active, row, [0.074, 0.035], [0.089, 0.041])[1] == listed[1]
+    effect_calibration.write(path, [])
     assert path.read_text(encoding="utf-8") == text
 
 
@@ -294,7 +294,7 @@ def test_a_wrong_calibration_block_is_refused_with_the_nearest_name(tmp_path, bl
     path = tmp_path / "mine.toml"
     path.write_text(f'schema = "fishmj.fish/1"\n[[effect]]\n{block}\n', encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
-        calibration.read(path)
+        effect_calibration.read(path)
 
 
 @pytest.mark.parametrize("columns", [("effect", "formula", "shows in"), ("effect", "parameters", "typical", "null")])

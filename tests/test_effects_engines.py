@@ -10,7 +10,7 @@ import pytest
 
 from fishmj import effects, engines
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.effects.calibration import FittedEffect, Interval, write
+from fishmj.effects.effect_calibration import FittedEffect, Interval, write
 from fishmj.effects.sites import SensorReadings
 from fishmj.engines import batch, extensions, mjx, planar
 from fishmj.engines.recorder import cubic

@@ -12,8 +12,8 @@ from fishmj import control, effects, engines, evaluate
 from fishmj.base import console
 from fishmj.base.calib import resolve
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.effects.calibration import FittedEffect, Interval, write
 from fishmj.effects.effect import Effect, Parameter
+from fishmj.effects.effect_calibration import FittedEffect, Interval, write
 from fishmj.engines import FishState, Trace, lbm, tank_effects, tank_run
 from fishmj.engines.tank_effects import in_tank, refused, without
 from fishmj.engines.tank_run import EffectServos

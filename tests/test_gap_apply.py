@@ -14,7 +14,7 @@ from fishmj.base import console
 from fishmj.base.calib import read_toml, resolve
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import sha256, write_json
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.gap import __main__ as gap
 from fishmj.gap.commands import apply, model_version
 from fishmj.gap.commands.check import check, gaps

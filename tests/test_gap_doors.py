@@ -73,7 +73,7 @@ def test_null_runs_of_another_robot_are_kept_under_another_key(questioned):
 
 
 def test_effects_that_a_model_lists_do_not_change_its_null_runs():
-    from fishmj.effects.calibration import FittedEffect, Interval
+    from fishmj.effects.effect_calibration import FittedEffect, Interval
 
     rusty = replace(
         load_robot("fish"), effects=(FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.05, 0.15)}, "", ""),)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fishmj import control, engines, mjcf
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.engines.single import HookedWater, MujocoWater, StripWater
 from fishmj.hydro_fit.campaign.data.segment import ClosedLoop, Segment
 from fishmj.sim import Sim

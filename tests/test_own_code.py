@@ -16,7 +16,7 @@ from fishmj import control, effects, suite
 from fishmj.base import console, plugins
 from fishmj.base.errors import ConfigError, FishmjError, OwnCodeError, UnknownName
 from fishmj.effects import Effect, Parameter
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.engines import own_effects, with_effects
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.gap.commands.plant import main as plant

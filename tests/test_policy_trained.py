@@ -16,7 +16,7 @@ from fishmj.base import console
 from fishmj.base.calib import calib_folder
 from fishmj.control.policy import FOLDER, FORMER, SHIPPED, Policy, _renamed, shipped
 from fishmj.control.policy_meta import one_line
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.engines import in_water
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.evaluate.__main__ import options as evaluate_options

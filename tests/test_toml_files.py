@@ -7,7 +7,7 @@ import pytest
 
 from fishmj.base.calib import read_toml, resolve
 from fishmj.base.errors import FishmjError, UnknownName
-from fishmj.effects import calibration
+from fishmj.effects import effect_calibration
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.toml import dumps
 from fishmj.mjcf import load_robot
@@ -38,7 +38,7 @@ def test_a_file_that_is_no_toml_is_one_clear_line(tmp_path, kind):
     raw, told = FILES[kind]
     path = tmp_path / "x.toml"
     path.write_bytes(raw)
-    for read in (load_robot, read_toml, calibration.read, HydroModel.load):
+    for read in (load_robot, read_toml, effect_calibration.read, HydroModel.load):
         with pytest.raises(FishmjError, match=told) as caught:
             read(path)
         assert str(path) in str(caught.value) and len(str(caught.value)) < 500 and "\n" not in str(caught.value)

@@ -5,7 +5,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.tracker import Board, Calibration, Mark, calibrate_intrinsics, homography_from_marks
-from fishmj.deploy.tracker.camera_calibration import camera_of, overhead
+from fishmj.deploy.tracker.calibration import camera_of, overhead
 
 cv2 = pytest.importorskip("cv2")
 

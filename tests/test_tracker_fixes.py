@@ -189,7 +189,7 @@ for name in {heavy}:
 import numpy as np
 from fishmj.deploy.tracker import AprilTagTracker, ColourTracker, Paint, track_video
 assert "cv2" not in sys.modules, "loaded at the first use"
-from fishmj.deploy.tracker.camera_calibration import overhead
+from fishmj.deploy.tracker.calibration import overhead
 seen = overhead((1280, 720), 0.0028, 3.0)
 paint = Paint(head=((0.05, 0.06), (0.17, 0.02)), neck=((-0.03, 0.05), (0.01, 0.05)))
 for tracker in (AprilTagTracker(seen), ColourTracker(seen, paint)):

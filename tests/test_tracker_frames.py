@@ -7,7 +7,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, TagPlate
-from fishmj.deploy.tracker.camera_calibration import overhead
+from fishmj.deploy.tracker.calibration import overhead
 from studies.tracker import cases
 from studies.tracker.error_statistics import autocovariance, parts
 

@@ -16,7 +16,7 @@ from fishmj.base.store import read_json, write_json
 from fishmj.deploy.commands import swim_command
 from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.rig import rig_experiment
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.engines import command_latency, nominal_params
 from fishmj.gap.commands import admission
 from fishmj.gap.commands.apply import settle

@@ -17,7 +17,7 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError
-from fishmj.effects.calibration import FittedEffect, activate
+from fishmj.effects.effect_calibration import FittedEffect, activate
 from fishmj.mjcf.description import Robot
 from fishmj.water.choice import residual_of
 from fishmj.water.dynamics import planar_chain as chain

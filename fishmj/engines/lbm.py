@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.effects.calibration import activate
+from fishmj.effects.effect_calibration import activate
 from fishmj.engines import FishParams, FishState, Steps, Trace, check_commands, drained, ticks_per
 from fishmj.engines.tank_effects import check_effects
 from fishmj.engines.tank_run import EffectRun, TankEffects

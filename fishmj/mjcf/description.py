@@ -9,7 +9,7 @@ from math import pi, radians
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fishmj.effects.calibration import FittedEffect
+    from fishmj.effects.effect_calibration import FittedEffect
 
 COMMAND_PATHS = ("linear", "hold", "move_time")
 CELL = (3.2, 3.7, 4.2)  # V of a LiPo cell: under load, below which it is damaged; nominal; full

@@ -19,7 +19,7 @@ from fishmj.base.options import checked_name
 from fishmj.mjcf.description import COMMAND_PATHS, WATER_NEEDS, Fin, Link, RigSpec, Robot, Servo, Timing
 
 if TYPE_CHECKING:
-    from fishmj.effects.calibration import FittedEffect
+    from fishmj.effects.effect_calibration import FittedEffect
 
 
 def load_robot(source: "str | Path | Robot" = "fish") -> Robot:
@@ -226,6 +226,6 @@ def _effects(table: dict, where: str) -> "tuple[FittedEffect, ...]":
     """Parses the blocks [[effect]]; the catalogue is loaded only for a fish that has some."""
     if not table.get("effect"):
         return ()
-    from fishmj.effects.calibration import parse
+    from fishmj.effects.effect_calibration import parse
 
     return parse(table, where)

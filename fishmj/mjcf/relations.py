@@ -327,7 +327,7 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
     if not blocks:
         return
     from fishmj.base.errors import FishmjError
-    from fishmj.effects import calibration, catalogue
+    from fishmj.effects import catalogue, effect_calibration
 
     told = [block["name"] for block in blocks]
     for i, block in enumerate(blocks):
@@ -337,7 +337,7 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
             yield KeyFault("effect", i, "name", shown(block["name"]), expected, "docs/simulate/effects.md lists them all")
             continue
         try:
-            calibration.block_of(dict(block), "")
+            effect_calibration.block_of(dict(block), "")
         except FishmjError as error:
             yield KeyFault("effect", i, "", " ".join(str(error).split()).strip(": "), "")
         if block["name"] in told[:i]:

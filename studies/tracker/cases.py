@@ -9,7 +9,7 @@ import numpy as np
 
 from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, FrameOptions, TagPlate
 from fishmj.deploy.tracker.apriltag import AprilTagTracker
-from fishmj.deploy.tracker.camera_calibration import Calibration, overhead
+from fishmj.deploy.tracker.calibration import Calibration, overhead
 from fishmj.deploy.tracker.colour import PAPER_FISH, ColourTracker
 from fishmj.deploy.tracker.fix import Fix, Tracker, wrapped
 from fishmj.mjcf.from_above import opencv

@@ -15,7 +15,7 @@ from fishmj.deploy.camera.cameras import cv2
 from fishmj.deploy.camera.localiser import Newest
 from fishmj.deploy.loop import wiring
 from fishmj.deploy.loop.clock import SEEING, MonotonicClock, first_in_line
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.deploy.tracker.fix import Fix
 
 LOOK = 0.1  # s that a picture is waited for before it looks whether the host is there

@@ -12,7 +12,7 @@ from fishmj.base.errors import ConfigError, StoreError
 from fishmj.deploy.camera.cameras import cv2
 from fishmj.deploy.loop.wiring import numbers
 from fishmj.deploy.tracker import Board, Mark, calibrate_intrinsics, homography_from_marks
-from fishmj.deploy.tracker.camera_calibration import PAIRS, camera_of
+from fishmj.deploy.tracker.calibration import PAIRS, camera_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 ROUGH = 5e-3  # m, rms of the marks beyond which the calibration is worse than a tracker needs

@@ -27,7 +27,7 @@ from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimOutcome, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog, refuse_taken
 from fishmj.deploy.monitor.live import LiveMonitor, Watched, monitor_options, watched_of
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot

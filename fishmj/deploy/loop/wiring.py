@@ -33,7 +33,7 @@ from fishmj.deploy.link.transports import UdpTransport, open_serial
 from fishmj.deploy.loop.clock import Clock, MonotonicClock
 from fishmj.deploy.protocols import mish
 from fishmj.deploy.protocols.servo_bus import BUSES
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.deploy.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
 from fishmj.deploy.tracker.fix import Tracker
 from fishmj.mjcf import geometry_of, servo_buses

@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import number, setting
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.mjcf import Robot, geometry_of, load_robot
 from fishmj.mjcf.from_above import opencv
 

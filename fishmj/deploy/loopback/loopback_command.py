@@ -11,7 +11,7 @@ from fishmj.deploy.loopback import bodies, faults
 from fishmj.deploy.loopback.camera_frames import FrameOptions
 from fishmj.deploy.loopback.loopback_server import ServeOptions, serve
 from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, calibration_of
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import parse
 from fishmj.water.flow import PRESETS, Flow
 

@@ -11,7 +11,7 @@ from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, FrameOpt
 from fishmj.deploy.loopback.faults import LoopbackFault
 from fishmj.deploy.loopback.firmware import PROTOCOLS, SERVO_BUS
 from fishmj.deploy.loopback.robot import LoopbackRobot
-from fishmj.deploy.tracker.camera_calibration import Calibration, overhead
+from fishmj.deploy.tracker.calibration import Calibration, overhead
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow import Flow

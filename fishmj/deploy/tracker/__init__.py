@@ -4,7 +4,7 @@ See docs/tank/tracker.md.
 """
 
 from fishmj.deploy.tracker.apriltag import AprilTagTracker
-from fishmj.deploy.tracker.camera_calibration import Calibration, Mark, MarksFit, homography_from_marks
+from fishmj.deploy.tracker.calibration import Calibration, Mark, MarksFit, homography_from_marks
 from fishmj.deploy.tracker.colour import ColourTracker, Paint
 from fishmj.deploy.tracker.fix import Fix, Tracker
 from fishmj.deploy.tracker.intrinsics import Board, Intrinsics, calibrate_intrinsics

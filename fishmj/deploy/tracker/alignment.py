@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.mjcf.from_above import opencv
 
 GRAIN = 0.001  # m, of a pattern's own pixels

@@ -17,7 +17,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.tracker.alignment import GRAIN, Aligned, Patch, Pattern, align
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.deploy.tracker.fix import Fix, PosePredictor, placed, widened, wrapped
 from fishmj.deploy.tracker.frames import same_size
 from fishmj.mjcf.from_above import opencv

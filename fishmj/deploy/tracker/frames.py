@@ -3,7 +3,7 @@
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.tracker.camera_calibration import Calibration
+from fishmj.deploy.tracker.calibration import Calibration
 
 
 def same_size(image: np.ndarray, calibration: Calibration) -> None:

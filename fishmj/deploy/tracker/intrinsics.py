@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.tracker.camera_calibration import folding
+from fishmj.deploy.tracker.calibration import folding
 from fishmj.mjcf.from_above import opencv
 
 FEWEST = 5  # pictures

@@ -16,8 +16,8 @@ from uuid import uuid4
 from fishmj.base.calib import resolve
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import sha256, write_text
-from fishmj.effects import calibration
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects import effect_calibration
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.gap.calibrate.parameter_fit import ParameterEstimate
 from fishmj.log.limits import bare
 from fishmj.mjcf.reading import load_robot
@@ -49,12 +49,12 @@ def write(
     trial = out.with_name(f".{out.stem}.{uuid4().hex[:8]}.toml")  # beside it: the files that a fish names lie beside the fish
     try:
         write_text(trial, recorded(text, verb, estimates, source, evidence))
-        kept = {f.name: f for f in calibration.read(trial)}
+        kept = {f.name: f for f in effect_calibration.read(trial)}
         for key, e in effects.items():
             name, parameter = key.split(".")
             fitted = {parameter: Interval(e.value, e.low, e.high)}
             kept[name] = FittedEffect(name, fitted, f"fishmj calibrate {verb}: {source}", evidence)
-        calibration.write(trial, tuple(kept.values()))
+        effect_calibration.write(trial, tuple(kept.values()))
         load_robot(trial)
         write_text(out, trial.read_text(encoding="utf-8"))
     except FishmjError as error:

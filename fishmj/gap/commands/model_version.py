@@ -9,7 +9,7 @@
     judged_gap                      the same, before and after, of the records `judged`
     [version.null], [version.gates], rivals
 
-The blocks [[effect]] below it are `fishmj.effects.calibration`'s. The parent's text is kept beside the version.
+The blocks [[effect]] below it are `fishmj.effects.effect_calibration`'s. The parent's text is kept beside the version.
 """
 
 import hashlib
@@ -18,8 +18,8 @@ from pathlib import Path
 from fishmj.base.calib import read_toml, resolve
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
-from fishmj.effects import calibration, get
-from fishmj.effects.calibration import FittedEffect, Interval
+from fishmj.effects import effect_calibration, get
+from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.log.toml import dumps
 from fishmj.mjcf.reading import load_robot, robot_from_dict
 
@@ -76,7 +76,7 @@ def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version:
         write_text(beside(out), text)
     body = _without(text) + "\n" + dumps({"version": table})
     write_text(out, body)
-    calibration.write(out, merged(load_robot(parent).effects, effects))
+    effect_calibration.write(out, merged(load_robot(parent).effects, effects))
     robot_from_dict(read_toml(out), str(out))
     return out
 
