@@ -102,9 +102,10 @@ def test_no_wave_asks_more_of_the_servos_than_they_can_do(robot):
 
 
 def test_the_second_fish_gets_only_controllers_that_know_it():
-    assert "policy" in {s.block for s in FULL.segments}
-    assert "policy" not in {s.block for s in plan.full(SECOND).segments}
-    with pytest.raises(ConfigError, match="2|joints"):
-        plan.full(SECOND, policies=("dob",))
+    steering = lambda made: {s.drive["controller"] for s in made.segments if s.block == "policy"}
+    assert steering(FULL) == set(plan.POLICIES)
+    assert steering(plan.full(SECOND)) == {"dob", "pi", "adrc-c1", "pd"}
+    with pytest.raises(ConfigError, match="takes 11 observations"):
+        plan.full(SECOND, policies=("paper",))
     with pytest.raises(UnknownName, match="dod"):
         plan.full(FISH, policies=("dod",))

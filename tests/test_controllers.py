@@ -278,7 +278,7 @@ def test_a_turned_world_does_not_change_a_controller(name, engine):
     swum = []
     for direction in (0.0, np.radians(130)):
         calm = evaluate.trials(
-            speeds=[0.2], los_deg=[45], repeats=1, direction=direction, turbulence="none", randomisation=0, noise=0, duration=6
+            speeds=[0.2], los_deg=[45], repeats=1, direction=direction, turbulence="none", randomisation=0, noise=0, duration=3
         )
         swum.append(evaluate.run(control.make(name, ROBOT), ROBOT, calm, engine).distance)
     assert swum[0] == pytest.approx(swum[1], abs=1e-3)  # rounding grows as a fish swims

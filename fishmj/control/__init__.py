@@ -71,7 +71,7 @@ CONTROLLERS = {
     "koopman-rls": Entry("koopman", "the same, adapting its model"),
     "mpc": Entry("mpc", "sampling MPC with a model of still water"),
     "mpc-flow": Entry("mpc", "sampling MPC that estimates the flow"),
-    "privileged": Entry("observer", "dob, told the true flow: a bound, in simulations alone"),
+    "privileged": Entry("mpc", "mpc-flow, told the true flow: a bound, in simulations alone"),
 }
 NAMES = tuple(CONTROLLERS)
 GAINS = "controllers.toml"  # in data/calib

@@ -26,7 +26,8 @@ from fishmj.water.water_identity import water_identity
 
 QUICK = Rates(frequency=20.0, amplitude=10.0, bias=10.0)  # start-up does not matter here
 SETTLE, WATCH = 10.0, 10.0  # s
-SWIMS = (0.1, 0.85)  # body lengths/s of the gaits from which wobble and sway are taken
+BEATS = (0.1, 0.85)  # body lengths/s of the gaits from which wobble and sway are taken; of slower fish the faster half
+SLOWEST = 0.05  # body lengths/s of the fastest gait, below which a fish does not swim
 
 
 def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=SETTLE + WATCH, engine="batch"):
@@ -104,12 +105,12 @@ def measure(robot: "Robot | str", lag, frequency, amplitude_deg, engine: str = "
         late = round(SETTLE / robot.timing.bus_dt)
         shift = np.linalg.norm(pose[:, -1, :2] - pose[:, late, :2], axis=-1)
         speed = shift / ((pose.shape[1] - 1 - late) * robot.timing.bus_dt)
-        keep = (speed > SWIMS[0] * robot.length) & (speed < SWIMS[1] * robot.length)
-        if not keep.any():
+        if not (top := speed.max()) > (least := SLOWEST * robot.length):
             raise ConfigError(
-                f"robot {robot.name} in water {choice.label(robot)}: {len(f)} gaits swim {speed.max():.3g} m/s at most, expected"
-                f" one of {SWIMS[0] * robot.length:.3g} m/s or more; no hand-made controller can steer it"
+                f"robot {robot.name} in water {choice.label(robot)}: {len(f)} gaits swim {top:.3g} m/s at most, expected"
+                f" {least:.3g} m/s or more; no hand-made controller can steer it"
             )
+        keep = (speed > min(BEATS[0] * robot.length, top / 2)) & (speed < BEATS[1] * robot.length)
         wobble, sway, residual = _beat(pose[keep, late:], joint[keep, late:])
         turn = _turn(robot, lag, engine)
         bar.update(2)

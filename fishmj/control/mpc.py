@@ -11,10 +11,12 @@ fish together.
 
     mpc        still water, as in the paper: U = 0, w the measured forward speed over ground
     mpc-flow   U and w from the flow observer of `dob`
+    privileged U told, w the forward speed through the water: a bound on what an observer can bring
 """
 
 import numpy as np
 
+from fishmj.base.errors import ConfigError
 from fishmj.control.cpg import Cpg, cpg_of
 from fishmj.control.estimator import StateEstimate, StateEstimator, turned
 from fishmj.control.gait_table import SpeedToGait, gait_of, throttle_of
@@ -59,12 +61,11 @@ class AveragedModel:
 
 
 class SamplingMpc:
-    """MPPI over the averaged model. With gain `observer_time` its flow is estimated, else it is zero."""
+    """MPPI over the averaged model of still water."""
 
     def __init__(self, name: str, cpg: Cpg, model: AveragedModel, navigator: StateEstimator, gains):
         self.name, self.cpg, self.model, self.navigator, self.k = name, cpg, model, navigator, gains
         self.dt = navigator.dt
-        self.estimate = FlowEstimate(gains.get("observer_time", 1.0), self.dt)
         times, knots = model.step * (np.arange(STEPS) + 0.5), np.linspace(0, model.step * STEPS, KNOTS)
         lines = lambda at: np.stack([np.interp(at, knots, unit) for unit in np.eye(KNOTS)], -1)
         self.between, self.shift = lines(times), lines(knots + self.dt)  # (H, K), (K, K)
@@ -76,7 +77,6 @@ class SamplingMpc:
         self.navigator.reset(n)
         self.rng = np.random.default_rng(0)
         self.plan = np.tile(np.append(self.model.low[:2], 0.0), (n, KNOTS, 1))
-        self.estimate.reset(n)
         self.surge, self.flow = np.zeros(n), np.zeros((n, 2))
 
     def __call__(self, obs) -> np.ndarray:
@@ -96,18 +96,45 @@ class SamplingMpc:
         return self.cpg(*self.plan[:, 0].T)
 
     def _observe(self, fix: StateEstimate) -> None:
-        """One step of the speed through the water and of the flow."""
-        if "observer_time" not in self.k:
-            self.surge = np.maximum(turned(fix.velocity, -fix.heading)[:, 0], 0.0)
-            return
-        steady = self.model.speed(np.clip(np.stack([self.cpg.frequency, self.cpg.amplitude], -1), *self.bounds))
+        """One step of the speed through the water, and of the flow, which stays zero here."""
+        self.surge = np.maximum(turned(fix.velocity - self.flow, -fix.heading)[:, 0], 0.0)
+
+
+class ObservingMpc(SamplingMpc):
+    """The same with the flow observer of `dob`."""
+
+    def reset(self, n: int) -> None:
+        """Starts n fish with a flow estimate of zero."""
+        super().reset(n)
+        self.estimate = FlowEstimate(self.k["observer_time"], self.dt)
+        self.estimate.reset(n)
+
+    def _observe(self, fix: StateEstimate) -> None:
+        bounds = self.model.low[:2], self.model.high[:2]
+        steady = self.model.speed(np.clip(np.stack([self.cpg.frequency, self.cpg.amplitude], -1), *bounds))
         self.surge = glided(self.surge, steady, self.model.glide, self.dt)
         self.flow = self.estimate(fix.velocity, forward(self.surge, fix.heading))
 
-    @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and most frequency [Hz] and amplitude [rad]."""
-        return self.model.low[:2], self.model.high[:2]
+
+class PrivilegedMpc(SamplingMpc):
+    """The same, told the true flow. For simulations alone."""
+
+    def reset(self, n: int) -> None:
+        """Starts n fish that were not told a flow."""
+        super().reset(n)
+        self.told: np.ndarray | None = None
+
+    def set_flow(self, flow) -> None:
+        """Takes the true flow (B, 2) m/s at the fish now, in its body axes; before every call."""
+        self.told = np.asarray(flow, float)
+
+    def _observe(self, fix: StateEstimate) -> None:
+        if self.told is None:
+            raise ConfigError(
+                f"controller {self.name}: was not told the flow; it steers where the flow is known: fishmj evaluate and play"
+            )
+        self.flow, self.told = turned(self.told, fix.head), None
+        super()._observe(fix)
 
 
 def build(robot: Robot, name: str, gains: dict) -> SamplingMpc:
@@ -117,4 +144,5 @@ def build(robot: Robot, name: str, gains: dict) -> SamplingMpc:
     ends = np.stack([throttle.low, throttle.high])
     low, high = np.append(ends.min(0), -most), np.append(ends.max(0), most)
     model = AveragedModel(throttle, low, high, gait["turn"], gait["glide"], gains["horizon"] / STEPS)
-    return SamplingMpc(name, cpg_of(robot, gait), model, StateEstimator(robot, gait["wobble"], gait["sway"]), gains)
+    kind = PrivilegedMpc if name == "privileged" else ObservingMpc if "observer_time" in gains else SamplingMpc
+    return kind(name, cpg_of(robot, gait), model, StateEstimator(robot, gait["wobble"], gait["sway"]), gains)

@@ -1,4 +1,4 @@
-"""CPG with a flow observer ("dob"): the classical baseline for learning; "privileged" is told the flow in place of observing it.
+"""CPG with a flow observer ("dob"): the classical baseline for learning.
 
     v_w' = (s(f, A)^2 - v_w^2) / l               speed through the water; l the glide length, s the steady gait
     U^  <- U^ + dt / tau (v - v_w e(psi) - U^)   flow = rest of the velocity over ground; tau grows from 0 to its value
@@ -12,7 +12,6 @@ speed = the part of W along it.
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError
 from fishmj.base.units import wrap
 from fishmj.control.cpg import cpg_of
 from fishmj.control.estimator import StateEstimator, turned
@@ -60,7 +59,7 @@ class FlowObserver:
     def __init__(self, name: str, steering: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
         self.name, self.steering, self.navigator, self.k, self.glide = name, steering, navigator, gains, glide
         self.dt = navigator.dt
-        self.estimate = FlowEstimate(gains.get("observer_time", 1.0), self.dt)
+        self.estimate = FlowEstimate(gains["observer_time"], self.dt)
 
     def reset(self, n: int) -> None:
         """Starts n fish with a flow estimate of zero."""
@@ -98,29 +97,8 @@ class FlowObserver:
         self.flow = self.estimate(fix.velocity, forward(self.surge, fix.heading))
 
 
-class ToldFlow(FlowObserver):
-    """The same controller with the true flow: a bound on what the observer can bring. For simulations alone."""
-
-    def reset(self, n: int) -> None:
-        """Starts n fish that were not told a flow."""
-        super().reset(n)
-        self.told: np.ndarray | None = None
-
-    def set_flow(self, flow) -> None:
-        """Takes the true flow (B, 2) m/s at the fish now, in its body axes; before every call."""
-        self.told = np.asarray(flow, float)
-
-    def _observe(self, fix) -> None:
-        if self.told is None:
-            raise ConfigError(
-                f"controller {self.name}: was not told the flow; it steers where the flow is known: fishmj evaluate and play"
-            )
-        self.flow, self.told = turned(self.told, fix.head), None
-
-
 def build(robot: Robot, name: str, gains: dict) -> FlowObserver:
     """Makes the controller for a robot, from its gains in controllers.toml."""
     gait = gait_of(robot)
     steering = HeadingSpeedController(robot, gait, cpg_of(robot, gait), gains)
-    kind = FlowObserver if "observer_time" in gains else ToldFlow
-    return kind(name, steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains, gait["glide"])
+    return FlowObserver(name, steering, StateEstimator(robot, gait["wobble"], gait["sway"]), gains, gait["glide"])

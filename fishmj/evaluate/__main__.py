@@ -55,7 +55,8 @@ def options() -> console.Parser:
     parser = console.parser("evaluate", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
     brains = f"{', '.join(control.NAMES)}; a shipped policy ({', '.join(control.shipped_policies())}); a policy file, the"
-    brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
+    brains += " folder of a training, gains of fishmj tune as FILE.toml:NAME"
+    brains += ", or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     solved = "hybrid: fitted, and corrected by segments of the flow solver while it swims; lbm: the flow solver itself"
