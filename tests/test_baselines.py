@@ -196,6 +196,9 @@ def test_the_tuner_writes_gains_that_are_read(bowl, tmp_path, capsys):
     assert f"{file}:pnl" in capsys.readouterr().out and list(tmp_path.iterdir()) == [file]
     assert control.make(f"{file}:pnl", in_water(ROBOT, "structured")).name == "pnl"
     assert "tuned: fishmj tune pnl --water structured --budget 16 --seed 0" in file.read_text()
+    before, text = len(bowl), file.read_text()
+    assert tune_gains.main(["pnl", "--budget", "16", "--water", "structured", "--out", str(file)]) == console.OK
+    assert len(bowl) == before and file.read_text() == text, "an interrupted command goes on with the controllers that are left"
 
 
 def test_the_score_of_gains_that_cannot_be_is_a_bound():

@@ -57,7 +57,8 @@ def options() -> console.Parser:
     parser = console.parser("evaluate", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
     brains = f"{', '.join(control.NAMES)}; a shipped policy ({', '.join(control.shipped_policies())}); a policy file, the"
-    brains += " folder of a training, or your own as module:Name or file.py:Name. Several are each compared with the first"
+    brains += " folder of a training, gains of fishmj tune as FILE.toml:NAME"
+    brains += ", or your own as module:Name or file.py:Name. Several are each compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     courses = "figure_eight: follow a moving target; angle_of_attack: start on the target, turned from upstream by --los"
     add("--task", choices=protocol.TASKS, default=protocol.HOLD, help=f"{courses}; default station_hold, the 72 trials")

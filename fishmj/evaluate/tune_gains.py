@@ -155,7 +155,7 @@ def options() -> console.Parser:
     add("controllers", nargs="+", choices=(*tuned_names(), "all"), metavar="CONTROLLER", help=names)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--water", type=console.text, help=choice.HELP)
-    add("--budget", type=console.whole(GENERATION, 10**6), default=320, metavar="N", help="candidates for each controller")
+    add("--budget", type=console.whole(GENERATION, 10**6), default=240, metavar="N", help="candidates for each controller")
     add("--seed", type=console.SEED, default=0, help="of the search and its tuning trials")
     out = "file of gains: sections of these controllers are replaced, and the search starts at those that are there"
     add("--out", type=console.path, default=Path("gains.toml"), metavar="FILE", help=out)
@@ -175,6 +175,10 @@ def main(argv: list[str]) -> int:
     source = f"tuned: fishmj tune {{}} --water {choice.label(robot)} --budget {args.budget} --seed {args.seed}"
     rows: list[Tuning] = []
     for name in names:
+        sources = [entry.get("source") for entry in there.get(name, {}).values() if isinstance(entry, dict)]
+        if source.format(name) in sources:
+            console.warn(f"{name}: was tuned by this command before, see {args.out}; another --seed searches on from there")
+            continue
         kept = args.out.with_suffix(f".{name}.json")
         search = GainSearch.of(name, args.out if name in there else None)
         with console.Progress(args.budget, f"tune {name}", unit="candidates") as bar:
@@ -187,8 +191,8 @@ def main(argv: list[str]) -> int:
         kept.unlink(missing_ok=True)
         rows.append(found)
         console.say(f"{name}: score {found.first_score:.3f} before, {found.score:.3f} now, on 144 tuning trials of no candidate")
-    console.say(f"wrote {args.out}; fishmj evaluate {args.out}:{rows[0].controller} judges it")
-    if args.out.resolve().parent == calib_folder().resolve():
+    console.say(f"{args.out}: fishmj evaluate {args.out}:{names[0]} judges it")
+    if rows and args.out.resolve().parent == calib_folder().resolve():
         console.warn("shipped gains changed: make manifest")
     if args.json:
         console.emit_json({"file": str(args.out), "water": choice.label(robot), "tuned": [row._asdict() for row in rows]})
