@@ -158,7 +158,7 @@ def stored() -> dict[str, dict[str, dict]]:
 def tables(found: dict[str, dict[str, dict]]) -> str:
     """Leaderboard as Markdown: the waters of the CPU, then the flow solver; best in the reference fit first."""
     first = found[WATERS["swift-reference"]]
-    names = sorted({name for rows in found.values() for name in rows}, key=lambda name: value(first.get(name)))
+    names = sorted({name for rows in found.values() for name in rows}, key=lambda name: (value(first.get(name)), name))
     parts = []
     for headings in (list(WATERS.values()), [rows.heading for rows in SOLVER]):
         some = [name for name in names if any(name in found[heading] for heading in headings)]
