@@ -98,7 +98,7 @@ def needed(parser: console.Parser, but: argparse.Action | None = None) -> list[s
             fitting = {"board": "9x6", "square": "0.02"}.get(action.dest, "x")
             words += [action.option_strings[-1], str(next(iter(action.choices))) if action.choices else fitting]
         elif not action.option_strings and action.nargs in (None, "+"):
-            words += ["x"]
+            words += [str(next(iter(action.choices))) if action.choices else "x"]
     return words
 
 

@@ -292,11 +292,11 @@ def test_a_fish_that_the_best_policy_is_not_made_for_drifts_and_it_is_said(capsy
 
     asked, fish = Namespace(controller=None, anyway=False), load_robot("fish")
     held = replace(fish, timing=replace(fish.timing, command_path="hold"))
-    assert controller_of(asked, fish).name == "station"
+    assert controller_of(asked, fish).name == "station-family"
     assert controller_of(asked, load_robot("tendon_fish")).name == "drift" and controller_of(asked, held).name == "drift"
     assert capsys.readouterr().err.count("made for another fish or command path") == 2
     asked.anyway = True
-    assert controller_of(asked, held).name == "station" and controller_of(asked, load_robot("tendon_fish")).name == "drift"
+    assert controller_of(asked, held).name == "station-family" and controller_of(asked, load_robot("tendon_fish")).name == "drift"
 
 
 def test_a_live_trial_says_its_target_and_what_made_it(tmp_path):

@@ -180,7 +180,12 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
 
 def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Controller]:
     """Makes controllers by `chosen` for a list; of two with one name (two best.safetensors) the second gets `-2`."""
-    made = [chosen(text, robot, **policy) for text in texts]
+    words, found = list(texts), {}
+    for i in sorted(
+        range(len(words)), key=lambda i: words[i] in CONTROLLERS
+    ):  # last those that measure gaits: a mistyped name first
+        found[i] = chosen(words[i], robot, **policy)
+    made = [found[i] for i in range(len(words))]
     names: list[str] = []
     for controller in made:
         same = [f"{controller.name[:60]}-{k}" for k in range(2, len(made) + 1)]

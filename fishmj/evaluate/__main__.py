@@ -149,8 +149,8 @@ def main(argv: list[str]) -> int:
     )  # fmt: skip
     if args.flow_map is not None:
         trials = in_a_tank(trials, args)
+    affordable(robot, trials, len(args.controllers))
     brains = control.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
-    affordable(robot, trials, len(brains))
     if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
 
