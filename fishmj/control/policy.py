@@ -38,6 +38,7 @@ SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md 
     "paper": "PPO, trained in the structured water",
     "paper-sac": "SAC with the paper's budget, trained in the structured water",
 }
+BEST = "station-family"  # of the shipped ones, in waters that nobody fitted
 FORMER = {"fitted": "station", "fitted-sac": "station-sac"}  # names of shipped policies, old -> new
 ALSO = "headers.json"  # beside the shipped files
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from fishmj import control
 from fishmj.base import console, interrupt, store
 from fishmj.base.errors import ConfigError
+from fishmj.control.policy import BEST
 from fishmj.evaluate.experiments import MODULES, experiment_of
 from fishmj.evaluate.experiments import experiments_report as report
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
@@ -38,8 +39,8 @@ def options() -> console.Parser:
     names = f"{', '.join(MODULES)}, or {ALL}; none: the list"
     add("names", type=console.OneOf((*MODULES, ALL)), nargs="*", action=console.Distinct, metavar="NAME", help=names)
     add("--quick", action="store_true", help="fewer trials, short trainings: a preview of every part")
-    policy = f"{', '.join(control.shipped_policies())}, a policy file or the folder of a training; default station"
-    add("--policy", type=console.text, default="station", help=policy)
+    policy = f"{', '.join(control.shipped_policies())}, a policy file or the folder of a training; default {BEST}"
+    add("--policy", type=console.text, default=BEST, help=policy)
     solved = "lbm: the flow solver itself, hours without a GPU"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}")
     add("--reference", action="store_true", help=f"with --water lbm: {JUDGING.said}; default {PLAIN.said}")

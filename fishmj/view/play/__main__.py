@@ -15,6 +15,7 @@ import numpy as np
 from fishmj import control, engines
 from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
+from fishmj.control.policy import BEST
 from fishmj.lbm_oracle.run.domain import NAMES
 from fishmj.log import write_trial
 from fishmj.log.trial_folder import META_FILE
@@ -26,7 +27,6 @@ from fishmj.water import choice
 from fishmj.water.flow import PRESETS, Flow
 
 FRAME = 0.04  # s between two pictures
-BEST = "station-family"  # of the shipped controllers
 LATE = 0.2  # s behind real time from which on pictures are skipped
 KEYS = """keys: up, down   current faster, slower            w a s d   target up, left, down, right in the tank
       left, right  turn the current by 15 deg      space     pause        c  next controller
