@@ -270,6 +270,9 @@ def test_gap_to_a_bound_is_closed_by_the_share_between():
     rows = {name: {"figures": {"rmse_after_arrival": [x] * 8}} for name, x in errors.items()}
     found = controller_comparison.gap_closed(rows)
     assert (found.value, found.low, found.high, found.n) == pytest.approx((0.5, 0.5, 0.5, 8)) and "(a)" in found.what
+    for name in ("a", "b"):
+        rows[name]["figures"]["rmse_after_arrival"] = [0.0, 0.2] * 4  # no worse than the bound
+    assert controller_comparison.gap_closed(rows).measured.startswith("no gap")
 
 
 def test_findings_have_value_interval_and_number_of_trials():

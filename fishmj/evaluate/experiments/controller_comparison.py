@@ -116,15 +116,20 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
 
 
 def gap_closed(rows: dict[str, Row]) -> PaperFinding:
-    """Share of the gap between the best rival and the bound that the policy closes, by RMSE after arrival; paired bootstrap."""
+    """Share of the gap between the best rival and the bound that the policy closes, by RMSE after arrival; paired bootstrap.
+
+    None where the rival cannot be told from the bound: a share of a gap of about zero means nothing.
+    """
     leader = next(iter(rows))
     errors = {name: read(row["figures"]["rmse_after_arrival"]) for name, row in rows.items()}
     best = min((name for name in rows if name not in (leader, BOUND)), key=lambda name: errors[name].mean())
     share = lambda rival, ours, bound, axis=-1: (rival.mean(axis) - ours.mean(axis)) / (rival.mean(axis) - bound.mean(axis))
     three, n = (errors[best], errors[leader], errors[BOUND]), len(errors[leader])
     draws = np.random.default_rng(metrics.SEED).integers(n, size=(metrics.RESAMPLES, n))
-    low, high = np.quantile(share(*(x[draws] for x in three)), [0.025, 0.975])
     what = f"share of the gap from the best rival ({best}) to {BOUND} that is closed"
+    if np.quantile(errors[best][draws].mean(-1) - errors[BOUND][draws].mean(-1), 0.025) <= 0:
+        return PaperFinding(what, "", f"no gap: {best} and {BOUND} differ by less than their scatter", n=n)
+    low, high = np.quantile(share(*(x[draws] for x in three)), [0.025, 0.975])
     return PaperFinding(what, "", f"{share(*three):.2f} ({low:.2f} {high:.2f})", float(share(*three)), float(low), float(high), n)
 
 
