@@ -19,6 +19,8 @@ def test_the_demo_trains_judges_reports_and_replays(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert found["trials"] == 2 and 0 <= found["arrivals"] <= 2 and found["rmse_last20"] >= 0
     assert found["training"]["steps"] >= demo.SMOKE["steps"]
+    trained, shipped = found["other_water"].values()
+    assert shipped["arrivals"] == 2 and shipped["rmse_last20"] < 0.1 and trained["trials"] == 2
     for name, least in (("replay.html", 1_000_000), ("report/report.html", 100_000), ("report/distance.png", 10_000)):
         assert (tmp_path / name).stat().st_size > least, name
     assert (tmp_path / "trial" / "meta.toml").is_file() and (tmp_path / "training" / "best.safetensors").is_file()
@@ -43,11 +45,13 @@ def test_the_demo_names_its_page_and_opens_it_only_when_asked(tmp_path, capsys, 
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", lambda address: bool(opened.append(address)) or there)
     monkeypatch.setattr(demo, "learn", lambda args: {"stopped": False, "policy": "p", "steps": 1, "seconds": 1.0})
-    monkeypatch.setattr(demo, "judge", lambda args, policy: None)
+    monkeypatch.setattr(demo, "judge", lambda args, policy, water=None: None)
+    monkeypatch.setattr(demo, "verdict", lambda result: {"trials": 24, "arrivals": 20, "rmse_last20": 0.08})
     page = tmp_path / "replay.html"
     told = {"report": "report.html", "replay": str(page), "trials": 24, "arrivals": 24, "rmse_last20": 0.04}
     monkeypatch.setattr(demo, "show", lambda args, result: told)
     assert console.run(demo.main, ["--out", str(tmp_path), *(["--open"] if asked else [])]) == 0
     said = capsys.readouterr()
     assert f"replay: {page}" in said.out.splitlines()[-1]
+    assert "swift-reference: 20 of 24 trials, 0.080 m; the shipped station-family: 20 of 24" in said.out
     assert opened == ([page.as_uri()] if asked else []) and ("no browser" in said.err) == (not there)
