@@ -22,7 +22,8 @@ import fishmj
 assert not {"mujoco", "jax", "scipy"} & set(sys.modules), "import fishmj loads NumPy only"
 home = Path(fishmj.__file__).resolve()
 assert Path(sys.prefix).resolve() in home.parents, f"not the installed package: {home}"
-from fishmj import calib, suite
+from fishmj import suite
+from fishmj.base import calib
 from fishmj.gap.null.null_runs import RecordedNull
 from fishmj.hydro_fit.__main__ import SHIPPED
 from fishmj.hydro_fit.segment_dataset import open_dataset
