@@ -30,7 +30,7 @@ from fishmj.evaluate.experiments import (
 )
 from fishmj.evaluate.experiments import __main__ as command
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
-from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup, compared, counted, kept, read, series_row
+from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup, compared, counted, read, rounded, series_row
 from fishmj.evaluate.run_trials import fingerprint, judge_in_solver
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf.reading import load_robot
@@ -280,7 +280,7 @@ def test_findings_have_value_interval_and_number_of_trials():
     assert compared("x", "", [None]).measured == "none"
     all_of_them = counted("x", "all", [1, 1, 1, 1])
     assert all_of_them.measured == "4 of 4" and all_of_them.low == pytest.approx(0.510, abs=1e-3), "Wilson's interval"
-    assert read(kept([[1.23456, np.nan]], 2)) == pytest.approx(np.array([[1.23, np.nan]]), nan_ok=True)
+    assert read(rounded([[1.23456, np.nan]], 2)) == pytest.approx(np.array([[1.23, np.nan]]), nan_ok=True)
 
 
 def test_rows_of_other_conditions_and_broken_lines_are_not_used(tmp_path):

@@ -38,7 +38,7 @@ def test_what_cannot_be_swum_is_refused():
         speeds.swim_keys([1.0], [0.0], [60.0], [1.0], [0.6])
 
 
-def swum(key: tuple, box: Domain, robot: str = "fish", beats: float = 0.4) -> dict:
+def swim_row(key: tuple, box: Domain, robot: str = "fish", beats: float = 0.4) -> dict:
     """Row of a short swim."""
     work = speeds.on_device(deque([key]), "cpu", never_stop, tanks=1, box=box, beats=beats, robot=robot, sharpness=PLAIN)
     ((_, row),) = work
@@ -49,7 +49,7 @@ def test_gaits_side_by_side_swim_as_each_does_alone():
     keys = [(2.0, 30.0, 60.0, 1.0, 0.48), (2.5, 40.0, 30.0, 0.98, 0.36)]
     setup = {"box": TINY, "beats": 0.4, "robot": "fish", "sharpness": PLAIN}
     both = dict(speeds.on_device(deque(keys), "cpu", never_stop, tanks=2, **setup))
-    assert both == {key: swum(key, TINY) for key in keys} and both[keys[0]]["power_W"] != both[keys[1]]["power_W"]
+    assert both == {key: swim_row(key, TINY) for key in keys} and both[keys[0]]["power_W"] != both[keys[1]]["power_W"]
 
 
 def test_rows_without_a_gait_are_of_the_papers(tmp_path):
@@ -115,7 +115,7 @@ def test_study_swims_another_robot_and_keeps_its_rows_apart(name, minnow, tmp_pa
 
 def test_parts_of_a_study_drive_all_joints_of_their_robot(minnow):
     box = TINY
-    row = swum((2.0, 30.0, 60.0, 1.0, 0.48), box, minnow)
+    row = swim_row((2.0, 30.0, 60.0, 1.0, 0.48), box, minnow)
     assert row["status"] == "ok" and row["power_W"] > 0
     options = {"robot": minnow, "slip": 1.0, "device": "cpu", "sharpness": PLAIN}
     assert converge_fish.cruise(box, 0.1, options).status == "ok"

@@ -56,7 +56,7 @@ def gait_of(robot: Robot) -> dict:
     lag = np.radians(gait["lag_deg"]) / max(robot.n_joints - 1, 2) * np.arange(robot.n_joints)
     model = surrogate(robot)
     asked = dict(lag=lag, frequency=gait["frequency"], amplitude_deg=gait["amplitude_deg"])
-    found = kept("gaits", model, lambda: measure(model, **asked), asked)
+    found = cached("gaits", model, lambda: measure(model, **asked), asked)
     return {**gait, "lag": lag, **{key: value if value.ndim else float(value) for key, value in found.items()}}
 
 
@@ -67,7 +67,7 @@ def surrogate(robot: Robot) -> Robot:
     return choice.in_water(robot, choice.FITTED if choice.fitted_for(robot) else choice.STRUCTURED)
 
 
-def kept(what: str, robot: Robot, make: Callable[[], Mapping], asked=None) -> dict[str, np.ndarray]:
+def cached(what: str, robot: Robot, make: Callable[[], Mapping], asked=None) -> dict[str, np.ndarray]:
     """Arrays that `make` computes from a robot's surrogate, from the cache where they are.
 
     Args:

@@ -23,7 +23,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.units import wrap
 from fishmj.control.cpg import Cpg, cpg_of
 from fishmj.control.estimator import StateEstimator, turned
-from fishmj.control.gait_table import SpeedToGait, gait_of, kept, surrogate, throttle_of
+from fishmj.control.gait_table import SpeedToGait, cached, gait_of, surrogate, throttle_of
 from fishmj.control.line_of_sight import capped
 from fishmj.control.observer import FlowEstimate
 from fishmj.mjcf.description import Robot
@@ -218,6 +218,6 @@ class KoopmanLqr:
 def build(robot: Robot, name: str, gains: dict) -> KoopmanLqr:
     """Makes the controller for a robot, from its gains in controllers.toml and swims of its surrogate."""
     gait = gait_of(robot)
-    model = KoopmanModel(kept("koopman", surrogate(robot), lambda: swims(robot, gait)))
+    model = KoopmanModel(cached("koopman", surrogate(robot), lambda: swims(robot, gait)))
     throttle = throttle_of(gait, gains)
     return KoopmanLqr(name, cpg_of(robot, gait), throttle, StateEstimator(robot, gait["wobble"], gait["sway"]), model, gains)

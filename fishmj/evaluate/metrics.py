@@ -264,6 +264,14 @@ class PairedDifference(NamedTuple):
         """Returns True if the two differ: the interval excludes 0, with `APART` pairs or more."""
         return self.n >= APART and (self.low > 0 or self.high < 0)
 
+    def interval(self, digits: int = 3) -> str:
+        """Text of the interval, with a star where the two differ, or the reason for its absence."""
+        return self.why or f"({self.low:+.{digits}f} {self.high:+.{digits}f}){' *' if self.apart else ''}"
+
+    def text(self, digits: int = 3) -> str:
+        """Text of the mean difference and its interval, or the reason for their absence."""
+        return self.why or f"{self.value:+.{digits}f} {self.interval(digits)}"
+
 
 def too_few(n: int) -> str:
     """Reason that n trials have no interval; "" if they have one."""

@@ -183,7 +183,7 @@ def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
         head, digits = SHORT[d.key]
         value = f"{d.value:+.{digits}f}" if d.n else "-"
         row: dict[str, object] = {"key": head, f"{second.controller} - {first.controller}": value}
-        row["95 % interval"] = d.why or f"({d.low:+.{digits}f} {d.high:+.{digits}f}){' *' if d.apart else ''}"
+        row["95 % interval"] = d.interval(digits)
         row |= {"pairs": d.n, "Welch t": number(d.welch_t, ".2f"), "Welch p": number(d.welch_p, ".2g")}
         rows.append(row)
     return rows
@@ -267,7 +267,7 @@ def worst(r: Result) -> int:
     return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
 
 
-def held(r: Result) -> int | None:
+def trials_held(r: Result) -> int | None:
     """Number of trials that arrive and stay within the arrival radius (RMS); None if too short to judge, or another task."""
     found = figures(r)
     if "rmse_after_arrival" not in found:
@@ -299,7 +299,7 @@ def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> 
         "policy_sha256": r.policy_sha256,
         "water": solved if r.water == LBM else water_identity(r.robot) | solved,
         "engine": r.engine,
-        "held": held(r),
+        "held": trials_held(r),
         "worst": {"trial": name_of(r, i), "seed": int(item.seed[0]), key: float(figures(r)[key][i]), "replay": replay},
     }
 
@@ -341,7 +341,7 @@ def headline(results: list[Result]) -> str:
     words = f"{first.controller} arrives in {int(found['arrival'].sum())} of {n} trials"
     if not np.isfinite(after).all():
         return f"{words}, which are too short to judge how it holds."
-    words += f" and holds station in {held(first)} (stays within {radius:g} m RMS), at {after.mean():.3f} m RMS on average"
+    words += f" and holds station in {trials_held(first)} (stays within {radius:g} m RMS), at {after.mean():.3f} m RMS on average"
     other = baseline(results)
     return f"{words}; {against(first, other)}." if other else f"{words}."
 

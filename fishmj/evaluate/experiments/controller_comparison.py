@@ -20,8 +20,8 @@ from fishmj.evaluate.experiments.paper_experiment import (
     compared,
     counted,
     figures_row,
-    kept,
     read,
+    rounded,
     series_row,
 )
 from fishmj.evaluate.metrics import Result
@@ -51,7 +51,7 @@ def comparison_row(result: Result) -> Row:
     """Figures, distances (n, T) m of the first 30 s, and shares of headings in the hold phase by side of the target."""
     ticks = np.arange(0, round(UNTIL / result.robot.timing.bus_dt) + 1, round(SAMPLE / result.robot.timing.bus_dt))
     ticks = ticks[ticks < len(result.t)]
-    row = figures_row(result) | {"t": kept(result.t[ticks], 2), "distance": kept(result.distance[:, ticks], 3)}
+    row = figures_row(result) | {"t": rounded(result.t[ticks], 2), "distance": rounded(result.distance[:, ticks], 3)}
     seen = series_row(result, UNTIL)
     some = (result.trials.speed == constant("experiments", "transfer_speed")) & (np.sin(2 * result.trials.los) ** 2 > 0.99)
     diagonal = [i for i in np.flatnonzero(some) if result.trials.items[i].repeat == 0]
@@ -64,9 +64,9 @@ def comparison_row(result: Result) -> Row:
         some = sign * np.cos(result.trials.los) > 1e-6
         values = off[some][inside[some]]
         share = np.histogram(values, np.arange(-180, 181, SECTOR))[0] / max(len(values), 1)
-        row["headings"][side] = kept(share, 4)
+        row["headings"][side] = rounded(share, 4)
         long = abs(np.mean(np.exp(1j * np.radians(values)))) if len(values) else np.nan
-        row["spread"][side] = kept(np.degrees(np.sqrt(-2 * np.log(np.clip(long, 1e-9, 1)))), 1)
+        row["spread"][side] = rounded(np.degrees(np.sqrt(-2 * np.log(np.clip(long, 1e-9, 1)))), 1)
     return row
 
 
@@ -144,7 +144,7 @@ def tested(rows: dict[str, Row]) -> dict[str, list[dict[str, Any]]]:
         tables[key] = [
             {
                 "controller": name,
-                "difference": d.why or f"{d.value:+.3f} ({d.low:+.3f} {d.high:+.3f}){' *' if d.apart else ''}",
+                "difference": d.text(),
                 "pairs": d.n,
                 "Welch p": float(f"{d.welch_p:.2g}") if np.isfinite(d.welch_p) else None,
                 "Holm p": float(f"{p:.2g}") if np.isfinite(p) else None,

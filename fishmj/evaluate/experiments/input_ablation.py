@@ -18,8 +18,8 @@ from fishmj.evaluate.experiments.paper_experiment import (
     Row,
     compared,
     figures_row,
-    kept,
     read,
+    rounded,
 )
 from fishmj.evaluate.plots import COLOURS, STYLE
 from fishmj.train.settings import Settings
@@ -54,7 +54,7 @@ def judged(setup: ExperimentSetup, name: str, settings: Settings, done: Done) ->
     row: Row = {}
     for place, one in (("trained", own), ("judged", setup)):
         result = one.judge(str(files[-1]), trials, lambda seconds: None)
-        row[place] = figures_row(result) | {"return": kept(returns(result), 3)}
+        row[place] = figures_row(result) | {"return": rounded(returns(result), 3)}
     done(sim_seconds(settings))
     return row
 
@@ -76,9 +76,8 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
         first = gathered(rows, "complete", place, "return")
         each = [metrics.difference("return", first, gathered(rows, name, place, "return")) for name in rivals]
         for name, d, p in zip(rivals, each, metrics.holm([d.welch_p for d in each]), strict=True):
-            cell = d.why or f"{d.value:+.1f} ({d.low:+.1f} {d.high:+.1f}){' *' if d.apart else ''}"
             arrival = gathered(rows, name, place, "arrival")
-            line = {"water": words, "variant minus complete": name, "return": cell, "pairs": d.n, "Holm p": f"{p:.2g}"}
+            line = {"water": words, "variant minus complete": name, "return": d.text(1), "pairs": d.n, "Holm p": f"{p:.2g}"}
             table.append(line | {"arrival": f"{int(arrival.sum())} of {len(arrival)}"})
     notes = ["Return: sum of the reward over 30 s. Without friction calibration: trained in the description's own strips."]
     shown = [(picture(rows), "Return of each variant, mean and standard deviation.")]

@@ -21,8 +21,8 @@ from fishmj.evaluate.experiments.paper_experiment import (
     PaperExperiment,
     Row,
     compared,
-    kept,
     read,
+    rounded,
 )
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import STYLE
@@ -92,14 +92,14 @@ def saliency_row(result: Result, policy: Policy) -> Row:
     one, other = (np.stack(column, 1) for column in zip(*steps, strict=True))
     found = {"sensitivity": shares(one * sigma), "integrated": shares(other)}
     same = rank_correlation(*found.values())
-    row: Row = {"correlation": kept(same.mean(1), 4), "names": names_of(result.robot.n_joints), "maps": {}}
+    row: Row = {"correlation": rounded(same.mean(1), 4), "names": names_of(result.robot.n_joints), "maps": {}}
     degrees = np.round(np.degrees(result.trials.los))
     for side, los in SIDES.items():
         for speed in SPEEDS:
             some = (degrees == los) & (result.trials.speed == speed)
-            means = {method: kept(_meant(x[some].mean(0)), 4) for method, x in found.items()}
-            own = {f"own, {method}": kept(x[some][..., OWN:].sum(-1).mean(1), 4) for method, x in found.items()}
-            row["maps"][f"{side}, {speed:g} m/s"] = means | own | {"correlation": kept(_meant(same[some].mean(0)), 3)}
+            means = {method: rounded(_meant(x[some].mean(0)), 4) for method, x in found.items()}
+            own = {f"own, {method}": rounded(x[some][..., OWN:].sum(-1).mean(1), 4) for method, x in found.items()}
+            row["maps"][f"{side}, {speed:g} m/s"] = means | own | {"correlation": rounded(_meant(same[some].mean(0)), 3)}
     return row
 
 

@@ -119,10 +119,10 @@ class ExperimentSetup:
 
 def figures_row(result: Result) -> Row:
     """Figures of every trial by key, and the trials' conditions."""
-    found = {key: kept(values, 6) for key, values in figures(result).items()}
+    found = {key: rounded(values, 6) for key, values in figures(result).items()}
     degrees = [round(float(np.degrees(t.los))) for t in result.trials.items]
     left = int(np.sum(result.left < len(result.t)))
-    return {"figures": found, "speed": kept(result.trials.speed, 3), "los": degrees, "left": left}
+    return {"figures": found, "speed": rounded(result.trials.speed, 3), "los": degrees, "left": left}
 
 
 def series_row(result: Result, until: float = np.inf) -> Row:
@@ -142,18 +142,20 @@ def series_row(result: Result, until: float = np.inf) -> Row:
     }
     inside = ticks < result.left[:, None]
     digits = {"heading": 1}
-    return {"t": kept(result.t[ticks], 2)} | {k: kept(np.where(inside, x, np.nan), digits.get(k, 3)) for k, x in rows.items()}
+    return {"t": rounded(result.t[ticks], 2)} | {
+        k: rounded(np.where(inside, x, np.nan), digits.get(k, 3)) for k, x in rows.items()
+    }
 
 
-def kept(values: Any, digits: int) -> Any:
+def rounded(values: Any, digits: int) -> Any:
     """Rounded numbers as lists; None for NaN."""
     if np.ndim(values):
-        return [kept(x, digits) for x in values]
+        return [rounded(x, digits) for x in values]
     return round(float(values), digits) if np.isfinite(values) else None
 
 
 def read(values: Any) -> np.ndarray:
-    """Inverse of `kept`: an array with NaN for None."""
+    """Inverse of `rounded`: an array with NaN for None."""
     return np.array(values, float)
 
 

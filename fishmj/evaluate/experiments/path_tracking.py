@@ -16,8 +16,8 @@ from fishmj.evaluate.experiments.paper_experiment import (
     Row,
     compared,
     figures_row,
-    kept,
     read,
+    rounded,
 )
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import COLOURS, STYLE, eight_panel
@@ -47,9 +47,9 @@ def path_row(result: Result) -> Row:
     row = figures_row(result) | {"by_arc": {}, "track": {}}
     for speed in np.unique(result.trials.speed):
         some = result.trials.speed == speed
-        row["by_arc"][f"{speed:g}"] = kept([off[some][:, place == k].mean() for k in range(BINS)], 4)
+        row["by_arc"][f"{speed:g}"] = rounded([off[some][:, place == k].mean() for k in range(BINS)], 4)
         first = int(np.argmax(some))
-        row["track"][f"{speed:g}"] = kept(result.pose[first, : result.left[first] : tick, :2], 3)
+        row["track"][f"{speed:g}"] = rounded(result.pose[first, : result.left[first] : tick, :2], 3)
     return row
 
 
@@ -64,8 +64,7 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
         for name, row in others:
             found.append(compared(f"cross-track error at {speed:g} m/s, {name}", "", at(row, speed), "m"))
             d = metrics.difference("cross_track", at(first, speed), at(row, speed))
-            cell = d.why or f"{d.value:+.3f} ({d.low:+.3f} {d.high:+.3f}){' *' if d.apart else ''}"
-            table.append({"flow [m/s]": f"{speed:g}", f"minus {leader}": name, "cross-track [m]": cell, "pairs": d.n})
+            table.append({"flow [m/s]": f"{speed:g}", f"minus {leader}": name, "cross-track [m]": d.text(), "pairs": d.n})
     notes = [f"No controller of this name here: {', '.join(lacks)}."] if (lacks := set(RIVALS) - set(rows) - {leader}) else []
     tables = [(f"Paired differences (95 % interval), * = excludes 0, of {metrics.APART} pairs or more", table)]
     shown = [

@@ -14,8 +14,8 @@ from fishmj.evaluate.experiments.paper_experiment import (
     PaperExperiment,
     Row,
     compared,
-    kept,
     read,
+    rounded,
 )
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import FAINT, STYLE
@@ -70,7 +70,7 @@ def index_row(result: Result, bounded: bool) -> Row:
     """Indices of every trial over the hold phase; unbounded: also of a fish that has left the tank, in the surrogate."""
     window = START, START + constant("rheotaxis", "hold")
     cosine, linear = metrics.rheotaxis(result, window, bounded)
-    return {"speed": kept(result.trials.speed, 3), "cosine": kept(cosine, 4), "linear": kept(linear, 4)}
+    return {"speed": rounded(result.trials.speed, 3), "cosine": rounded(cosine, 4), "linear": rounded(linear, 4)}
 
 
 def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings:
