@@ -14,7 +14,7 @@ from fishmj.tasks.env import StationHold
 from fishmj.tasks.gym.fish_env import FishEnv
 from fishmj.water.choice import chosen, family_in, family_of
 from fishmj.water.prior import STEEPEST, flat, unflat
-from fishmj.water.water_family import EDGE, WaterFamily
+from fishmj.water.water_family import EDGE, RESERVE, WaterFamily
 from fishmj.water.water_identity import water_identity
 
 FISH = chosen(load_robot("fish"), "family").robot
@@ -105,3 +105,22 @@ def test_a_sim_swims_in_the_first_member_or_in_a_drawn_one():
             sim.step(wave(0.02 * n))
         ends.append(np.array(sim.pose))
     assert np.allclose(ends[0], ends[1], atol=1e-12) and np.abs(ends[0] - ends[2]).max() > 1e-6
+
+
+def test_a_stream_draws_waters_in_which_the_fish_can_hold():
+    import jax.numpy as jnp
+
+    slow, top = 0.2, 0.8
+    bounded = WaterFamily("x", FAMILY.members[:3], scatter=0.0, residual=(1.0, 1.0), fastest=(top, 0.5, slow))
+    bounded.deviation[:] = 0.0
+    stream = np.linspace(0.0, 0.7, len(DRAWS))
+    free, drawn = bounded.draw(np, DRAWS), bounded.draw(np, DRAWS, stream=stream)
+    a, b, w = (DRAWS[:, 0] * 3).astype(int), (DRAWS[:, 1] * 3).astype(int), DRAWS[:, 2]
+    swims = (1 - w) * bounded.fastest[a] + w * bounded.fastest[b]
+    enough = swims >= RESERVE * stream
+    assert 0.1 < enough.mean() < 0.9 and np.allclose(free[enough], drawn[enough]) and (free != drawn)[~enough].any(1).all()
+    assert np.allclose(drawn[RESERVE * stream > top], flat(FAMILY.members[0].base))  # none is enough: the fastest member
+    theirs = bounded.draw(jnp, jnp.asarray(DRAWS), stream=jnp.asarray(stream))
+    assert np.allclose(drawn, theirs, rtol=2e-5, atol=1e-5)
+    with pytest.raises(ConfigError, match="fastest has 2 speeds; expected one for each of 3"):
+        WaterFamily("x", FAMILY.members[:3], scatter=0.0, residual=(1.0, 1.0), fastest=(1.0, 2.0))

@@ -136,7 +136,7 @@ class Trials:
     def fish(self, robot: Robot):
         """Randomised fish: (FishParams, camera delay in bus ticks (n,))."""
         uniforms = np.stack([t.draw(0).random(task.n_fish(robot)) for t in self.items])
-        return task.draw_fish(np, robot, uniforms, self.randomisation)
+        return task.draw_fish(np, robot, uniforms, self.randomisation, stream=self.speed)
 
     def sensor_noise(self, robot: Robot, steps: int) -> np.ndarray:
         """Standard normal draws times the wanted strength, (n, steps, 5 + 2 J)."""

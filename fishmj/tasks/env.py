@@ -265,7 +265,7 @@ class StationHold:
         cell = jnp.float32(self.cell)
         current = flow.draw(jnp, self.options.turbulence, self.table, cell, start.speed, start.direction, intensity, u)
         draws = jax.random.uniform(keys[2], (n, task.n_fish(self.robot, self.options.effects)))
-        params, camera = task.draw_fish(jnp, self.robot, draws, self.options.randomisation, self.options.effects)
+        params, camera = task.draw_fish(jnp, self.robot, draws, self.options.randomisation, self.options.effects, start.speed)
         params = jax.tree.map(lambda a: a if a.dtype == jnp.int32 else a.astype(jnp.float32), params)
         zero, joints = jnp.zeros((n,)), jnp.zeros((n, self.n_act))
         q = jnp.concatenate([start.pose, params.zero], -1)

@@ -292,7 +292,7 @@ class TaskSpec:
         low, high = s.intensity_bounds
         intensity = low + (high - low) * u[:, 4]
         current = flow.draw(np, s.turbulence, self.table, self.cell, start.speed, start.direction, intensity, u)
-        params, camera = task.draw_fish(np, self.robot, draws.fish, s.randomisation, s.effects)
+        params, camera = task.draw_fish(np, self.robot, draws.fish, s.randomisation, s.effects, start.speed)
         return EpisodeDraw(launch._replace(start=start), current, params, camera)
 
     def target(self, scenario: EpisodeDraw, count) -> np.ndarray:

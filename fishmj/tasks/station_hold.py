@@ -58,11 +58,11 @@ def n_fish(robot: Robot, effects=()) -> int:
     return plain + (randomise.width(active, effects) if active is not None else 0) + (family.width if family else 0)
 
 
-def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> tuple[FishParams, Any]:
+def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=(), stream=None) -> tuple[FishParams, Any]:
     """Randomised fish from uniforms (B, n_fish): masses, servo gains, joint zeros, both latencies, effects, a family's water.
 
     strength 0 gives the nominal fish with nominal latencies, 1 the paper's ranges and effects of typical size. Effects of the
-    robot that are not named keep their calibrated values.
+    robot that are not named keep their calibrated values. In a stream (B,) m/s a family draws waters in which the fish can hold.
 
     Returns:
         (FishParams, camera delay in bus ticks (B,) int).
@@ -88,7 +88,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=()) -> 
         kv=p.kv * kd,
         kb=p.kb * kd,
         zero=strength * radians(get("zero_deg")) * span(n + 2 * j, n + 3 * j),
-        water=family.draw(xp, uniforms[:, uniforms.shape[1] - drawn :], strength) if family else like + p.water,
+        water=family.draw(xp, uniforms[:, uniforms.shape[1] - drawn :], strength, stream) if family else like + p.water,
         delay=xp.floor(delay / robot.timing.physics_dt + 0.5).astype("int32"),
         effects=rows,
     )

@@ -7,6 +7,9 @@
            trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0
     r      share of the learnt residual, which all members have in common
 
+In a stream the fish could not hold in every such water: with v_m the speed of the fastest gait in member m, a draw whose
+(1 - w) v_A + w v_B is below `RESERVE` times the stream moves towards the fastest member until it is not.
+
 A family is a TOML file beside its members, `<name>.toml` with schema `fishmj.water-family/1`. Its first member is the water of a
 fish that is not randomised.
 """
@@ -30,6 +33,7 @@ from fishmj.water.prior import STEEPEST, flat, names_of, unflat
 KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
 EDGE = ("ke", "lift_a", "lift_b")  # of the trailing edge
 N_FIXED = 5  # uniforms before those of the factors: A, B, w, e, r
+RESERVE = 1.3  # speed of the fastest gait over that of the stream, at least: a fish has to turn and to make up ground
 
 
 class FamilyFile(BaseModel):
@@ -42,6 +46,7 @@ class FamilyFile(BaseModel):
     members: Annotated[list[Annotated[str, Field(pattern=rf"^{names.PATTERN}$")]], Field(min_length=2, max_length=32)]
     scatter: Annotated[float, Field(ge=0.0, le=0.5)]
     residual: tuple[Annotated[float, Field(ge=0.0, le=2.0)], Annotated[float, Field(ge=0.0, le=2.0)]]
+    fastest: list[Annotated[float, Field(gt=0.0, le=20.0)]] = []  # m/s, of the fastest gait in each member
     commands: list[str] = []  # that made the members
 
 
@@ -52,11 +57,16 @@ class WaterFamily:
         members: the fitted waters. base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles'
             members from them.
         scatter: largest relative change of a coefficient. residual: bounds of the residual's share.
+        fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not bound the draws.
     Raises:
-        ConfigError: members of different bodies, time steps or residuals.
+        ConfigError: members of different bodies, time steps or residuals, or another number of speeds.
     """
 
-    def __init__(self, name: str, members: list[HydroModel], *, scatter: float, residual: tuple[float, float]):
+    def __init__(self, name: str, members: list[HydroModel], *, scatter: float, residual: tuple[float, float], fastest=()):
+        if len(fastest) not in (0, len(members)):
+            raise ConfigError(
+                f"family {name}: fastest has {len(fastest)} speeds; expected one for each of {len(members)} members"
+            )
         first = members[0]
         for other in members[1:]:
             for what in ("body_sha256", "dt"):
@@ -73,25 +83,34 @@ class WaterFamily:
         count = min(len(model.members) for model in members)
         self.deviation = np.stack([self._forces(model.members[:count]) for model in members]) - self.base[:, None]
         self.factored = np.array([key not in KEPT for key in self.names])
+        self.fastest = np.asarray(fastest, float)
 
     @property
     def sha256(self) -> str:
         """Hex digest of all members and of what is drawn between them."""
         parts = [*(model.sha256 for model in self.members), self.base.tobytes().hex(), self.deviation.tobytes().hex()]
-        return hashlib.sha256(repr([*parts, self.scatter, self.residual]).encode()).hexdigest()
+        return hashlib.sha256(repr([*parts, self.scatter, self.residual, *self.fastest.tolist()]).encode()).hexdigest()
 
     @property
     def width(self) -> int:
         """Number of uniforms of a draw."""
         return N_FIXED + len(self.names)
 
-    def draw(self, xp, uniforms, strength: float = 1.0):
-        """Strip coefficients (B, P) from uniforms (B, width); strength 0 gives the first member."""
+    def draw(self, xp, uniforms, strength: float = 1.0, stream=None):
+        """Strip coefficients (B, P) from uniforms (B, width); strength 0 gives the first member.
+
+        stream: (B,) m/s, in which the fish has to hold; None: any.
+        """
         u, base, deviation = uniforms, xp.asarray(self.base), xp.asarray(self.deviation)
         count, size = deviation.shape[:2]
         a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
         w = u[:, 2:3]
         drawn = (1.0 - w) * base[a] + w * base[b] + deviation[a, e]
+        if stream is not None and len(self.fastest):
+            speed, top = xp.asarray(self.fastest, dtype=base.dtype), int(np.argmax(self.fastest))
+            swims = (1.0 - w[:, 0]) * speed[a] + w[:, 0] * speed[b]
+            share = xp.clip((RESERVE * stream - swims) / xp.maximum(speed[top] - swims, 1e-6), 0.0, 1.0)
+            drawn = drawn + share[:, None] * (base[top] - drawn)
         factor = 1.0 + self.scatter * (2.0 * u[:, N_FIXED:] - 1.0) * xp.asarray(self.factored, dtype=base.dtype)
         low, high = self.residual
         rows = base[0] + strength * (drawn * factor - base[0])
@@ -137,7 +156,7 @@ class WaterFamily:
         except (ValidationError, TypeError) as error:
             raise ConfigError(f"{path}: not a family of waters: {error}") from error
         members = [HydroModel.load(path.with_name(f"{member}.toml")) for member in found.members]
-        return cls(found.name, members, scatter=found.scatter, residual=found.residual)
+        return cls(found.name, members, scatter=found.scatter, residual=found.residual, fastest=found.fastest)
 
 
 def _residual_sha256(model: HydroModel) -> str:
