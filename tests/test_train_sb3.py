@@ -235,26 +235,32 @@ def test_ppo_bootstraps_a_time_limit_but_not_an_end_and_drops_a_diverged_step():
     """Advantages of the collected rollout against delta written out; one fish is declared lost."""
     run = settings(algo="sb3-ppo", task={"seconds": 2.0}, algorithm={**ON_POLICY, "gamma": 0.9, "lam": 0.0})
     learner, _ = learner_of(run)
-    seen, shoal = [], learner.shoal
+    seen, beyond, shoal = [], [], learner.shoal
     inner = shoal.step_wait
 
     def watched():
         out = inner()
         if len(shoal.tally) == 10:  # the time limit of all fish
             shoal.tally[-1].diverged[3] = True
-        seen.append(out)
+            out[3][5]["TimeLimit.truncated"] = False  # as if it had left the tank
+            ends = learner.model.policy.obs_to_tensor(np.stack([info["terminal_observation"] for info in out[3]]))[0]
+            beyond.append(learner.model.policy.predict_values(ends).detach().numpy()[:, 0])
+        seen.append((out[0], out[1].copy(), *out[2:]))  # SB3 adds to the rewards in place
         return out
 
     shoal.step_wait = watched
     learner.iterate(learner._now)
     buffer, last = learner.model.rollout_buffer, seen[9]
-    assert last[2].all() and all(info["TimeLimit.truncated"] for info in last[3])
+    assert last[2].all() and [i for i, info in enumerate(last[3]) if not info["TimeLimit.truncated"]] == [5]
     assert not any(out[2].any() for out in seen[:9])
     # the networks have changed since: the values of the rollout are those that it stored
     value, gain = buffer.values.reshape(16, 16, order="F"), np.stack([out[1] for out in seen])
     advantage = buffer.advantages.reshape(16, 16, order="F")
     np.testing.assert_allclose(advantage[4], gain[4] + 0.9 * value[5] - value[4], atol=1e-5)
-    assert advantage[9, 3] == 0 and np.all(advantage[9, :3] != 0)
+    expected = gain[9] + 0.9 * np.where(np.arange(16) == 5, 0, beyond[0]) - value[9]
+    expected[3] = 0
+    assert np.abs(beyond[0]).max() > 1e-3 and advantage[9, 3] == 0
+    np.testing.assert_allclose(advantage[9], expected, atol=1e-5)
 
 
 @pytest.mark.sb3
