@@ -2,6 +2,7 @@
 
     python -m studies.leaderboard                  the tables from stored rows; exit 1 if the page shows others
     python -m studies.leaderboard --run            judge again in the waters of a CPU, about four minutes of one core
+    python -m studies.leaderboard --run --only station-sb3   judge one, and leave the rows of the others
     python -m studies.leaderboard --write          put tables into docs/train/results.md and cards beside the shipped policies
 
 Rows of the CPU's waters are in studies/training/rows/judged/WATER.json, a results.json of `fishmj evaluate` without its
@@ -36,7 +37,7 @@ WATERS = {  # of the CPU: name -> heading
     "swift-slip098": "fitted, slip 0.98",
     "swift-reference": "fitted, reference",
 }
-CURVE_OF = {"paper": "ppo-planar-1.jsonl", "paper-sac": "sac-1.jsonl"}
+CURVE_OF = {"paper": "ppo-planar-1.jsonl", "paper-sac": "sac-1.jsonl", "station-sb3": "sb3-ppo-0.jsonl"}
 CONDITION = "flow 0.1/0.2/0.3 m/s, default turbulence 5 %, water lbm"  # of SOLVER
 WEIGHTS = {  # digest of the arrays that the flow solver judged: a policy trained anew has none of its rows
     "paper": "30be15fc7745b3de5c71abceefa1cb316fc0ca8e2c0e5ea40991ed788cf97703",
@@ -81,16 +82,19 @@ def arrays_sha256(name: str) -> str:
     return digest_of(b"".join(np.asarray(a, np.float32).tobytes() for layer in weights for a in layer)).hexdigest()
 
 
-def run(waters: list[str]) -> None:
-    """Judges all controllers and policies over the 72 trials in waters of the CPU, and stores the rows."""
+def run(waters: list[str], only: list[str]) -> None:
+    """Judges all controllers and policies, or those of `only`, over the 72 trials in waters of the CPU, and stores the rows."""
+    every = [*CONTROLLERS, *shipped()]
     for water in waters:
-        folder = ROOT / "runs" / "leaderboard" / water
-        argv = [*CONTROLLERS, *shipped(), "--water", water, "--engine", "compiled"]
-        evaluate([*argv, "--out", str(folder)])
+        folder, path = ROOT / "runs" / "leaderboard" / water, STORED / f"{water}.json"
+        options = ["--water", water, "--engine", "compiled"]
+        evaluate([*(only or every), *options, "--out", str(folder)])
         found = read_json(folder / "results.json")
-        rows = [less(row) | {"worst": relative(row["worst"])} for row in found["results"]]
-        stored = {"condition": found["condition"], "command": " ".join(["fishmj evaluate", *argv]), "results": rows}
-        write_text(STORED / f"{water}.json", json.dumps(stored, indent=1) + "\n")
+        rows = {row["controller"]: row for row in (read_json(path)["results"] if only else ())}
+        rows |= {row["controller"]: less(row) | {"worst": relative(row["worst"])} for row in found["results"]}
+        command = " ".join(["fishmj evaluate", *every, *options])  # of all: the trials of one do not depend on the others
+        stored = {"condition": found["condition"], "command": command, "results": [rows[name] for name in every]}
+        write_text(path, json.dumps(stored, indent=1) + "\n")
 
 
 def relative(worst: dict) -> dict:
@@ -207,10 +211,11 @@ def main(argv: list[str]) -> int:
     """Prints the leaderboard; returns the exit code."""
     parser = console.parser("leaderboard", __doc__ or "")
     parser.add_argument("--run", nargs="*", choices=tuple(WATERS), metavar="WATER", help="judge again; default all")
+    parser.add_argument("--only", nargs="+", choices=(*CONTROLLERS, *shipped()), metavar="NAME", help="with --run: these alone")
     parser.add_argument("--write", action="store_true", help="write page and cards")
     args = parser.parse_args(argv)
     if args.run is not None:
-        run(args.run or list(WATERS))
+        run(args.run or list(WATERS), args.only or [])
     found = stored()
     made, page = tables(found), PAGE.read_text(encoding="utf-8")
     console.say(made, "", "need a GPU, read from stored rows:")

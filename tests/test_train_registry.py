@@ -121,6 +121,7 @@ def test_on_policy_algorithm_gets_its_options_and_checks_them():
         ("--algo ppo", 8_000_000, 1_000_000),
         ("--algo sac", 1_000_000, 100_000),
         ("--algo sb3-sac", 1_000_000, 100_000),
+        ("--algo sb3-ppo", 16_000_000, 1_600_000),
         ("--algo sac --steps 300000", 300_000, 75_000),
         ("--preset paper-sac", 1_000_000, 100_000),
         ("--preset paper-sac --algo ppo", 1_000_000, 100_000),

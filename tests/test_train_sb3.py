@@ -10,21 +10,44 @@ from absent import absent
 from training import StopAt, figures_of
 
 from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_tensors
 from fishmj.control.policy import Policy
 from fishmj.tasks.gym.fish_env import FishVectorEnv
 from fishmj.tasks.station_hold import input_scale
 from fishmj.train.__main__ import main
-from fishmj.train.build import policy_of
+from fishmj.train.build import config_of, policy_of
 from fishmj.train.settings import Settings
 
 SMALL = {"hidden": (32, 32), "envs": 16, "batch": 64, "warmup": 512, "utd": 0.25, "learning_rate": 2e-3}
+ON_POLICY = {"hidden": (32, 32), "envs": 16, "horizon": 16, "minibatches": 2, "activation": "relu", "learning_rate": 2e-3}
 
 
 def settings(**changes) -> Settings:
     """A run of some seconds."""
-    base = {"algo": "sb3-sac", "engine": "compiled", "algorithm": SMALL, "assess_episodes": 4}
+    algorithm = ON_POLICY if changes.get("algo") == "sb3-ppo" else SMALL
+    base = {"algo": "sb3-sac", "engine": "compiled", "algorithm": algorithm, "assess_episodes": 4}
     return Settings(**{**base, "steps": 2048, "assess_every": 1024, "checkpoint_every": 0.0, **changes})
+
+
+def learner_of(run: Settings):
+    """The learner of a run with its fish, seed 2."""
+    from fishmj.train import sb3
+
+    kind = {"sb3-sac": sb3.StableSAC, "sb3-ppo": sb3.StablePPO}[run.algo]
+    config = config_of(run)
+    learner = kind(sb3.FishVecEnv(run, config.envs, reward_scale=config.reward_scale), config, run.steps)
+    return learner, learner.init(jax.random.key(2))
+
+
+def stopping(stopped: list, steps: int):
+    """TrainingRun that is interrupted after so many steps and is kept in `stopped`."""
+
+    def made(*args, **options):
+        stopped.append(StopAt(*args, steps=steps, **{k: v for k, v in options.items() if k != "quiet"}))
+        return stopped[-1]
+
+    return made
 
 
 def test_without_the_extra_the_message_has_the_install_line(monkeypatch, capsys):
@@ -74,22 +97,21 @@ def test_seeds_of_runs_share_no_fish():
 
 
 @pytest.mark.sb3
-def test_a_policy_with_memory_sees_what_sb3_saw():
-    from fishmj.train.sac import SACConfig
-    from fishmj.train.sb3 import FishVecEnv, StableSAC
-
-    run = settings(task={"memory": 3, "turbulence": "gust"})
-    shoal = FishVecEnv(run, 5)
-    learner = StableSAC(shoal, SACConfig(**{**SMALL, "envs": 5}), 1000)
-    training = learner.init(jax.random.key(2))
-    network, seen = learner.policy_layers(training.actor), shoal.reset()
+@pytest.mark.parametrize("algo", ["sb3-sac", "sb3-ppo"])
+def test_a_policy_with_memory_sees_what_sb3_saw(algo):
+    run = settings(algo=algo, task={"memory": 3, "turbulence": "gust"})
+    learner, training = learner_of(run)
+    shoal, env = learner.shoal, learner.model.env
+    network, seen = learner.policy_layers(training.actor), env.reset()
     policy = policy_of(network, run, {})
     mine = Policy.of(shoal, [(np.asarray(w).T, b) for w, b in network.layers], activation=network.activation)
     assert mine.memory == 3 and all(np.array_equal(a, b) for a, b in zip(mine.weights[0], policy.weights[0], strict=True))
     for _ in range(10):
         action, _ = learner.model.predict(seen, deterministic=True)
-        np.testing.assert_allclose(policy(seen[:, :11] * input_scale(3)), action, atol=1e-5)
-        seen, _, done, _ = shoal.step(action)
+        seen, _, done, _ = env.step(action)
+        swum = action if algo == "sb3-sac" else np.tanh(action)
+        np.testing.assert_allclose(policy(seen[:, 14:25] * input_scale(3)), swum, atol=1e-5)
+        np.testing.assert_array_equal(seen[:, 11:14], swum)
         assert not done.any()
 
 
@@ -137,12 +159,7 @@ def test_stopped_sb3_run_exports_its_policy_and_resumes_with_empty_buffer(tmp_pa
 
     run = settings(assess_every=10**9)
     stopped = []
-
-    def stop_at(*args, **options):
-        stopped.append(StopAt(*args, steps=1024, **{k: v for k, v in options.items() if k != "quiet"}))
-        return stopped[-1]
-
-    monkeypatch.setattr(sb3, "TrainingRun", stop_at)
+    monkeypatch.setattr(sb3, "TrainingRun", stopping(stopped, 1024))
     made = sb3.train_sb3(run, tmp_path)
     assert made["stopped"] and made["steps"] == 1024 and made["policy"].endswith("last.safetensors")
     learner, before = stopped[0].algorithm, stopped[0].training
@@ -187,3 +204,93 @@ def test_the_command_trains_and_wrong_settings_are_named(tmp_path, capfd):
     elsewhere = ["--out", str(tmp_path / "other")]
     assert console.run(main, [*argv, *elsewhere, "--critic", "privileged"]) == console.BAD_INPUT
     assert "unknown setting of sb3-sac 'privileged'" in capfd.readouterr().err
+
+
+# ---- PPO ----
+
+
+@pytest.mark.sb3
+def test_ppo_s_policy_file_is_its_deterministic_action_to_rounding():
+    """Far from zero, too, where SB3 alone would clip the mean at 1 and the file has its tanh."""
+    learner, training = learner_of(settings(algo="sb3-ppo"))
+    with torch_grad_off():
+        learner.model.policy.action_net.weight *= 150
+    network = learner.policy_layers(learner._taken().actor)
+    obs = np.random.default_rng(0).normal(size=(400, 11)).astype(np.float32)
+    u, _ = learner.model.predict((obs / input_scale(3)).astype(np.float32), deterministic=True)
+    assert np.abs(u).max() > 1.2 and np.abs(u).min() < 0.1
+    np.testing.assert_allclose(policy_of(network, settings(algo="sb3-ppo"), {})(obs), np.tanh(u), atol=1e-6)
+    np.testing.assert_allclose(learner.act(network.layers, obs), np.tanh(u), atol=1e-6)
+    assert len(training.actor) == 3
+
+
+def torch_grad_off():
+    import torch
+
+    return torch.no_grad()
+
+
+@pytest.mark.sb3
+def test_ppo_bootstraps_a_time_limit_but_not_an_end_and_drops_a_diverged_step():
+    """Advantages of the collected rollout against delta written out; one fish is declared lost."""
+    run = settings(algo="sb3-ppo", task={"seconds": 2.0}, algorithm={**ON_POLICY, "gamma": 0.9, "lam": 0.0})
+    learner, _ = learner_of(run)
+    seen, beyond, shoal = [], [], learner.shoal
+    inner = shoal.step_wait
+
+    def watched():
+        out = inner()
+        if len(shoal.tally) == 10:  # the time limit of all fish
+            shoal.tally[-1].diverged[3] = True
+            out[3][5]["TimeLimit.truncated"] = False  # as if it had left the tank
+            ends = learner.model.policy.obs_to_tensor(np.stack([info["terminal_observation"] for info in out[3]]))[0]
+            beyond.append(learner.model.policy.predict_values(ends).detach().numpy()[:, 0])
+        seen.append((out[0], out[1].copy(), *out[2:]))  # SB3 adds to the rewards in place
+        return out
+
+    shoal.step_wait = watched
+    learner.iterate(learner._now)
+    buffer, last = learner.model.rollout_buffer, seen[9]
+    assert last[2].all() and [i for i, info in enumerate(last[3]) if not info["TimeLimit.truncated"]] == [5]
+    assert not any(out[2].any() for out in seen[:9])
+    # the networks have changed since: the values of the rollout are those that it stored
+    value, gain = buffer.values.reshape(16, 16, order="F"), np.stack([out[1] for out in seen])
+    advantage = buffer.advantages.reshape(16, 16, order="F")
+    np.testing.assert_allclose(advantage[4], gain[4] + 0.9 * value[5] - value[4], atol=1e-5)
+    expected = gain[9] + 0.9 * np.where(np.arange(16) == 5, 0, beyond[0]) - value[9]
+    expected[3] = 0
+    assert np.abs(beyond[0]).max() > 1e-3 and advantage[9, 3] == 0
+    np.testing.assert_allclose(advantage[9], expected, atol=1e-5)
+
+
+@pytest.mark.sb3
+def test_a_ppo_run_repeats_stops_and_resumes_from_its_tensors(tmp_path, monkeypatch, capfd):
+    from fishmj.train import sb3
+
+    run = settings(algo="sb3-ppo", assess_every=10**9)
+    whole = [sb3.train_sb3(run, tmp_path / name, quiet=True) for name in ("a", "b")]
+    first, again = (Policy.load(made["policy"]) for made in whole)
+    assert whole[0]["steps"] == 2048 and first.meta["algorithm"] == "sb3-ppo" and first.meta["hyperparameters"]["horizon"] == 16
+    assert all(
+        np.array_equal(a, b) for one, two in zip(first.weights, again.weights, strict=True) for a, b in zip(one, two, strict=True)
+    )
+    stopped: list = []
+    monkeypatch.setattr(sb3, "TrainingRun", stopping(stopped, 1024))
+    assert sb3.train_sb3(run, tmp_path / "c")["stopped"]
+    before = stopped[0].training.tensors
+    assert "policy.log_std" in before and before["adam.0.step"] == 4 * 4 * 2
+    np.testing.assert_allclose(rate_of(stopped[0]), 2e-3 * 0.1 ** (1024 / 2048), rtol=1e-6)
+    monkeypatch.setattr(sb3, "TrainingRun", stopping(stopped, 1280))
+    capfd.readouterr()
+    assert sb3.train_sb3(run, tmp_path / "c", resume=True)["steps"] == 1280
+    assert "the fish were not kept" in capfd.readouterr().err
+    after = stopped[1].training.tensors
+    assert after["steps"] == 1280 and after["adam.0.step"] == 5 * 4 * 2  # Adam goes on, and so does the falling rate
+    np.testing.assert_allclose(rate_of(stopped[1]), 2e-3 * 0.1 ** (1280 / 2048), rtol=1e-6)
+    with pytest.raises(ConfigError, match="sb3-ppo: envs x horizon = 256 does not split into 3 minibatches"):
+        sb3.train_sb3(settings(algo="sb3-ppo", algorithm={**ON_POLICY, "minibatches": 3}), tmp_path / "d")
+
+
+def rate_of(run) -> float:
+    """Learning rate of the last update."""
+    return run.algorithm.model.policy.optimizer.param_groups[0]["lr"]

@@ -96,7 +96,7 @@ def verdicts(findings: list[DoctorFinding]) -> list[DoctorFinding]:
         ("find what is missing", core and extra("search"), "yes", mend("search")),
         ("replay, play", core and extra("view"), "yes", mend("view")),
         ("deploy", core and extra("tank"), "yes", mend("tank")),
-        ("--algo sb3-sac", core and extra("sb3"), "yes", mend("sb3")),
+        ("--algo sb3-ppo", core and extra("sb3"), "yes", mend("sb3")),
         (
             "replay looked at",
             state.get(("files", "browser")) == "ok",

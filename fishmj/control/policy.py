@@ -34,6 +34,7 @@ SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md 
     "station-family": "PPO with a memory of 8 observations, trained in a family of waters: for a robot whose water is not known",
     "station": "PPO, trained in the water fitted to the flow solver",
     "station-sac": "SAC with the paper's budget, trained in the same water",
+    "station-sb3": "PPO of stable-baselines3, trained in the same water",
     "pilot": "PPO, trained in an earlier fit of that water; steered episodes that the present one is fitted to",
     "paper": "PPO, trained in the structured water",
     "paper-sac": "SAC with the paper's budget, trained in the structured water",

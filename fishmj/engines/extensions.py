@@ -10,6 +10,7 @@ of `FishState.memory` (B, M), the effects' memory first. Without additions both 
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil
 from typing import Any
 
@@ -38,14 +39,14 @@ class Extensions:
 
     Attributes:
         active: the effects, or None. row: (P,) their calibrated values. memory: (M,) initial memory of a fish.
-        learnt: the learnt residual force, or None, and the chain that it acts on.
+        learnt: the learnt residual force, or None. robot: the one that it acts on.
     """
 
     active: "effects.EffectStack | None"
     row: np.ndarray
     memory: np.ndarray
-    learnt: Any = None
-    chain: "chain.Chain | None" = None
+    learnt: Any
+    robot: Robot
 
     @classmethod
     def of(cls, robot: Robot) -> "Extensions":
@@ -53,13 +54,17 @@ class Extensions:
         active, row = (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints)
         if active is not None and (idle := [e.name for e in active.effects if e.stochastic]):
             warnings.warn(f"{robot.name}: no simulator draws {', '.join(idle)}; generators of data do", stacklevel=2)
-        memory, learnt, ch = [] if active is None else list(active.memory), residual_of(robot), None
+        memory, learnt = [] if active is None else list(active.memory), residual_of(robot)
         if learnt is not None:
             from fishmj.water.residual_hooks import at_rest
 
-            ch = chain.chain_of(robot)
             memory += at_rest()
-        return cls(active, row, np.array(memory, float), learnt, ch)
+        return cls(active, row, np.array(memory, float), learnt, robot)
+
+    @cached_property
+    def chain(self) -> chain.Chain:
+        """Constants of the robot, made when a hook first needs them: they take a millisecond, too long for each drawn fish."""
+        return chain.chain_of(self.robot)
 
     def hooks(self, xp, parameters, memory, *, wet: float = 1.0) -> Any:
         """Hooks for one `planar_chain.step`, or None without additions."""
@@ -67,7 +72,7 @@ class Extensions:
         inner = None
         if self.active is not None:
             inner = Commanded(xp, self.active, parameters, memory[: len(self.active.memory)], wet)
-        if self.learnt is None or self.chain is None:
+        if self.learnt is None:
             return inner
         from fishmj.water.residual_hooks import LearnedResidual
 

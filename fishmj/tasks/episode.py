@@ -267,11 +267,11 @@ class TaskSpec:
         self.table, self.cell = flow.table_of(setting.turbulence, flow.BOXES[setting.box])
         self.sensors = Sensors(self.robot)
         self.n_obs, self.n_act = 5 + 2 * self.robot.n_joints, self.robot.n_joints
+        self._sizes = (task.N_START, task.N_FLOW + 1, task.n_fish(self.robot, setting.effects))
 
     def draws(self, rng, n: int) -> Draws:
         """Draws for n episodes from a NumPy Generator or RandomState."""
-        sizes = (task.N_START, task.N_FLOW + 1, task.n_fish(self.robot, self.setting.effects))
-        return Draws(*(rng.random((n, k)) for k in sizes))
+        return Draws(*(rng.random((n, k)) for k in self._sizes))
 
     def scenario(self, draws: Draws, **fixed) -> EpisodeDraw:
         """Episodes of these draws; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""

@@ -48,7 +48,7 @@ def options() -> console.Parser:
     add("--algo", type=console.text, metavar="NAME", help=algo)
     task = f"{', '.join(COURSES)}, or your own as module:Name, docs/simulate/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
-    engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3-sac only (default: auto)"
+    engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3 only (default: auto)"
     add("--engine", choices=("auto", *NAMES), help=engine)
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
     steps = f"control steps, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"

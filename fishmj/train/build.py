@@ -95,7 +95,7 @@ def environment(settings: Settings, box: str = "train"):
     engine = make(name, robot)
     if not engine.jittable:
         raise ConfigError(
-            f"engine {name} cannot be compiled into a learner; train on compiled, planar or mjx, or with --algo sb3-sac"
+            f"engine {name} cannot be compiled into a learner; train on compiled, planar or mjx, or with --algo sb3-ppo"
         )
     return StationHold(robot, engine, from_table("task option", Options, {**settings.task, "box": box}), **settings.reward)
 

@@ -49,10 +49,10 @@ class Hyperparameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOConfig(Hyperparameters):
-    """Hyperparameters of PPO."""
+class PlainPPOConfig(Hyperparameters):
+    """Hyperparameters of PPO whose critic sees what the policy sees."""
 
-    algo: ClassVar[str] = "ppo"
+    algo: ClassVar[str] = "sb3-ppo"
 
     horizon: int = setting(32, whole(1, 100_000), "control steps of each fish between two updates")
     epochs: int = setting(4, whole(1, 1000), "passes over each rollout")
@@ -67,19 +67,13 @@ class PPOConfig(Hyperparameters):
     max_grad_norm: float = setting(0.5, number(0, 1e6, above=True), "bound on the norm of the gradient")
     adam_eps: float = setting(1e-5, number(0, 1, above=True), "epsilon of Adam")
     sigma: float = setting(0.5, number(0, 10, above=True), "initial standard deviation of the action before tanh")
-    privileged: bool = setting(
-        True,
-        Switch(("plain", "privileged")),
-        "privileged: the critic sees the flow, the actor never does; plain: not",
-        "--critic",
-    )
     reward_scale: float = setting(0.1, number(0, 1e6, above=True), "factor of the reward in learning, not in reports")
 
     def __post_init__(self):
         super().__post_init__()
         if self.envs * self.horizon % self.minibatches:
             raise ConfigError(
-                f"ppo: envs x horizon = {self.envs * self.horizon} does not split into {self.minibatches} minibatches"
+                f"{self.algo}: envs x horizon = {self.envs * self.horizon} does not split into {self.minibatches} minibatches"
             )
 
     def operations(self, width) -> float:
@@ -97,7 +91,22 @@ class PPOConfig(Hyperparameters):
 
     def _networks(self, width) -> tuple[int, int]:
         seen, inputs, joints = width
-        return weights(inputs, *self.hidden, joints), weights(inputs + self.privileged * (seen + 5), *self.hidden, 1)
+        told = (seen + 5) * getattr(self, "privileged", False)
+        return weights(inputs, *self.hidden, joints), weights(inputs + told, *self.hidden, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(PlainPPOConfig):
+    """Hyperparameters of PPO."""
+
+    algo: ClassVar[str] = "ppo"
+
+    privileged: bool = setting(
+        True,
+        Switch(("plain", "privileged")),
+        "privileged: the critic sees the flow, the actor never does; plain: not",
+        "--critic",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

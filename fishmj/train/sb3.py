@@ -1,9 +1,9 @@
-"""Soft actor-critic by stable-baselines3 (extra `sb3`), with the paper's networks, on the same fish, into the same policy file.
+"""SAC and PPO by stable-baselines3 (extra `sb3`) on the same fish, into the same policy file.
 
-`StableSAC` gives SB3's learner the interface of our own (`init`, `iterate`, `act`), so that `TrainingRun` also runs it: progress
-line, assessment on the tuning flows, export, Ctrl-C, a full disk. SB3's own checkpoints are pickles; here a checkpoint holds
-the tensors only: networks, optimisers, temperature. The replay buffer is NOT kept: a resumed run first refills `warmup` steps
-of it with the present policy, without learning. It therefore does not repeat the uninterrupted run to the bit.
+`StableLearner` gives SB3's learners the interface of our own (`init`, `iterate`, `act`), so that `TrainingRun` also runs them:
+progress line, assessment on the tuning flows, export, Ctrl-C, a full disk. SB3's own checkpoints are pickles; here a checkpoint
+holds the tensors only: networks, optimisers, temperature. The fish are NOT kept: a resumed run begins new episodes, and does not
+repeat the uninterrupted one to the bit. Nor is SAC's replay buffer: it first refills `warmup` steps of it without learning.
 """
 
 from typing import Any, NamedTuple
@@ -13,27 +13,29 @@ import jax.numpy as jnp
 import numpy as np
 import torch
 from gymnasium import spaces
-from stable_baselines3 import SAC
-from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from fishmj.base import console
+from fishmj.engines import fastest
 from fishmj.tasks.gym.fish_env import FishVectorEnv, observation_space
 from fishmj.tasks.station_hold import input_scale, visible
-from fishmj.train.build import config_of, environment, pick_engine, robot_for
-from fishmj.train.hyperparameters import SACConfig
+from fishmj.train.build import config_of, environment, robot_for
+from fishmj.train.hyperparameters import PlainPPOConfig, SACConfig
 from fishmj.train.learner import PolicyLayers, StepRecord, metrics_of
 from fishmj.train.networks import forward
-from fishmj.train.settings import Settings, change
+from fishmj.train.settings import ALGORITHMS, Settings, change, referred
 from fishmj.train.training_run import Assessment, TrainingRun
 
 ENDS = {"return": "r", "length": "l"}  # of an episode, as SB3's Monitor calls them
 UPDATES = 256  # gradient steps between two reports, about
+SATURATED = 10.0  # tanh of it is 1 in float32: SB3's bound on u, which it requires to be finite, changes no action
 
 
 class FishVecEnv(VecEnv):
-    """n fish with the run's task, reward and engine (any engine, MuJoCo's `batch` too), with the policy's input as observation.
+    """n fish with the run's task, reward and engine (`auto`: the fastest on a CPU), with the policy's input as observation.
 
     Observations are scaled to order one (`station_hold.input_scale`), hidden groups are zero, and with memory m > 1 the newest is
     followed by m - 1 pairs (action, observation) back in time. An episode that ends at its time limit has `TimeLimit.truncated`,
@@ -45,7 +47,7 @@ class FishVecEnv(VecEnv):
         self.robot, self.memory, self.hide = robot, task.pop("memory", 1), task.pop("hide", ())
         course = task.pop("course", "station_hold")
         options = {**task, **settings.reward, "robot": robot, "box": box}
-        self.fish = FishVectorEnv(n, course, engine=pick_engine(settings), autoreset_mode="SameStep", **options)
+        self.fish = FishVectorEnv(n, course, engine=engine_of(settings), autoreset_mode="SameStep", **options)
         self.joints, self.reward_scale = robot.n_joints, reward_scale
         scale = input_scale(self.joints)
         self.factor = np.array(visible(self.joints, self.hide), np.float32) / scale.astype(np.float32)
@@ -141,17 +143,44 @@ class FishVecEnv(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
 
+def engine_of(settings: Settings) -> str:
+    """Name of the engine; `auto` is the fastest on a CPU, where the environment is, whatever device learns."""
+    return fastest() if settings.engine == "auto" else settings.engine
+
+
+class SquashedVecEnv(VecEnvWrapper):
+    """`FishVecEnv` whose actions are u: the fish get tanh(u), which the policy file has, too.
+
+    SB3's PPO draws u from a Gaussian and clips it; clipped at +-1 without tanh, its actions would be no policy of fishmj.
+    """
+
+    def __init__(self, shoal: FishVecEnv):
+        super().__init__(shoal, action_space=spaces.Box(-SATURATED, SATURATED, (shoal.joints,), np.float32))
+
+    def reset(self) -> np.ndarray:
+        """Starts all episodes."""
+        return self.venv.reset()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Stores tanh of the actions (n, J) for `step_wait`."""
+        self.venv.step_async(np.tanh(actions))
+
+    def step_wait(self):
+        """Does one control step of all fish, as FishVecEnv."""
+        return self.venv.step_wait()
+
+
 def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool = False, command: str | None = None) -> dict:
     """Trains with stable-baselines3; returns the summary of `TrainingRun`. Arguments and errors as there."""
+    settings = change(settings, engine=engine_of(settings))
     config = config_of(settings)
     shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
-    learner = StableSAC(shoal, config, settings.steps)
-    engine = pick_engine(settings)
-    judge = change(settings, engine="planar" if engine == "batch" else engine)  # assessments run inside JAX
+    learner = referred(ALGORITHMS[settings.algo].learner)(shoal, config, settings.steps)
+    judge = change(settings, engine="planar" if settings.engine == "batch" else settings.engine)  # assessments run inside JAX
     assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
     run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess), command=command)
     if resume:
-        console.warn(f"the replay buffer was not kept: {config.warmup:,} steps of the policy refill it before learning goes on")
+        console.warn(learner.on_resume)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # networks this small lose by a second thread, on a busy machine by ten times
     try:
@@ -167,17 +196,15 @@ class SB3TrainState(NamedTuple):
     tensors: dict  # everything of SB3's, by name
 
 
-class StableSAC:
-    """SB3's SAC behind `init` and `iterate`."""
+class StableLearner:
+    """A learner of SB3's behind `init` and `iterate`. Subclasses make the model, and name its tensors and figures."""
 
-    name = "sb3-sac"
+    name: str
+    steps_per_iteration: int
+    on_resume = "the fish were not kept: they begin new episodes"
 
-    def __init__(self, shoal: FishVecEnv, config: SACConfig, steps: int):
-        self.shoal, self.config = shoal, config
-        self.per_step = max(1, round(config.utd * config.envs))
-        self.block = max(1, min(config.block, UPDATES // self.per_step))
-        self.steps_per_iteration = config.envs * self.block
-        self.capacity = max(config.envs, min(config.buffer, steps))
+    def __init__(self, shoal: FishVecEnv, config: Any, steps: int):
+        self.shoal, self.config, self.steps = shoal, config, steps
         self.scale = input_scale(shoal.joints, shoal.memory)
         self._now: SB3TrainState | None = None
 
@@ -185,35 +212,19 @@ class StableSAC:
         """Fresh learner; its seed is the key's."""
         c = self.config
         activation = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[c.activation]
+        network = {"net_arch": list(c.hidden), "activation_fn": activation}
         self.seed = int(jax.random.key_data(key)[-1])
-        self.model = RefillCallback(
-            "MlpPolicy",
-            self.shoal,
-            learning_rate=c.learning_rate,
-            buffer_size=self.capacity,
-            learning_starts=min(c.warmup, self.capacity),
-            batch_size=c.batch,
-            tau=c.tau,
-            gamma=c.gamma,
-            gradient_steps=self.per_step,
-            replay_buffer_class=FiniteReplayBuffer,
-            ent_coef=f"auto_{c.initial_alpha!r}",
-            target_entropy=c.target_entropy * self.shoal.joints,
-            policy_kwargs={"net_arch": list(c.hidden), "activation_fn": activation},
-            seed=self.seed,
-        )
+        self.model = self._make(network, gamma=c.gamma, learning_rate=c.learning_rate, seed=self.seed)
         self.model.set_logger(Logger(folder=None, output_formats=[]))  # its own would make a folder for each `learn`
         return self._taken()
 
     def iterate(self, training: SB3TrainState) -> tuple[SB3TrainState, dict]:
-        """Does `block` steps of all fish, learning after each. Returns (train state, metrics)."""
+        """Does one iteration of SB3's loop. Returns (train state, metrics)."""
         if training is not self._now:
             self._put(training)
         # SB3 adds the steps already done to the requested total
         self.model.learn(self.steps_per_iteration, reset_num_timesteps=False, log_interval=None)
-        said = self.model.logger.name_to_value
-        alpha = float(torch.exp(self.model.log_ent_coef.detach()))
-        return self._taken(), {**self.shoal.metrics(), "alpha": alpha, "loss": float(said.get("train/critic_loss", 0.0))}
+        return self._taken(), {**self.shoal.metrics(), **self._figures(self.model.logger.name_to_value)}
 
     def act(self, actor, obs):
         """Deterministic actions (B, J) for raw observations, in JAX."""
@@ -223,31 +234,46 @@ class StableSAC:
         """Layers of the actor, which is the mean of u."""
         return PolicyLayers(actor, self.config.activation)
 
+    def _make(self, network: dict, **common) -> Any:
+        """SB3's model with this network and these arguments."""
+        raise NotImplementedError
+
+    def _figures(self, said: dict) -> dict[str, float]:
+        """Metrics of the algorithm from what SB3 has logged."""
+        raise NotImplementedError
+
+    def _actor(self) -> tuple:
+        """Modules from the input to the mean of u."""
+        raise NotImplementedError
+
     def _optimisers(self) -> dict[str, Any]:
-        m = self.model
-        return {"actor": m.actor.optimizer, "critic": m.critic.optimizer, "alpha": m.ent_coef_optimizer}
+        raise NotImplementedError
+
+    def _loose(self) -> dict[str, Any]:
+        """Tensors to keep that are no part of `model.policy`."""
+        return {}
 
     def _taken(self) -> SB3TrainState:
         """State of the learner as NumPy arrays (copies)."""
         take = lambda t: t.detach().cpu().numpy().copy()
-        m, actor = self.model, self.model.actor
+        m = self.model
         tensors = {f"policy.{k}": take(v) for k, v in m.policy.state_dict().items()}
-        tensors["log_alpha"] = take(m.log_ent_coef)
-        tensors["steps"] = np.array(m.num_timesteps, np.int32)
+        tensors |= {k: take(v) for k, v in self._loose().items()} | {"steps": np.array(m.num_timesteps, np.int32)}
         for name, optimiser in self._optimisers().items():
             for i, p in enumerate(optimiser.param_groups[0]["params"]):  # Adam's moments; zero before the first step
                 state = optimiser.state.get(p) or {"step": torch.zeros(()), "exp_avg": 0 * p, "exp_avg_sq": 0 * p}
                 tensors |= {f"{name}.{i}.{k}": take(v) for k, v in state.items()}
-        layers = [layer for layer in (*actor.latent_pi, actor.mu) if isinstance(layer, torch.nn.Linear)]
+        layers = [layer for layer in self._actor() if isinstance(layer, torch.nn.Linear)]
         self._now = SB3TrainState([(take(layer.weight).T, take(layer.bias)) for layer in layers], tensors)
         return self._now
 
     def _put(self, training: SB3TrainState) -> None:
-        """Continues from these tensors, with an empty replay buffer and fresh episodes."""
+        """Continues from these tensors, with fresh episodes."""
         m = self.model
         tensor = {k: torch.tensor(np.asarray(v), device=m.device) for k, v in training.tensors.items()}
         m.policy.load_state_dict({k.removeprefix("policy."): v for k, v in tensor.items() if k.startswith("policy.")})
-        m.log_ent_coef.data.copy_(tensor["log_alpha"])
+        for name, value in self._loose().items():
+            value.data.copy_(tensor[name])
         for name, optimiser in self._optimisers().items():
             table = optimiser.state_dict()
             keys = ("step", "exp_avg", "exp_avg_sq")
@@ -257,7 +283,97 @@ class StableSAC:
         m.num_timesteps = int(tensor["steps"])
         m.set_random_seed(int(np.random.SeedSequence([self.seed, m.num_timesteps]).generate_state(1)[0]))
         m._last_obs = None  # new episodes
-        m.replay_buffer.reset()
+
+
+class StablePPO(StableLearner):
+    """SB3's PPO; its critic sees what the policy sees."""
+
+    name = "sb3-ppo"
+
+    def __init__(self, shoal: FishVecEnv, config: PlainPPOConfig, steps: int):
+        super().__init__(shoal, config, steps)
+        self.steps_per_iteration = config.envs * config.horizon
+
+    def _make(self, network: dict, **common) -> PPO:
+        c = self.config
+        network |= {"log_std_init": float(np.log(c.sigma)), "optimizer_kwargs": {"eps": c.adam_eps}}
+        model = PPO(
+            "MlpPolicy",
+            SquashedVecEnv(self.shoal),
+            n_steps=c.horizon,
+            batch_size=self.steps_per_iteration // c.minibatches,
+            n_epochs=c.epochs,
+            gae_lambda=c.lam,
+            clip_range=c.clip,
+            vf_coef=c.value_weight,
+            ent_coef=c.entropy,
+            max_grad_norm=c.max_grad_norm,
+            rollout_buffer_class=FiniteRolloutBuffer,
+            rollout_buffer_kwargs={"shoal": self.shoal},
+            policy_kwargs=network,
+            device="cpu",  # a GPU is slower with networks this small, says SB3
+            **common,
+        )
+        # SB3 counts what is left of one `learn`, which here is one iteration
+        model.lr_schedule = lambda _: c.learning_rate * c.final_rate ** min(1.0, model.num_timesteps / self.steps)
+        return model
+
+    def _figures(self, said: dict) -> dict[str, float]:
+        return {
+            name: float(said[f"train/{theirs}"]) for name, theirs in (("sigma", "std"), ("kl", "approx_kl"), ("loss", "loss"))
+        }
+
+    def _actor(self) -> tuple:
+        return *self.model.policy.mlp_extractor.policy_net, self.model.policy.action_net
+
+    def _optimisers(self) -> dict[str, Any]:
+        return {"adam": self.model.policy.optimizer}
+
+
+class StableSAC(StableLearner):
+    """SB3's SAC, with the paper's networks."""
+
+    name = "sb3-sac"
+
+    def __init__(self, shoal: FishVecEnv, config: SACConfig, steps: int):
+        super().__init__(shoal, config, steps)
+        self.per_step = max(1, round(config.utd * config.envs))
+        self.steps_per_iteration = config.envs * max(1, min(config.block, UPDATES // self.per_step))
+        self.on_resume = f"the replay buffer was not kept: {config.warmup:,} steps of the policy refill it before it learns"
+
+    def _make(self, network: dict, **common) -> SAC:
+        c, capacity = self.config, max(self.config.envs, min(self.config.buffer, self.steps))
+        return RefillCallback(
+            "MlpPolicy",
+            self.shoal,
+            buffer_size=capacity,
+            learning_starts=min(c.warmup, capacity),
+            batch_size=c.batch,
+            tau=c.tau,
+            gradient_steps=self.per_step,
+            replay_buffer_class=FiniteReplayBuffer,
+            ent_coef=f"auto_{c.initial_alpha!r}",
+            target_entropy=c.target_entropy * self.shoal.joints,
+            policy_kwargs=network,
+            **common,
+        )
+
+    def _figures(self, said: dict) -> dict[str, float]:
+        return {"alpha": float(torch.exp(self.model.log_ent_coef.detach())), "loss": float(said.get("train/critic_loss", 0.0))}
+
+    def _actor(self) -> tuple:
+        return *self.model.actor.latent_pi, self.model.actor.mu
+
+    def _optimisers(self) -> dict[str, Any]:
+        m = self.model
+        return {"actor": m.actor.optimizer, "critic": m.critic.optimizer, "alpha": m.ent_coef_optimizer}
+
+    def _loose(self) -> dict[str, Any]:
+        return {"log_alpha": self.model.log_ent_coef}
+
+    def _put(self, training: SB3TrainState) -> None:
+        super()._put(training)
+        self.model.replay_buffer.reset()
 
 
 class RefillCallback(SAC):
@@ -279,3 +395,16 @@ class FiniteReplayBuffer(ReplayBuffer):
             return
         rows = np.where(bad, np.argmin(bad), np.arange(len(bad)))
         super().add(obs[rows], next_obs[rows], action[rows], reward[rows], done[rows], [infos[i] for i in rows])
+
+
+class FiniteRolloutBuffer(RolloutBuffer):
+    """A rollout buffer in which the step of a fish that diverged teaches nothing: its return is its value, its advantage 0."""
+
+    def __init__(self, *args, shoal: FishVecEnv, **options):
+        super().__init__(*args, **options)
+        self.shoal = shoal
+
+    def add(self, obs, action, reward, episode_start, value, log_prob) -> None:
+        """Adds transitions as SB3's RolloutBuffer."""
+        reward = np.where(self.shoal.tally[-1].diverged, value.numpy().flatten(), reward)
+        super().add(obs, action, reward, episode_start, value, log_prob)

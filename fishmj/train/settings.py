@@ -29,6 +29,9 @@ class Registered(NamedTuple):
 ALGORITHMS = {  # an algorithm is its file and a line here
     "ppo": Registered("fishmj.train.hyperparameters:PPOConfig", "fishmj.train.ppo:PPO"),
     "sac": Registered("fishmj.train.hyperparameters:SACConfig", "fishmj.train.sac:SAC", budget=1_000_000),
+    "sb3-ppo": Registered(
+        "fishmj.train.hyperparameters:PlainPPOConfig", "fishmj.train.sb3:StablePPO", 16_000_000, "fishmj.train.sb3:train_sb3"
+    ),
     "sb3-sac": Registered(
         "fishmj.train.hyperparameters:SACConfig", "fishmj.train.sb3:StableSAC", 1_000_000, train="fishmj.train.sb3:train_sb3"
     ),
