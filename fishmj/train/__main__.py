@@ -15,7 +15,7 @@ SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
 EXAMPLES = """examples:
   fishmj train                                   a policy for your laptop; three to six minutes on two idle cores
   fishmj train --preset paper --engine planar    the paper's network on a GPU
-  fishmj train --preset paper --devices 2        the same on two GPUs
+  fishmj train --preset paper --devices 2        on two GPUs
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
   fishmj train --gamma 0.98 --epochs 6           other hyperparameters
@@ -57,9 +57,7 @@ def options() -> console.Parser:
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
     seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
-    devices = (
-        "GPUs of this machine that share the fish of each run (PPO; default: 1, so that a seed gives the same on any machine)"
-    )
+    devices = "GPUs of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
     add("--devices", type=console.whole(1, 1024), default=1, metavar="N", help=devices)
     add("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
@@ -312,7 +310,7 @@ def main(argv: list[str]) -> int:
         from fishmj.train.training_run import go_on
 
         last = results[-1]
-        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings)
+        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings, args.devices)
         if len(folders) > 1 and not args.together:
             again = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
             more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(again)}"

@@ -340,7 +340,7 @@ class TrainingRun:
                 self.checkpoints.save(newest, *held)
         if not newest:
             return f"nothing was learnt yet; {interrupt.again('start again')}"
-        return go_on(self.folder, newest, self.settings)
+        return go_on(self.folder, newest, self.settings, self.devices)
 
     def _look(self) -> tuple[dict, bool]:
         """Judges the present actor on the tuning flows: figures for the log, and True if it is the best so far."""
@@ -440,9 +440,10 @@ def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best
     }
 
 
-def go_on(folder: Path, done: int, settings: Settings) -> str:
+def go_on(folder: Path, done: int, settings: Settings, devices: int = 1) -> str:
     """Text of an interrupted run: its state and the command that resumes it."""
     own = [word for pair in own_code(settings).items() for word in pair]  # which only a command line may name
+    own += ["--devices", str(devices)] if devices > 1 else []
     command = shlex.join(["fishmj", "train", "--resume", "--out", str(folder), *own])
     return f"{folder} holds the run up to step {done:,}; go on with: {command}"
 
