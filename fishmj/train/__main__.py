@@ -6,7 +6,7 @@ import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 
-from fishmj.base import console
+from fishmj.base import console, ray_cluster
 from fishmj.base.errors import ConfigError
 from fishmj.water import choice
 
@@ -17,6 +17,7 @@ EXAMPLES = """examples:
   fishmj train --preset paper --engine planar    the paper's network on a GPU
   fishmj train --preset paper --devices 2        on two GPUs
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
+  fishmj train --seeds 0,1,2 --ray auto          on a Ray cluster, a run on each worker; --resume goes on
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
   fishmj train --gamma 0.98 --epochs 6           other hyperparameters
   fishmj train --flow-speeds 0,0.4 --episode-seconds 60     other streams, longer episodes
@@ -59,6 +60,8 @@ def options() -> console.Parser:
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
     devices = "GPUs of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
     add("--devices", type=console.whole(1, 1024), default=1, metavar="N", help=devices)
+    spread = f"train --seeds over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all machines share"
+    add("--ray", type=console.text, metavar="ADDRESS", help=spread)
     add("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
@@ -254,6 +257,8 @@ def main(argv: list[str]) -> int:
         raise ConfigError(f"--begin beside {other}: a run begins with a policy once, and alone; leave one of them out")
     if args.together and args.devices > 1:
         raise ConfigError(f"--together beside --devices {args.devices}: it trains on one device; leave one of them out")
+    if args.together and args.ray:
+        raise ConfigError("--together beside --ray: it trains in one program; leave one of them out")
     if args.seeds and args.seed is not None:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
     settings = settings_from(args)
@@ -271,7 +276,12 @@ def main(argv: list[str]) -> int:
     if args.begin:
         begin, settings = begin_with(args.begin, settings, _asked_of(args))
     water, settings = water_for(settings).said, settled(settings)
-    check_devices(settings, args.devices)
+    if args.ray:
+        from fishmj.train.ray_seeds import check_own_code, train_over_ray
+
+        check_own_code(settings, args.effects)
+    else:  # with --ray the devices are those of a worker
+        check_devices(settings, args.devices)
     training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes, devices=args.devices)
     console.say(f"water: {water}")
     if args.force and not args.resume:
@@ -283,6 +293,8 @@ def main(argv: list[str]) -> int:
         from fishmj.train.multi_seed import train_together
 
         results, seeds = train_together(settings, seeds, folders[seeds[0]], typed), []
+    if args.ray:
+        results, seeds = train_over_ray(args.ray, settings, folders, typed, begin, args.devices), []
     for seed in seeds:
         one, folder = change(settings, seed=seed), folders[seed]
         resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
