@@ -34,6 +34,6 @@ class RayPool(RayCluster):
 def swim(segments: list[Segment], setup: Setup, runner: str) -> list[tuple[dict, dict]]:
     """Metadata and arrays of segments, side by side in a worker."""
     module, _, name = runner.partition(":")
-    done = getattr(import_module(module), name)(deque(segments), setup, tanks=len(segments))
+    done = getattr(import_module(module), name)(deque(segments), setup.device, setup=setup, tanks=len(segments))
     made = {item.segment.id: (item.meta, item.arrays) for item in done}
     return [made[segment.id] for segment in segments]
