@@ -46,7 +46,7 @@ class RayWorker:
 
 @dataclass
 class RayCluster:
-    """A Ray cluster, connected for one call of `spread`.
+    """Ray cluster, connected for one call of `spread`.
 
     address: of the cluster, `auto`, or `local:N`. workers: their number; by default as many as there is room for.
     deaths: of workers so far. retried: ids of items that were given out again.

@@ -1,4 +1,4 @@
-"""What kernels take from the lattice and the faces: vector types and functions of Warp. Their plain halves need no Warp."""
+"""Vector types and functions of Warp that kernels take from the lattice and the faces, whose plain halves need no Warp."""
 
 import warp as wp
 
