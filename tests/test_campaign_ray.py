@@ -10,9 +10,10 @@ from absent import absent
 from ray_toys import toy
 
 from fishmj.base.errors import ConfigError, MissingExtra
+from fishmj.base.ray_cluster import ATTEMPTS
 from fishmj.hydro_fit.campaign.data.collect import Local, collect
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
-from fishmj.hydro_fit.campaign.data.ray_pool import ATTEMPTS, RayPool
+from fishmj.hydro_fit.campaign.data.ray_pool import RayPool
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.segment_dataset import open_dataset

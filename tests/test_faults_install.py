@@ -105,6 +105,29 @@ import fishmj.lbm_oracle.fluid.fluid
     assert done.returncode == 1 and 'needs warp: pip install "fishmj[solver]"' in done.stderr
 
 
+WITHOUT_WARP = """
+from importlib.machinery import PathFinder
+find = PathFinder.find_spec
+PathFinder.find_spec = lambda name, *given: None if name.partition(".")[0] == "warp" else find(name, *given)
+from fishmj.base import console
+from fishmj.evaluate import __main__ as evaluate
+from fishmj.evaluate.experiments import __main__ as experiments
+from fishmj.view.play import __main__ as play
+for verb in (evaluate, experiments, play):
+    assert console.run(verb.main, ["--help"]) == console.OK
+one = ["drift", "--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
+assert console.run(evaluate.main, [*one, "--json"]) == console.OK
+assert console.run(evaluate.main, [*one, "--water", "lbm"]) == console.BAD_INPUT
+"""
+
+
+def test_judging_in_fitted_water_needs_no_flow_solver():
+    """Only --water lbm asks for the extra `solver`, by its install line."""
+    done = subprocess.run([sys.executable, "-c", WITHOUT_WARP], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert '"results"' in done.stdout and done.stderr.count('pip install "fishmj[solver]"') == 1
+
+
 def test_extras_of_packages_are_those_of_the_project():
     """`base.extras` names for each import name an extra that installs it."""
     import importlib.metadata as metadata

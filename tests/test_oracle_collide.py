@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fishmj.lbm_oracle.fluid import collide
-from fishmj.lbm_oracle.fluid.lattice import CS2, VELOCITIES, WEIGHTS, Lattice, mirrored, opposite, vec6
+from fishmj.lbm_oracle.fluid.in_kernels import vec6
+from fishmj.lbm_oracle.fluid.lattice import CS2, VELOCITIES, WEIGHTS, Lattice, mirrored, opposite
 
 pytestmark = pytest.mark.oracle
 

@@ -9,7 +9,8 @@ from fishmj.base.errors import OracleUnstable
 from fishmj.lbm_oracle.fluid import collide, guard
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import BLEND, Fluid, blend_at
-from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, WEIGHTS, Lattice, vec6
+from fishmj.lbm_oracle.fluid.in_kernels import vec6
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, WEIGHTS, Lattice
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import fish_markers

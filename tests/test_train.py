@@ -311,6 +311,9 @@ def test_settings_survive_json(name):
         ("--intensity 2", "argument --intensity: got '2', expected a number from 0 to 0.99"),
         ("--engine batch", "engine batch cannot be compiled into a learner; train on compiled"),
         ("--together --resume", "--together cannot resume"),
+        ("--together --devices 2", "--together beside --devices 2"),
+        ("--algo sac --devices 2", "--devices 2: sac trains on one device"),
+        ("--devices 1000", "--devices 1000: JAX sees 1 "),
     ],
 )
 def test_a_wrong_option_is_one_line_and_exit_2(line, said, tmp_path, capsys):

@@ -79,6 +79,12 @@ class EnvState(NamedTuple):
     launch: Any = None  # how the episodes began, for targets that move; None where they stay as in station holding
 
 
+def layout_of(state: EnvState, fish: Any, shared: Any) -> EnvState:
+    """Tree of a state: `fish` in place of every array with a row for each fish, `shared` in place of the others."""
+    made = jax.tree.map(lambda _: fish, state)
+    return made._replace(key=shared, current=made.current._replace(table=shared, cell=shared))
+
+
 class StationHold:
     """The batched environment. `reset` and `step` are pure; jit them or call them inside a scan.
 

@@ -6,7 +6,7 @@ import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 
-from fishmj.base import console
+from fishmj.base import console, ray_cluster
 from fishmj.base.errors import ConfigError
 from fishmj.water import choice
 
@@ -15,7 +15,9 @@ SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
 EXAMPLES = """examples:
   fishmj train                                   a policy for your laptop; three to six minutes on two idle cores
   fishmj train --preset paper --engine planar    the paper's network on a GPU
+  fishmj train --preset paper --devices 2        on two GPUs
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
+  fishmj train --seeds 0,1,2 --ray auto          on a Ray cluster, a run on each worker; --resume goes on
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
   fishmj train --gamma 0.98 --epochs 6           other hyperparameters
   fishmj train --flow-speeds 0,0.4 --episode-seconds 60     other streams, longer episodes
@@ -56,6 +58,10 @@ def options() -> console.Parser:
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
     seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
+    devices = "GPUs of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
+    add("--devices", type=console.whole(1, 1024), default=1, metavar="N", help=devices)
+    spread = f"train --seeds over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all machines share"
+    add("--ray", type=console.text, metavar="ADDRESS", help=spread)
     add("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
@@ -243,12 +249,16 @@ def main(argv: list[str]) -> int:
     from fishmj.control.policy_meta import one_line
     from fishmj.train import training_cost
     from fishmj.train.begin import begin_with
-    from fishmj.train.build import referred, settled, water_for
+    from fishmj.train.build import check_devices, referred, settled, water_for
     from fishmj.train.settings import ALGORITHMS, as_dict, change, of_run, same
 
     if args.begin and (args.resume or args.together):
         other = "--resume" if args.resume else "--together"
         raise ConfigError(f"--begin beside {other}: a run begins with a policy once, and alone; leave one of them out")
+    if args.together and args.devices > 1:
+        raise ConfigError(f"--together beside --devices {args.devices}: it trains on one device; leave one of them out")
+    if args.together and args.ray:
+        raise ConfigError("--together beside --ray: it trains in one program; leave one of them out")
     if args.seeds and args.seed is not None:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
     settings = settings_from(args)
@@ -266,7 +276,13 @@ def main(argv: list[str]) -> int:
     if args.begin:
         begin, settings = begin_with(args.begin, settings, _asked_of(args))
     water, settings = water_for(settings).said, settled(settings)
-    training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes)
+    if args.ray:
+        from fishmj.train.ray_seeds import check_own_code, train_over_ray
+
+        check_own_code(settings, args.effects)
+    else:  # with --ray the devices are those of a worker
+        check_devices(settings, args.devices)
+    training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes, devices=args.devices)
     console.say(f"water: {water}")
     if args.force and not args.resume:
         for folder in dict.fromkeys(folders.values()):
@@ -277,6 +293,8 @@ def main(argv: list[str]) -> int:
         from fishmj.train.multi_seed import train_together
 
         results, seeds = train_together(settings, seeds, folders[seeds[0]], typed), []
+    if args.ray:
+        results, seeds = train_over_ray(args.ray, settings, folders, typed, begin, args.devices), []
     for seed in seeds:
         one, folder = change(settings, seed=seed), folders[seed]
         resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
@@ -285,7 +303,7 @@ def main(argv: list[str]) -> int:
         else:
             from fishmj.train.training_run import TrainingRun, learner_of
 
-            learner = learner or learner_of(one)
+            learner = learner or learner_of(one, args.devices)
             results.append(TrainingRun(one, folder, resume=resume, learner=learner, command=typed, begin=begin).go())
         if results[-1]["stopped"]:
             break
@@ -304,7 +322,7 @@ def main(argv: list[str]) -> int:
         from fishmj.train.training_run import go_on
 
         last = results[-1]
-        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings)
+        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings, args.devices)
         if len(folders) > 1 and not args.together:
             again = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
             more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(again)}"

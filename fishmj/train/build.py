@@ -100,12 +100,30 @@ def environment(settings: Settings, box: str = "train"):
     return StationHold(robot, engine, from_table("task option", Options, {**settings.task, "box": box}), **settings.reward)
 
 
-def algorithm(settings: Settings, env) -> Learner:
-    """Learner named by settings.algo. Raises ConfigError, UnknownName, OwnCodeError."""
+def algorithm(settings: Settings, env, devices: int = 1) -> Learner:
+    """Learner named by settings.algo, on so many devices. Raises ConfigError, UnknownName, OwnCodeError."""
     config = config_of(settings)
+    check_devices(settings, devices)
+    if devices > 1:
+        return referred(ALGORITHMS[settings.algo].learner)(env, config, settings.steps, devices)
     if settings.algo in ALGORITHMS:
         return referred(ALGORITHMS[settings.algo].learner)(env, config, settings.steps)
     return OwnAlgorithm(settings.algo, env, config, settings.steps, settings)
+
+
+def check_devices(settings: Settings, devices: int) -> None:
+    """Raises ConfigError for several devices with an algorithm that trains on one, fewer devices, or fish that do not split."""
+    if devices == 1:
+        return
+    from fishmj.train.sharding import Shards
+
+    if settings.algo != "ppo":
+        raise ConfigError(f"--devices {devices}: {settings.algo} trains on one device; leave --devices out, or take --algo ppo")
+    Shards(devices)
+    c = config_of(settings)
+    if c.envs % devices or c.envs // devices * c.horizon % c.minibatches:
+        rows = f"{devices} equal shares of {c.envs} fish x {c.horizon} steps, each in {c.minibatches} minibatches"
+        raise ConfigError(f"--devices {devices}: expected {rows}; change --envs")
 
 
 def config_of(settings: Settings) -> Any:

@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from fishmj.tasks.env import layout_of
 from fishmj.train.hyperparameters import PPOConfig
 from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, metrics_of, record_of
 from fishmj.train.networks import forward, mlp
+from fishmj.train.sharding import COLUMNS, EACH, ROWS, Shards
 
 FAR = 80.0  # of a log ratio: one fish far outside its tank would else make exp or log infinite, and end the run
 SHUFFLE = 1_000_000_000  # added to the iteration's number: the keys of its minibatches are none of its exploration
@@ -49,12 +51,15 @@ class Batch(NamedTuple):
 
 
 class PPO:
-    """PPO as a `learner.Learner`: `iterate` collects one rollout and updates the networks `epochs` times over it."""
+    """PPO as a `learner.Learner`: `iterate` collects one rollout and updates the networks `epochs` times over it.
+
+    devices: number of devices of this machine among which the fish are split; it divides them (`build.check_devices`).
+    """
 
     name = "ppo"
 
-    def __init__(self, env, config: PPOConfig, steps: int):
-        self.env, self.config = env, config
+    def __init__(self, env, config: PPOConfig, steps: int, devices: int = 1):
+        self.env, self.config, self.devices, self.shards = env, config, devices, Shards(devices)
         self.steps_per_iteration = config.envs * config.horizon
         iterations = max(1, steps // self.steps_per_iteration)
         updates = iterations * config.epochs * config.minibatches
@@ -90,17 +95,43 @@ class PPO:
     @partial(jax.jit, static_argnums=0, donate_argnums=1)
     def iterate(self, state: PPOTrainState):
         """Collects a rollout and updates on it. Returns (train state, metrics as scalars)."""
-        env_state, batch, record = self.collect(state)
-        (actor, log_sigma, critic), opt_state, (loss, kl) = self.update(state, batch)
+        learn = self.learn if self.devices == 1 else self.learn_on_each
+        env_state, (actor, log_sigma, critic), opt_state, record, (loss, kl) = learn(state)
         tally, ended = episode_metrics(state.tally, record)
         state = PPOTrainState(actor, log_sigma, critic, opt_state, env_state, state.key, state.iteration + 1, tally)
-        return state, {
+        return self.place(state), {
             **metrics_of(jnp, record),
             **ended,
             "sigma": jnp.exp(log_sigma).mean(),
             "kl": kl.mean(),
             "loss": loss.mean(),
         }
+
+    def layout(self, state: PPOTrainState) -> PPOTrainState:
+        """Layout of a train state on the devices: fish and their tallies split, all else whole on each."""
+        whole = jax.tree.map(lambda _: EACH, state)
+        return whole._replace(env_state=layout_of(state.env_state, ROWS, EACH), tally=jax.tree.map(lambda _: ROWS, state.tally))
+
+    def place(self, state: PPOTrainState) -> PPOTrainState:
+        """Train state on the devices of this learner."""
+        return state if self.devices == 1 else self.shards.place(state, self.layout(state))
+
+    def learn_on_each(self, state: PPOTrainState):
+        """`learn` on each device with its share of the fish and random keys of its own."""
+        key, layout, own = state.env_state.key, self.layout(state), self.shards.own
+
+        def work(state):
+            return self.learn(state._replace(key=own(state.key), env_state=state.env_state._replace(key=own(key))))
+
+        returned = (layout.env_state, EACH, EACH, COLUMNS, EACH)
+        env_state, *learnt = self.shards.split(work, layout, returned)(state)
+        return env_state._replace(key=jax.random.fold_in(key, self.devices)), *learnt  # a key that no device drew from
+
+    def learn(self, state: PPOTrainState):
+        """Collects and updates. Returns (environment's state, networks, optimiser's state, StepRecord, (losses, KL))."""
+        env_state, batch, record = self.collect(state)
+        networks, opt_state, diagnostics = self.update(state, batch)
+        return env_state, networks, opt_state, record, self.shards.mean(diagnostics)
 
     def collect(self, state: PPOTrainState):
         """Rolls the policy out for `horizon` steps. Returns (environment's state, Batch, StepRecord)."""
@@ -132,7 +163,7 @@ class PPO:
             return advantage, advantage
 
         deltas = (td_target - value, 1.0 - record.done)
-        _, advantages = jax.lax.scan(gae, jnp.zeros(c.envs), deltas, reverse=True)
+        _, advantages = jax.lax.scan(gae, jnp.zeros(value.shape[1]), deltas, reverse=True)
         return env_state, Batch(obs, privileged_obs, u, log_prob, value, advantages, advantages + value), record
 
     def loss(self, networks, b: Batch):
@@ -143,7 +174,8 @@ class PPO:
         log_ratio = jnp.clip(log_prob - b.log_prob, -FAR, FAR)
         ratio = jnp.exp(log_ratio)
         # normalised in each minibatch: the step size does not depend on the scale of the reward
-        advantages = (b.advantages - b.advantages.mean()) / (b.advantages.std() + 1e-6)
+        mean, std = self.shards.moments(b.advantages)
+        advantages = (b.advantages - mean) / (std + 1e-6)
         surrogate = jnp.minimum(ratio * advantages, jnp.clip(ratio, 1 - c.clip, 1 + c.clip) * advantages).mean()
         value_loss = jnp.square(self.value(critic, b.obs, b.privileged_obs) - b.returns).mean()
         entropy = jnp.sum(log_sigma + 0.5 * np.log(2 * np.pi * np.e))
@@ -154,18 +186,18 @@ class PPO:
         """Does `epochs` passes over the batch. Returns ((actor, log_sigma, critic), optimiser's state, (losses, KL))."""
         c = self.config
         batch = jax.tree.map(lambda a: a.reshape((-1,) + a.shape[2:]), batch)  # of (T, B) rows; none needs its neighbour now
-        size = self.steps_per_iteration // c.minibatches
+        count = len(batch.value)  # rows of this device
 
         def minibatch(carry, rows):
             networks, opt_state = carry
             # one gradient for actor and critic, so that max_grad_norm bounds them together
             (loss, kl), grads = jax.value_and_grad(self.loss, has_aux=True)(networks, jax.tree.map(lambda a: a[rows], batch))
-            updates, opt_state = self.optimiser.update(grads, opt_state, networks)
+            updates, opt_state = self.optimiser.update(self.shards.mean(grads), opt_state, networks)
             return (optax.apply_updates(networks, updates), opt_state), (loss, kl)
 
         def epoch(carry, key):
-            order = jax.random.permutation(key, self.steps_per_iteration)
-            return jax.lax.scan(minibatch, carry, order.reshape(c.minibatches, size))
+            order = jax.random.permutation(key, count)
+            return jax.lax.scan(minibatch, carry, order.reshape(c.minibatches, -1))
 
         # keys follow from the iteration's number alone: a resumed run has the random draws of an uninterrupted one
         keys = jax.random.split(jax.random.fold_in(state.key, state.iteration + SHUFFLE), c.epochs)

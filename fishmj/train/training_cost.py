@@ -24,7 +24,7 @@ LEARNT = {  # the same in a water with a learnt force; on a GPU with the batch o
 ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of studies/training/NOTES.md
 
 
-def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
+def agree(settings: Settings, runs: int, *, together: bool, yes: bool, devices: int = 1) -> None:
     """Asks before a run of more than a week or more memory than there is; without a terminal it raises TooMuch.
 
     Raises:
@@ -33,12 +33,12 @@ def agree(settings: Settings, runs: int, *, together: bool, yes: bool) -> None:
     config = config_of(settings)
     if not (hasattr(config, "operations") and hasattr(config, "bytes")):
         return  # of the user's own: nobody knows what it does
-    need = config.bytes(widths(settings), settings.steps) * (runs if together else 1)
+    need = config.bytes(widths(settings), settings.steps) * (runs if together else 1) / devices
     sizes = f"{config.envs:,} fish that see {settings.task.get('memory', 1)} observations"
     less = "take fewer --envs, a shorter --memory"
     cost.memory("train", need, sizes, instead=less, flag="--yes", agreed=yes, there=_memory())
     what = f"{runs * settings.steps:,.4g} control steps by {settings.algo}"
-    cost.time("train", runs * seconds(settings), what, instead="take fewer --steps", flag="--yes", agreed=yes)
+    cost.time("train", runs * seconds(settings) / devices, what, instead="take fewer --steps", flag="--yes", agreed=yes)
 
 
 def seconds(settings: Settings) -> float:

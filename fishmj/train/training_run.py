@@ -218,6 +218,8 @@ def _until(step: int, assessed: int, text: str) -> list[str]:
 class TrainingRun:
     """Trains one policy. `TrainingRun(settings, folder).go()` returns the summary dict.
 
+    learner: as from `learner_of`, which may be on several devices; a run of one number of devices resumes on another, not to the
+        same bits.
     command: as it was typed, for the header of the policy; a resumed run keeps its first one. None: called from Python.
     begin: policy whose network is the start of a fresh run, with `settings` from `begin.begin_with`.
     stop_when: predicate on the figures of an `Assessment`; the run ends at the first best assessment that satisfies it.
@@ -237,6 +239,7 @@ class TrainingRun:
     ):
         self.settings, self.folder, self.quiet, self.command = settled(settings), Path(folder), quiet, command
         self.env, self.algorithm, self.assess = learner or learner_of(settings)
+        self.devices = getattr(self.algorithm, "devices", 1)
         self.stop_when = stop_when
         self.checkpoints = store.Checkpoints(self.folder / "checkpoints", keep=2)
         self.done, self.seconds = 0, 0.0
@@ -247,7 +250,7 @@ class TrainingRun:
         self._held: tuple[dict, dict] | None = None
         self._pace = 0.0  # s of the last iteration
         self._looked = False
-        self.bar = console.Progress(settings.steps, "train", "steps")
+        self.bar = console.Progress(settings.steps, f"train on {self.devices} devices" if self.devices > 1 else "train", "steps")
         if not quiet:
             if settings.engine == "auto" and pick_engine(settings) == "planar":
                 console.warn('numba is not installed: training on the slower engine planar; pip install "fishmj[fast]"')
@@ -259,6 +262,8 @@ class TrainingRun:
             raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
         elif begin is not None:
             self.training = begun(self.training, begin)
+        if self.devices > 1:
+            self.training = self.algorithm.place(self.training)
         self.bar.begun = self.done
         write_settings(self.settings, self.folder)
 
@@ -289,7 +294,7 @@ class TrainingRun:
                     saved = time.monotonic()
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
-        return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked))
+        return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked)) | {"devices": self.devices}
 
     def _is_good(self) -> bool:
         return self.best is not None and self.stop_when(self.best)
@@ -335,12 +340,13 @@ class TrainingRun:
                 self.checkpoints.save(newest, *held)
         if not newest:
             return f"nothing was learnt yet; {interrupt.again('start again')}"
-        return go_on(self.folder, newest, self.settings)
+        return go_on(self.folder, newest, self.settings, self.devices)
 
     def _look(self) -> tuple[dict, bool]:
         """Judges the present actor on the tuning flows: figures for the log, and True if it is the best so far."""
         self._looked = True
-        figures = self.assess(self.training.actor, jax.random.key(20_000))
+        actor = jax.device_get(self.training.actor)  # on several devices the assessment still takes one
+        figures = self.assess(actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
         better = is_better(figures, self.best, getattr(self.env, "own_reward", None) is not None)
         self.best = figures if better else self.best
@@ -348,7 +354,7 @@ class TrainingRun:
 
     def _export(self, name: str, figures: dict) -> None:
         meta = {"steps": self.done, "seconds": round(self.seconds, 1), **({"tune": figures} if figures else {})}
-        meta |= {"command": self.command}
+        meta |= {"command": self.command, **({"devices": self.devices} if self.devices > 1 else {})}
         export(self.algorithm.policy_layers(self.training.actor), self.settings, meta, self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:
@@ -434,9 +440,10 @@ def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best
     }
 
 
-def go_on(folder: Path, done: int, settings: Settings) -> str:
+def go_on(folder: Path, done: int, settings: Settings, devices: int = 1) -> str:
     """Text of an interrupted run: its state and the command that resumes it."""
     own = [word for pair in own_code(settings).items() for word in pair]  # which only a command line may name
+    own += ["--devices", str(devices)] if devices > 1 else []
     command = shlex.join(["fishmj", "train", "--resume", "--out", str(folder), *own])
     return f"{folder} holds the run up to step {done:,}; go on with: {command}"
 
@@ -450,8 +457,8 @@ def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> boo
     return best is None or rank(figures) >= rank(best)
 
 
-def learner_of(settings: Settings):
-    """Environment, algorithm and assessment, to be shared by runs that differ in their seed only."""
+def learner_of(settings: Settings, devices: int = 1):
+    """Environment, algorithm (on so many devices) and assessment, to be shared by runs that differ in their seed only."""
     env = environment(settings)
-    learner = algorithm(settings, env)
+    learner = algorithm(settings, env, devices)
     return env, learner, Assessment(environment(settings, "tune"), learner.act, settings.assess_episodes)

@@ -13,7 +13,6 @@ from fishmj.evaluate.experiments import MODULES, experiment_of
 from fishmj.evaluate.experiments import experiments_report as report
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
 from fishmj.evaluate.experiments.paper_experiment import ExperimentPart, ExperimentSetup, PaperExperiment
-from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
 from fishmj.mjcf.reading import load_robot
@@ -99,6 +98,8 @@ def setup_of(args) -> ExperimentSetup:
 def agree(setup: ExperimentSetup, seconds: float) -> None:
     """Asks before the flow solver takes a CPU too long for so many seconds of trials. Raises TooMuch."""
     if setup.solver is not None:
+        from fishmj.lbm_oracle.run import solver_cost
+
         work = [(level, seconds) for level in setup.solver.box.levels]
         solver_cost.agree("experiments", setup.device, work, instead="--quick, or the fitted water", tanks=setup.tanks)
 

@@ -26,7 +26,7 @@ Populations are stored as f_i - w_i, so that single precision resolves their sma
 
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.lattice import vec6, vec19
+from fishmj.lbm_oracle.fluid.in_kernels import vec6, vec19
 
 _CS2, _W1, _W2 = wp.constant(1.0 / 3.0), wp.constant(1.0 / 18.0), wp.constant(1.0 / 36.0)
 

@@ -11,7 +11,8 @@ sponge  the last `sponge` cells of an open face relax towards density 1 and the 
         sigma = sponge_rate (depth / sponge)^2
 
 A new face is one subclass of `Face` and its entry in `FACES`. `redirect` is called while the kernel's code is generated;
-`gain` and `complete` are Warp functions that the kernel names directly. A face that is not used therefore costs nothing.
+`gain` and `complete` name functions of `in_kernels`, which the kernel calls directly. A face that is not used therefore costs
+nothing.
 
 Sources: Ladd 1994, J. Fluid Mech. 271:285 (bounce-back); Poinsot and Lele 1992, J. Comput. Phys. 101:104 (characteristics);
 Israeli and Orszag 1981, J. Comput. Phys. 41:115 (sponge).
@@ -20,18 +21,15 @@ Israeli and Orszag 1981, J. Comput. Phys. 41:115 (sponge).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, NamedTuple
-
-import warp as wp
+from typing import NamedTuple
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked_name, shown_value
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
-from fishmj.lbm_oracle.fluid.lattice import CS, VELOCITIES, mirrored, opposite
+from fishmj.lbm_oracle.fluid.lattice import VELOCITIES, mirrored, opposite
 
 SPONGE, RATE = constant("oracle", "sponge"), constant("oracle", "sponge_rate")  # cells, 1
-_CS = wp.constant(CS)
 
 
 class Axis(NamedTuple):
@@ -46,7 +44,7 @@ class Source(NamedTuple):
 
     population: int
     stays: tuple[bool, bool, bool]  # axes along which it is taken from the node itself, not from its neighbour
-    gain: Any = None  # Warp function (6 w_i, c_i, u_wall): what it gains on the way
+    gain: str = ""  # function of in_kernels (6 w_i, c_i, u_wall): what it gains on the way
 
 
 class Face:
@@ -54,7 +52,7 @@ class Face:
 
     rank = 0  # of the faces that a population meets at once, in an edge of the box, the highest redirects it; 0: it does not
     wraps = False  # the node across is a neighbour
-    complete: Any = None  # Warp function (drho, u, u_in, n) -> drho, u of an outermost node of x or y, from its inner neighbour's
+    complete = ""  # function of in_kernels (drho, u, u_in, n) -> drho, u of an outermost node, from its inner neighbour's
 
     @staticmethod
     def check(boundaries: "Boundaries", axis: str) -> None:
@@ -103,12 +101,6 @@ class Wall(Face):
         return Source(opposite(i), (True, True, True))
 
 
-@wp.func
-def _dragged(six_w: float, c: wp.vec3, wall_velocity: wp.vec3):
-    """Momentum that a population takes from a sliding wall."""
-    return six_w * wp.dot(c, wall_velocity)
-
-
 class Moving(Face):
     """No-slip wall that slides in its own plane.
 
@@ -127,27 +119,13 @@ class Moving(Face):
     @staticmethod
     def redirect(i, axes):
         """Opposite population of the node itself, plus the momentum of the sliding wall."""
-        return Source(opposite(i), (True, True, True), _dragged)
-
-
-@wp.func
-def _characteristic(drho: float, u: wp.vec3, target: wp.vec3, n: wp.vec3):
-    """Density and velocity of an open node with outward normal n, computed from those of its inner neighbour."""
-    away = u - target
-    normal = wp.dot(away, n)
-    # the incoming wave is set to zero, not extrapolated: that returns a tenth of a pulse (docs/solver/method.md)
-    leaving = 0.5 * (_CS * drho + normal)
-    enters = wp.dot(target, n) < 0.0
-    more = wp.where(enters, leaving, leaving - normal)
-    for a in range(3):  # no branch, and number by number: rows.py makes vector instructions of it
-        u[a] = wp.where(enters, target[a], u[a]) + more * n[a]
-    return leaving / _CS, u
+        return Source(opposite(i), (True, True, True), "dragged")
 
 
 class Open(Face):
     """Open face with a sponge: the incoming sound wave is set to zero."""
 
-    complete = _characteristic
+    complete = "characteristic"
 
     @staticmethod
     def check(boundaries, axis):
@@ -236,12 +214,4 @@ def sources(faces: tuple[Axis, Axis, Axis], i: int) -> dict[int, Source]:
 
 def completes(axis: Axis) -> tuple[bool, bool]:
     """Returns, for the low and the high face of an axis, True if the face completes its nodes behind a sponge."""
-    return FACES[axis.low].complete is not None, FACES[axis.high].complete is not None
-
-
-@wp.func
-def ramp(low: bool, high: bool, position: int, size: int, width: int):
-    """Sponge ramp along one axis: 0 in the interior, up to 1 at the last node of a face with a sponge."""
-    depth = wp.max(wp.where(low, width - position, 0), wp.where(high, position - (size - 1 - width), 0))
-    s = wp.clamp(float(depth) / float(width), 0.0, 1.0)
-    return s * s
+    return bool(FACES[axis.low].complete), bool(FACES[axis.high].complete)

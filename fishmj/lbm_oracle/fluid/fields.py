@@ -9,8 +9,9 @@ import numpy as np
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, momentum, reconstruct, relaxed
+from fishmj.lbm_oracle.fluid.in_kernels import vec6, vec19, wrap
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
-from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec19, wrap
+from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.step import OPTIONS, Params, is_ghost, within
 from fishmj.lbm_oracle.fluid.storage import UNIT, peek, peek3, poke, poke3, six
 

@@ -28,8 +28,9 @@ from fishmj.lbm_oracle.fluid.guard import (
     numbers,
     whole_numbers,
 )
+from fishmj.lbm_oracle.fluid.in_kernels import vec19i
 from fishmj.lbm_oracle.fluid.inflow import inflow_of
-from fishmj.lbm_oracle.fluid.lattice import Lattice, Q, vec19i
+from fishmj.lbm_oracle.fluid.lattice import Lattice, Q
 from fishmj.lbm_oracle.fluid.pairs import split_by, stream_collide_pairs
 from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
 from fishmj.lbm_oracle.fluid.slabs import launch_slabs, record_slabs, slabs_for

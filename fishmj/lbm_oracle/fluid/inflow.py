@@ -6,7 +6,8 @@ U(x, t) = U_mean + u'(x - U_mean t)     trilinear in the periodic box; a gust is
 import numpy as np
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.lattice import Lattice, wrap
+from fishmj.lbm_oracle.fluid.in_kernels import wrap
+from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.water.flow import LENGTH, TICK, Flow, solenoidal_box, table_of
 
 STEADY, FROZEN, GUST = 0, 1, 2

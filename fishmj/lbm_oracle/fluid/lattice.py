@@ -14,7 +14,6 @@ an odd i is i + 1 and of an even i > 0 is i - 1.
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked, checked_array
@@ -30,11 +29,6 @@ CS = CS2**0.5
 
 VELOCITIES = np.array(C)  # (19, 3)
 WEIGHTS = np.array(W)  # (19,)
-
-vec19 = wp.types.vector(length=Q, dtype=wp.float32)
-vec6 = wp.types.vector(length=6, dtype=wp.float32)  # symmetric tensor: xx, yy, zz, xy, xz, yz
-vec6i = wp.types.vector(length=6, dtype=wp.int32)
-vec19i = wp.types.vector(length=Q, dtype=wp.int32)
 
 
 def index_of(c) -> int:
@@ -52,15 +46,6 @@ def mirrored(i: int, *axes: int) -> int:
     c = VELOCITIES[i].copy()
     c[list(axes)] *= -1
     return index_of(c)
-
-
-@wp.func
-def wrap(i: int, n: int) -> int:
-    """i modulo n in 0 .. n - 1, for negative i too: the place of a world node in memory."""
-    r = i % n
-    if r < 0:
-        r += n
-    return r
 
 
 @dataclass(frozen=True, kw_only=True)

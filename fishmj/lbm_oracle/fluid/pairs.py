@@ -13,9 +13,11 @@ from functools import cache
 
 import warp as wp
 
+from fishmj.lbm_oracle.fluid import in_kernels
 from fishmj.lbm_oracle.fluid.domain_faces import FACES, Source, completes, sources
+from fishmj.lbm_oracle.fluid.in_kernels import vec19
 from fishmj.lbm_oracle.fluid.inflow import Inflow
-from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec19
+from fishmj.lbm_oracle.fluid.lattice import C, Q, W
 from fishmj.lbm_oracle.fluid.step import (
     Faces,
     Params,
@@ -51,6 +53,7 @@ def split_by(divisor: int) -> tuple[int, int]:
 def pull_pair_through(faces: Faces, number: type):
     """Makes `step.pull_through` for the node `at` and the next one in memory, whose logical z is `next_z`."""
     redirected = [sources(faces, i) for i in range(Q)]
+    gain_of = lambda i, met: getattr(in_kernels, source(i, met).gain)
 
     def source(i: int, met: int) -> Source:
         return redirected[i].get(met, Source(i, (False, False, False)))
@@ -87,10 +90,10 @@ def pull_pair_through(faces: Faces, number: type):
                                 sx = wp.where(wp.static(source(i, way).stays[0]) and met == way, x0, sx)
                                 sy = wp.where(wp.static(source(i, way).stays[1]) and met == way, y0, sy)
                                 sz = wp.where(wp.static(source(i, way).stays[2]) and met == way, z0, sz)
-                            if wp.static(source(i, way).gain is not None):
+                            if wp.static(source(i, way).gain != ""):
                                 if met == way:
                                     c = wp.vec3(wp.static(float(C[i][0])), wp.static(float(C[i][1])), wp.static(float(C[i][2])))
-                                    gain = wp.static(source(i, way).gain)(wp.static(6.0 * W[i]), c, s.wall_velocity)
+                                    gain = wp.static(gain_of(i, way))(wp.static(6.0 * W[i]), c, s.wall_velocity)
                     if wp.static(C[i][2] == 0):
                         both = peek_pair(f, j + sx + sy + za)
                         a[i] = both[0]
@@ -99,7 +102,7 @@ def pull_pair_through(faces: Faces, number: type):
                         a[i] = peek(f, j + sx + sy + sz)
                     else:
                         b[i] = peek(f, j + sx + sy + sz)
-                    if wp.static(any(known.gain is not None for known in redirected[i].values())):
+                    if wp.static(any(known.gain for known in redirected[i].values())):
                         if wp.static(second == 0):
                             a[i] = a[i] + gain
                         if wp.static(second == 1 or C[i][2] == 0):

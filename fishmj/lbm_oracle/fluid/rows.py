@@ -13,10 +13,12 @@ from functools import cache
 
 import warp as wp
 
+from fishmj.lbm_oracle.fluid import in_kernels
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct, relaxed
-from fishmj.lbm_oracle.fluid.domain_faces import FACES, completes, ramp
+from fishmj.lbm_oracle.fluid.domain_faces import FACES, completes
+from fishmj.lbm_oracle.fluid.in_kernels import ramp, vec19, vec19i
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
-from fishmj.lbm_oracle.fluid.lattice import C, Q, vec19, vec19i
+from fishmj.lbm_oracle.fluid.lattice import C, Q
 from fishmj.lbm_oracle.fluid.step import (
     Faces,
     Params,
@@ -42,7 +44,7 @@ Velocities = wp.types.vector(length=3 * CELLS, dtype=wp.float32)
 def branchless_update_through(faces: Faces, subgrid: bool):
     """Makes `step.update_through` without a branch. `outer`: an open face with normal n completes the cell."""
     opened = any(any(completes(axis)) for axis in faces)
-    complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
+    complete = next((getattr(in_kernels, FACES[kind].complete) for axis in faces for kind in axis if FACES[kind].complete), None)
     blend = blend_through(subgrid)
 
     @wp.func

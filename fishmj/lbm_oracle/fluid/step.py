@@ -16,10 +16,12 @@ from functools import cache
 
 import warp as wp
 
+from fishmj.lbm_oracle.fluid import in_kernels
 from fishmj.lbm_oracle.fluid.collide import density, hybrid_stress, momentum, non_equilibrium_stress, reconstruct, relaxed, wale
-from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Source, completes, ramp, sources
+from fishmj.lbm_oracle.fluid.domain_faces import FACES, Axis, Source, completes, sources
+from fishmj.lbm_oracle.fluid.in_kernels import ramp, vec6, vec6i, vec19, vec19i
 from fishmj.lbm_oracle.fluid.inflow import Inflow, background
-from fishmj.lbm_oracle.fluid.lattice import C, Q, W, vec6, vec6i, vec19, vec19i
+from fishmj.lbm_oracle.fluid.lattice import C, Q, W
 from fishmj.lbm_oracle.fluid.storage import STORAGE, peek, peek3, poke, poke3, six, velocity_type
 
 OPTIONS = {"max_unroll": 32, "enable_backward": False}  # and quick roots and quotients on a GPU where there is an eddy viscosity
@@ -85,6 +87,7 @@ def is_ghost(s: Params, at: wp.vec3i):
 def pull_through(faces: Faces, number: type):
     """Makes the Warp function that streams: it returns f_i(x - c_i) of all populations, redirected at the faces."""
     redirected = [sources(faces, i) for i in range(Q)]
+    gain_of = lambda i, met: getattr(in_kernels, source(i, met).gain)
 
     def source(i: int, met: int) -> Source:
         return redirected[i].get(met, Source(i, (False, False, False)))
@@ -126,12 +129,12 @@ def pull_through(faces: Faces, number: type):
                             if wp.static(all(source(i, way).stays)):
                                 if met == way:
                                     sx, sy, sz, j = x0, y0, z0, wp.static(source(i, way).population)
-                            if wp.static(source(i, way).gain is not None):
+                            if wp.static(source(i, way).gain != ""):
                                 if met == way:
                                     c = wp.vec3(wp.static(float(C[i][0])), wp.static(float(C[i][1])), wp.static(float(C[i][2])))
-                                    gain = wp.static(source(i, way).gain)(wp.static(6.0 * W[i]), c, s.wall_velocity)
+                                    gain = wp.static(gain_of(i, way))(wp.static(6.0 * W[i]), c, s.wall_velocity)
             arrived = peek(f, j * n + sx + sy + sz)
-            if wp.static(any(known.gain is not None for known in redirected[i].values())):
+            if wp.static(any(known.gain for known in redirected[i].values())):
                 arrived += gain
             out[i] = arrived
         return out
@@ -142,7 +145,7 @@ def pull_through(faces: Faces, number: type):
 def leave_through(faces: Faces):
     """Makes two Warp functions for the faces on x and y that complete their nodes: the inner neighbour; the completed moments."""
     (low_x, high_x), (low_y, high_y), _ = (completes(axis) for axis in faces)
-    complete = next((FACES[kind].complete for axis in faces for kind in axis if FACES[kind].complete), None)
+    complete = next((getattr(in_kernels, FACES[kind].complete) for axis in faces for kind in axis if FACES[kind].complete), None)
 
     @wp.func
     def inward(s: Params, at: wp.vec3i):

@@ -14,7 +14,7 @@ speed at which a run is stopped; differences of two are exact. Without an eddy v
 import numpy as np
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.lattice import vec6i
+from fishmj.lbm_oracle.fluid.in_kernels import vec6i
 
 STORAGE = {"float32": wp.float32, "float16": wp.float16}
 VELOCITIES = (wp.vec3, wp.vec3s)

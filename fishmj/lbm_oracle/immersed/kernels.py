@@ -39,7 +39,8 @@ import numpy as np
 import warp as wp
 
 from fishmj.base.errors import UnknownName
-from fishmj.lbm_oracle.fluid.lattice import C, Q, wrap
+from fishmj.lbm_oracle.fluid.in_kernels import wrap
+from fishmj.lbm_oracle.fluid.lattice import C, Q
 from fishmj.lbm_oracle.fluid.storage import STORAGE, matrix3, peek, point3
 from fishmj.mjcf.geometry import Geometry
 

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from fishmj.lbm_oracle.fluid.lattice import Q, wrap
+from fishmj.lbm_oracle.fluid.in_kernels import wrap
+from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.storage import matrix3, point3
 from fishmj.lbm_oracle.immersed import fsi_solve
 from fishmj.lbm_oracle.immersed.boundary import Boundary

@@ -17,7 +17,7 @@ import warp as wp
 
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import write_json
-from fishmj.lbm_oracle.fluid.lattice import wrap
+from fishmj.lbm_oracle.fluid.in_kernels import wrap
 from fishmj.lbm_oracle.fluid.step import OPTIONS, Params
 from fishmj.lbm_oracle.output import vtk
 from fishmj.lbm_oracle.output.slice_plots import SlicePicture, outline

@@ -47,7 +47,8 @@ from typing import Any
 import warp as wp
 
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
-from fishmj.lbm_oracle.fluid.lattice import Q, vec6, vec6i, vec19
+from fishmj.lbm_oracle.fluid.in_kernels import vec6, vec6i, vec19
+from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.pairs import quotient
 from fishmj.lbm_oracle.fluid.step import within
 from fishmj.lbm_oracle.fluid.storage import VELOCITIES, peek, peek3, peek3_pair, peek_pair, poke, poke3, poke_end, six

@@ -18,8 +18,7 @@ from fishmj.base.options import checked_name
 from fishmj.base.units import wrap
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE, Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
-from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.refined.refined_fluid import RATIO
+from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
 
 TURN = 0.5  # rad/s, greatest rate at which the window's lead follows the heading
 LEAD = 0.15  # of the window's length: the fish sits this far behind the middle and leaves its wake the longer part

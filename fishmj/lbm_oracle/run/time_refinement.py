@@ -17,7 +17,8 @@ import warp as wp
 from fishmj.base.errors import OracleUnstable, SimDiverged
 from fishmj.lbm_oracle.fluid.collide import density, momentum, non_equilibrium_stress, reconstruct
 from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import Q, vec19
+from fishmj.lbm_oracle.fluid.in_kernels import vec19
+from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.storage import peek, peek3, poke, poke3
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid

@@ -1,0 +1,57 @@
+"""Training on several devices of one machine: each has an equal share of the fish, and all have the same networks.
+
+Each device draws its own random numbers and shuffles its own rows. Every update takes the mean gradient of all devices, so that
+the networks stay equal. On one device nothing changes, to the bit.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from fishmj.base.errors import ConfigError
+
+AXIS = "fish"
+EACH, ROWS, COLUMNS = PartitionSpec(), PartitionSpec(AXIS), PartitionSpec(None, AXIS)  # whole on each; (B, ..), (T, B, ..) split
+
+
+class Shards:
+    """First `count` devices of this machine. Raises ConfigError if there are fewer.
+
+    `mean`, `moments` and `own` belong inside the work that `split` runs, or on one device.
+    """
+
+    def __init__(self, count: int):
+        there = jax.local_devices()
+        if count > len(there):
+            seen = f"JAX sees {len(there)} ({there[0].device_kind})"
+            raise ConfigError(f"--devices {count}: {seen}; take at most so many, or change CUDA_VISIBLE_DEVICES")
+        self.count = count
+        self.mesh = Mesh(there[:count], (AXIS,))
+
+    def split(self, work: Callable, given: Any, returned: Any) -> Callable:
+        """`work` on every device with its share of the argument; `given` and `returned` are layouts."""
+        return jax.shard_map(work, mesh=self.mesh, in_specs=(given,), out_specs=returned, check_vma=False)
+
+    def place(self, tree: Any, layout: Any) -> Any:
+        """Tree, moved to the devices in this layout."""
+        # XLA returns an empty array whole; placed otherwise, it would make the second iteration compile again
+        where = lambda leaf, spec: NamedSharding(self.mesh, spec if leaf.size else EACH)
+        return jax.device_put(tree, jax.tree.map(where, tree, layout))
+
+    def own(self, key):
+        """Random key of this device."""
+        return jax.random.fold_in(key, jax.lax.axis_index(AXIS))
+
+    def mean(self, tree: Any) -> Any:
+        """Mean over the devices."""
+        return tree if self.count == 1 else jax.lax.pmean(tree, AXIS)
+
+    def moments(self, x) -> tuple[Any, Any]:
+        """Mean and standard deviation of the numbers of all devices."""
+        if self.count == 1:
+            return x.mean(), x.std()
+        mean, variance = jax.lax.all_gather(jnp.stack([x.mean(), x.var()]), AXIS).T
+        return mean.mean(), jnp.sqrt((variance + jnp.square(mean - mean.mean())).mean())
