@@ -15,7 +15,6 @@ SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
 EXAMPLES = """examples:
   fishmj train                                   a policy for your laptop; three to six minutes on two idle cores
   fishmj train --preset paper --engine planar    the paper's network on a GPU
-  fishmj train --preset paper --devices 2        on two GPUs
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --seeds 0,1,2 --ray auto          on a Ray cluster, a run on each worker; --resume goes on
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
@@ -58,7 +57,7 @@ def options() -> console.Parser:
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
     seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
-    devices = "GPUs of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
+    devices = "devices of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
     add("--devices", type=console.whole(1, 1024), default=1, metavar="N", help=devices)
     spread = f"train --seeds over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all machines share"
     add("--ray", type=console.text, metavar="ADDRESS", help=spread)
