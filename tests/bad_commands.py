@@ -8,6 +8,7 @@ a terminal a question, as quickly.
 import hashlib
 import json
 import math
+import re
 from pathlib import Path
 
 LINKS = (
@@ -23,6 +24,11 @@ TEXTS = {
     "lab.csv": "time,servo1\n0.00,1.5\n0.02,2.5\n0.04,3.5\n",
     "verdict.json": '{"answer": 42}\n',
 }
+
+
+def without_progress(err: str) -> list[str]:
+    """Lines of stderr that say something; a loaded machine adds those of a bar, after seconds that no test may count."""
+    return [line for line in re.split(r"[\r\n]+", err) if line.strip() and not re.search(r"\[[#? ]{10,}\]", line)]
 
 
 def _table(path: Path, head: str, rows: list[list[float]]) -> None:

@@ -5,7 +5,7 @@ import json
 import os
 
 import pytest
-from bad_commands import COMMANDS, prepare
+from bad_commands import COMMANDS, prepare, without_progress
 
 from fishmj import cli
 from fishmj.base import console
@@ -29,7 +29,7 @@ def test_a_mistyped_command_is_one_line(name, place, monkeypatch, capsys):
     before = listing(place)
     code = console.run(cli.dispatch, [*COMMANDS[name], "--json"])
     out, err = capsys.readouterr()
-    said = [line for line in err.splitlines() if line.strip()]
+    said = without_progress(err)
     assert code == console.BAD_INPUT, (COMMANDS[name], err)
     assert said and all(line.startswith("fishmj: ") for line in said) and "Traceback" not in err, err
     assert [line for line in said if not line.startswith("fishmj: device: ")] == said[-1:], err
