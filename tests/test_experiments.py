@@ -1,6 +1,7 @@
 """The paper's experiments: known answers of each, kept rows, and the command from end to end."""
 
 import json
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,8 @@ def test_experiment_runs_on_brief_trials_and_reports(name, tmp_path, monkeypatch
     assert found.compared and found.pictures and all(picture.startswith(b"\x89PNG") for picture, _ in found.pictures)
     page = experiments_report.page([experiments_report.FinishedExperiment(one, found, 1.0)], "station", ["here"])
     assert "the paper reports" in page and "Needs the real robot: " in page
+    used = set(re.findall(r'class="(left[2-9])', page))
+    assert "left4" in used and all(f".{name} td" in page for name in used), "columns of words stand to the left"
 
 
 def test_holm_adjusts_p_values_as_by_hand():
