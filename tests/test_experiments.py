@@ -1,6 +1,7 @@
 """The paper's experiments: known answers of each, kept rows, and the command from end to end."""
 
 import json
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,8 @@ def test_experiment_runs_on_brief_trials_and_reports(name, tmp_path, monkeypatch
     assert found.compared and found.pictures and all(picture.startswith(b"\x89PNG") for picture, _ in found.pictures)
     page = experiments_report.page([experiments_report.FinishedExperiment(one, found, 1.0)], "station", ["here"])
     assert "the paper reports" in page and "Needs the real robot: " in page
+    used = set(re.findall(r'class="(left[2-9])', page))
+    assert "left4" in used and all(f".{name} td" in page for name in used), "columns of words stand to the left"
 
 
 def test_holm_adjusts_p_values_as_by_hand():
@@ -197,13 +200,16 @@ def test_mirrored_trial_has_a_file_name_of_its_own_in_the_solver(tmp_path):
 
 
 @pytest.mark.slow
-def test_experiment_runs_in_the_flow_solver(tmp_path):
+@pytest.mark.parametrize("name", ["approach", "figure_eight", "flows", "saliency"])
+def test_experiment_runs_in_the_flow_solver(name, tmp_path):
+    """Other starts do not fit into the smallest box: the fish would touch its walls."""
     solver = PLAIN._replace(domain="laptop", dx=0.04)
-    setup = setup_of(tmp_path, seconds=1.0, solver=solver, device="cpu", policy="drift")
-    part = experiment_of("approach").parts(setup)[0]
-    row = part.run(lambda seconds: None)
-    assert len(row["t"]) == 6 and row["distance"][0][0] == pytest.approx(1.4, abs=1e-3)
-    assert len(list((tmp_path / "lbm").glob("*.npz"))) == 1
+    setup = setup_of(tmp_path, seconds=1.0, solver=solver, device="cpu")
+    row = experiment_of(name).parts(setup)[0].run(lambda seconds: None)
+    json.dumps(row, allow_nan=False)
+    assert list((tmp_path / "lbm").glob("*.npz"))
+    if name == "approach":
+        assert len(row["t"]) == 6 and row["distance"][0][0] == pytest.approx(1.4, abs=1e-3)
 
 
 def test_solver_without_a_gpu_is_asked_for_first(tmp_path, capsys, monkeypatch):
@@ -230,7 +236,8 @@ def test_training_of_a_variant_has_the_settings_of_the_command(tmp_path):
 
 
 def test_ablation_gathers_all_trainings_of_a_variant(tmp_path):
-    place = lambda x: {"return": [x, x + 2.0] * 3, "figures": {"arrival": [1.0] * 6}}
+    figures = {"arrival": [1.0] * 6, "rmse_after_arrival": [0.1, 0.2] * 3}
+    place = lambda x: {"return": [x, x + 2.0] * 3, "figures": figures}
     rows = {
         f"{name}, run {k}": {"trained": place(10.0 * i + k), "judged": place(5.0 * i)}
         for i, name in enumerate(input_ablation.VARIANTS)
@@ -239,6 +246,39 @@ def test_ablation_gathers_all_trainings_of_a_variant(tmp_path):
     assert input_ablation.gathered(rows, "complete", "trained", "return").mean() == pytest.approx(2.5)
     found = input_ablation.findings(setup_of(tmp_path), rows)
     assert found.compared[0].n == 12 and found.tables[0][1][0]["return"].startswith("+10.0")
+
+
+def variant_file(folder, name: str, hide=(), water: str = "structured") -> None:
+    """Policy file of a variant with weights that differ by name."""
+    random = np.random.default_rng(len(name))
+    layer = 0.3 * random.normal(size=(3, 11)), np.zeros(3)
+    Policy.of(in_water(load_robot("fish"), water), [layer], hide=hide).save(folder / f"{name}.safetensors")
+
+
+def test_ablation_judges_policies_of_a_folder_in_both_waters(tmp_path):
+    for name, changes in input_ablation.VARIANTS.items():
+        hide = changes.get("task", {}).get("hide", ())
+        water = "none" if name == "no friction calibration" else "structured"
+        variant_file(tmp_path, name.replace(" ", "-"), hide, water)
+    setup = setup_of(tmp_path, trained=tmp_path, seconds=30)
+    parts = input_ablation.parts(setup)
+    assert [part.key.split(",")[0] for part in parts] == list(input_ablation.VARIANTS)
+    row = parts[0].run(lambda seconds: None)
+    assert row["trained"] == row["judged"] and len(row["judged"]["return"]) == 8
+    other = parts[1].run(lambda seconds: None)
+    assert other["trained"]["return"] != other["judged"]["return"]
+    variant_file(tmp_path, "complete-1")
+    with pytest.raises(ConfigError, match="complete 2, no friction calibration 1"):
+        input_ablation.parts(setup)
+
+
+def test_ablation_refuses_a_policy_with_other_inputs(tmp_path):
+    setup = setup_of(tmp_path, trained=tmp_path)
+    with pytest.raises(ConfigError, match="no policy of the variant 'complete'"):
+        input_ablation.parts(setup)
+    variant_file(tmp_path, "complete", hide=("velocity",))
+    with pytest.raises(ConfigError, match="--hide velocity; expected nothing hidden"):
+        input_ablation.parts(setup)
 
 
 @pytest.mark.slow
@@ -259,20 +299,50 @@ def test_stages_are_trained_kept_and_not_trained_again(tmp_path, monkeypatch):
 def test_comparison_with_itself_finds_no_difference(tmp_path):
     setup = setup_of(tmp_path)
     row = controller_comparison.comparison_row(setup.judge("pd", setup.trials(), lambda s: None))
-    (same,) = controller_comparison.tested({"one": row, "other": row})["power"]
-    assert same["difference"] == "+0.000 (+0.000 +0.000)" and same["Welch p"] == 1.0 and same["pairs"] == 24
+    (same,) = controller_comparison.tested({"one": row, "other": row, "privileged": row, "drift": row})["power"]
+    assert same["difference (95 %)"] == "+0.000 (+0.000 +0.000)" and same["Welch p, Holm"] == 1.0 and same["pairs"] == 24
+    assert same["paired p, Holm"] == 1.0 and same["policy is"] == "not told apart"
     assert controller_comparison.paper_count("adrc-c2") == "70 of 72" and controller_comparison.paper_count("pd") == ""
     assert controller_comparison.paper_count("koopman") == "6 of 72" and controller_comparison.paper_count("koopman-flow") == ""
 
 
+def errors_row(**figures) -> dict:
+    """Row of a controller with figures of 8 trials; others do not vary."""
+    plain = dict.fromkeys(("rmse_after_arrival", "rmse_last20", "approach_time", "power"), [1.0] * 8)
+    return {"figures": plain | {key: list(values) for key, values in figures.items()}, "los": [0] * 8}
+
+
+SIGNS = np.array([1, -1] * 4)
+
+
+def test_policy_is_better_only_where_pairs_are_told_apart():
+    """Differences 0.01 to 0.08 exclude 0; signs that alternate do not; both rivals of a test count for Holm."""
+    steps = np.arange(1, 9) / 100
+    rows = {
+        "policy": errors_row(),
+        "worse": errors_row(rmse_after_arrival=1 + steps),
+        "less": errors_row(rmse_after_arrival=1 - steps),
+        "alike": errors_row(rmse_after_arrival=1 + steps * SIGNS),
+    }
+    found = controller_comparison.tested(rows)["rmse_after_arrival"]
+    assert [row["policy is"] for row in found] == ["better", "worse", "not told apart"]
+    least = 2 / (metrics.RESAMPLES + 1)
+    assert metrics.paired_p([1.0] * 8, 1 + steps) == pytest.approx(least), "no draw of one sign has another mean"
+    assert found[0]["paired p, Holm"] == pytest.approx(3 * least, rel=0.05)
+    assert np.isnan(metrics.paired_p([1.0] * 5, [2.0] * 5)), "five pairs never tell apart"
+    few = metrics.paired_p(np.zeros(8), steps * SIGNS)
+    assert (few < 0.05) == metrics.difference("rmse_after_arrival", np.zeros(8), steps * SIGNS).apart
+
+
 def test_gap_to_a_bound_is_closed_by_the_share_between():
-    errors = {"p": 0.3, "a": 0.5, "b": 0.7, "privileged": 0.1}
-    rows = {name: {"figures": {"rmse_after_arrival": [x] * 8}} for name, x in errors.items()}
-    found = controller_comparison.gap_closed(rows)
-    assert (found.value, found.low, found.high, found.n) == pytest.approx((0.5, 0.5, 0.5, 8)) and "(a)" in found.what
+    errors = {"p": 0.3, "a": 0.5, "b": 0.7, "privileged": 0.1, "drift": 0.2}
+    rows = {name: errors_row(rmse_after_arrival=[x] * 8, rmse_last20=[2 * x] * 8) for name, x in errors.items()}
+    for key in controller_comparison.DECIDING:
+        found = controller_comparison.gap_closed(rows, key)
+        assert (found.value, found.low, found.high, found.n) == pytest.approx((0.5, 0.5, 0.5, 8)) and " a " in found.what
     for name in ("a", "b"):
         rows[name]["figures"]["rmse_after_arrival"] = [0.0, 0.2] * 4  # no worse than the bound
-    assert controller_comparison.gap_closed(rows).measured.startswith("no gap")
+    assert controller_comparison.gap_closed(rows, "rmse_after_arrival").measured.startswith("no gap")
 
 
 def test_findings_have_value_interval_and_number_of_trials():
@@ -341,6 +411,7 @@ def test_command_lists_all_experiments_with_their_cost(capsys):
     [
         (["aproach"], "Did you mean 'approach'"),
         (["approach", "--reference"], "of --water lbm only"),
+        (["ablations", "--trained", "no_such_folder"], "no policy of the variant 'complete'"),
         (["approach", "--water", "hybrid"], "experiments swims in"),
         (["approach", "--policy", "statoin"], "station"),
     ],

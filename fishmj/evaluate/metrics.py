@@ -307,6 +307,19 @@ def difference(key: str, a, b) -> PairedDifference:
     return PairedDifference(key, value, low, high, len(a), float(t), float(p))
 
 
+def paired_p(a, b) -> float:
+    """Two-sided p value of the paired bootstrap that a and b (n,) have one mean; NaN for fewer than `APART` pairs.
+
+    It is below 1 - `LEVEL` where the interval of `difference` excludes 0, up to one draw. Its least value is 2 / (RESAMPLES + 1).
+    """
+    off = np.asarray(b, float) - np.asarray(a, float)
+    off = off[np.isfinite(off)]
+    if len(off) < APART:
+        return float("nan")
+    means = _resampled(off).mean(-1)
+    return min(1.0, 2 * (1 + min(np.sum(means <= 0), np.sum(means >= 0))) / (RESAMPLES + 1))
+
+
 def holm(p) -> np.ndarray:
     """P values (m,) adjusted for m tests by Holm's step-down method; NaN where a test has none, which counts as no test."""
     p = np.asarray(p, float)

@@ -136,6 +136,15 @@ def _ceiling(found, key: str, results) -> float:
     return 1.08 * float(np.nanmax(tops)) if np.isfinite(tops).any() else 1.0
 
 
+def plain_ticks(axis) -> None:
+    """Labels a logarithmic axis (`axes.xaxis`, `axes.yaxis`) with decimal numbers at 1, 2 and 5 of each decade."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
 def polar(axis):
     """Sets the axis: upstream up, angles as LOS."""
     axis.set_theta_zero_location("N")

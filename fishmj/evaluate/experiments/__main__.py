@@ -25,6 +25,7 @@ EXAMPLES = f"""examples:
   fishmj experiments                              the list, with the cost of each
   fishmj experiments approach --quick             one experiment, few trials
   fishmj experiments all --policy runs/quick-ppo-0 --out runs/mine
+  fishmj experiments ablations --trained runs/ablation      policies that fishmj train made
   fishmj experiments approach comparison --water lbm --reference --tanks 24 --device cuda
 
 Rows are kept in --out as they are made: the same command continues after Ctrl-C. Default --out {OUT}.
@@ -46,6 +47,8 @@ def options() -> console.Parser:
     place = "of --water lbm: auto, cpu, cuda, cuda:N or cuda:all; default auto"
     add("--device", type=console.devices, default="auto", help=place)
     add("--tanks", type=console.whole(1, 256), default=1, help="trials of --water lbm side by side on each device; default 1")
+    trained = "folder of policies that ablations judges in place of its own trainings: complete, no-self-velocity, .."
+    add("--trained", type=console.path, metavar="DIR", help=trained)
     add("--seed", type=console.SEED, default=0, help="of all draws")
     add("--out", type=console.out_folder, default=OUT, metavar="DIR", help="folder of rows and report.html")
     return parser
@@ -62,7 +65,8 @@ def main(argv: list[str]) -> int:
         return console.OK
     names = possible(setup) if ALL in args.names else args.names
     parts = [(name, part) for name in names for part in experiment_of(name).parts(setup)]
-    agree(setup, sum(part.seconds for name, part in parts if name not in TRAINED))
+    trains = TRAINED if setup.trained is None else TRAINED[:1]
+    agree(setup, sum(part.seconds for name, part in parts if name not in trains))
     kept = {name: ExperimentRows(args.out, name, identity_of(setup)) for name in MODULES}
     told = [condition(setup), *getattr(setup.brain, "notes", ())]
     console.say(f"water: {told[0]}")
@@ -92,7 +96,7 @@ def setup_of(args) -> ExperimentSetup:
         raise ConfigError("experiments: --reference: of --water lbm only; leave it out, or add it")
     solver = (JUDGING if args.reference else PLAIN) if solved else None
     common = {"robot": water.robot, "policy": args.policy, "seed": args.seed, "quick": args.quick, "out": Path(args.out)}
-    return ExperimentSetup(**common, solver=solver, device=args.device, tanks=args.tanks)
+    return ExperimentSetup(**common, solver=solver, device=args.device, tanks=args.tanks, trained=args.trained)
 
 
 def agree(setup: ExperimentSetup, seconds: float) -> None:

@@ -25,20 +25,23 @@ from fishmj.evaluate.experiments.paper_experiment import (
     series_row,
 )
 from fishmj.evaluate.metrics import Result
-from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, STYLE, polar, radar_figure
+from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, LOGARITHMIC, RADAR, STYLE, plain_ticks, polar, radar_figure
 from fishmj.evaluate.run_trials import OF_A_TRIAL
 
-KEYS = {"rmse_after_arrival": "m", "rmse_last20": "m", "approach_time": "s", "power": "W"}  # that are tested
+KEYS = {"rmse_after_arrival": "m", "rmse_last20": "m", "approach_time": "s", "power": "W"}  # that are tested; less is better
+DECIDING = {"rmse_after_arrival": "RMSE after arrival", "rmse_last20": "RMSE of the last 20 s"}  # of "better": the first decides
 PAPER = {"koopman": "arrival_koopman", "mpc": "arrival_mpc", "rl": "arrival_rl"}  # name -> key of the paper's count
-BOUND = "privileged"  # a controller that is told the flow: a bound, no rival
+BOUND, PASSIVE = "privileged", "drift"  # told the flow: a bound; joints at zero: neither is a rival
+ON_RADAR = ("adrc-c1", "koopman", "mpc")  # of the paper, beside the policy and the best rival
+SIGNIFICANT = 0.05
 SAMPLE, UNTIL, SECTOR = 0.5, 30.0, 10  # s between samples of a curve, s of it, deg of a histogram
 SIDES = {"target upstream": 1, "target downstream": -1}
 
 
 def controllers(setup: ExperimentSetup) -> list[str]:
     """Policy and every baseline, as the user names them; the passive fish last."""
-    names = [name for name in control.NAMES if name not in ("drift", setup.policy)]
-    return [setup.policy, *names, "drift"]
+    names = [name for name in control.NAMES if name not in (PASSIVE, setup.policy)]
+    return [setup.policy, *names, PASSIVE]
 
 
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
@@ -70,86 +73,124 @@ def comparison_row(result: Result) -> Row:
     return row
 
 
-def paper_count(name: str) -> str:
-    """Arrivals of a controller in the paper, as text; empty for one that it does not have."""
+def paper_count(name: str, ours: bool = False) -> str:
+    """Arrivals of a controller, or of the paper's policy, in the paper, as text; empty for one that it does not have."""
+    if ours:
+        return f"{constant('results', 'arrival_ours')} of 72"
     if name.startswith("adrc-c"):
         return f"{constant('results', 'arrival_adrc')[int(name[-1]) - 1]} of 72"
     return f"{constant('results', PAPER[name])} of 72" if name in PAPER else ""
 
 
+def rivals_of(rows: dict[str, Row]) -> list[str]:
+    """Names of the controllers with the paper's information, without the first, which is compared with them."""
+    return [name for name in list(rows)[1:] if name not in (BOUND, PASSIVE)]
+
+
+def best_rival(rows: dict[str, Row], key: str = "rmse_after_arrival") -> str:
+    """Name of the rival with the least mean of a figure."""
+    return min(rivals_of(rows), key=lambda name: np.nan_to_num(read(rows[name]["figures"][key]).mean(), nan=np.inf))
+
+
 def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings:
-    """Arrivals, RMSE, power, and the tests of the policy against every other controller."""
-    (leader, first), *others = rows.items()
-    paper = lambda key: f"{constant('results', key)} {'m' if key.startswith('rmse') else 'of 72'}"
-    rmse = {"adrc-c1": paper("rmse_adrc"), "rl": paper("rmse_rl"), leader: paper("rmse_ours")}
-    found = []
-    for name, row in rows.items():
-        mine = row["figures"]
-        found.append(counted(f"arrival, {name}", paper("arrival_ours") if row is first else paper_count(name), mine["arrival"]))
-        found.append(compared(f"RMSE after arrival, {name}", rmse.get(name, ""), mine["rmse_after_arrival"], "m"))
-        found.append(compared(f"power, {name}", "", mine["power"], "W", digits=2))
-    tests = tested(rows)
-    for name, _ in others:
-        if said := {"adrc-c3": "p_adrc_c3", "koopman": "p_koopman"}.get(name):
-            p = next(row["Holm p"] for row in tests["power"] if row["controller"] == name)
-            found.append(PaperFinding(f"power against {name}, p", f"{constant('power', said)}", f"{p}", n=len(first["los"])))
-    apart = [row["Holm p"] < 0.001 for row in tests["rmse_after_arrival"] if row["Holm p"] is not None]
-    worse = f"{sum(apart)} of {len(apart)}"
-    found.append(PaperFinding("controllers that differ in RMSE with p < 0.001", "all", worse, n=len(first["los"])))
+    """Figures of the paper, controllers that the policy is better than, and the tests of both."""
+    leader, first = next(iter(rows.items()))
+    tests, found = tested(rows), []
+    for key, what in DECIDING.items():
+        better, worse = (sum(row["policy is"] == said for row in tests[key]) for said in ("better", "worse"))
+        text = f"better {better}, worse {worse}, of {len(tests[key])}"
+        found.append(PaperFinding(f"{what}: rivals", "better than all", text, better, n=len(first["los"])))
     if BOUND in rows:
-        found.append(gap_closed(rows))
+        found += [gap_closed(rows, key) for key in DECIDING]
+    for name, row in rows.items():
+        if said := paper_count(name, row is first):
+            found.append(counted(f"arrival, {name}", said, row["figures"]["arrival"]))
+    errors = lambda name: rows[name]["figures"]["rmse_after_arrival"]
+    for name, key in ((leader, "rmse_ours"), ("adrc-c1", "rmse_adrc"), ("rl", "rmse_rl")):
+        if name in rows:
+            found.append(compared(f"RMSE after arrival, {name}", f"{constant('results', key)} m", errors(name), "m"))
+    for name, key in (("adrc-c3", "p_adrc_c3"), ("koopman", "p_koopman")):
+        for p in [row["Welch p, Holm"] for row in tests["power"] if row["controller"] == name]:
+            found.append(
+                PaperFinding(f"power against {name}, Welch's p", f"{constant('power', key)}", f"{p}", n=len(first["los"]))
+            )
+    apart = [row["Welch p, Holm"] < 0.001 for row in tests["rmse_after_arrival"] if row["Welch p, Holm"] is not None]
+    worse = f"{sum(apart)} of {len(apart)}"
+    found.append(PaperFinding("rivals that differ in RMSE, Welch's p < 0.001", "all", worse, n=len(first["los"])))
     lacks = [name for name in PAPER if name not in rows]
     notes = [f"No controller of this name here, so not compared: {', '.join(lacks)}."] if lacks else []
-    title = f"minus {leader}, paired bootstrap (95 %), Welch's p and Holm's over the controllers; * = excludes 0"
-    tables = [(f"{key} [{KEYS[key]}] {title}", table) for key, table in tests.items()]
-    spread = lambda row: {f"{side}, spread [deg]": row["spread"][side] for side in SIDES}
-    attitude = [{"controller": name} | spread(row) for name, row in rows.items()]
-    tables.append(("Spread of the heading, 30 to 60 s", attitude))
+    notes.append(
+        f"{leader} is better than a rival if its figure is less and the paired bootstrap tells them apart, with p below "
+        f"{SIGNIFICANT:g} after Holm over the {len(rivals_of(rows))} rivals. RMSE after arrival decides. Rivals have the same "
+        f"observations; {BOUND} is told the flow, {PASSIVE} does nothing."
+    )
+    tables = [("Controllers", listed(rows)), *((f"{key} [{KEYS[key]}], controller minus {leader}", tests[key]) for key in KEYS)]
     shown = [
+        (bars(rows), "Arrival, both RMSE and power with 95 % intervals."),
         (curves(rows), "Distance to the target: all trials, and the median."),
         (tracks(rows), "Tracks at 0.2 m/s from four diagonals, seen from the target; the water flows down the page."),
-        (bars(rows), "Arrival, RMSE after arrival and power with 95 % intervals."),
         (radars(setup, rows), "Means over repeats, by direction of the target and flow speed; upstream is up."),
-        (attitudes(rows), "Share of time of beat-averaged headings, 30 to 60 s; upstream is up."),
+        (maps(rows), "The same of every controller: a column is a direction of the target, counted from upstream."),
+        (attitudes(rows), "Share of time of beat-averaged headings, 30 to 60 s, and their spread; upstream is up."),
     ]
     return ExperimentFindings(found, shown, tables, notes)
 
 
-def gap_closed(rows: dict[str, Row]) -> PaperFinding:
-    """Share of the gap between the best rival and the bound that the policy closes, by RMSE after arrival; paired bootstrap.
+def listed(rows: dict[str, Row]) -> list[dict[str, Any]]:
+    """Figures of every controller with their intervals, arrivals of the paper, and spread of the heading by side."""
+    table = []
+    for k, (name, row) in enumerate(rows.items()):
+        mine, digits = row["figures"], {"approach_time": 1, "power": 2}
+        line = {"controller": name, "arrival": counted("", "", mine["arrival"]).measured, "paper": paper_count(name, k == 0)}
+        for key, unit in KEYS.items():
+            one = compared("", "", mine[key], digits=digits.get(key, 3), median=key == "approach_time")
+            line[f"{DECIDING.get(key, key.replace('_', ' '))} [{unit}]"] = one.measured
+        table.append(line | {f"heading's spread, {side} [deg]": row["spread"][side] for side in SIDES})
+    return table
+
+
+def gap_closed(rows: dict[str, Row], key: str) -> PaperFinding:
+    """Share of the gap between the best rival and the bound that the policy closes, by one figure; paired bootstrap.
 
     None where the rival cannot be told from the bound: a share of a gap of about zero means nothing.
     """
-    leader = next(iter(rows))
-    errors = {name: read(row["figures"]["rmse_after_arrival"]) for name, row in rows.items()}
-    best = min((name for name in rows if name not in (leader, BOUND)), key=lambda name: errors[name].mean())
+    leader, best = next(iter(rows)), best_rival(rows, key)
+    three = [read(rows[name]["figures"][key]) for name in (best, leader, BOUND)]
+    both = np.isfinite(three).all(0)
+    three, n = [x[both] for x in three], int(both.sum())
+    what = f"{DECIDING[key]}: share of the gap from {best} to {BOUND} that is closed"
+    if why := metrics.too_few(n):
+        return PaperFinding(what, "", why, n=n)
     share = lambda rival, ours, bound, axis=-1: (rival.mean(axis) - ours.mean(axis)) / (rival.mean(axis) - bound.mean(axis))
-    three, n = (errors[best], errors[leader], errors[BOUND]), len(errors[leader])
     draws = np.random.default_rng(metrics.SEED).integers(n, size=(metrics.RESAMPLES, n))
-    what = f"share of the gap from the best rival ({best}) to {BOUND} that is closed"
-    if np.quantile(errors[best][draws].mean(-1) - errors[BOUND][draws].mean(-1), 0.025) <= 0:
-        return PaperFinding(what, "", f"no gap: {best} and {BOUND} differ by less than their scatter", n=n)
+    if np.quantile(three[0][draws].mean(-1) - three[2][draws].mean(-1), 0.025) <= 0:
+        means = f"{three[0].mean():.3f} and {three[2].mean():.3f} m, {leader} {three[1].mean():.3f} m"
+        return PaperFinding(what, "", f"no gap within the scatter: {means}", n=n)
     low, high = np.quantile(share(*(x[draws] for x in three)), [0.025, 0.975])
     return PaperFinding(what, "", f"{share(*three):.2f} ({low:.2f} {high:.2f})", float(share(*three)), float(low), float(high), n)
 
 
 def tested(rows: dict[str, Row]) -> dict[str, list[dict[str, Any]]]:
-    """Rows of tests for each figure: every controller against the first, p values adjusted over the controllers."""
-    (_, first), *every = rows.items()
-    others = [(name, row) for name, row in every if name != BOUND]
+    """Rows of tests for each figure: every rival against the first, p values adjusted over the rivals."""
+    first, others = next(iter(rows.values())), rivals_of(rows)
+    shown = lambda p: float(f"{p:.2g}") if np.isfinite(p) else None
     tables = {}
     for key in KEYS:
-        each = [metrics.difference(key, read(first["figures"][key]), read(row["figures"][key])) for _, row in others]
-        adjusted = metrics.holm([d.welch_p for d in each])
+        pairs = [(read(first["figures"][key]), read(rows[name]["figures"][key])) for name in others]
+        each = [metrics.difference(key, *pair) for pair in pairs]
+        paired = metrics.holm([metrics.paired_p(*pair) for pair in pairs])
+        welch = metrics.holm([d.welch_p for d in each])
+        sides = lambda d, p: "not told apart" if not p < SIGNIFICANT else "better" if d.value > 0 else "worse"
         tables[key] = [
             {
                 "controller": name,
-                "difference": d.text(),
+                "difference (95 %)": d.text(),
                 "pairs": d.n,
-                "Welch p": float(f"{d.welch_p:.2g}") if np.isfinite(d.welch_p) else None,
-                "Holm p": float(f"{p:.2g}") if np.isfinite(p) else None,
+                "paired p, Holm": shown(p),
+                "Welch p, Holm": shown(w),
+                "policy is": sides(d, p),
             }
-            for (name, _), d, p in zip(others, each, adjusted, strict=True)
+            for name, d, p, w in zip(others, each, paired, welch, strict=True)
         ]
     return tables
 
@@ -166,8 +207,9 @@ def curves(rows: dict[str, Row]) -> bytes:
         axis.plot(t, distance.T, color=colour, linewidth=0.4, alpha=0.4)
         axis.plot(t, np.median(distance, 0), color=colour, linewidth=2.2)
         axis.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
-        axis.set(title=drawn(name), ylim=(0, 2.5), xlabel="time [s]")
-    axes[0, 0].set_ylabel("distance [m]")
+        axis.set(title=drawn(name), ylim=(0, 2.5))
+    figure.supxlabel("time [s]")
+    figure.supylabel("distance [m]")
     return png(figure)
 
 
@@ -190,16 +232,20 @@ def tracks(rows: dict[str, Row]) -> bytes:
 
 @style(STYLE)
 def bars(rows: dict[str, Row]) -> bytes:
-    """Arrival, RMSE after arrival and power of every controller."""
-    keys = ("arrival", "rmse_after_arrival", "power")
-    figure, axes = canvas(1, len(keys), (13, 0.34 * len(rows) + 1.2), sharey=True)
+    """Arrival, RMSE and power of every controller."""
+    keys = ("arrival", *DECIDING, "power")
+    figure, axes = canvas(1, len(keys), (14, 0.34 * len(rows) + 1.2), sharey=True)
     place = -np.arange(len(rows))
     for axis, key in zip(axes[0], keys, strict=True):
         some = [metrics.estimate("", read(row["figures"][key])) for row in rows.values()]
         middle = np.array([e.value for e in some])
         ends = np.nan_to_num(np.abs(np.array([[e.low, e.high] for e in some]).T - middle))
-        axis.errorbar(middle, place, xerr=ends, fmt="o", color=COLOURS[0], capsize=3)
-        axis.set(xlabel=f"{key.replace('_', ' ')} [{metrics.UNITS[key]}]", xscale="log" if KEYS.get(key) == "m" else "linear")
+        axis.errorbar(middle[1:], place[1:], xerr=ends[:, 1:], fmt="o", color=COLOURS[0], capsize=3)
+        axis.errorbar(middle[:1], place[:1], xerr=ends[:, :1], fmt="o", color=COLOURS[1], capsize=3)
+        axis.set(xlabel=f"{DECIDING.get(key, key)} [{'share' if key == 'arrival' else metrics.UNITS[key]}]")
+        if key in DECIDING:
+            axis.set_xscale("log")
+            plain_ticks(axis.xaxis)
         axis.set_yticks(place, labels=[drawn(name) for name in rows])
         axis.grid(axis="x", color=FAINT, linewidth=0.6)
     return png(figure)
@@ -217,24 +263,65 @@ def known_result(setup: ExperimentSetup, name: str, row: Row) -> Result:
 
 @style(STYLE)
 def radars(setup: ExperimentSetup, rows: dict[str, Row]) -> bytes:
-    """Radar plots of `fishmj evaluate --plots`."""
-    return png(radar_figure([known_result(setup, name, row) for name, row in rows.items()]), **AROUND)
+    """Radar plots of `fishmj evaluate --plots`, of the policy, the best rival and three of the paper."""
+    names = [name for name in dict.fromkeys((next(iter(rows)), best_rival(rows), *ON_RADAR)) if name in rows]
+    return png(radar_figure([known_result(setup, name, rows[name]) for name in names]), **AROUND)
+
+
+@style(STYLE)
+def maps(rows: dict[str, Row]) -> bytes:
+    """Means over repeats of the figures of the radar: rows controllers, columns directions at each speed."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    first = next(iter(rows.values()))
+    speed, los = read(first["speed"]), np.array(first["los"]) % 360
+    cells = [(u, b) for u in np.unique(speed) for b in np.unique(los)]
+    figure, axes = canvas(1, len(RADAR), (15, 0.3 * len(rows) + 1.8), sharey=True)
+    for axis, (key, title) in zip(axes[0], RADAR, strict=True):
+        values = np.array(
+            [[_mean(read(row["figures"][key])[(speed == u) & (los == b)]) for u, b in cells] for row in rows.values()]
+        )
+        some = values[np.isfinite(values)]
+        norm = (LogNorm if key in LOGARITHMIC else Normalize)(*((some.min(), some.max()) if len(some) else (0.1, 1.0)))
+        seen = axis.imshow(values, aspect="auto", cmap="viridis", norm=norm)
+        bar = figure.colorbar(seen, ax=axis, location="top", label=title)
+        if key in LOGARITHMIC:
+            plain_ticks(bar.ax.xaxis)
+        axis.set_facecolor(FAINT)
+        axis.set_yticks(range(len(rows)), labels=[drawn(name) for name in rows])
+        every, wide = np.unique(speed), len(np.unique(los))
+        axis.set_xticks((np.arange(len(every)) + 0.5) * wide - 0.5, labels=[f"{u:g} m/s\n0 to 315°" for u in every])
+        for k in range(1, len(every)):
+            axis.axvline(k * wide - 0.5, color="white", linewidth=2)
+    return png(figure)
+
+
+def _mean(x: np.ndarray) -> float:
+    """Mean of the trials that have the figure; NaN, drawn grey, if none has."""
+    return float(np.mean(x[np.isfinite(x)])) if np.isfinite(x).any() else float("nan")
 
 
 @style(STYLE)
 def attitudes(rows: dict[str, Row]) -> bytes:
-    """Polar histograms of headings: rows sides of the target, columns controllers."""
-    figure, axes = canvas(len(SIDES), len(rows), (2.6 * len(rows), 6.4), subplot_kw={"projection": "polar"})
-    angle = np.radians(np.arange(-180, 180, SECTOR) + SECTOR / 2)
-    for column, ((name, row), colour) in enumerate(zip(rows.items(), COLOURS * 3, strict=False)):
-        for line, side in enumerate(SIDES):
-            axis = polar(axes[line, column])
-            axis.bar(angle, np.sqrt(read(row["headings"][side])), width=np.radians(SECTOR - 1), color=colour, linewidth=0)
-            axis.set(ylim=(0, 1))
-            axis.set_yticks(np.sqrt([0.1, 0.4, 0.9]), labels=["10 %", "40 %", "90 %"])
-            spread = "-" if row["spread"][side] is None else f"{row['spread'][side]:.0f}"
-            axis.set_title(f"{drawn(name)}\n{side}\nspread {spread} deg", fontsize=9)
-            axis.set_xticklabels([])
+    """Polar histograms of headings, one panel for each controller; filled and outlined: sides of the target."""
+    wide = 5
+    high = -(-len(rows) // wide)
+    figure, axes = canvas(high, wide, (14, 3.1 * high + 0.4), subplot_kw={"projection": "polar"})
+    for axis in axes.ravel()[len(rows) :]:
+        axis.set_axis_off()
+    angle, width = np.radians(np.arange(-180, 180, SECTOR) + SECTOR / 2), np.radians(SECTOR)
+    above, below = SIDES
+    for axis, (name, row) in zip(axes.ravel(), rows.items(), strict=False):
+        polar(axis)
+        share = {side: np.sqrt(np.nan_to_num(read(row["headings"][side]))) for side in SIDES}
+        axis.bar(angle, share[above], width=width, color=COLOURS[0], alpha=0.6, linewidth=0, label=above)
+        edge = np.append(np.repeat(share[below], 2), share[below][0])
+        axis.plot(np.radians(np.repeat(np.arange(-180, 181, SECTOR), 2)[1:]), edge, color=COLOURS[1], linewidth=1.4, label=below)
+        axis.set(ylim=(0, 1), xticklabels=["up", *[""] * 7])
+        axis.set_yticks(np.sqrt([0.1, 0.4, 0.9]), labels=["10 %", "40 %", "90 %"])
+        spread = ", ".join("-" if x is None else f"{x:.0f}°" for x in row["spread"].values())
+        axis.set_title(f"{drawn(name)}\nspread {spread}", fontsize=10)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     return png(figure)
 
 

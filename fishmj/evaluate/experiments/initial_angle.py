@@ -80,7 +80,9 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
     found.append(compared("distance between mirrored tracks, RMS", "symmetric", off, "m"))
     apart = read(rows["calm"]["figures"]["settling_time"]) - read(rows["mirrored"]["figures"]["settling_time"])
     found.append(compared("settling time, mirrored pairs", "symmetric", apart, "s"))
-    return ExperimentFindings(found, [(picture(row), "Distance to the target, and tracks seen from it; upstream is up.")])
+    return ExperimentFindings(
+        found, [(picture(row), "Distance to the target, and tracks seen from it, from the dot to the crosses; upstream is up.")]
+    )
 
 
 @style(STYLE)
@@ -97,8 +99,9 @@ def picture(row: Row) -> bytes:
         above.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
         above.set(title=f"{angle:d} deg", xlabel="time [s]", ylim=(0, None), ylabel="distance [m]" if k == 0 else "")
         below.plot(-read(row["side"])[some].T, read(row["upstream"])[some].T, color=colour, linewidth=0.8, alpha=0.7)
-        below.plot(0, 0, "x", color=INK, markersize=9)
-        below.set(xlim=(-1, 1), ylim=(-1.2, 0.8), aspect="equal", xlabel="right [m]", ylabel="upstream [m]" if k == 0 else "")
+        below.plot(0, 0, "o", color=INK, markersize=5)
+        below.plot(-read(row["side"])[some, -1], read(row["upstream"])[some, -1], "x", color=INK, markersize=6)
+        below.set(xlim=(-1, 1), ylim=(-1.6, 0.4), aspect="equal", xlabel="right [m]", ylabel="upstream [m]" if k == 0 else "")
     return png(figure)
 
 

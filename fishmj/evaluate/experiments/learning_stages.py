@@ -25,6 +25,7 @@ from fishmj.evaluate.plots import COLOURS, INK, STYLE
 from fishmj.train.settings import Settings
 
 STAGES = {"S1": 50_000, "S2": 450_000}  # control steps; S3 is the end
+EARLY = 5.0  # s, in which a fish that cannot swim is carried a metre
 
 
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
@@ -62,6 +63,11 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
         found.append(counted(f"arrival, {stage}", said[stage], np.concatenate([read(one["arrival"]) for one in each])))
         last = np.concatenate([read(one["rmse_last20"]) for one in each])
         found.append(compared(f"RMSE of the last 20 s, {stage}", said[stage], last, "m"))
+    table = [
+        {"stage": stage, "target": side} | actions([row["stages"][stage] for row in rows.values()], los)
+        for stage in first["stages"]
+        for side, los in SIDES.items()
+    ]
     total = int(max(row["curve"]["step"][-1] for row in rows.values()))
     notes = [
         f"{len(rows)} runs of {total:,} control steps; the paper's converges at {constant('training', 'steps_converged'):,}.",
@@ -71,7 +77,23 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
         (curves(rows), "Mean reward of a control step over training: mean and standard deviation of the runs."),
         (tracks(first), "Tracks seen from the target, first run; the water flows down the page."),
     ]
-    return ExperimentFindings(found, shown, notes=notes)
+    return ExperimentFindings(found, shown, [("Actions of each stage", table)], notes)
+
+
+def actions(every: list[Row], los: int) -> dict[str, str]:
+    """Figures of the trials of one stage and direction, over all runs."""
+    some = [np.array(one["los"]) == los for one in every]
+    figure = lambda key: np.concatenate([read(one["figures"][key])[mask] for one, mask in zip(every, some, strict=True)])
+    series = lambda key: np.concatenate([read(one[key])[mask] for one, mask in zip(every, some, strict=True)])
+    distance, early = series("distance"), read(every[0]["t"]) <= EARLY
+    toward = (distance[:, 0] - distance[:, early][:, -1]) / EARLY
+    return {
+        "arrival": counted("", "", figure("arrival")).measured,
+        f"speed to the target, first {EARLY:g} s [m/s]": compared("", "", toward, digits=2).measured,
+        "least distance [m]": compared("", "", np.nanmin(distance, 1), digits=2).measured,
+        "RMSE of the last 20 s [m]": compared("", "", figure("rmse_last20")).measured,
+        "power [W]": compared("", "", figure("power"), digits=1).measured,
+    }
 
 
 @style(STYLE)
@@ -102,6 +124,8 @@ def tracks(row: Row) -> bytes:
             axis.plot(-read(one["side"])[some].T, read(one["upstream"])[some].T, color=COLOURS[column], linewidth=0.8)
             axis.plot(0, 0, "+", color=INK, markersize=10)
             axis.set(xlim=(-2, 2), ylim=(-2.4, 2), aspect="equal", title=f"{stage}, {side}")
+    figure.supxlabel("right of the target, facing upstream [m]")
+    figure.supylabel("upstream of it [m]")
     return png(figure)
 
 

@@ -69,7 +69,10 @@ class PaperExperiment(NamedTuple):
 
 @dataclass(kw_only=True)
 class ExperimentSetup:
-    """Setting of all experiments. robot: in its water. quick: fewer trials. solver: water of the flow solver, or None."""
+    """Setting of all experiments. robot: in its water. quick: fewer trials. solver: water of the flow solver, or None.
+
+    trained: folder of policies for the ablations; None: they are trained.
+    """
 
     robot: Robot
     policy: str
@@ -79,6 +82,7 @@ class ExperimentSetup:
     solver: SolverWater | None = None
     device: str = "auto"
     tanks: int = 1
+    trained: Path | None = None
 
     def of(self, full: Any, quick: Any) -> Any:
         """First value, or with `quick` the second."""

@@ -22,7 +22,7 @@ from fishmj.evaluate.experiments.paper_experiment import (
     series_row,
 )
 from fishmj.evaluate.metrics import Result
-from fishmj.evaluate.plots import COLOURS, FAINT, STYLE
+from fishmj.evaluate.plots import COLOURS, FAINT, STYLE, plain_ticks
 from fishmj.evaluate.protocol import Trials
 from fishmj.water.flow import TICK, Current, shifted
 
@@ -134,6 +134,7 @@ def by_speed(rows: dict[str, Row], brains: list[str]) -> bytes:
         axis.errorbar(SPEEDS, middle, ends, color=colour, marker="o", capsize=3, label=drawn(brain))
     axis.axvspan(*constant("task", "flow_speed"), color=FAINT, alpha=0.4, linewidth=0, label="speeds of the paper")
     axis.set(xlabel="flow speed [m/s]", ylabel="RMS distance, last 20 s [m]", yscale="log")
+    plain_ticks(axis.yaxis)
     axis.legend(frameon=False)
     return png(figure)
 
@@ -150,6 +151,7 @@ def changes(rows: dict[str, Row], brains: list[str]) -> bytes:
             axis.plot(read(row["t"]), middle, color=colour, label=drawn(brain))
         axis.axvspan(BEGINS, BEGINS + LASTS, color=FAINT, alpha=0.6, linewidth=0)
         axis.set(title=name, xlabel="time [s]", ylim=(0.005, 3), yscale="log")
+    plain_ticks(axes[0, 0].yaxis)
     axes[0, 0].set_ylabel("distance [m]")
     axes[0, 0].legend(frameon=False)
     return png(figure)
