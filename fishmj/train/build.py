@@ -11,12 +11,14 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.control.policy import Policy
 from fishmj.engines import fastest, with_effects
+from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks.reference import COURSES, course_of
 from fishmj.tasks.station_hold import N_START, episode_steps
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, referred
-from fishmj.water.choice import SELF_MADE, WaterChoice, chosen
+from fishmj.water.choice import LBM, SELF_MADE, WaterChoice, chosen
+from fishmj.water.flow import BOXES
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
@@ -43,7 +45,11 @@ def robot_for(settings: Settings):
 
 
 def water_for(settings: Settings) -> WaterChoice:
-    """Water of a run. Raises ConfigError for one that needs the flow solver; further errors as `choice.chosen`."""
+    """Water of a run. Raises ConfigError for one that its engine cannot be; further errors as `choice.chosen`."""
+    if settings.engine == LBM:
+        if settings.water not in ("auto", LBM):
+            raise ConfigError(f"water {settings.water!r} with the engine lbm, which is a water; leave one of them out")
+        return chosen(load_robot(settings.robot), LBM)
     water = None if settings.water == "auto" else settings.water
     return chosen(load_robot(settings.robot), water).within(SELF_MADE, "training")
 
@@ -71,8 +77,9 @@ def settled(settings: Settings) -> Settings:
     if task["seconds"]:
         episode_steps(task["seconds"], robot)
     algorithm = _written(config_of(settings))
+    solver = {"domain": PLAIN.domain, "slip": PLAIN.slip, "device": "auto"} if settings.engine == LBM else {}
     return change(
-        replace(settings, water=water),
+        replace(settings, water=water, solver=solver | settings.solver),
         control_dt=float(robot.timing.control_dt),
         task=task,
         algorithm=algorithm,
@@ -92,12 +99,18 @@ def environment(settings: Settings, box: str = "train"):
     from fishmj.tasks.env import Options, StationHold
 
     robot, name = robot_for(settings), pick_engine(settings)
-    engine = make(name, robot)
+    options = from_table("task option", Options, {**settings.task, "box": box})
+    if name == LBM:
+        from fishmj.engines.lbm_episodes import LbmEpisodes
+
+        engine = LbmEpisodes(robot, options.turbulence, BOXES[box], **settings.solver)
+    else:
+        engine = make(name, robot)
     if not engine.jittable:
         raise ConfigError(
             f"engine {name} cannot be compiled into a learner; train on compiled, planar or mjx, or with --algo sb3-sac"
         )
-    return StationHold(robot, engine, from_table("task option", Options, {**settings.task, "box": box}), **settings.reward)
+    return StationHold(robot, engine, options, **settings.reward)
 
 
 def algorithm(settings: Settings, env) -> Learner:
