@@ -11,7 +11,6 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, OwnCodeError, UnknownName
 from fishmj.control.policy import Policy
 from fishmj.engines import fastest, with_effects
-from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks.reference import COURSES, course_of
 from fishmj.tasks.station_hold import N_START, episode_steps
@@ -77,9 +76,8 @@ def settled(settings: Settings) -> Settings:
     if task["seconds"]:
         episode_steps(task["seconds"], robot)
     algorithm = _written(config_of(settings))
-    solver = {"domain": PLAIN.domain, "slip": PLAIN.slip, "device": "auto"} if settings.engine == LBM else {}
     return change(
-        replace(settings, water=water, solver=solver | settings.solver),
+        replace(settings, water=water),
         control_dt=float(robot.timing.control_dt),
         task=task,
         algorithm=algorithm,

@@ -9,6 +9,7 @@ from fishmj.base import plugins
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import declared, option_of
 from fishmj.base.store import read_json
+from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.tasks.reference import COURSES
 from fishmj.water.choice import LBM
 
@@ -93,7 +94,7 @@ class Settings:
     task: dict = field(default_factory=dict)
     algorithm: dict = field(default_factory=dict)
     reward: dict = field(default_factory=dict)
-    solver: dict = field(default_factory=dict)  # of the engine lbm: domain, slip, device
+    solver: dict = field(default_factory=dict)  # of the engine lbm (preset lbm): domain, slip, device
 
 
 PRESETS = {
@@ -122,6 +123,7 @@ PRESETS = {
     # fine-tuning in the flow solver, one tank a fish: a quarter of an hour of an H200
     LBM: Settings(
         preset=LBM, engine=LBM, steps=100_000, assess_every=25_000, assess_episodes=24,
+        solver={"domain": PLAIN.domain, "slip": PLAIN.slip, "device": "auto"},
         task={"turbulence": "default", "intensity": (0.0, 0.1)},
         algorithm={"envs": 24, "horizon": 75, "minibatches": 6, "learning_rate": 1e-4, "entropy": 0.0},
     ),
