@@ -55,6 +55,9 @@ def test_rounds_end_when_the_returns_agree(tmp_path):
     found = dagger.correct("dob", ROBOT, slow, tmp_path / "data", setup, **given)
     assert found["agreed"] and len(found["rounds"]) == 2 and asked == [2]
     assert found["rounds"][0]["gap"] > dagger.AGREED > 1e-3 > found["rounds"][1]["gap"]
+    first, last = found["rounds"]
+    assert first["low"] == first["high"] == pytest.approx(first["surrogate"] - first["solver"]), "one episode has no spread"
+    assert first["rmse_surrogate"] > first["rmse_solver"] == pytest.approx(last["rmse_solver"], rel=0.5)
     whole, part = (pool.starts[name] for name in list(pool.starts)[:2])
     half = dagger.roll_out(ROBOT, slow, whole)
     np.testing.assert_allclose(part.velocity, half.v[len(half.v) // 2])

@@ -82,7 +82,10 @@ class LbmEngine:
         """Does the work of `advance`, pausing whenever the device has work and the host could serve other tanks."""
         check_commands(commands, self.robot.n_joints)
         if self.tanks is None:
-            self.tanks = yield from self._fill(state, params)
+            if len(state.q) != len(self.flows):
+                raise ConfigError(f"tanks: {len(state.q)} fish for {len(self.flows)} flows; one tank a fish")
+            runs = yield from self.filled(range(len(self.flows)), state, params)
+            self.tanks = ConcurrentRuns(runs, pipelined=True)
         runs, batch = self.tanks.runs, len(self.flows)
         rows: list[tuple] = []
         for k in range(commands.shape[1]):
@@ -103,13 +106,12 @@ class LbmEngine:
                 row[: len(run.added.memory)] = run.added.memory
         return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), memory), trace
 
-    def _fill(self, state: FishState, params: FishParams) -> Steps[ConcurrentRuns]:
-        q = np.asarray(state.q)
-        if len(q) != len(self.flows):
-            raise ConfigError(f"tanks: {len(q)} fish for {len(self.flows)} flows; one tank a fish")
-        runs = [self.tank(i, q[i], params, np.asarray(state.memory)[i]) for i in range(len(q))]
+    def filled(self, rows: Sequence[int], state: FishState, params: FishParams) -> Steps[list[Run]]:
+        """New tanks for some of the fish, which are held side by side until their trials begin."""
+        q, memory = np.asarray(state.q)[rows], np.asarray(state.memory)
+        runs = [self.tank(i, q[k], params, memory[i]) for k, i in enumerate(rows)]
         tanks = ConcurrentRuns(runs, pipelined=True)  # nobody reads the water of a trial
-        asked = q[:, 3:] - np.asarray(params.zero)  # encoder angles at which the joints are
+        asked = q[:, 3:] - np.asarray(params.zero)[rows]  # encoder angles at which the joints are
         streams = [flow.speed > 0 or flow.rms > 0 for flow in (run.coupled.fluid.flow for run in tanks.runs)]
         if any(streams):
             for run in tanks.runs:
@@ -121,7 +123,7 @@ class LbmEngine:
             if not run.stopped:
                 run.begin()
                 run.commands = [angles.copy()]
-        return tanks
+        return tanks.runs
 
     def tank(self, i: int, q: np.ndarray, params: FishParams, memory: np.ndarray | None = None) -> Run:
         """Tank i with its own fish, at rest in undisturbed flow; `memory` (M,) of its effects, the initial one by default."""

@@ -220,7 +220,10 @@ class StationHold:
         target = self._target(state.launch, tick) if self.moves else state.target
         distance = jnp.linalg.norm(trace.pose[:, -1, :2] - target, axis=-1)
         gain = self._gain(trace, target, distance, action, tick)
-        terminated = (self.outside or task.outside)(jnp, trace.pose[:, -1]) & ~bad
+        out = (self.outside or task.outside)(jnp, trace.pose[:, -1])
+        if left := getattr(self.engine, "left", None):  # a tank of the flow solver ends before the task's bound
+            out = out | left(fish)
+        terminated = out & ~bad
         truncated = (state.count + 1 >= self.limit) & ~terminated & ~bad
         moved = state._replace(
             fish=fish, history=history, command=commands[:, -1], tick=tick, target=target, count=state.count + 1, key=key

@@ -22,6 +22,8 @@ EXAMPLES = """examples:
   fishmj train --flow-speeds 0,0.4 --episode-seconds 60     other streams, longer episodes
   fishmj train --memory 8                        the policy sees its last eight observations
   fishmj train --begin station                   begin with a policy that can swim, not from nothing
+  fishmj train --engine lbm --begin station-family --device cuda     fine-tune it in the flow solver itself
+  fishmj train --correct --begin station --slip 0.98 --device cuda   refit its water to the solver, and train on, in turns
   fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
   fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
   fishmj evaluate runs/quick-ppo-0               judge what came out: its best.safetensors
@@ -31,6 +33,8 @@ EXAMPLES = """examples:
 def options() -> console.Parser:
     """Parser of the verb `train`."""
     from fishmj.engines import NAMES, own_effects
+    from fishmj.lbm_oracle.run.domain import EVERY as BOXES
+    from fishmj.lbm_oracle.run.solver_water import PLAIN
     from fishmj.mjcf.description import COMMAND_PATHS
     from fishmj.tasks.reference import COURSES
     from fishmj.tasks.station_hold import GROUPS
@@ -43,14 +47,25 @@ def options() -> console.Parser:
     add = p.add_argument
     of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())
     preset = "set of defaults. quick: PPO for a CPU; paper: PPO, the paper's network, for a GPU; paper-sac: the paper's algorithm"
-    preset += " and budget (default: quick on a CPU, else paper)"
+    preset += " and budget; lbm: a short PPO in the flow solver (default: quick on a CPU, else paper; lbm with --engine lbm)"
     add("--preset", choices=tuple(PRESETS), help=preset)
     algo = f"learning algorithm: {', '.join(ALGORITHMS)}, or your own as module:Name (default: the preset's)"
     add("--algo", type=console.text, metavar="NAME", help=algo)
     task = f"{', '.join(COURSES)}, or your own as module:Name, docs/simulate/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
-    engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3 only (default: auto)"
-    add("--engine", choices=("auto", *NAMES), help=engine)
+    engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3 only; lbm: the flow solver,"
+    engine += " one tank a fish (--envs), a quarter of an hour of a GPU; best with --begin (default: auto)"
+    add("--engine", choices=("auto", *NAMES, choice.LBM), help=engine)
+    box = f"box of water of --engine lbm (default: {PLAIN.domain}) and --correct (default: the water's); laptop is a preview"
+    add("--domain", choices=BOXES, help=box)
+    slip = f"of the hull in the solver, at the paper's grid: 1 slides, 0 sticks (default: {PLAIN.slip:g}; --correct: the water's)"
+    add("--slip", type=console.number(0, 1), help=slip)
+    correct = "train in the fitted water, compare the policy's returns there and in the flow solver, refit the water to both, and"
+    correct += " again, until they agree; the same command goes on"
+    p.add_argument("--correct", action="store_true", help=correct)
+    add("--rounds", type=console.whole(1, 100), default=4, metavar="N", help="of --correct, at most (default: 4)")
+    place = "of the solver: auto, cpu, cuda, cuda:N; with --engine lbm the networks stay on the CPU (default: auto)"
+    add("--device", type=console.devices, help=place)
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
     steps = f"control steps, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
@@ -148,7 +163,7 @@ def settings_from(args, run=None):
     from fishmj.train.settings import ALGORITHMS, ON_MJX, change, hyperparameters, own_code, preset, referred
 
     own_effects.join(args.effects)
-    s = run or preset(args.preset or _by_device())
+    s = run or preset(args.preset or (choice.LBM if args.engine == choice.LBM else _by_device()))
     for option, name in own_code(run).items() if run else ():
         if getattr(args, option[2:]) is None:
             raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
@@ -156,6 +171,7 @@ def settings_from(args, run=None):
     given = lambda *names: kept({name: getattr(args, name) for name in names})
     top = given("preset", "engine", "robot", "water", "seed", "command_path", "control_dt")
     algorithm, task, reward = given(*hyperparameters()), given("memory", "turbulence"), dict(args.reward)
+    solver = {} if args.correct else given("domain", "slip", "device")
     if args.algo and args.algo not in ALGORITHMS:
         plugins.load("algorithm", args.algo, ALGORITHMS)
         s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})
@@ -176,10 +192,26 @@ def settings_from(args, run=None):
     task |= kept({"hide": args.hide, "effects": args.randomise_effects})
     if args.together and (s.algo not in ALGORITHMS or ALGORITHMS[s.algo].train):
         raise ConfigError(f"--together trains fishmj's own algorithms only, not {s.algo}; train the seeds one after another")
-    made = change(s, algorithm=algorithm, task=task, reward=reward, **top)
+    made = change(s, algorithm=algorithm, task=task, reward=reward, solver=solver, **top)
+    if made.engine == choice.LBM:
+        _in_solver(made, args)
+    elif solver:
+        raise ConfigError(f"--{next(iter(solver))}: of --engine lbm or --correct only; leave it out, or add one of them")
     if run is None and args.envs is None and made.algo == "ppo" and pick_engine(made) == "mjx":
         made = change(made, algorithm=ON_MJX.get(made.preset, {}))
     return made
+
+
+def _in_solver(settings, args) -> None:
+    """Refuses what a training in the flow solver cannot do."""
+    from fishmj.lbm_oracle.fluid.device import several
+
+    if settings.preset != choice.LBM:
+        raise ConfigError(f"--preset {settings.preset} with the engine lbm: each of its fish would be a tank; leave --preset out")
+    if settings.algo == "sb3-sac" or args.together:
+        raise ConfigError(f"{'--together' if args.together else '--algo sb3-sac'}: not in the flow solver; leave it out")
+    if several(device := settings.solver.get("device", "auto")):
+        raise ConfigError(f"--device {device}: the tanks of a training share one; take auto, cpu, cuda or cuda:N")
 
 
 def _asked_of(args) -> dict:
@@ -187,6 +219,42 @@ def _asked_of(args) -> dict:
     given = {"--hidden": args.hidden and tuple(args.hidden), "--memory": args.memory, "--command-path": args.command_path}
     given |= {"--control-dt": args.control_dt, "--activation": args.activation, "--sigma": args.sigma}
     return {option: value for option, value in given.items() if value}
+
+
+def corrected(args, command: str) -> int:
+    """Trains and refits in turns; exit code 1 if the returns do not agree after the last round."""
+    from fishmj.hydro_fit.campaign.dagger import dagger
+    from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
+    from fishmj.train import correct_water
+
+    given = {"--resume": args.resume, "--force": args.force, "--together": args.together, "--seeds": args.seeds}
+    given |= {"--engine lbm": args.engine == choice.LBM, "--algo": args.algo not in (None, "ppo")}
+    if wrong := [option for option, value in given.items() if value]:
+        raise ConfigError(
+            f"--correct beside {wrong[0]}: its own command goes on, one seed, PPO, in the fitted water; leave it out"
+        )
+    use_cores_as_devices()
+    settings = settings_from(args)
+    correct_water.affordable(settings, args)
+    out = args.out or Path("runs") / f"correct-{settings.preset}-{settings.seed}"
+    where = {"slip": args.slip, "domain": args.domain, "device": args.device or "auto", "rounds": args.rounds}
+    steps = None if args.steps is None else int(args.steps)
+    options = {"begin": args.begin, "asked": _asked_of(args), "steps": steps, "command": command}
+    try:
+        found = correct_water.train_and_correct(settings, out, **where, **options)
+    except KeyboardInterrupt:
+        console.warn(f"interrupted; {dagger.kept_words(out)}")
+        return console.INTERRUPTED
+    console.say("", correct_water.table(found["rounds"]), f"water: {found['water']}", f"policy: {found['policy']}")
+    if args.json:
+        console.emit_json(found)
+    return console.OK if found["agreed"] else console.FAILED_CHECK
+
+
+def _trained_on_lbm(out: Path) -> bool:
+    from fishmj.train.settings import of_run
+
+    return any((run := of_run(folder)) is not None and run.engine == choice.LBM for folder in (out, *out.glob("seed-*")))
 
 
 def _by_device() -> str:
@@ -251,6 +319,12 @@ def main(argv: list[str]) -> int:
     from fishmj.train.build import check_devices, referred, settled, water_for
     from fishmj.train.settings import ALGORITHMS, as_dict, change, of_run, same
 
+    if choice.LBM in (args.engine, args.preset) or (args.resume and args.out and _trained_on_lbm(args.out)):
+        import jax
+
+        jax.config.update("jax_platforms", "cpu")  # small networks; the GPU is the solver's
+    if args.correct:
+        return corrected(args, one_line(shlex.join(["fishmj", "train", *argv])))
     if args.begin and (args.resume or args.together):
         other = "--resume" if args.resume else "--together"
         raise ConfigError(f"--begin beside {other}: a run begins with a policy once, and alone; leave one of them out")

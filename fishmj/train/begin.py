@@ -1,23 +1,30 @@
 """A training that starts from a policy's network instead of random weights: `fishmj train --begin POLICY`.
 
 The actor is the policy's; the critic, which no policy file holds, starts fresh. Exploration starts at SIGMA: the usual deviation
-of u would push a fish that can swim off its course before the critic has learnt the cost of that.
+of u would push a fish that can swim off its course before the critic has learnt the cost of that. For a training in the flow
+solver, where steps are dear, the critic learns before: the returns of this same policy in the robot's own water.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy
 from fishmj.tasks.station_hold import input_scale
-from fishmj.train.build import robot_for
+from fishmj.train.build import config_of, environment, robot_for
+from fishmj.train.ppo import PPO
 from fishmj.train.settings import Settings, change
+from fishmj.water.choice import LBM
 
 SIGMA = 0.2  # initial standard deviation of u
+LESSONS = 1_000_000  # control steps in which a critic learns a policy's returns; seconds on the compiled engine
+CHEAP = {"envs": 512, "horizon": 32, "minibatches": 8, "learning_rate": 1e-3}  # settings of PPO there
 
 
 def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tuple[Policy, Settings]:
@@ -49,10 +56,24 @@ def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tup
     return policy, made
 
 
-def begun(training, policy: Policy):
-    """Fresh train state whose actor is the policy's."""
+def begun(training, policy: Policy, settings: Settings):
+    """Fresh train state whose actor is the policy's; in the flow solver its critic knows the policy's returns elsewhere."""
     layers = [(jnp.asarray(w.T, jnp.float32), jnp.asarray(b, jnp.float32)) for w, b in policy.weights]
     shapes = lambda actor: [(w.shape, b.shape) for w, b in actor]
     if shapes(layers) != shapes(training.actor):
         raise ConfigError(f"--begin: the policy's layers are {shapes(layers)}, this training's {shapes(training.actor)}")
-    return training._replace(actor=layers)
+    training = training._replace(actor=layers)
+    return training._replace(critic=taught(training, settings)) if settings.engine == LBM else training
+
+
+def taught(training, settings: Settings):
+    """Critic that has learnt the returns of the actor in the robot's own water, where the actor stands still."""
+    near = change(settings, engine="auto", water="auto", algorithm=CHEAP)
+    learner = PPO(environment(near), config_of(near), LESSONS, moves=False)
+    state = learner.init(jax.random.key(settings.seed))
+    state = state._replace(actor=jax.tree.map(jnp.array, training.actor), log_sigma=jnp.array(training.log_sigma))
+    with console.Progress(LESSONS, "teach the critic", "steps") as bar:
+        for done in range(0, LESSONS, learner.steps_per_iteration):
+            state, figures = learner.iterate(state)
+            bar.update(done, reward=float(figures["reward"]))
+    return state.critic

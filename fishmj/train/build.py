@@ -16,7 +16,8 @@ from fishmj.tasks.reference import COURSES, course_of
 from fishmj.tasks.station_hold import N_START, episode_steps
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
 from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, referred
-from fishmj.water.choice import SELF_MADE, WaterChoice, chosen
+from fishmj.water.choice import LBM, SELF_MADE, WaterChoice, chosen
+from fishmj.water.flow import BOXES
 
 CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
 
@@ -43,7 +44,11 @@ def robot_for(settings: Settings):
 
 
 def water_for(settings: Settings) -> WaterChoice:
-    """Water of a run. Raises ConfigError for one that needs the flow solver; further errors as `choice.chosen`."""
+    """Water of a run. Raises ConfigError for one that its engine cannot be; further errors as `choice.chosen`."""
+    if settings.engine == LBM:
+        if settings.water not in ("auto", LBM):
+            raise ConfigError(f"water {settings.water!r} with the engine lbm, which is a water; leave one of them out")
+        return chosen(load_robot(settings.robot), LBM)
     water = None if settings.water == "auto" else settings.water
     return chosen(load_robot(settings.robot), water).within(SELF_MADE, "training")
 
@@ -92,12 +97,18 @@ def environment(settings: Settings, box: str = "train"):
     from fishmj.tasks.env import Options, StationHold
 
     robot, name = robot_for(settings), pick_engine(settings)
-    engine = make(name, robot)
+    options = from_table("task option", Options, {**settings.task, "box": box})
+    if name == LBM:
+        from fishmj.engines.lbm_episodes import LbmEpisodes
+
+        engine = LbmEpisodes(robot, options.turbulence, BOXES[box], **settings.solver)
+    else:
+        engine = make(name, robot)
     if not engine.jittable:
         raise ConfigError(
             f"engine {name} cannot be compiled into a learner; train on compiled, planar or mjx, or with --algo sb3-ppo"
         )
-    return StationHold(robot, engine, from_table("task option", Options, {**settings.task, "box": box}), **settings.reward)
+    return StationHold(robot, engine, options, **settings.reward)
 
 
 def algorithm(settings: Settings, env, devices: int = 1) -> Learner:

@@ -54,12 +54,13 @@ class PPO:
     """PPO as a `learner.Learner`: `iterate` collects one rollout and updates the networks `epochs` times over it.
 
     devices: number of devices of this machine among which the fish are split; it divides them (`build.check_devices`).
+    moves: the actor learns, too; False teaches the critic alone.
     """
 
     name = "ppo"
 
-    def __init__(self, env, config: PPOConfig, steps: int, devices: int = 1):
-        self.env, self.config, self.devices, self.shards = env, config, devices, Shards(devices)
+    def __init__(self, env, config: PPOConfig, steps: int, devices: int = 1, moves: bool = True):
+        self.env, self.config, self.devices, self.shards, self.moves = env, config, devices, Shards(devices), moves
         self.steps_per_iteration = config.envs * config.horizon
         iterations = max(1, steps // self.steps_per_iteration)
         updates = iterations * config.epochs * config.minibatches
@@ -192,6 +193,8 @@ class PPO:
             networks, opt_state = carry
             # one gradient for actor and critic, so that max_grad_norm bounds them together
             (loss, kl), grads = jax.value_and_grad(self.loss, has_aux=True)(networks, jax.tree.map(lambda a: a[rows], batch))
+            if not self.moves:
+                grads = (*jax.tree.map(jnp.zeros_like, grads[:2]), grads[2])
             updates, opt_state = self.optimiser.update(self.shards.mean(grads), opt_state, networks)
             return (optax.apply_updates(networks, updates), opt_state), (loss, kl)
 

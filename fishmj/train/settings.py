@@ -9,11 +9,13 @@ from fishmj.base import plugins
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import declared, option_of
 from fishmj.base.store import read_json
+from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.tasks.reference import COURSES
+from fishmj.water.choice import LBM
 
 FILE = "settings.json"  # of a run: its settings, every hyperparameter among them, and what made it
 MADE_BY = "made_by"  # key of that file: versions and commit
-FREE = ("steps", "assess_every", "checkpoint_every")  # settings that a resumed run may change
+FREE = ("steps", "assess_every", "checkpoint_every", "solver.device")  # settings that a resumed run may change
 REWARD = ("wG", "wD", "wS")
 
 
@@ -95,6 +97,7 @@ class Settings:
     task: dict = field(default_factory=dict)
     algorithm: dict = field(default_factory=dict)
     reward: dict = field(default_factory=dict)
+    solver: dict = field(default_factory=dict)  # of the engine lbm (preset lbm): domain, slip, device
 
 
 PRESETS = {
@@ -120,6 +123,13 @@ PRESETS = {
         task={"turbulence": "gust", "intensity": (0.0, 0.12)},
         algorithm={"hidden": (256, 256), "envs": 64},
     ),
+    # fine-tuning in the flow solver, one tank a fish: a quarter of an hour of an H200
+    LBM: Settings(
+        preset=LBM, engine=LBM, steps=100_000, assess_every=25_000, assess_episodes=24,
+        solver={"domain": PLAIN.domain, "slip": PLAIN.slip, "device": "auto"},
+        task={"turbulence": "default", "intensity": (0.0, 0.1)},
+        algorithm={"envs": 24, "horizon": 75, "minibatches": 6, "learning_rate": 1e-4, "entropy": 0.0},
+    ),
 }  # fmt: skip
 
 ON_MJX = {"paper": {"envs": 16384}}  # of a preset: with 8,192 fish MJX trained at a quarter of the rate on an H200
@@ -133,13 +143,13 @@ def preset(name: str) -> Settings:
 
 
 def change(settings: Settings, **changes) -> Settings:
-    """Copy of the settings with top-level fields replaced and `task`, `algorithm`, `reward` merged."""
+    """Copy of the settings with top-level fields replaced and `task`, `algorithm`, `reward`, `solver` merged."""
     known = {f.name for f in fields(Settings)}
     for key in changes:
         if key not in known:
             raise UnknownName("setting", key, known)
     merged: dict[str, Any] = {
-        k: {**getattr(settings, k), **changes.pop(k)} for k in ("task", "algorithm", "reward") if k in changes
+        k: {**getattr(settings, k), **changes.pop(k)} for k in ("task", "algorithm", "reward", "solver") if k in changes
     }
     made = replace(settings, **merged, **changes)
     if made.algo not in ALGORITHMS and made.algo not in plugins.loaded("algorithm"):
@@ -175,6 +185,7 @@ def of_run(folder: Path) -> Settings | None:
     table = read_json(path)
     if isinstance(table, dict):
         table.pop(MADE_BY, None)
+        table.setdefault("solver", {})  # runs of earlier versions had none
     expected = {f.name: dict if f.default is MISSING else type(f.default) for f in fields(Settings)}
     if not isinstance(table, dict) or set(table) != set(expected) or not all(_is(table[k], t) for k, t in expected.items()):
         raise ConfigError(f"{path}: no settings of a training by this version of fishmj; give them again on the command line")

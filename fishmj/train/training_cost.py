@@ -5,12 +5,16 @@
 Operations are those of the matrix products: 2 a weight forwards, 6 forwards and backwards.
 """
 
+from typing import Any
+
 from fishmj.base import cost
 from fishmj.base.cores import usable_cores
+from fishmj.lbm_oracle.run import solver_cost
+from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf.reading import load_robot
 from fishmj.train.build import config_of, pick_engine, robot_for
 from fishmj.train.settings import Settings
-from fishmj.water.choice import residual_of
+from fishmj.water.choice import LBM, residual_of
 
 CPU, GPU = "cpu", "gpu"
 ENGINE = {  # control steps a second of one core, and of one H200 (`fishmj bench engine_...`; README)
@@ -37,6 +41,11 @@ def agree(settings: Settings, runs: int, *, together: bool, yes: bool, devices: 
     sizes = f"{config.envs:,} fish that see {settings.task.get('memory', 1)} observations"
     less = "take fewer --envs, a shorter --memory"
     cost.memory("train", need, sizes, instead=less, flag="--yes", agreed=yes, there=_memory())
+    if settings.engine == LBM:
+        water = runs * settings.steps * settings.control_dt
+        work = [(level, water) for level in preset(settings.solver["domain"]).levels]
+        asked: dict[str, Any] = {"instead": "take fewer --steps; --domain laptop is a preview", "flag": "--yes", "asked": yes}
+        return solver_cost.agree("train", settings.solver["device"], work, tanks=config.envs, **asked)
     what = f"{runs * settings.steps:,.4g} control steps by {settings.algo}"
     cost.time("train", runs * seconds(settings) / devices, what, instead="take fewer --steps", flag="--yes", agreed=yes)
 

@@ -33,10 +33,12 @@ from fishmj.train.begin import begun
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers, reported
 from fishmj.train.settings import FILE, MADE_BY, Settings, as_dict, from_dict, own_code, same
+from fishmj.water.choice import LBM
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped", "command")  # kept in a checkpoint beside the arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
+MAX_FAILED = 0.02  # the same in the flow solver, whose water can fail round a fish that thrashes
 PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # whose versions a run states
 FULL = (errno.ENOSPC, errno.EDQUOT)
 PAUSE = 5.0  # s between two tries on a full disk
@@ -261,7 +263,8 @@ class TrainingRun:
         elif self.checkpoints.paths():
             raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
         elif begin is not None:
-            self.training = begun(self.training, begin)
+            self.training = begun(self.training, begin, settings)
+            self.assessed = -1  # the policy that it begins with is judged as well, and may stay the best
         if self.devices > 1:
             self.training = self.algorithm.place(self.training)
         self.bar.begun = self.done
@@ -327,6 +330,7 @@ class TrainingRun:
         self._under_way = True
         self.training, figures = self.algorithm.iterate(self.training)
         figures = reported(figures)  # waits for its end
+        self._raise_failure(self.env)
         self._pace, self._held = time.monotonic() - began, None
         return figures
 
@@ -348,6 +352,7 @@ class TrainingRun:
         actor = jax.device_get(self.training.actor)  # on several devices the assessment still takes one
         figures = self.assess(actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
+        self._raise_failure(self.assess.env)
         better = is_better(figures, self.best, getattr(self.env, "own_reward", None) is not None)
         self.best = figures if better else self.best
         return {f"tune_{k}": v for k, v in figures.items()}, better
@@ -362,12 +367,18 @@ class TrainingRun:
         self._finite(figures)
         self.episodes += int(figures["episodes"])
         self.dropped += int(figures["diverged"])
-        if self.dropped > max(1, MAX_DIVERGED * self.episodes):
+        most = MAX_FAILED if self.settings.engine == LBM else MAX_DIVERGED
+        if self.dropped > max(1, most * self.episodes):
             raise SimDiverged(
                 f"training: {self.dropped} of {self.episodes} episodes at step {self.done:,} diverged and were dropped, "
-                f"above {MAX_DIVERGED:.1%}; the physics step is too long or a parameter out of range: python -m fishmj doctor",
+                f"above {most:.1%}; the physics step is too long or a parameter out of range: python -m fishmj doctor",
                 term="physics",
             )
+
+    def _raise_failure(self, env) -> None:
+        """Raises the error of an engine that could not raise it inside a compiled loop."""
+        if error := getattr(getattr(env, "engine", None), "failed", None):
+            raise error
 
     def _finite(self, table: dict) -> None:
         """Raises an error if one of the named figures or arrays is not finite."""
@@ -402,6 +413,10 @@ class TrainingRun:
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
         self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
+        if self.settings.engine == LBM:
+            fresh = self.algorithm.init(jax.random.fold_in(jax.random.key(self.settings.seed), self.done))
+            self.training = self.training._replace(env_state=fresh.env_state, tally=fresh.tally)
+            console.warn("the water was not kept: every fish begins a new episode")
         if found.note:
             console.warn(found.note)
             # newer than the one that was read, and damaged: kept for inspection, but never tried again
@@ -414,6 +429,7 @@ def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) ->
     """Writes a policy file with a header about its training."""
     said = as_dict(settings)
     made = {"engine": pick_engine(settings), "preset": settings.preset, "task": said["task"], "reward": said["reward"]}
+    made |= {"solver": said["solver"]} if settings.engine == LBM else {}
     made |= {"hyperparameters": said["algorithm"], MADE_BY: made_by(*PACKAGES), "machine": training_cost.machine()}
     policy_of(network, settings, {**made, **meta}).save(path)
 

@@ -47,7 +47,7 @@ HELP = (
 
 INSTEAD = {
     HYBRID: "hybrid is for Sim, suite.load, `fishmj evaluate` and `fishmj play`",
-    LBM: "lbm is for suite.load and `fishmj evaluate`",
+    LBM: "lbm is for suite.load, `fishmj evaluate` and `fishmj train --engine lbm`",
     NONE: "none is for Sim and the engines",
 }
 

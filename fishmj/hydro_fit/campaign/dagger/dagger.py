@@ -5,7 +5,7 @@
 A fitted water is accurate for the campaign's movements, and a policy soon leaves these. In each round the policy therefore acts
 in the present surrogate, and the solver, as the expert, computes the water there. The new segments join all earlier ones, and the
 next model is fitted to all (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics Ross, Bagnell 2012,
-arXiv 1203.1007). The policy itself is not trained here.
+arXiv 1203.1007). The policy itself is not trained here; `fishmj train --correct` trains it anew before each round.
 
     found = correct("paper", robot, model, folder, setup, refit=refit)       until the returns differ by less than `AGREED`
 
@@ -53,6 +53,7 @@ from fishmj.water.prior import flat
 AGREED = 0.05  # of the solver's mean return
 LEAST = 0.1  # of the reward at the target: a return near zero, where approach and effort cancel, is no yardstick
 SWIMS = 600.0  # s of swims in a fit
+DRAWS = 10_000  # of a bootstrap
 SHORT = 3.0  # s, of the segment from the surrogate's state half-way
 
 
@@ -109,6 +110,12 @@ def mean_return(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) ->
     return float(np.mean(task.reward(np, far, v[: steps * every, 3:].reshape(steps, every, -1))))
 
 
+def late_square(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) -> float:
+    """Mean square of the distance from the target in the second half, m2; arguments of `mean_return`."""
+    far = q[len(q) // 2 :, :2] - np.asarray(segment.drive["target"], float)
+    return float(np.mean(np.sum(far * far, -1)))
+
+
 def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], number: int) -> CampaignPlan:
     """Plan of a round: each episode, and a short segment from the surrogate's state half-way through it."""
     segments = []
@@ -121,17 +128,19 @@ def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], 
 
 
 def correct(
-    policy: str, robot: Robot, model: HydroModel, folder: Path, setup: Setup, *, refit: Callable[[HydroModel, Path], HydroModel],
+    policy: "str | Callable[[int, HydroModel], str]", robot: Robot, model: HydroModel, folder: Path, setup: Setup, *,
+    refit: Callable[[HydroModel, Path], HydroModel],
     rounds: int = 5, episodes: int = 4, seconds: float = 20.0, pool: Pool | None = None,
 ) -> dict:  # fmt: skip
     """Collects, compares and refits until the returns agree within `AGREED` or the rounds are over.
 
     Args:
+        policy: name or file, or a function of round and model that returns the one of that round.
         model: the surrogate at the start.
         folder: folder of the rounds: `solver`, a data set that grows, and a model and a row of each round.
         refit: function of a round's model and the rounds' data set that returns the next model.
     Returns:
-        rounds (a row each: returns of solver and surrogate, gap), agreed, model (the last one).
+        rounds (a row each, as of `compare_returns`), agreed, model (the last one).
     Raises:
         ConfigError: a policy for another fish, or no round. DatasetError: the solver kept nothing of a round.
     """
@@ -141,8 +150,10 @@ def correct(
     for number in range(1, rounds + 1):
         kept = folder / f"round-{number}.json"
         row = read_json(kept) if kept.is_file() else {}
-        if row.get("model") != (made := sha256_of(model)):
-            row = {"round": number} | _round(policy, robot, model, folder / "solver", setup, number, episodes, seconds, pool)
+        helm = policy(number, model) if callable(policy) else policy
+        made = f"{sha256_of(model)} {getattr(control.make(helm, robot), 'sha256', helm)}"
+        if row.get("model") != made:
+            row = {"round": number} | _round(helm, robot, model, folder / "solver", setup, number, episodes, seconds, pool)
             write_json(kept, row | {"model": made})
         rows.append(row := {key: value for key, value in row.items() if key != "model"})
         console.say(
@@ -159,7 +170,7 @@ def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, 
     """Rolls out, solves and compares one round."""
     plan = plans.on_policy(robot, policy, episodes=episodes, seconds=seconds, seed=number, slip=model.slip)
     rolls = [(segment, roll_out(robot, model, segment)) for segment in plan.segments]
-    collect(round_plan(robot, policy, rolls, number), solver, setup, pool=pool, quiet=True)
+    collect(round_plan(robot, policy, rolls, number), solver, setup, pool=pool)
     return compare_returns(robot, solver, rolls)
 
 
@@ -183,7 +194,13 @@ def sha256_of(model: HydroModel) -> str:
 
 
 def compare_returns(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollout]]) -> dict:
-    """Mean return in both waters over the ticks that the solver kept, and their difference over the solver's."""
+    """Both waters over the ticks that the solver kept.
+
+    Returns:
+        n episodes; mean return a control step in `solver` and `surrogate`; low, high: 95 % bootstrap interval of the mean of
+        surrogate minus solver over the paired episodes; rmse_solver, rmse_surrogate: RMS distance from the target in the second
+        half, m; gap: the difference over the solver's return.
+    """
     data, pairs = open_dataset(folder), []
     for segment, rolled in rolls:
         if "file" not in data.about[segment.id]:
@@ -191,11 +208,17 @@ def compare_returns(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollo
         record = data[segment.id]
         n = len(record.q)
         if n * robot.timing.bus_dt >= robot.timing.control_dt:
-            pairs.append([mean_return(robot, segment, q[:n], v[:n]) for q, v in ((record.q, record.v), (rolled.q, rolled.v))])
+            both = [(q[:n], v[:n]) for q, v in ((record.q, record.v), (rolled.q, rolled.v))]
+            pairs.append([f(robot, segment, q, v) for f in (mean_return, late_square) for q, v in both])
     if not pairs:
         raise DatasetError(f"{folder}: the solver kept no episode of this round: {data.lost()}")
-    (solver, surrogate), least = np.mean(pairs, 0).tolist(), LEAST * constant("reward", "wG")
-    return {"n": len(pairs), "solver": solver, "surrogate": surrogate, "gap": abs(surrogate - solver) / max(abs(solver), least)}
+    rows, least = np.array(pairs), LEAST * constant("reward", "wG")
+    solver, surrogate, *squares = rows.mean(0).tolist()
+    drawn = np.random.default_rng(0).integers(len(rows), size=(DRAWS, len(rows)))
+    low, high = np.quantile((rows[:, 1] - rows[:, 0])[drawn].mean(1), [0.025, 0.975]).tolist()
+    row = {"n": len(rows), "solver": solver, "surrogate": surrogate, "low": low, "high": high}
+    row |= {"rmse_solver": squares[0] ** 0.5, "rmse_surrogate": squares[1] ** 0.5}
+    return row | {"gap": abs(surrogate - solver) / max(abs(solver), least)}
 
 
 def main(argv: list[str]) -> int:

@@ -1,0 +1,132 @@
+"""A policy and its water in turns: `fishmj train --correct`.
+
+    train in the water -> swim the same episodes in it and in the flow solver -> do the returns agree? else refit, train on, ...
+
+A policy seeks the states in which its water is most in favour of it, and these are not those that the water was fitted to. Each
+round trains the policy of the round before in the present water; `hydro_fit.campaign.dagger` compares, collects and refits. The
+rounds end when the mean returns differ by less than 5 % of the solver's. Episodes are drawn from the table of training flows,
+never from the judge's.
+
+A run is a folder: round-N/train (a training), round-N.json (the comparison), solver (segments of all rounds), round-N/water.toml
+(the water after round N; round-0 has the first). The same command goes on with what is there.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import read_json, write_json
+from fishmj.hydro_fit.campaign.dagger import dagger
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, domain_of_model
+from fishmj.hydro_fit.campaign.data.run_segments import Setup
+from fishmj.hydro_fit.segment_dataset import open_dataset
+from fishmj.hydro_fit.water_ablation.ablation import unfitted
+from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.lbm_oracle.run import solver_cost
+from fishmj.mjcf.reading import load_robot, with_timing
+from fishmj.train.begin import begin_with
+from fishmj.train.build import settled, water_for
+from fishmj.train.settings import Settings, as_dict, change
+from fishmj.train.training_run import TrainingRun
+from fishmj.water.choice import STRUCTURED, family_in, model_of
+from fishmj.water.hydro_model import HydroModel
+
+EPISODES, SECONDS = 12, 20.0  # of a round's comparison; each also gives a short segment from the surrogate's state half-way
+AGAIN = 2_000_000  # control steps of a round that begins with a policy
+FILE = "correct.json"
+
+
+def first_water(settings: Settings, slip: float | None) -> HydroModel:
+    """Water of the first round, with the slip ratio of the solver. Raises ConfigError for a family of waters."""
+    robot = water_for(settings).robot
+    if family_in(robot) is not None:
+        raise ConfigError(f"--correct --water {settings.water}: a family is several waters; name one fit, such as {robot.name}")
+    model = model_of(robot) or replace(unfitted(load_robot(settings.robot)), notes=STRUCTURED)
+    return replace(model, name="water", slip=model.slip if slip is None else slip)
+
+
+def train_and_correct(
+    settings: Settings, folder: Path, *, begin: str | None = None, asked: Mapping[str, Any] | None = None,
+    slip: float | None = None, domain: str | None = None, device: str = "auto", rounds: int = 4, steps: int | None = None,
+    pool: Pool | None = None, episodes: int = EPISODES, seconds: float = SECONDS, command: str | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Trains and refits in turns. Returns rounds (rows of `dagger.compare_returns`), agreed, policy and water (paths).
+
+    Args:
+        begin, asked: policy of the first round and options, as of `begin_with`; None trains from nothing.
+        slip, domain, device: of the flow solver, by default those of the water's own segments.
+        steps: control steps of each round; by default `AGAIN`, from nothing the settings' own.
+
+    Raises:
+        ConfigError: the folder holds another run, or the water cannot be refitted. KeyboardInterrupt: a training was stopped.
+    """
+    robot = with_timing(load_robot(settings.robot), settings.control_dt or None, settings.command_path, "train --control-dt")
+    model = first_water(settings, slip)
+    box = domain_of_model(domain, model)
+    about = {"settings": as_dict(settings), "begin": begin, "slip": model.slip, "domain": box.name, "steps": steps}
+    if (folder / FILE).is_file() and read_json(folder / FILE) != about:
+        raise ConfigError(f"{folder} holds a run with other options; repeat its command to go on, or choose another --out")
+    write_json(folder / FILE, about)
+    data = open_dataset(Path("data") / "hydro" / robot.name)
+    devices = devices_of(device)
+    setup = Setup(robot=robot, domain=box, device=devices[0])
+    pool = pool or Local(ON_GPU if setup.device.startswith("cuda") else 1, devices)
+    made: list[Path] = []
+
+    def train(number: int, model: HydroModel) -> str:
+        before = str(made[-1]) if made else begin
+        water = model.save(folder / f"round-{number - 1}")
+        made.append(trained(settings, water, folder / f"round-{number}" / "train", before, asked or {}, steps, command))
+        return str(made[-1])
+
+    refit = lambda model, solver: dagger.refitted(robot, model, data, solver, folder)
+    with interrupt.keeping(partial(dagger.kept_words, folder)):
+        found = dagger.correct(
+            train, robot, model, folder, setup, refit=refit, rounds=rounds, episodes=episodes, seconds=seconds, pool=pool
+        )
+    return {**found, "model": None, "water": str(folder / f"round-{len(made) - 1}" / "water.toml"), "policy": str(made[-1])}
+
+
+def trained(settings: Settings, water: Path, folder: Path, begin: str | None, asked, steps: int | None, command) -> Path:
+    """Policy of one round; a training that was finished is not repeated, one that was interrupted goes on."""
+    policy, done = None, folder / "summary.json"
+    one = change(settings, water=str(water))
+    if begin is not None:
+        policy, one = begin_with(begin, one, asked)
+        one = change(one, steps=AGAIN, assess_every=AGAIN // 4)
+    if steps is not None:
+        one = change(one, steps=steps, assess_every=max(1, steps // 4))
+    one = settled(one)
+    if not done.is_file():
+        resume = any((folder / "checkpoints").glob("*"))
+        summary = TrainingRun(one, folder, resume=resume, command=command, begin=None if resume else policy).go()
+        if summary["stopped"]:
+            raise KeyboardInterrupt
+        write_json(done, summary)
+    return Path(read_json(done)["policy"])
+
+
+def affordable(settings: Settings, args) -> None:
+    """Checks that the solver's part can be done here. Raises TooMuch with the estimate."""
+    box = domain_of_model(args.domain, first_water(settings, args.slip))
+    water = args.rounds * EPISODES * (SECONDS + dagger.SHORT)
+    less = "take fewer --rounds; --domain laptop is a preview"
+    work = [(level, water) for level in box.levels]
+    solver_cost.agree("train --correct", args.device or "auto", work, instead=less, flag="--yes", asked=args.yes)
+
+
+def table(rows: list[dict]) -> str:
+    """Rounds as a table: returns a control step, their difference with its interval, RMS distances in the second half [m]."""
+    named = lambda row: {
+        "round": row["round"],
+        "return in the water": row["surrogate"],
+        "in the solver": row["solver"],
+        "difference (95 %)": f"{row['surrogate'] - row['solver']:+.3f} ({row['low']:+.3f} {row['high']:+.3f})",
+        "rmse in the water": row["rmse_surrogate"],
+        "rmse in the solver": row["rmse_solver"],
+    }
+    return console.table([named(row) for row in rows])
