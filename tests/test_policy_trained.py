@@ -144,7 +144,7 @@ def test_the_command_line_tells_a_training_its_words(tmp_path, monkeypatch):
     from fishmj.train.__main__ import main as train
 
     monkeypatch.setattr(training_run, "TrainingRun", Recorded)
-    monkeypatch.setattr(training_run, "learner_of", lambda settings: None)
+    monkeypatch.setattr(training_run, "learner_of", lambda settings, devices: None)
     argv = ["--preset", "quick", "--steps", "300", "--engine", "planar", "--out", str(tmp_path / "a run")]
     assert console.run(train, argv) == console.OK
     assert Recorded.command == f"fishmj train {' '.join(argv[:-1])} {shlex.quote(argv[-1])}"

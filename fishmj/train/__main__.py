@@ -74,7 +74,7 @@ def options() -> console.Parser:
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
     devices = "devices of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
     add("--devices", type=console.whole(1, 1024), default=1, metavar="N", help=devices)
-    spread = f"train --seeds over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all machines share"
+    spread = f"train --seeds over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all see (default: here)"
     add("--ray", type=console.text, metavar="ADDRESS", help=spread)
     add("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
