@@ -47,7 +47,9 @@ def options() -> console.Parser:
     place = "of --water lbm: auto, cpu, cuda, cuda:N or cuda:all; default auto"
     add("--device", type=console.devices, default="auto", help=place)
     add("--tanks", type=console.whole(1, 256), default=1, help="trials of --water lbm side by side on each device; default 1")
-    trained = "folder of policies that ablations judges in place of its own trainings: complete, no-self-velocity, .. (default: none)"
+    trained = (
+        "folder of policies that ablations judges in place of its own trainings: complete, no-self-velocity, .. (default: none)"
+    )
     add("--trained", type=console.path, metavar="DIR", help=trained)
     add("--seed", type=console.SEED, default=0, help="of all draws")
     add("--out", type=console.out_folder, default=OUT, metavar="DIR", help="folder of rows and report.html")
