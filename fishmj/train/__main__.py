@@ -54,7 +54,7 @@ def options() -> console.Parser:
     task = f"{', '.join(COURSES)}, or your own as module:Name, docs/simulate/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
     engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3 only; lbm: the flow solver,"
-    engine += " one tank a fish (--envs), a quarter of an hour of a GPU; best with --begin (default: auto)"
+    engine += " one tank a fish (--envs), for a GPU; best with --begin (default: auto)"
     add("--engine", choices=("auto", *NAMES, choice.LBM), help=engine)
     box = f"box of water of --engine lbm (default: {PLAIN.domain}) and --correct (default: the water's); laptop is a preview"
     add("--domain", choices=BOXES, help=box)

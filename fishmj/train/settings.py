@@ -123,7 +123,7 @@ PRESETS = {
         task={"turbulence": "gust", "intensity": (0.0, 0.12)},
         algorithm={"hidden": (256, 256), "envs": 64},
     ),
-    # fine-tuning in the flow solver, one tank a fish: a quarter of an hour of an H200
+    # fine-tuning in the flow solver, one tank a fish
     LBM: Settings(
         preset=LBM, engine=LBM, steps=100_000, assess_every=25_000, assess_episodes=24,
         solver={"domain": PLAIN.domain, "slip": PLAIN.slip, "device": "auto"},
