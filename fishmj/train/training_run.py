@@ -297,7 +297,7 @@ class TrainingRun:
                     saved = time.monotonic()
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
-        return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked)) | {"devices": self.devices}
+        return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked), self.devices)
 
     def _is_good(self) -> bool:
         return self.best is not None and self.stop_when(self.best)
@@ -352,7 +352,7 @@ class TrainingRun:
         actor = jax.device_get(self.training.actor)  # on several devices the assessment still takes one
         figures = self.assess(actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
-        self._raise_failure(self.assess.env)
+        self._raise_failure(getattr(self.assess, "env", None))
         better = is_better(figures, self.best, getattr(self.env, "own_reward", None) is not None)
         self.best = figures if better else self.best
         return {f"tune_{k}": v for k, v in figures.items()}, better
@@ -439,7 +439,9 @@ def write_settings(settings: Settings, folder: Path) -> None:
     store.write_json(folder / FILE, as_dict(settings) | {MADE_BY: made_by(*PACKAGES)})
 
 
-def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best: dict | None, stopped: bool) -> dict:
+def summary_of(
+    settings: Settings, folder: Path, done: int, seconds: float, best: dict | None, stopped: bool, devices: int = 1
+) -> dict:  # fmt: skip
     """Summary of a run, or of one seed of several, at its end."""
     policies = [folder / f"{name}.safetensors" for name in ("best", "last")]
     return {
@@ -452,6 +454,7 @@ def summary_of(settings: Settings, folder: Path, done: int, seconds: float, best
         "seconds": round(seconds, 2),
         "steps_per_second": round(done / max(seconds, 1e-9)),
         "stopped": stopped,
+        "devices": devices,
         **{f"tune_{k}": v for k, v in (best or {}).items()},
     }
 
