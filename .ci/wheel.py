@@ -117,7 +117,7 @@ def use(wheel: Path, there: Path) -> None:
     told = run("evaluate without its extra", fishmj, *DRIFT, cwd=elsewhere, expected=BAD_INPUT)
     if 'pip install "fishmj[train]"' not in told:
         raise SystemExit(f"the extra is not named: {told}")
-    run("install extras", *install, f"{wheel}[train,suite,view]", cwd=there)
+    run("install extras", *install, f"{wheel}[train,suite,view,solver]", cwd=there)
     print("   " + run("suite.load", python, "-c", LOAD, cwd=elsewhere).strip())
     answer = json.loads(run("evaluate drift", fishmj, *DRIFT, cwd=elsewhere).strip().splitlines()[-1])
     print("   " + json.dumps(answer)[:200])
