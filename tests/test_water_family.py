@@ -44,13 +44,17 @@ def test_draws_without_factors_lie_between_two_members():
     ends = plain.base[a, :-1], plain.base[b, :-1]
     assert (drawn >= np.minimum(*ends) - 1e-9).all() and (drawn <= np.maximum(*ends) + 1e-9).all()
     assert np.allclose(drawn[a == b], ends[0][a == b]) and np.ptp(drawn, axis=0).max() > 0.1
+    drag, rest = (plain.names.index(key) for key in ("cf", "k1"))
+    between = lambda column: (drawn[:, column] - ends[0][:, column]) / (ends[1] - ends[0])[:, column]
+    apart = (a != b) & (np.abs(ends[1] - ends[0])[:, [drag, rest]].min(-1) > 1e-3)
+    assert np.allclose(between(rest)[apart], DRAWS[apart, 2]) and np.allclose(between(drag)[apart], DRAWS[apart, 5])
 
 
 def test_all_draws_are_passive_and_a_description_may_state_them():
     for row in FAMILY.draw(np, DRAWS):
         c = unflat(row.tolist())
         assert min(*c.k, *c.cn, c.cf, c.ke, c.lift_a, c.lift_b) >= 0 and c.lift_a + c.lift_b >= 0.5 - 1e-12
-        assert FAMILY.residual[0] <= c.residual <= FAMILY.residual[1]
+        assert 0.0 <= c.residual <= FAMILY.residual[1] * max(model.base.residual for model in FAMILY.members)
         assert max(getattr(c, key) for key in EDGE) <= STEEPEST + 1e-9  # so that a description may state it
 
 
@@ -115,8 +119,8 @@ def test_a_stream_draws_waters_in_which_the_fish_can_hold():
     bounded.deviation[:] = 0.0
     stream = np.linspace(0.0, 0.7, len(DRAWS))
     free, drawn = bounded.draw(np, DRAWS), bounded.draw(np, DRAWS, stream=stream)
-    a, b, w = (DRAWS[:, 0] * 3).astype(int), (DRAWS[:, 1] * 3).astype(int), DRAWS[:, 2]
-    swims = (1 - w) * bounded.fastest[a] + w * bounded.fastest[b]
+    a, b = (DRAWS[:, 0] * 3).astype(int), (DRAWS[:, 1] * 3).astype(int)
+    swims = np.min([(1 - w) * bounded.fastest[a] + w * bounded.fastest[b] for w in (DRAWS[:, 2], DRAWS[:, 5])], 0)
     enough = swims >= RESERVE * stream
     assert 0.1 < enough.mean() < 0.9 and np.allclose(free[enough], drawn[enough]) and (free != drawn)[~enough].any(1).all()
     assert np.allclose(drawn[RESERVE * stream > top], flat(FAMILY.members[0].base))  # none is enough: the fastest member

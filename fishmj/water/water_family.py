@@ -1,14 +1,15 @@
 """A family of waters: fits to the flow solver at several slip ratios, between which every episode draws a water of its own.
 
-    c = f ((1 - w) A + w B + (A_e - A)),   residual = r
-    A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them
+    c = f ((1 - w) A + w B + (A_e - A))
+    A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them, one for drag and one for the rest:
+           two waters of equal thrust may brake differently, and the fits tell the two apart less well than their sum
     A_e    member e of A's ensemble: the error bar of that fit
     f      a factor for each coefficient, within `scatter`, except for the shape of the stall and the suction; those of the
-           trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0
-    r      share of the learnt residual, which all members have in common
+           trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0. That of the share of
+           the learnt residual, which all members have in common, lies within `residual`
 
 In a stream the fish could not hold in every such water: with v_m the speed of the fastest gait in member m, a draw whose
-(1 - w) v_A + w v_B is below `RESERVE` times the stream moves towards the fastest member until it is not.
+(1 - w) v_A + w v_B is below `RESERVE` times the stream, for either w, moves towards the fastest member until it is not.
 
 A family is a TOML file beside its members, `<name>.toml` with schema `fishmj.water-family/1`. Its first member is the water of a
 fish that is not randomised.
@@ -32,7 +33,8 @@ from fishmj.water.prior import STEEPEST, flat, names_of, unflat
 
 KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
 EDGE = ("ke", "lift_a", "lift_b")  # of the trailing edge
-N_FIXED = 5  # uniforms before those of the factors: A, B, w, e, r
+DRAG = ("cn", "cf", "ca_forward", "ca_backward")
+N_FIXED = 6  # uniforms before those of the factors: A, B, w, e, factor of the residual's share, w of drag
 RESERVE = 1.3  # speed of the fastest gait over that of the stream, at least: a fish has to turn and to make up ground
 
 
@@ -56,7 +58,7 @@ class WaterFamily:
     Attributes:
         members: the fitted waters. base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles'
             members from them.
-        scatter: largest relative change of a coefficient. residual: bounds of the residual's share.
+        scatter: largest relative change of a coefficient. residual: bounds of the factor of the residual's share.
         fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not bound the draws.
     Raises:
         ConfigError: members of different bodies, time steps or residuals, or another number of speeds.
@@ -83,6 +85,7 @@ class WaterFamily:
         count = min(len(model.members) for model in members)
         self.deviation = np.stack([self._forces(model.members[:count]) for model in members]) - self.base[:, None]
         self.factored = np.array([key not in KEPT for key in self.names])
+        self.drag = np.array([key.rstrip("0123456789") in DRAG for key in self.names])
         self.fastest = np.asarray(fastest, float)
 
     @property
@@ -104,17 +107,17 @@ class WaterFamily:
         u, base, deviation = uniforms, xp.asarray(self.base), xp.asarray(self.deviation)
         count, size = deviation.shape[:2]
         a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
-        w = u[:, 2:3]
+        w = xp.where(xp.asarray(self.drag), u[:, 5:6], u[:, 2:3])
         drawn = (1.0 - w) * base[a] + w * base[b] + deviation[a, e]
         if stream is not None and len(self.fastest):
             speed, top = xp.asarray(self.fastest, dtype=base.dtype), int(np.argmax(self.fastest))
-            swims = (1.0 - w[:, 0]) * speed[a] + w[:, 0] * speed[b]
+            swims = xp.minimum(*((1.0 - u[:, k]) * speed[a] + u[:, k] * speed[b] for k in (2, 5)))
             share = xp.clip((RESERVE * stream - swims) / xp.maximum(speed[top] - swims, 1e-6), 0.0, 1.0)
             drawn = drawn + share[:, None] * (base[top] - drawn)
         factor = 1.0 + self.scatter * (2.0 * u[:, N_FIXED:] - 1.0) * xp.asarray(self.factored, dtype=base.dtype)
         low, high = self.residual
         rows = base[0] + strength * (drawn * factor - base[0])
-        share = base[0, -1] + strength * (low + (high - low) * u[:, 4] - base[0, -1])
+        share = base[0, -1] + strength * (drawn[:, -1] * (low + (high - low) * u[:, 4]) - base[0, -1])
         return self._coefficients(xp, rows, share)
 
     def swimmer(self, robot: Robot, seed: int) -> planar_chain.Swimmer:
