@@ -16,26 +16,27 @@ from fishmj.lbm_oracle.fluid.storage import UNIT, decoded, encoded, peek3, peek3
 from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
-SHAPE = (12, 11, 34)  # a row of more cells than are collided at once
+SHAPE = (12, 11, 34)  # two blocks of rows, of which the second is not full
 TURBULENT = Flow(speed=0.2, direction=0.5, turbulence="default", seed=3)
 OPEN = {"boundaries": channel(sponge=3), "flow": TURBULENT}
 HALF = {"subgrid": "none", "dtype": "float16", "keep_velocity": False}
 SIDES = {"x": Axis("open", "wall"), "y": Axis("slip", "moving"), "z": Axis("wall", "slip")}
 WALLS = {"boundaries": Boundaries(**SIDES, sponge=3, wall_velocity_lu=(0.02, 0.0, 0.01)), "subgrid": "none"}
-THREADS = {stream_collide: 11 * 34, stream_collide_rows: 11, stream_collide_pairs: 11 * 17}  # a plane of x
+THREADS = {stream_collide: lambda shape: shape[1] * shape[2], stream_collide_rows: lambda shape: 1}  # a plane of x
+THREADS[stream_collide_pairs] = lambda shape: shape[1] * shape[2] // 2
 
 
-def water(make, monkeypatch, options) -> Fluid:
+def water(make, monkeypatch, options, size=SHAPE) -> Fluid:
     """Stirred and pushed for some steps, before and after its window moved."""
-    monkeypatch.setattr(fluid, "kernel_for", lambda shape, device: (make, THREADS[make]))
+    monkeypatch.setattr(fluid, "kernel_for", lambda shape, device: (make, THREADS[make](shape)))
     nu = 1e-3 if options.get("subgrid") == "none" else 1e-6  # without an eddy viscosity water itself is refused
-    found = Fluid(Lattice(dx=0.02, dt=0.004, nu=nu), SHAPE, "cpu", threads=1, **options)
+    found = Fluid(Lattice(dx=0.02, dt=0.004, nu=nu), size, "cpu", threads=1, **options)
     rng = np.random.default_rng(1)
-    found.impose(0.05 * rng.standard_normal((*SHAPE, 3)))
-    found.force.assign(rng.uniform(-0.01, 0.01, (*SHAPE, 3)).astype(np.float32))
+    found.impose(0.05 * rng.standard_normal((*size, 3)))
+    found.force.assign(rng.uniform(-0.01, 0.01, (*size, 3)).astype(np.float32))
     for _ in range(3):
         found.step(((3, 3, 2), (10, 9, 7)))
-    found.shift((2, -1, 3))
+    found.shift((2, -2, 3))  # both faces of y then lie inside a block of rows
     for _ in range(4):
         found.step(((4, 3, 5), (11, 8, 31)))
     return found
@@ -51,6 +52,11 @@ def assert_same(one: Fluid, other: Fluid) -> None:
 @pytest.mark.parametrize("make", [stream_collide_rows, stream_collide_pairs])
 def test_rows_and_pairs_do_what_cells_do_in_a_turbulent_stream(make, monkeypatch):
     assert_same(water(stream_collide, monkeypatch, OPEN), water(make, monkeypatch, OPEN))
+
+
+@pytest.mark.parametrize("size", [(8, 40, 17), (11, 18, 8), (7, 8, 290)], ids=["runs on", "flat", "longer than a block"])
+def test_rows_of_any_length_do_what_cells_do(size, monkeypatch):
+    assert_same(water(stream_collide, monkeypatch, OPEN, size), water(stream_collide_rows, monkeypatch, OPEN, size))
 
 
 @pytest.mark.slow
@@ -74,7 +80,7 @@ def test_kernel_choice_is_rows_on_a_large_cpu_box_and_pairs_on_a_gpu():
         def __init__(self, is_cuda: bool):
             self.is_cuda = is_cuda
 
-    assert kernel_for((80, 56, 30), Device(False)) == (stream_collide_rows, 56)
+    assert kernel_for((80, 56, 30), Device(False)) == (stream_collide_rows, 1)
     assert kernel_for((8, 8, 8), Device(False)) == (stream_collide, 64)
     assert kernel_for((200, 200, 50), Device(True)) == (stream_collide_pairs, 200 * 25)
     assert kernel_for((20, 20, 5), Device(True)) == (stream_collide, 100)
