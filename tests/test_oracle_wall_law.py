@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from fishmj.base.errors import ConfigError
+from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError, DescriptionError
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import wall_law
@@ -16,7 +17,9 @@ from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
 from fishmj.lbm_oracle.immersed.markers import WALL_STRESS, Markers, fish_markers
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, asked_for
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, asked_for, study_slips
+from fishmj.mjcf import load_robot
+from fishmj.mjcf.identity import robot_sha256
 
 wp.config.quiet = True
 
@@ -154,3 +157,27 @@ def test_law_of_the_wall_needs_water_as_far_as_it_looks(fine, message):
     coupled = SwimSetup(domain=replace(POND, shape=(52, 40, 20), fine=fine), sharpness=far).coupled()
     with pytest.raises(ConfigError, match=message):
         coupled.place_markers()
+
+
+def test_studies_leave_the_slip_ratio_to_the_law():
+    assert study_slips("speeds", None, "edges", (0.5, 1.0)) == [0.5, 1.0] and study_slips("speeds", [0.9], "edges", ()) == [0.9]
+    assert study_slips("speeds", None, "wall_stress", (0.5, 1.0)) == [1.0]
+    with pytest.raises(ConfigError, match="speeds: --slips beside --boundary wall_stress"):
+        study_slips("speeds", [0.9], "wall_stress", ())
+
+
+def test_laminar_hull_is_stated_and_refused_without_the_law(tmp_path):
+    written = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
+    file = tmp_path / "fish.toml"
+    file.write_text(written.replace("[body]", '[body]\nhull = "laminar"'), encoding="utf-8")
+    fish, usual = load_robot(str(file)), load_robot("fish")
+    assert (fish.hull, usual.hull) == ("laminar", "turbulent") and robot_sha256(fish) != robot_sha256(usual)
+    assert robot_sha256(replace(fish, hull="turbulent")) == robot_sha256(usual)
+    markers = fish_markers(fish, 0.02, sharpness=WALL_STRESS)
+    assert markers.from_nose.min() == pytest.approx(0.01, abs=0.005) and markers.from_nose.max() == pytest.approx(0.51, abs=0.02)
+    assert fish_markers(usual, 0.02, sharpness=WALL_STRESS).from_nose is None
+    with pytest.raises(ConfigError, match="hull = 'laminar' in a boundary of the flow solver with one slip ratio"):
+        fish_markers(fish, 0.02)
+    file.write_text(written.replace("[body]", '[body]\nhull = "rough"'), encoding="utf-8")
+    with pytest.raises(DescriptionError, match="hull: got 'rough', expected 'turbulent' or 'laminar'"):
+        load_robot(str(file))

@@ -237,9 +237,18 @@ def chain_markers(
     spacing: float = 1.0,
     sharpness: Sharpness = PLAIN,
 ) -> Markers:
-    """Markers of a chain of any number of links; arguments as `fish_markers`."""
+    """Markers of a chain of any number of links; arguments as `fish_markers`.
+
+    Raises:
+        ConfigError: as `fish_markers`, or a laminar hull without a law for the wall's stress.
+    """
     numbers("markers: dx", dx, low=1e-300), numbers("markers: spacing", spacing, low=1e-3)
     checked_kind("markers: sharpness", sharpness, Sharpness, needed=True)
+    if robot.hull == "laminar" and sharpness.law_height is None:
+        raise ConfigError(
+            f"{robot.name}: hull = 'laminar' in a boundary of the flow solver with one slip ratio for the hull; take the boundary"
+            " wall_stress, or leave hull out of the description"
+        )
     g = geometry_of(robot)
     (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
     parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness.edges)]
@@ -266,6 +275,7 @@ def chain_markers(
         sheet=sheet,
         slip_length=sharpness.slip_length(sheet, thick / dx),
         law_height=sharpness.law_height,
+        from_nose=np.maximum(g.reference - point[:, 0], dx / 2) if robot.hull == "laminar" else None,
     )
 
 

@@ -9,7 +9,7 @@ another `name`. Grid, slip ratio and boundary were chosen by the effect of half 
 kind of treatment is a new field with a default, which `immersed` passes on.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from fishmj.base.errors import ConfigError
@@ -49,6 +49,19 @@ def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> N
     words += " the edges of hulls, for tails 1 to 5 cells thick. wall_stress: as edges,"
     words += " friction from a law of the wall in place of --slip. Default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
+
+
+def study_slips(who: str, slips: list[float] | None, boundary: str, usual: Iterable[float]) -> list[float]:
+    """Slip ratios of a study: those given, else the usual ones; 1 alone with a boundary that sets them.
+
+    Raises:
+        ConfigError: slip ratios beside such a boundary.
+    """
+    if BOUNDARIES[boundary].law_height is None:
+        return list(usual if slips is None else slips)
+    if slips is not None and slips != [1.0]:
+        raise ConfigError(f"{who}: --slips beside --boundary {boundary}, which sets the slip ratio; leave one of them out")
+    return [1.0]
 
 
 class SolverWater(NamedTuple):
