@@ -8,6 +8,7 @@ import warp as wp
 
 from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, DescriptionError
+from fishmj.lbm_oracle.cases import wall_stress
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import wall_law
@@ -43,14 +44,14 @@ def law(speed, height: float, nu: float, from_nose: float = 0.0) -> np.ndarray:
     return found.numpy()
 
 
-def slab(nu: float, height: int, *, place: float = 0.25, push: float = 0.0, sheet: bool = True, nose=None) -> FluidStructure:
-    """A wall across a periodic box of `height` cells, on a slide along itself: a channel whose two walls are its two sides."""
+def slab(nu: float, height: int, *, sheet: bool, nose: float | None) -> FluidStructure:
+    """A wall across a periodic box of `height` cells at rest, on a slide along itself."""
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=nu)
-    water = Fluid(lattice, (WIDE, height, WIDE), "cpu", subgrid="none", body_acceleration=(push, 0.0, 0.0))
+    water = Fluid(lattice, (WIDE, height, WIDE), "cpu", subgrid="none")
     body = ImmersedBody.on_slides("x", 1.0, [1.0] * 3, 0.0, [0.0] * 3, 1.0)
     x, z = (side.ravel() for side in np.meshgrid(np.arange(WIDE) + 0.3, np.arange(WIDE) + 0.2, indexing="ij"))
     normal = np.broadcast_to([0.0, 1.0, 0.0], (len(x), 3))
-    point = np.stack([x, 0 * x + height // 2 + place, z], -1)
+    point = np.stack([x, 0 * x + height // 2 + 0.25, z], -1)
     same = {"rest": point, "normal": normal, "area": np.ones(len(x)), "pivot": 0 * point, "share": 0 * x}
     link = np.zeros(len(x), np.int32)
     where = {"before": link, "after": link, "sheet": np.full(len(x), sheet), "from_nose": nose and np.full(len(x), nose)}
@@ -93,19 +94,17 @@ def test_slab_in_uniform_water_feels_the_law_times_its_area(sheet, nu, nose):
 
 def test_laminar_channel_of_markers_has_the_viscous_profile():
     """tau = nu U / H takes the profile as straight up to H: with tau given, the water is faster by g H^2 / (2 nu) everywhere."""
-    half, nu, fastest = 10, 0.2, 0.03
-    push = 2 * nu * fastest / half**2
-    wall = slab(nu, 2 * half, push=push)
-    for _ in range(round(7 * (2 * half / np.pi) ** 2 / nu)):
-        wall.step([1.0], [0.0])
-    y = (np.arange(2 * half) - half - 0.25) % (2 * half)
-    far = np.minimum(y, 2 * half - y) > wall_law.STANDOFF
-    found, exact = wall.fluid.velocity()[..., 0].mean((0, 2)), push * y * (2 * half - y) / (2 * nu)
-    assert found[far] - exact[far] == pytest.approx(push * wall_law.STANDOFF**2 / (2 * nu), abs=0.01 * fastest)
-    raw, _ = wall.take_wrench(1.0)
-    wall.step([1.0], [0.0])
-    raw, _ = wall.take_wrench(1.0)
-    assert raw[0, 0] == pytest.approx(push * WIDE**2 * 2 * half, rel=0.01)
+    offset, bent = wall_stress.laminar(8, "cpu")
+    assert offset == pytest.approx((wall_law.STANDOFF / 8) ** 2, abs=0.005) and bent < 0.005
+
+
+def test_turbulent_channel_keeps_its_bulk_velocity_under_the_laws_stress():
+    """Before anything mixes: the momentum of the water gives the velocity of the sheet, and the profile is flat."""
+    ratio, profile = wall_stress.turbulent(640.0, 8, "cpu", turnovers=0.05)
+    friction = wall_stress.BULK / wall_stress.bulk_of(640.0)
+    assert profile.mean() * ratio == pytest.approx(wall_stress.BULK / friction, rel=1e-3)
+    expected = law(wall_stress.BULK, wall_law.STANDOFF, friction * 8 / 640.0)[0]
+    assert (ratio * friction) ** 2 == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize("warps", [False, True])
