@@ -180,3 +180,17 @@ def test_laminar_hull_is_stated_and_refused_without_the_law(tmp_path):
     file.write_text(written.replace("[body]", '[body]\nhull = "rough"'), encoding="utf-8")
     with pytest.raises(DescriptionError, match="hull: got 'rough', expected 'turbulent' or 'laminar'"):
         load_robot(str(file))
+
+
+@pytest.mark.gpu
+def test_wall_stress_on_a_gpu_is_that_of_the_cpu():
+    made = []
+    for device, on_device in (("cpu", False), ("cuda", False), ("cuda", True)):
+        run = SwimSetup(domain=POND, sharpness=WALL_STRESS, device=device).run(on_device=on_device, latency=0.0)
+        for tick in range(10):
+            run.tick(0.3 * np.sin(0.5 * tick - np.arange(3)))
+        made.append(run.coupled)
+    one = made[0].boundary.slips.numpy()
+    for other in made[1:]:
+        np.testing.assert_allclose(other.boundary.slips.numpy(), one, atol=1e-4)
+        np.testing.assert_allclose(other.body.data.qvel, made[0].body.data.qvel, atol=1e-5)
