@@ -8,6 +8,7 @@ import warp as wp
 
 from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, DescriptionError
+from fishmj.hydro_fit import __main__ as hydro_fit
 from fishmj.lbm_oracle.cases import wall_stress
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
@@ -163,6 +164,9 @@ def test_studies_leave_the_slip_ratio_to_the_law():
     assert study_slips("speeds", None, "wall_stress", (0.5, 1.0)) == [1.0]
     with pytest.raises(ConfigError, match="speeds: --slips beside --boundary wall_stress"):
         study_slips("speeds", [0.9], "wall_stress", ())
+    with pytest.raises(ConfigError, match="collect: slip ratios beside --boundary wall_stress"):
+        hydro_fit.main(["collect", "--boundary", "wall_stress", "--dry-run", "--scale", "0.1"])
+    assert hydro_fit.main(["collect", "--boundary", "wall_stress", "--all-at-slip", "1", "--dry-run", "--scale", "0.1"]) == 0
 
 
 def test_laminar_hull_is_stated_and_refused_without_the_law(tmp_path):
