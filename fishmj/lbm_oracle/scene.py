@@ -5,12 +5,12 @@
     scene.run(60.0)
     print(scene, scene.drag_coefficient(20.0))
 
-The box spans 0 to `box`. The water streams along x through open faces, or is at rest in a box. A body is held, moves as a function of
+The box spans 0 to `box`. The water streams along x through open faces, or is at rest. A body is held, moves as a function of
 time, or is free:
 
     add(cylinder(0.01), at=(0.2, 0.2))                                                             held
     add(plate(0.1), at=(0.3, 0.2), joints=("slide y", "hinge z"), motion=lambda t: (h(t), a(t)))   moved, m and rad
-    add(sphere(0.02, ), at=(0.1, 0.1, 0.1), joints=("free",), density=1100.0)                      free
+    add(sphere(0.02), at=(0.1, 0.1, 0.1), joints=("free",), density=1100.0)                      free
     add(mujoco.MjModel.from_xml_path("fish.xml"), motion=lambda t: angles(t))                      your model in its own frame
 
 All walls of bodies are without slip. docs/solver/your_own_body.md has the measured accuracy.
@@ -20,7 +20,7 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -60,7 +60,8 @@ FEWEST, CLEAR = 6, 4  # cells across a body; between a body and a face
 QUIET = 5.0  # s of work before a progress line
 JOINTS = {"slide": mujoco.mjtJoint.mjJNT_SLIDE, "hinge": mujoco.mjtJoint.mjJNT_HINGE}
 
-MotionFunction = Callable[[float], Sequence[float]]
+Numbers = Sequence[float] | np.ndarray
+MotionFunction = Callable[[float], Numbers | float]
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,10 @@ class PlacedBody:
 
 
 class ForceRecord(NamedTuple):
-    """Means over intervals that end at `times` (T,) s: wrenches (T, L, 6) N and N m on each link, in a strip per metre of span."""
+    """Means over intervals ending at `times` (T,) s: wrenches (T, L, 6) N and N m on each link, of a flat flow per metre of span.
+
+    World frame, moments about the link's origin; without the momentum of the water inside, as on a real hull.
+    """
 
     times: np.ndarray
     wrench: np.ndarray
@@ -99,7 +103,7 @@ class Scene:
 
     def __init__(
         self,
-        box: Sequence[float],
+        box: Numbers,
         dx: float,
         nu: float = WATER_VISCOSITY,
         stream: float = 0.0,
@@ -109,7 +113,7 @@ class Scene:
         sides: str = "slip",
         sponge: int | None = None,
         subgrid: str = "none",
-        gravity: Sequence[float] = (0.0, 0.0, 0.0),
+        gravity: Numbers = (0.0, 0.0, 0.0),
         device: str = "cpu",
     ):
         dx, nu = (float(numbers(f"scene: {name}", value, low=1e-300)) for name, value in (("dx", dx), ("nu", nu)))
@@ -140,7 +144,7 @@ class Scene:
     def add(
         self,
         body: "BodyShape | mujoco.MjModel",
-        at: Sequence[float] | None = None,
+        at: Numbers | None = None,
         *,
         joints: Sequence[str] = (),
         motion: MotionFunction | None = None,
@@ -179,7 +183,9 @@ class Scene:
             needs = "a free body needs its density in kg/m3" if density is None else "a density is that of a free body"
             raise ConfigError(f"scene: {shape.name}: {needs}; a held one has no joints, a moved one a motion")
         if density is not None and not shape.volume:
-            raise ConfigError(f"scene: a free {shape.name} without volume; put a thin free body into a MuJoCo model with its mass")
+            raise ConfigError(
+                f"scene: a free {shape.name} without volume; put a thin free body into a MuJoCo model with its mass"
+            )
         weight = 0.0 if density is None else float(numbers("scene: density", density, low=1e-300))
         one = PlacedBody(shape, place, joints, motion, weight)
         if shape.size < FEWEST * self.lattice.dx * (1 - 1e-9):
@@ -194,7 +200,9 @@ class Scene:
 
     def _add_model(self, model: mujoco.MjModel, motion: MotionFunction | None, plain: bool) -> "Scene":
         if not plain:
-            raise ConfigError("scene: a MuJoCo model with at, joints or density; its place, joints and masses are those of the model")
+            raise ConfigError(
+                "scene: a MuJoCo model with at, joints or density; its place, joints and masses are those of the model"
+            )
         if self._model is not None or self._placed:
             raise ConfigError("scene: a MuJoCo model beside other bodies; expected one model that holds all of them")
         if self.flat:
@@ -245,7 +253,7 @@ class Scene:
         lattice = self.lattice
         if self._model is None and not self._placed:
             raise ConfigError("scene: no body; add one: scene.add(sphere(0.02), at=(0.1, 0.1, 0.1))")
-        body, markers = self._of_shapes() if self._model is None else self._of_model()
+        body, markers = self._of_shapes() if self._model is None else self._of_model(*self._model)
         water = Fluid(
             lattice,
             self.shape,
@@ -301,17 +309,16 @@ class Scene:
         self._start(body)
         return body, _joined([one.shape.markers(self.lattice.dx) for one in order], range(len(order)))
 
-    def _of_model(self) -> tuple[ImmersedBody, Markers]:
-        assert self._model is not None
-        model, motion, surfaces = self._model
+    def _of_model(self, model: mujoco.MjModel, motion: MotionFunction | None, surfaces: list) -> tuple[ImmersedBody, Markers]:
         parts, links, masses = [], [], []
         for link, geoms in enumerate(surfaces):
             moments = [solid_moments(vertices, faces) for _, vertices, faces in geoms]
-            volume = sum(v for v, _, _ in moments)
-            centre = sum((v * c for v, c, _ in moments), np.zeros(3)) / (volume or 1.0)
-            arms = [(v, c - centre, i) for v, c, i in moments]
-            inertia = sum((i + v * (r @ r * np.eye(3) - np.outer(r, r)) for v, r, i in arms), np.zeros((3, 3)))
-            masses.append((volume, centre, inertia))
+            total = sum(volume for volume, _, _ in moments)
+            middle = sum((volume * place for volume, place, _ in moments), np.zeros(3)) / (total or 1.0)
+            arms = [(v, place - middle, about) for v, place, about in moments]
+            masses.append(
+                (total, middle, sum((i + v * (r @ r * np.eye(3) - np.outer(r, r)) for v, r, i in arms), np.zeros((3, 3))))
+            )
             parts += [surface_markers(name, vertices, faces, self.lattice.dx) for name, vertices, faces in geoms]
             links += [link] * len(geoms)
         volume, centre, inertia = (np.array(column) for column in zip(*masses, strict=True))
@@ -436,10 +443,11 @@ class Scene:
 
     def __str__(self) -> str:
         """Numbers that judge the grid, in one line."""
-        lattice, size, fast = self.lattice, self._size() if self._placed or self._model else 0.0, self.stream
+        lattice, size = self.lattice, self._size() if self._placed or self._model else 0.0
         return (
-            f"{' x '.join(map(str, self.shape))} cells of {lattice.dx:g} m, dt {lattice.dt:.4g} s, {size / lattice.dx:.3g} cells across,"
-            f" Re {fast * size / lattice.nu:.4g}, Mach {lattice.mach(fast):.2f}, tau {lattice.tau:.4f}, blockage {100 * self.blockage:.2g} %"
+            f"{' x '.join(map(str, self.shape))} cells of {lattice.dx:g} m, {size / lattice.dx:.3g} across a body, dt"
+            f" {lattice.dt:.4g} s, Re {self.stream * size / lattice.nu:.4g}, Mach {lattice.mach(self.stream):.2f}, tau"
+            f" {lattice.tau:.4f}, blockage {100 * self.blockage:.2g} %"
         )
 
 

@@ -5,8 +5,8 @@
     U = 1.25 |f1 - f0|          a monotonic series with 0.5 <= p <= 2.5: grid convergence index of the finest grid
     U = 3 (greatest - least)    any other series: no order, no limit
 
-Sources: Celik et al. 2008, J. Fluids Eng. 130:078001 (index and its factor for three grids); Eca and Hoekstra 2014, J. Comput. Phys.
-262:104 (the range where no order fits; an order of at most the scheme's, here 2, with some room).
+Sources: Celik et al. 2008, J. Fluids Eng. 130:078001 (index and its factor for three grids); Eca and Hoekstra 2014, J. Comput.
+Phys. 262:104 (the range where no order fits, and that an order far from the scheme's is not believed). Neither was read here.
 """
 
 from collections.abc import Callable, Sequence

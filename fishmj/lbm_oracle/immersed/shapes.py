@@ -1,7 +1,7 @@
 """Shapes that a `Scene` puts into water: sphere, cylinder, plate, a closed mesh of triangles, and the geoms of a MuJoCo model.
 
-A mesh becomes markers in three steps: its vertices are drawn in so that every face moves by the kernel's offset; random points fill
-the faces; Lloyd's iterations gather them into even patches of about one cell.
+A mesh becomes markers in three steps: its vertices are drawn in so that every face moves by the kernel's offset; random points
+fill the faces; Lloyd's iterations gather them into even patches of about one cell.
 
     V = sum_t a . (b x c) / 6,   int x dV and int x x^T dV alike      volume, centre and inertia from tetrahedra to the origin
     A = 1/2 sum_t |A_x|                                               frontal area; of a body that is not convex an upper bound
@@ -105,9 +105,7 @@ def mesh(source: Any, scale: float = 1.0) -> BodyShape:
     volume, centre, inertia = solid_moments(vertices, faces)
     front, size = frontal_area(vertices, faces), float(np.ptp(vertices, 0).max())
     make = lambda dx: surface_markers(what, vertices, faces, dx)
-    return BodyShape(
-        name=what, markers=make, size=size, area=front, front=front, volume=volume, centre=centre, inertia=inertia
-    )
+    return BodyShape(name=what, markers=make, size=size, area=front, front=front, volume=volume, centre=centre, inertia=inertia)
 
 
 def _given_surface(source) -> tuple[np.ndarray, np.ndarray]:
@@ -143,8 +141,8 @@ def _closed(what: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     forth, back = (set(map(tuple, side)) for side in (edges.tolist(), edges[:, ::-1].tolist()))
     if len(forth) != len(edges) or forth != back:
         raise ConfigError(
-            f"{what}: {len(forth ^ back)} edges do not join two triangles that are counter-clockwise seen from outside; expected a"
-            " closed surface. Repair it first, for example with `trimesh` or Blender"
+            f"{what}: {len(forth ^ back)} edges do not join two triangles that are counter-clockwise seen from outside; expected"
+            " a closed surface. Repair it first, for example with `trimesh` or Blender"
         )
     volume = solid_moments(vertices, faces)[0] if len(faces) else 0.0
     if not volume > 0:
@@ -250,8 +248,8 @@ def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarr
         i = int(model.geom_dataid[geom])
         first, count = model.mesh_vertadr[i], model.mesh_vertnum[i]
         start, number = model.mesh_faceadr[i], model.mesh_facenum[i]
-        vertices, faces = model.mesh_vert[first : first + count].astype(float), model.mesh_face[start : start + number].astype(int)
-        vertices, faces = _closed(what, vertices, faces)
+        faces = model.mesh_face[start : start + number].astype(int)
+        vertices, faces = _closed(what, model.mesh_vert[first : first + count].astype(float), faces)
     elif kind == mujoco.mjtGeom.mjGEOM_BOX:
         vertices = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
         quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -279,7 +277,9 @@ def _meridian(what: str, kind: mujoco.mjtGeom, size: np.ndarray) -> np.ndarray:
         return np.concatenate([low, high])
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return np.array([[0, -size[1]], [size[0], -size[1]], [size[0], size[1]], [0, size[1]]])
-    raise ConfigError(f"{what}: a {kind.name.removeprefix('mjGEOM_').lower()}; expected a sphere, capsule, ellipsoid, cylinder, box or mesh")
+    raise ConfigError(
+        f"{what}: a {kind.name.removeprefix('mjGEOM_').lower()}; expected a sphere, capsule, ellipsoid, cylinder, box or mesh"
+    )
 
 
 def _revolved(meridian: np.ndarray, around: int = 64) -> tuple[np.ndarray, np.ndarray]:
@@ -309,7 +309,9 @@ def link_surfaces(model: mujoco.MjModel) -> list[list[tuple[str, np.ndarray, np.
         name = model.geom(geom).name or str(geom)
         if model.geom_bodyid[geom] == 0:
             raise ConfigError(f"model: geom {name!r} belongs to the world; walls are faces of the box, an obstacle needs a body")
-        found[model.geom_bodyid[geom] - 1].append((f"geom {name}", *geom_surface(model, geom)))
+        found[model.geom_bodyid[geom] - 1].append((f"geom {name}", *geom_surface(model, int(geom))))
     if not any(found):
-        raise ConfigError("model: no geom in the groups 0 to 2; the water needs a surface: add geoms, or show those of groups 3 to 5")
+        raise ConfigError(
+            "model: no geom in the groups 0 to 2; the water needs a surface: add geoms, or show those of groups 3 to 5"
+        )
     return found
