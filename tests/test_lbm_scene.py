@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("warp")
 
 from fishmj import lbm_oracle
-from fishmj.base.errors import ConfigError, OracleUnstable
+from fishmj.base.errors import ConfigError, OracleUnstable, UnknownName
 from fishmj.lbm_oracle import Scene, cylinder, grid_study, mesh, plate, sphere
 from fishmj.lbm_oracle.cases.sphere import clift
 from fishmj.lbm_oracle.grid_studies.grid_study import judged
@@ -36,18 +36,17 @@ def box_surface(size) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_drag_of_a_sphere_is_that_of_the_literature():
-    """The same by its own markers, and by those of a MuJoCo geom."""
-    found = []
-    for body in (sphere(D), mujoco.MjModel.from_xml_string(CUBE % ('<joint type="slide"/>', ""))):
-        scene = tank()
-        held = isinstance(body, mujoco.MjModel)
-        scene.add(body, **({"motion": lambda t: 0.0} if held else {"at": (0.29, 0.243, 0.236)}))
-        if held:
-            scene = Scene((0.72, 0.56, 0.56), 0.01, NU, U).add(body, motion=lambda t: 0.0)
-        scene.run(2.5 * D / U, every=10)
-        found.append(scene.drag_coefficient(0.5 * D / U))
-    assert found == pytest.approx([clift(20.0)] * 2, rel=0.12)
-    assert found[1] == pytest.approx(found[0], rel=0.06)
+    scene = tank((0.6, 0.4, 0.4)).add(sphere(D), at=(0.24, 0.203, 0.196))
+    scene.run(1.5 * D / U, every=10)
+    assert scene.drag_coefficient(0.3 * D / U) == pytest.approx(clift(20.0), rel=0.15)
+
+
+def test_a_geom_is_pushed_like_the_sphere_that_it_is():
+    model, found = mujoco.MjModel.from_xml_string(CUBE % ('<joint type="slide"/>', "")), []
+    for scene in (tank().add(sphere(D), at=(0.29, 0.28, 0.28)), tank().add(model, motion=lambda t: 0.0)):
+        scene.run(0.2 * D / U)
+        found.append(scene.drag_coefficient(0.1 * D / U))
+    assert found[1] == pytest.approx(found[0], rel=0.06) and found[0] > clift(20.0)
 
 
 def test_forces_are_si_and_a_flat_flow_has_them_per_metre():
@@ -71,11 +70,10 @@ def test_a_moved_body_follows_its_motion_and_a_free_one_falls():
     pool = Scene((0.3, 0.3, 0.4), 0.01, 1e-4, dt=0.005, sides="wall", gravity=(0, 0, -9.81))
     pool.add(sphere(D), at=(0.15, 0.15, 0.25), joints=("free",), density=1500.0)
     pool.run(0.05)
-    fall = -pool.coupled.body.data.qvel[2]
-    assert (
-        0.05 * 9.81 * 0.1 < fall < 0.05 * 9.81 * 500 / 2000
-    )  # below that of added mass alone, (rho - rho_w) / (rho + rho_w / 2)
-    assert pool.forces.wrench[-1, 0, 2] > 1000 * 9.81 * np.pi / 6 * D**3  # buoyancy and the force of the water it pushes
+    fall, (times, wrench) = -pool.coupled.body.data.qvel[2], pool.forces
+    volume = np.pi / 6 * D**3
+    assert 0.1 < fall < 0.05 * 9.81 * 500 / 2000  # added mass alone: (rho - rho_w) / (rho + rho_w / 2)
+    assert 1500 * volume * fall == pytest.approx(np.sum(500 * volume * 9.81 - wrench[:, 0, 2]) * times[0], rel=1e-3)
 
 
 def test_several_bodies_have_the_held_ones_first():
@@ -135,8 +133,7 @@ def scene_with(**options) -> None:
     (lambda: Scene((1.0,), 0.01), "three lengths in m, or two"),
     (lambda: Scene((1.0, 1.0), 0.01), "water at rest and no dt"),
     (lambda: Scene((1.0, 1.0), -0.01, stream=1.0), r"scene: dx = -0.01"),
-    (lambda: Scene((1.0, 1.0), 0.01, stream=0.1, sides="moving"), "side face"),
-    (lambda: Scene((1.0, 1.0), 0.01).add, "water at rest"),
+    (lambda: Scene((1.0, 1.0), 0.01, 1e-4, 0.1, sides="moving"), "side face"),
     (lambda: scene_with(body=sphere(0.05)), r"5\.0 cells across the sphere; expected 6 at least: dx = 0\.00833 m"),
     (lambda: scene_with(at=(0.25, 0.24)), r"at of the sphere has the shape \(2,\)"),
     (lambda: scene_with(at=(0.25, 0.24, 2.0)), r"sphere from z = 1\.967 to 2\.033 m in a box of 0 to 0\.48 m"),
@@ -152,20 +149,20 @@ def scene_with(**options) -> None:
     (lambda: tank().run(1.0), "no body; add one"),
     (lambda: tank().add(sphere(D), at=(0.25, 0.24, 0.24)).coefficients(), "need a stream and a record"),
     (lambda: mesh("nowhere.stl"), "no such file"),
-    (lambda: mesh((np.eye(3), [[0, 1, 2]])), "3 edges do not join two triangles|edges do not join"),
+    (lambda: mesh((np.eye(3), [[0, 1, 2]])), "edges do not join two triangles"),
     (lambda: mesh((box_surface((1, 1, 1))[0], box_surface((1, 1, 1))[1][:, ::-1])), "volume -8 m3"),
     (lambda: mesh(box_surface((0.1, 0.1, 0.002))).markers(0.01), "thinner than the 1.4 cells"),
     (lambda: grid_study(lambda dx: dx, (1.0, 2.0, 3.0)), "expected three cells, each 1.1 times the next"),
     (lambda: grid_study(lambda dx: np.nan, (3.0, 2.0, 1.0)), "value at dx = 3 = nan"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused_with_what_would(wrong, said):
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises((ConfigError, UnknownName), match=said):
         wrong()
 
 
 def test_limits_of_the_scheme_are_refused_where_the_box_is_made():
     with pytest.raises(OracleUnstable, match="Mach 0.87"):
-        Scene((1.0, 1.0), 0.01, stream=1.0, dt=0.005)
+        Scene((1.0, 1.0), 0.01, 1e-3, 1.0, dt=0.005)
     with pytest.raises(OracleUnstable, match=r"tau = 0\.50015 .* subgrid = 'wale'"):
         Scene((1.0, 1.0), 0.01, stream=0.1)
 
@@ -174,7 +171,7 @@ def test_a_model_is_refused_by_what_it_lacks():
     joint, model = '<joint type="slide"/>', lambda *words: mujoco.MjModel.from_xml_string(CUBE % words)
     for wrong, said in (
         (lambda: tank().add(model(joint, 'group="3"')), "no geom in the groups 0 to 2"),
-        (lambda: tank().add(model(joint, ""), at=(0.1, 0.1, 0.1)), "the model itself has its place|place, joints and masses"),
+        (lambda: tank().add(model(joint, ""), at=(0.1, 0.1, 0.1)), "place, joints"),
         (lambda: tank().add(model("<freejoint/>", ""), motion=lambda t: 0.0), "a free or ball joint"),
         (lambda: tank().add(model(joint, "")).add(sphere(D), at=(0.1, 0.1, 0.1)), "a shape beside a MuJoCo model"),
         (lambda: tank((0.36, 0.5, 0.5)).add(model(joint, ""), motion=lambda t: 0.0).run(1.0), "the model from x"),

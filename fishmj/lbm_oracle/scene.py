@@ -20,7 +20,7 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -78,7 +78,7 @@ class PlacedBody:
 class ForceRecord(NamedTuple):
     """Means over intervals ending at `times` (T,) s: wrenches (T, L, 6) N and N m on each link, of a flat flow per metre of span.
 
-    World frame, moments about the link's origin; without the momentum of the water inside, as on a real hull.
+    World frame, moments about the link's origin; on a hull without water inside, and without its buoyancy.
     """
 
     times: np.ndarray
@@ -128,14 +128,14 @@ class Scene:
             raise ConfigError("scene: water at rest and no dt; expected dt = 0.05 dx / (greatest speed of a body), s")
         step = min(COURANT * dx / stream, THICKEST * dx**2 / nu) if dt is None else dt
         self.lattice = Lattice(dx=dx, dt=step, rho=rho, nu=nu, corner=(dx / 2,) * 3)  # faces half a cell outside the nodes
-        check_tau(self.lattice, subgrid, "scene")
         check_speed(self.lattice, stream, "scene: stream")
+        check_tau(self.lattice, subgrid, "scene")
         checked_name("kind of side face", sides, SIDES)
         if sponge is not None:
             whole_numbers("scene: sponge", sponge, low=0)
         self.gravity = numbers("scene: gravity", gravity, (3,))
         self.stream, self.subgrid, self.sides, self.device = stream, subgrid, sides, device
-        self._sponge, self._placed = sponge, list[PlacedBody]()
+        self._sponge, self._placed, self._order = sponge, list[PlacedBody](), list[PlacedBody]()
         self._model: tuple[mujoco.MjModel, MotionFunction | None, list] | None = None
         self._coupled: FluidStructure | None = None
         self._times: list[float] = []
@@ -250,21 +250,14 @@ class Scene:
         return self._coupled
 
     def _couple(self) -> FluidStructure:
-        lattice = self.lattice
         if self._model is None and not self._placed:
             raise ConfigError("scene: no body; add one: scene.add(sphere(0.02), at=(0.1, 0.1, 0.1))")
         body, markers = self._of_shapes() if self._model is None else self._of_model(*self._model)
-        water = Fluid(
-            lattice,
-            self.shape,
-            self.device,
-            subgrid=self.subgrid,
-            boundaries=self._faces(self._sponge_for(self._size())),
-            flow=Flow(speed=self.stream),
-        )
-        coupled = coupled_in(water, body, markers)
+        sponge = self._sponge_for(self._size())
+        options: dict[str, Any] = {"subgrid": self.subgrid, "boundaries": self._faces(sponge), "flow": Flow(speed=self.stream)}
+        coupled = coupled_in(Fluid(self.lattice, self.shape, self.device, **options), body, markers)
         if self._model is not None:
-            self._check_place("the model", np.array(body.bounds(coupled.boundary.corners)), self._sponge_for(self._size()))
+            self._check_place("the model", np.array(body.bounds(coupled.boundary.corners)), sponge)
         return coupled
 
     def _of_shapes(self) -> tuple[ImmersedBody, Markers]:
@@ -297,15 +290,12 @@ class Scene:
             inertia=np.array([one.shape.inertia for one in order]) * self.lattice.rho * depth,
         )
         body = ImmersedBody(passive_slot.compiled(spec), water, self.lattice.dt)
-        self._drives = []
-        first = 0
-        for one in order:
-            count = 6 if "free" in one.joints else len(one.joints) or (1 if first == 0 and one is order[0] else 0)
-            if one.motion is not None:
-                self._drives.append((slice(first, first + count), one.motion))
-            elif not one.joints and count:
-                self._drives.append((slice(first, first + count), _at_rest))
-            first += count
+        ends = np.cumsum(body.model.body_dofnum[1:])
+        self._drives = [
+            (slice(int(end - count), int(end)), one.motion or _at_rest)
+            for one, end, count in zip(order, ends, body.model.body_dofnum[1:], strict=True)
+            if count and not one.density
+        ]
         self._start(body)
         return body, _joined([one.shape.markers(self.lattice.dx) for one in order], range(len(order)))
 
@@ -315,14 +305,15 @@ class Scene:
             moments = [solid_moments(vertices, faces) for _, vertices, faces in geoms]
             total = sum(volume for volume, _, _ in moments)
             middle = sum((volume * place for volume, place, _ in moments), np.zeros(3)) / (total or 1.0)
-            arms = [(v, place - middle, about) for v, place, about in moments]
-            masses.append(
-                (total, middle, sum((i + v * (r @ r * np.eye(3) - np.outer(r, r)) for v, r, i in arms), np.zeros((3, 3))))
-            )
+            inertia = np.zeros((3, 3))
+            for volume, place, about in moments:
+                arm = place - middle
+                inertia += about + volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            masses.append((total, middle, inertia))
             parts += [surface_markers(name, vertices, faces, self.lattice.dx) for name, vertices, faces in geoms]
             links += [link] * len(geoms)
-        volume, centre, inertia = (np.array(column) for column in zip(*masses, strict=True))
-        water = DisplacedWater(mass=self.lattice.rho * volume, centre=centre, inertia=self.lattice.rho * inertia)
+        volumes, centres, inertias = (np.array(column) for column in zip(*masses, strict=True))
+        water = DisplacedWater(mass=self.lattice.rho * volumes, centre=centres, inertia=self.lattice.rho * inertias)
         body = ImmersedBody(copy.copy(model), water, self.lattice.dt)
         self._drives = [] if motion is None else [(slice(0, model.nv), motion)]
         self._start(body)
