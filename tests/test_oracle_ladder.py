@@ -79,7 +79,7 @@ def test_oscillating_cylinder_figure_matches_the_published_coefficients():
 def test_a_sphere_sinks_from_rest_with_its_added_mass():
     """Its first acceleration is below that of a sphere with the added mass of a potential flow, by what the water holds back."""
     oil = settling.OILS["E4"]
-    start = settling.fall(oil, 4, "cpu", longest=0.02)
+    start = settling.fall(oil, 6, "cpu", longest=0.02)
     ratio = settling.DENSITY / oil.density
     free = settling.G * (ratio - 1) / (ratio + 0.5)
     assert (np.diff(start.speed) > 0).all() and start.gap[-1] < settling.GAP

@@ -179,7 +179,7 @@ def test_the_markers_of_a_chain_do_not_depend_on_how_it_was_described():
 
 def test_a_foil_is_closed_at_its_nose_and_sharp_behind():
     """Area times normal sums to nothing over a closed section; the last markers are one row."""
-    markers = heaving_foil.foil_markers(96)
+    markers = heaving_foil.foil(96).markers(1.0)
     x, y, _ = markers.rest.T
     assert np.abs(markers.area @ markers.normal * ~markers.sheet[-1]).max() < 1.0 + markers.area[markers.sheet].sum()
     assert (np.abs(y) <= 96 * heaving_foil.thickness(x / 96 + 1 / 3) + 1e-9).all()

@@ -350,8 +350,8 @@ class Scene:
 
         An interrupted run keeps its record, and the next call goes on. Raises as `step`.
         """
-        steps = max(1, round(float(numbers("scene: seconds", seconds, low=0.0)) / self.lattice.dt / every))
         every = int(whole_numbers("scene: every", every, low=1))
+        steps = max(1, round(float(numbers("scene: seconds", seconds, low=1e-300)) / self.lattice.dt / every))
         self.coupled.take_wrench(1.0)  # of steps outside this record
         depth = self.lattice.dx if self.flat else 1.0
         with console.Progress(steps, "scene", unit="records") as bar:
@@ -406,10 +406,10 @@ class Scene:
         coupled, lattice = self.coupled, self.lattice
         with coupled.scope():
             plane = plane_of(coupled.fluid, z)
+            world = coupled.boundary.world.numpy()[:, :2]
         x, y = (lattice.corner[a] + lattice.dx * np.arange(self.shape[a]) for a in range(2))
         height = self.shape[2] * lattice.dx / 2 if z is None else z
-        markers, world = coupled.boundary.markers, coupled.boundary.world.numpy()[:, :2]
-        lines = [_hull(world[markers.before == link]) for link in range(coupled.body.links)]
+        lines = [_hull(world[coupled.boundary.markers.before == link]) for link in range(coupled.body.links)]
         return Slice(self.time, height, x, y, plane[..., 0], plane[..., 1], plane[..., 2], lines)
 
     def plot(self, path: str | Path, strong: float | None = None) -> Path:
