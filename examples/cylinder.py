@@ -16,7 +16,9 @@ from fishmj.lbm_oracle import Scene, cylinder, grid_study
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--diameter", type=float, default=0.01, help="m (default 0.01)")
 parser.add_argument("--speed", type=float, default=0.01, help="of the stream, m/s (default 0.01)")
-parser.add_argument("--study", action="store_true", help="7, 10 and 14 cells across in place of 10")
+parser.add_argument("--cells", type=float, default=10.0, help="across the diameter (default 10)")
+parser.add_argument("--study", action="store_true", help="0.7, 1 and 1.4 times as many cells")
+parser.add_argument("--device", default="cpu", help="cpu or cuda (default cpu)")
 parser.add_argument("--times", type=float, default=60.0, help="diameters of water that pass (default 60)")
 args = parser.parse_args()
 d, u, turn = args.diameter, args.speed, args.diameter / args.speed
@@ -29,7 +31,7 @@ def kick(t: float) -> tuple[float]:
 
 def drag(dx: float) -> float:
     """Mean C_D over the last three tenths of the run."""
-    scene = Scene(box=(24 * d, 20 * d), dx=dx, nu=1e-6, stream=u)
+    scene = Scene(box=(24 * d, 20 * d), dx=dx, nu=1e-6, stream=u, device=args.device)
     scene.add(cylinder(d), at=(8 * d, 10 * d), joints=("slide y",), motion=kick)
     scene.run(args.times * turn)
     print(scene)
@@ -38,6 +40,6 @@ def drag(dx: float) -> float:
 
 
 if args.study:
-    print(grid_study(drag, [d / 7, d / 10, d / 14]))
+    print(grid_study(drag, [d / (share * args.cells) for share in (0.7, 1.0, 1.4)]))
 else:
-    print(f"C_D = {drag(d / 10):.3f}")
+    print(f"C_D = {drag(d / args.cells):.3f}")
