@@ -42,4 +42,4 @@ def drag(dx: float) -> float:
 if args.study:
     print(grid_study(drag, [d / (share * args.cells) for share in (0.7, 1.0, 1.4)]))
 else:
-    print(f"C_D = {drag(d / args.cells):.3f}")
+    print(f"C_D = {drag(d / args.cells):.2f}")
