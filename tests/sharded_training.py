@@ -1,4 +1,4 @@
-"""What `test_train_sharding` runs in a process with two virtual CPU devices: each check by its name on the command line."""
+"""Checks for a process with two virtual CPU devices, each by its name on the command line; `test_train_sharding` runs them."""
 
 import sys
 from dataclasses import replace

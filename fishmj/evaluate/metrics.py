@@ -286,7 +286,7 @@ def estimate(key: str, values) -> IntervalEstimate:
     value = float(middle(x)) if len(x) else np.nan
     if why := too_few(len(x)):
         return IntervalEstimate(value, np.nan, np.nan, len(x), why)
-    return IntervalEstimate(value, *_interval(middle(_resampled(x), -1)), len(x))
+    return IntervalEstimate(value, *_interval(middle(resampled(x), -1)), len(x))
 
 
 def difference(key: str, a, b) -> PairedDifference:
@@ -299,7 +299,7 @@ def difference(key: str, a, b) -> PairedDifference:
     value = float(np.mean(b - a)) if len(a) else np.nan
     if why := too_few(len(a)):
         return PairedDifference(key, value, np.nan, np.nan, len(a), np.nan, np.nan, why)
-    low, high = _interval(_resampled(b - a).mean(-1))
+    low, high = _interval(resampled(b - a).mean(-1))
     t = p = np.nan
     if np.ptp(a) > 0 or np.ptp(b) > 0:
         one, two = ((x.mean(), x.std(ddof=1), len(x)) for x in (b, a))
@@ -316,7 +316,7 @@ def paired_p(a, b) -> float:
     off = off[np.isfinite(off)]
     if len(off) < APART:
         return float("nan")
-    means = _resampled(off).mean(-1)
+    means = resampled(off).mean(-1)
     return min(1.0, 2 * (1 + min(np.sum(means <= 0), np.sum(means >= 0))) / (RESAMPLES + 1))
 
 
@@ -330,7 +330,7 @@ def holm(p) -> np.ndarray:
     return adjusted
 
 
-def _resampled(x) -> np.ndarray:
+def resampled(x) -> np.ndarray:
     """(RESAMPLES, n) draws with replacement, the same for every key and controller of n trials."""
     return x[np.random.default_rng(SEED).integers(len(x), size=(RESAMPLES, len(x)))]
 

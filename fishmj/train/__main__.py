@@ -177,7 +177,7 @@ def settings_from(args, run=None):
         s = s if args.algo == s.algo else replace(s, algo=args.algo, algorithm={})
     elif args.algo and args.algo != s.algo:  # hyperparameters do not carry over from one algorithm to another
         has = {one.name for one in fields(referred(ALGORITHMS[args.algo].config))}
-        s = replace(s, algo=args.algo, algorithm={key: s.algorithm[key] for key in ("hidden",) if key in has})
+        s = replace(s, algo=args.algo, algorithm={k: v for k, v in s.algorithm.items() if k == "hidden" and k in has})
         if budget := ALGORITHMS[args.algo].budget:  # nor does how long it takes to learn
             s = replace(s, steps=budget, assess_every=budget // LOOKS)
     if len(reward) < len(args.reward):
@@ -205,11 +205,14 @@ def settings_from(args, run=None):
 def _in_solver(settings, args) -> None:
     """Refuses what a training in the flow solver cannot do."""
     from fishmj.lbm_oracle.fluid.device import several
+    from fishmj.train.settings import ALGORITHMS
 
     if settings.preset != choice.LBM:
         raise ConfigError(f"--preset {settings.preset} with the engine lbm: each of its fish would be a tank; leave --preset out")
-    if settings.algo == "sb3-sac" or args.together:
-        raise ConfigError(f"{'--together' if args.together else '--algo sb3-sac'}: not in the flow solver; leave it out")
+    apart = settings.algo in ALGORITHMS and ALGORITHMS[settings.algo].train  # brings an environment of its own
+    given = {f"--algo {settings.algo}": apart, "--together": args.together, "--ray": args.ray}
+    if wrong := [option for option, value in given.items() if value]:
+        raise ConfigError(f"{wrong[0]}: not in the flow solver; leave it out")
     if several(device := settings.solver.get("device", "auto")):
         raise ConfigError(f"--device {device}: the tanks of a training share one; take auto, cpu, cuda or cuda:N")
 
@@ -229,6 +232,7 @@ def corrected(args, command: str) -> int:
 
     given = {"--resume": args.resume, "--force": args.force, "--together": args.together, "--seeds": args.seeds}
     given |= {"--engine lbm": args.engine == choice.LBM, "--algo": args.algo not in (None, "ppo")}
+    given |= {"--ray": args.ray, "--devices": args.devices > 1}
     if wrong := [option for option, value in given.items() if value]:
         raise ConfigError(
             f"--correct beside {wrong[0]}: its own command goes on, one seed, PPO, in the fitted water; leave it out"

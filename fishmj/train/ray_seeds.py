@@ -37,7 +37,7 @@ def train_over_ray(
     more = f"the runs keep checkpoints; {interrupt.again()}, with --resume"
     bar = console.Progress(settings.steps * len(folders), f"train {len(folders)} seeds over Ray", "steps")
 
-    def told(_: float) -> bool:
+    def show_progress(_: float) -> bool:
         if steps := sum(map(steps_of, folders.values())):
             bar.update(min(steps, settings.steps * len(folders)))
         return True
@@ -45,7 +45,7 @@ def train_over_ray(
     with interrupt.keeping(lambda: more), bar:
         bar.stage("starting the workers")
         work = f"{__name__}:run_seeds"
-        for task, summary in cluster.spread(work, waiting, command, begin, devices, gpus=devices, go_on=told):
+        for task, summary in cluster.spread(work, waiting, command, begin, devices, gpus=devices, go_on=show_progress):
             made[task.given[0].seed] = summary
     if lost := [seed for seed in folders if seed not in made]:
         raise ConfigError(f"--ray: no worker ended seed {', '.join(map(str, lost))}; {more}")

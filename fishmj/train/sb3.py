@@ -6,6 +6,7 @@ holds the tensors only: networks, optimisers, temperature. The fish are NOT kept
 repeat the uninterrupted one to the bit. Nor is SAC's replay buffer: it first refills `warmup` steps of it without learning.
 """
 
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import jax
@@ -196,7 +197,7 @@ class SB3TrainState(NamedTuple):
     tensors: dict  # everything of SB3's, by name
 
 
-class StableLearner:
+class StableLearner(ABC):
     """A learner of SB3's behind `init` and `iterate`. Subclasses make the model, and name its tensors and figures."""
 
     name: str
@@ -234,20 +235,21 @@ class StableLearner:
         """Layers of the actor, which is the mean of u."""
         return PolicyLayers(actor, self.config.activation)
 
+    @abstractmethod
     def _make(self, network: dict, **common) -> Any:
         """SB3's model with this network and these arguments."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _figures(self, said: dict) -> dict[str, float]:
         """Metrics of the algorithm from what SB3 has logged."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _actor(self) -> tuple:
         """Modules from the input to the mean of u."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _optimisers(self) -> dict[str, Any]:
-        raise NotImplementedError
+        """Optimisers of the networks by the name under which a checkpoint keeps their moments."""
 
     def _loose(self) -> dict[str, Any]:
         """Tensors to keep that are no part of `model.policy`."""

@@ -170,7 +170,7 @@ def main() -> None:
         for rows in by_fish:
             made += one_fish(name, rows, replay, true, water, tick, args.sd)
         console.say(f"{name}: {time.perf_counter() - began:.0f} s")
-        told(made, name)
+        print_row(made, name)
         if args.out:
             args.out.write_text(json.dumps(made, indent=1))
 
@@ -219,7 +219,7 @@ def one_fish(name, rows, replay, true, water, tick, sds) -> list[dict]:
     return found
 
 
-def told(made: list[dict], name: str) -> None:
+def print_row(made: list[dict], name: str) -> None:
     """Prints mean held-out misses by method, and paired differences from `strips`."""
     some = [row for row in made if row["truth"] == name]
     methods = list(dict.fromkeys(row["method"] for row in some))

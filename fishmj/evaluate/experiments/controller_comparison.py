@@ -161,13 +161,13 @@ def gap_closed(rows: dict[str, Row], key: str) -> PaperFinding:
     what = f"{DECIDING[key]}: share of the gap from {best} to {BOUND} that is closed"
     if why := metrics.too_few(n):
         return PaperFinding(what, "", why, n=n)
-    share = lambda rival, ours, bound, axis=-1: (rival.mean(axis) - ours.mean(axis)) / (rival.mean(axis) - bound.mean(axis))
-    draws = np.random.default_rng(metrics.SEED).integers(n, size=(metrics.RESAMPLES, n))
-    if np.quantile(three[0][draws].mean(-1) - three[2][draws].mean(-1), 0.025) <= 0:
-        means = f"{three[0].mean():.3f} and {three[2].mean():.3f} m, {leader} {three[1].mean():.3f} m"
-        return PaperFinding(what, "", f"no gap within the scatter: {means}", n=n)
-    low, high = np.quantile(share(*(x[draws] for x in three)), [0.025, 0.975])
-    return PaperFinding(what, "", f"{share(*three):.2f} ({low:.2f} {high:.2f})", float(share(*three)), float(low), float(high), n)
+    share = lambda rival, ours, bound: (rival - ours) / (rival - bound)
+    means, drawn_means = [x.mean() for x in three], [metrics.resampled(x).mean(-1) for x in three]
+    if np.quantile(drawn_means[0] - drawn_means[2], 0.025) <= 0:
+        said = f"{means[0]:.3f} and {means[2]:.3f} m, {leader} {means[1]:.3f} m"
+        return PaperFinding(what, "", f"no gap within the scatter: {said}", n=n)
+    low, high = np.quantile(share(*drawn_means), [0.025, 0.975])
+    return PaperFinding(what, "", f"{share(*means):.2f} ({low:.2f} {high:.2f})", float(share(*means)), float(low), float(high), n)
 
 
 def tested(rows: dict[str, Row]) -> dict[str, list[dict[str, Any]]]:
