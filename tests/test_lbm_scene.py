@@ -18,6 +18,7 @@ from fishmj.lbm_oracle import Scene, cylinder, grid_study, mesh, plate, sphere
 from fishmj.lbm_oracle.cases.sphere import clift
 from fishmj.lbm_oracle.grid_studies.grid_study import judged
 from fishmj.lbm_oracle.immersed import shapes
+from fishmj.lbm_oracle.immersed.markers import WALL_STRESS
 
 ROOT = Path(__file__).resolve().parent.parent
 D, U, NU = 0.08, 0.001, 4e-6  # m, m/s, m2/s: Re 20
@@ -146,6 +147,7 @@ def scene_with(**options) -> None:
     (lambda: scene_with(motion=lambda t: 0.0), "a motion without slides or hinges"),
     (lambda: scene_with(joints=("slide x",), motion=lambda t: (0.0, 1.0)), r"motion at t = 0 s has the shape \(2,\)"),
     (lambda: scene_with(body=plate(D, D), joints=("free",), density=1.0), "a free plate without volume"),
+    (lambda: scene_with(body=plate(D, D, sharpness=WALL_STRESS)), "plate: markers with a law for the wall's stress"),
     (lambda: tank().run(1.0), "no body; add one"),
     (lambda: tank().add(sphere(D), at=(0.25, 0.24, 0.24)).coefficients(), "need a stream and a record"),
     (lambda: mesh("nowhere.stl"), "no such file"),

@@ -110,7 +110,9 @@ def test_rows_of_a_box_of_any_shape_stay_in_their_plane(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options, least", [({}, (1, 1, 1)), (HALF, (1, 1, 1)), (WALLS, (4, 1, 1))], ids=["WALE", "half", "walls"])
+@pytest.mark.parametrize(
+    "options, least", [({}, (1, 1, 1)), (HALF, (1, 1, 1)), (WALLS, (4, 1, 1))], ids=["WALE", "half", "faces"]
+)
 def test_rows_of_a_closed_box_of_any_shape_stay_in_their_plane(options, least, monkeypatch):
     assert_rows_are_cells(options, least, monkeypatch)
 
