@@ -77,6 +77,20 @@ def test_a_moved_body_follows_its_motion_and_a_free_one_falls():
     assert 1500 * volume * fall == pytest.approx(np.sum(500 * volume * 9.81 - wrench[:, 0, 2]) * times[0], rel=1e-3)
 
 
+@pytest.mark.gpu
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_scene_on_a_gpu_is_that_of_the_cpu(flat):
+    found = []
+    for device in ("cpu", "cuda"):
+        scene = tank((0.64, 0.48) if flat else (0.48, 0.4, 0.4), dt=0.5, device=device)
+        if flat:
+            scene.add(cylinder(D), at=(0.25, 0.24), joints=("hinge z",), motion=lambda t: 0.001 * t)
+        else:
+            scene.add(sphere(D), at=(0.2, 0.203, 0.196))
+        found.append(scene.run(20.0).wrench)
+    assert np.abs(found[1] - found[0]).max() < 1e-4 * np.abs(found[0]).max()
+
+
 def test_several_bodies_have_the_held_ones_first():
     scene = Scene((0.4, 0.3), 0.005, 1e-5, 0.005)
     scene.add(cylinder(0.04), at=(0.2, 0.2), joints=("slide y",), motion=lambda t: 0.001 * t)
