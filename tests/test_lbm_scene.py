@@ -188,6 +188,7 @@ def test_a_model_is_refused_by_what_it_lacks():
     for wrong, said in (
         (lambda: tank().add(model(joint, 'group="3"')), "no geom in the groups 0 to 2"),
         (lambda: tank().add(model(joint, ""), at=(0.1, 0.1, 0.1)), "place, joints"),
+        (lambda: tank(gravity=(0, 0, -9.81)).add(model(joint, "")), "gravity beside a MuJoCo model"),
         (lambda: tank().add(model("<freejoint/>", ""), motion=lambda t: 0.0), "a free or ball joint"),
         (lambda: tank().add(model(joint, "")).add(sphere(D), at=(0.1, 0.1, 0.1)), "a shape beside a MuJoCo model"),
         (lambda: tank((0.36, 0.5, 0.5)).add(model(joint, ""), motion=lambda t: 0.0).run(1.0), "the model from x"),

@@ -213,6 +213,8 @@ class Scene:
             raise ConfigError("scene: a MuJoCo model beside other bodies; expected one model that holds all of them")
         if self.flat:
             raise ConfigError("scene: a MuJoCo model in a box of two lengths; expected box=(x, y, z)")
+        if self.gravity.any():
+            raise ConfigError("scene: gravity beside a MuJoCo model, which has its own; set it there: <option gravity=..>")
         if motion is not None and model.nq != model.nv:
             raise ConfigError("scene: the motion of a model with a free or ball joint; expected hinges and slides only")
         self._model = model, motion, link_surfaces(model)
