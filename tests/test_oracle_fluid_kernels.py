@@ -94,27 +94,31 @@ def guarded(make, monkeypatch, options, shape, ghosts: int) -> Fluid:
     return found
 
 
-def assert_rows_are_cells(options, least, monkeypatch) -> None:
+def assert_same_as_cells(make, options, least, monkeypatch) -> None:
     """Compares all boxes of one to three cells a side, and others beside the lengths of a vector and a block, from `least` on."""
     shapes = [*product((1, 2, 3), repeat=3), (3, 18, 1), (2, 300, 1), (1, 40, 2), (4, 7, 5), (2, 3, 7), (1, 33, 15), (3, 1, 30)]
     shapes += [(3, 2, 16), (2, 16, 17), (3, 2, 255), (2, 3, 257), (1, 2, 513), (9, 9, 9), (5, 4, 40)]
     for shape, ghosts in product(shapes, (0, 1)):
         shape = tuple(max(n, low) for n, low in zip(shape, least, strict=True))
-        cells, rows = (guarded(make, monkeypatch, options, shape, ghosts) for make in (stream_collide, stream_collide_rows))
+        if make is stream_collide_pairs and (shape[2] % 2 or ghosts):  # a pair is stepped as a whole
+            continue
+        cells, other = (guarded(one, monkeypatch, options, shape, ghosts) for one in (stream_collide, make))
         assert np.isfinite(cells.f.numpy()).all(), shape
-        assert np.array_equal(cells.f.numpy(), rows.f.numpy()) and np.array_equal(cells.u.numpy(), rows.u.numpy()), shape
+        assert np.array_equal(cells.f.numpy(), other.f.numpy()) and np.array_equal(cells.u.numpy(), other.u.numpy()), shape
 
 
-def test_rows_of_a_box_of_any_shape_stay_in_their_plane(monkeypatch):
-    assert_rows_are_cells(OPEN, (7, 7, 1), monkeypatch)
+@pytest.mark.parametrize("make", [stream_collide_rows, stream_collide_pairs])
+def test_rows_and_pairs_stay_in_their_plane_of_a_box_of_any_shape(make, monkeypatch):
+    assert_same_as_cells(make, OPEN, (7, 7, 1), monkeypatch)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("make", [stream_collide_rows, stream_collide_pairs])
 @pytest.mark.parametrize(
     "options, least", [({}, (1, 1, 1)), (HALF, (1, 1, 1)), (WALLS, (4, 1, 1))], ids=["WALE", "half", "faces"]
 )
-def test_rows_of_a_closed_box_of_any_shape_stay_in_their_plane(options, least, monkeypatch):
-    assert_rows_are_cells(options, least, monkeypatch)
+def test_rows_and_pairs_stay_in_their_plane_of_a_closed_box(make, options, least, monkeypatch):
+    assert_same_as_cells(make, options, least, monkeypatch)
 
 
 @pytest.mark.slow
